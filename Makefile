@@ -1,0 +1,45 @@
+# make figures   install what runs need and draw the paper's figures into results/figures
+# make test      install what tests need and run them
+# make check     lint, format, types, layers, tests
+# make bench     measure speed (ratios against named baselines)
+# make clean     remove what was built; results/ stays
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
+export NUMBA_CACHE_DIR
+
+.PHONY: venv figures test check bench clean
+
+venv: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml constraints.txt install.sh
+	@PYTHON="$(PYTHON)" sh install.sh $(VENV) .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	@PYTHON="$(PYTHON)" sh install.sh $(VENV) '.[dev]'
+	@touch $@
+
+figures: $(VENV)/.installed
+	@$(BIN)/topcli plot --all
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -n auto
+
+check: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+	PYTHONPATH=src $(BIN)/lint-imports
+	$(BIN)/python -m pytest -n auto
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/steps.py
+	$(BIN)/python benchmarks/startup.py
+	$(BIN)/python benchmarks/store.py
+
+clean:
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,97 @@
+/* The algebra of topcli's HK and hybrid steps in C, operation by operation, in the loop that a C programmer would write.
+   With -ffp-contract=off the results equal the compiled Python bit for bit. */
+#include <math.h>
+
+static const double small_angle_sq = 0.6168502750680849;
+
+typedef struct { double w1, w2, w3, g1, g2, g3; } state;
+
+static inline state hk_step(state y, double h, double c)
+{
+    const double w1 = y.w1, w2 = y.w2, w3 = y.w3, g1 = y.g1, g2 = y.g2, g3 = y.g3;
+    const double d = 0.5 * h, f = d * c, e = d * f, k = 0.5 * e;
+    const double W1 = d * w1, W2 = d * w2, W3 = d * w3;
+    const double a = (0.5 * d) * w3, b = 3.0 * a, s = W3 - e * g2, H = k * g3, half = 0.5 * g3;
+    const double q = 1.0 + a * a, rq = 1.0 / q, u = W2 - a * W1, v = W1 + a * W2;
+    const double n = W2 * (1.0 - W3 * a) - b * W1, j = g1 - W2 * g3, m = W1 + W3 * W2, l = W1 - W2 * s;
+    const double P = v * j + u * g2, Q = j - a * g2;
+    const double m11 = q * ((1.0 - e * g1) + W3 * s) + H * n, m12 = q * m + b * H;
+    const double m21 = q * l - k * P, m22 = q * (1.0 + W2 * W2) - k * Q;
+    const double r = 2.0 / (m11 * m22 + m12 * m21);
+    const double b1 = q * (g3 * m - s * (g1 + W3 * g2)) + half * (s * n + (b * e) * g3);
+    const double b2 = q * (W2 * j - g2 * l) + (H * Q - (0.5 * s) * P);
+    const double n2 = b1 * m22 + b2 * m12, n3 = b2 * m11 - b1 * m21;
+    const double F = (0.5 * f) * rq, fg = f * g3;
+    const double two_r1 = 2.0 * (g2 * s - g3 * W2) + rq * (g3 * (v * s - e * g3));
+    return (state){
+        w1 + (rq * ((w2 - a * w1) * s + a * fg) + r * (F * (a * n3 - u * n2))),
+        w2 + (rq * (fg - (w1 + a * w2) * s) + r * (F * (n3 + v * n2))),
+        w3 - (2.0 * (f * g2) + r * (f * n2)),
+        g1 + (two_r1 + r * ((s - (H * rq) * v) * n2 - (W2 + H * rq) * n3)),
+        g2 + r * n2,
+        g3 + r * n3,
+    };
+}
+
+static inline double sinc_of_square(double t)
+{
+    if (t <= small_angle_sq) {
+        const double u = t * t;
+        const double low = -1.66666666666666324348e-01 + t * 8.33333333332248946124e-03;
+        const double mid = -1.98412698298579493134e-04 + t * 2.75573137070700676789e-06;
+        const double high = -2.50507602534068634195e-08 + t * 1.58969099521155010221e-10;
+        return 1.0 + t * (low + u * (mid + u * high));
+    }
+    const double x = sqrt(t);
+    return sin(x) / x;
+}
+
+static inline double cosc_of_square(double t)
+{
+    if (t <= small_angle_sq) {
+        const double u = t * t;
+        const double low = 4.16666666666666019037e-02 - t * 1.38888888888741095749e-03;
+        const double mid = 2.48015872894767294178e-05 - t * 2.75573143513906633035e-07;
+        const double high = 2.08757232129817482790e-09 - t * 1.13596475577881948265e-11;
+        return 0.5 - t * (low + u * (mid + u * high));
+    }
+    const double half = sin(0.5 * sqrt(t));
+    return 2.0 * half * half / t;
+}
+
+static inline state hybrid_step(state y, double h, double c)
+{
+    const double w1 = y.w1, w2 = y.w2, w3 = y.w3, g1 = y.g1, g2 = y.g2, g3 = y.g3;
+    const state p = hk_step(y, h, c);
+    const double k = 0.25 * h;
+    const double a1 = k * (p.w1 + w1), a2 = k * (p.w2 + w2), a3 = k * (p.w3 + w3);
+    const double b1 = g2 * a3 - g3 * a2, b2 = g3 * a1 - g1 * a3, b3 = g1 * a2 - g2 * a1;
+    const double r = 2.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3));
+    const double n1 = g1 + r * (b1 + (b2 * a3 - b3 * a2));
+    const double n2 = g2 + r * (b2 + (b3 * a1 - b1 * a3));
+    const double n3 = g3 + r * (b3 + (b1 * a2 - b2 * a1));
+    const double x = (w1 - w2) * (w1 + w2) - c * g1, im = 2.0 * w1 * w2 - c * g2;
+    const double chi = (0.5 * h) * (p.w3 + w3), t = chi * chi;
+    const double sn = chi * sinc_of_square(t), cs = t * cosc_of_square(t);
+    const double zx = (x + (sn * im - cs * x)) + c * n1, zy = (im + -(sn * x + cs * im)) + c * n2;
+    const double m = 0.5 * (sqrt(zx * zx + zy * zy) + fabs(zx)), b = 0.5 * zy, ratio = b / (m + 1e-290);
+    double root = sqrt(m);
+    if (zx >= 0.0) {
+        if (m * p.w1 + b * p.w2 < 0.0) root = -root;
+        return (state){root, ratio * root, p.w3, n1, n2, n3};
+    }
+    if (b * p.w1 + m * p.w2 < 0.0) root = -root;
+    return (state){ratio * root, root, p.w3, n1, n2, n3};
+}
+
+#define LOOP(name, step)                                       \
+    void name(double *y, double h, double c, long long n)      \
+    {                                                          \
+        state s = {y[0], y[1], y[2], y[3], y[4], y[5]};        \
+        for (long long i = 0; i < n; i++) s = step(s, h, c);   \
+        y[0] = s.w1; y[1] = s.w2; y[2] = s.w3;                 \
+        y[3] = s.g1; y[4] = s.g2; y[5] = s.g3;                 \
+    }
+
+LOOP(hk, hk_step)
+LOOP(hybrid, hybrid_step)

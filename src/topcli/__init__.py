@@ -1,0 +1,36 @@
+"""Numerical experiments on discrete spinning tops.
+
+The Python interface is three names, imported on first use so that ``import topcli`` costs nothing::
+
+    import topcli
+
+    trajectory = topcli.simulate("kowalevski_hybrid")
+    print(trajectory.to_pandas().head())
+    print(trajectory.invariants())
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from topcli.analysis.trajectory import Trajectory as Trajectory
+    from topcli.schemes.registry import scheme as scheme
+    from topcli.studies.simulate import simulate as simulate
+
+__version__ = "0.1.0"
+__all__ = ["Trajectory", "__version__", "scheme", "simulate"]
+
+_HOMES = {
+    "Trajectory": "topcli.analysis.trajectory",
+    "scheme": "topcli.schemes.registry",
+    "simulate": "topcli.studies.simulate",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'topcli' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOMES[name]), name)

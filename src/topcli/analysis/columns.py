@@ -1,0 +1,44 @@
+"""The columns of a time series: ``n``, ``t``, the components of the state, the invariants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.contracts import Array, Top
+from topcli.errors import UsageError, nearest
+
+
+def column_names(top: Top) -> list[str]:
+    """All columns that a run of ``top`` can record, in their order."""
+    return ["n", "t", *top.components, *(invariant.name for invariant in top.invariants())]
+
+
+def columns(top: Top, n: NDArray[np.int64], h: float, states: Array, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """The columns called ``names``, each of shape (m,), from step numbers (m,) and states (m, d).
+
+    Only what is asked for is computed. Raises UsageError for an unknown name.
+    """
+    invariants = {invariant.name: invariant for invariant in top.invariants()}
+    made: dict[str, NDArray[Any]] = {}
+    for name in names:
+        if name == "n":
+            made[name] = n
+        elif name == "t":
+            made[name] = n * h
+        elif name in top.components:
+            made[name] = states[:, top.components.index(name)]
+        elif name in invariants:
+            with np.errstate(over="ignore", invalid="ignore"):
+                made[name] = invariants[name].value(states)
+        else:
+            raise UsageError(f"no column {name!r}; {nearest(name, column_names(top))}")
+    return made
+
+
+def column(top: Top, n: NDArray[np.int64], h: float, states: Array, name: str) -> NDArray[Any]:
+    """One column as float64 or int64, shape (m,). Raises UsageError for an unknown name."""
+    return columns(top, n, h, states, [name])[name]

@@ -1,0 +1,79 @@
+"""Observed orders of convergence and of the reversal defect."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from topcli.contracts import Array, Stepper, Top
+from topcli.engine.driver import plain_loop
+
+ROUND_OFF = 64.0 * float(np.finfo(np.float64).eps)
+
+
+def observed_order(sizes: Sequence[float], errors: Sequence[float], floor: float) -> float | None:
+    """Slope of log(error) against log(size) over the points above ``floor``; None for fewer than three.
+
+    Of those points the three smallest sizes are used: they lie deepest in the asymptotic range.
+    """
+    usable = sorted((s, e) for s, e in zip(sizes, errors, strict=True) if math.isfinite(e) and e > floor)[:3]
+    if len(usable) < 3:
+        return None
+    x = np.log([s for s, _ in usable])
+    y = np.log([e for _, e in usable])
+    return float(np.polyfit(x, y, 1)[0])
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """One step forward and one back: the ``defect`` at ``h``, and its ``order`` in h.
+
+    ``order`` is None when the defect is round-off at every step size tried: the scheme is self-adjoint there.
+    """
+
+    h: float
+    defect: float
+    order: float | None
+    sizes: tuple[float, ...]
+    defects: tuple[float, ...]
+
+
+def one_step_back_and_forth(top: Top, stepper: Stepper, y: Sequence[float], h: float) -> float:
+    """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python."""
+    d = len(y)
+    p = np.array(top.constants())
+    enter, drive = plain_loop(stepper, d, len(p))
+    there, back, work = np.empty(d), np.empty(d), np.zeros(stepper.width)
+    start = np.array(y, dtype=np.float64)
+    enter(start, work, p, h)
+    if drive(work, there, p, h, 1, 1, 1) < 0:
+        return math.inf
+    enter(there, work, p, -h)
+    if drive(work, back, p, -h, 1, 1, 1) < 0:
+        return math.inf
+    return float(np.abs(back - start).max())
+
+
+def reversal(top: Top, stepper: Stepper, states: Array, h: float) -> Reversal:
+    """The reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
+
+    The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may lie
+    below round-off.
+    """
+    sizes = [abs(h)]
+    while 2.0 * sizes[-1] <= 0.4:
+        sizes.append(2.0 * sizes[-1])
+    while len(sizes) < 4:
+        sizes.insert(0, 0.5 * sizes[0])
+    defects = [max(one_step_back_and_forth(top, stepper, y, size) for y in states) for size in sizes]
+    floor = ROUND_OFF * max(1.0, float(np.abs(states).max()))
+    return Reversal(
+        h=abs(h),
+        defect=defects[sizes.index(abs(h))],
+        order=observed_order(sizes, defects, floor),
+        sizes=tuple(sizes),
+        defects=tuple(defects),
+    )

@@ -1,0 +1,142 @@
+"""The independent reference: the motion of the stated equations, to an ulp of the state's size.
+
+A Taylor series integrator of order 37 in double-double arithmetic (``kernels.taylor``), which shares nothing
+with the schemes it judges. Order and step follow Jorba and Zou, Experimental Mathematics 14 (2005) 99-117,
+for a relative local error of 1e-31.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from topcli.contracts import Array, EulerPoisson, Top
+from topcli.errors import RunError
+from topcli.kernels.dd import dd_div, two_sum
+from topcli.kernels.taylor import DONE, GRID, MORE, STEP_TOO_SMALL, advance
+
+if TYPE_CHECKING:
+    from topcli.engine.native import Native
+
+EPSILON = 1e-31
+ORDER = math.ceil(-0.5 * math.log(EPSILON) + 1.0)
+"""Jorba and Zou's order for ``EPSILON``: 37."""
+REACH = math.exp(-0.7 / (ORDER - 1)) / math.e**2
+"""Their step in units of the radius of convergence, with their safety factor."""
+BODY = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
+
+BUDGET = 2000
+"""Steps between two chances to interrupt: less than 0.1 s."""
+MAX_STEPS = 20_000_000
+"""A reference longer than this (some ten minutes) is refused."""
+
+
+@cache
+def _compiled() -> Native:
+    from topcli.engine.native import native
+
+    return native(advance, "pppppqqdq")
+
+
+def coefficients(equations: EulerPoisson) -> Array:
+    """The quotients of the equations as double-doubles, shape (18,), laid out as ``kernels.taylor`` says.
+
+    The moments and mg(x0, y0, z0) are taken as exact; no quotient is rounded to a double. Raises RunError
+    when one is not finite.
+    """
+    moments, gravity = equations.moments, equations.gravity
+    found: list[float] = []
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for hi, lo in (two_sum(moments[j], -moments[k]), (gravity[k], 0.0), (gravity[j], 0.0)):
+            found.extend(dd_div(hi, lo, moments[i]))
+    if not np.isfinite(found).all():
+        raise RunError(f"reference: the moments {moments} with gravity {gravity} are beyond double precision")
+    return np.array(found)
+
+
+def _units(coef: Array, y: Array) -> tuple[int, int]:
+    """``(k, m)``: with time in units of 2^k and gamma in units of 2^m the rates of change are at most about one.
+
+    Powers of two, so that changing the units rounds nothing. Without them coefficients of order 37 would
+    leave the range of a double already at an angular velocity of 1e8.
+    """
+    alpha, g = np.abs(coef[0::6]).max(), max(np.abs(coef[2::6]).max(), np.abs(coef[4::6]).max())
+    omega, gamma = float(np.abs(y[:3]).max()), float(np.abs(y[3:]).max())
+    rate = max(omega * max(1.0, float(alpha)), math.sqrt(g) * math.sqrt(gamma))
+    if not math.isfinite(rate):
+        raise RunError("reference: the initial state turns faster than a double can tell")
+    return -math.frexp(rate)[1], math.frexp(gamma)[1]
+
+
+def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]:
+    """The initial state as omega, gamma (6,), and the times (m,)."""
+    if tuple(top.components) not in (BODY, BODY[:3]):
+        raise RunError(
+            f"reference: top {top.kind!r} has the state ({', '.join(top.components)}); expected omega and gamma"
+        )
+    if len(y0) != len(top.components):
+        raise ValueError(f"reference: the state has {len(y0)} components; expected {len(top.components)}")
+    y = np.zeros(6)
+    y[: len(y0)] = y0
+    t = np.ascontiguousarray(times, dtype=np.float64)
+    if t.ndim != 1 or not np.isfinite(t).all() or not np.isfinite(y).all():
+        raise ValueError("reference: initial state and times must be finite, times of one dimension")
+    if ((t < 0.0).any() and (t > 0.0).any()) or (np.diff(np.abs(t)) < 0.0).any():
+        raise ValueError("reference: times must lead away from zero, all forward or all backward")
+    return y, t
+
+
+def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
+    """The motion of ``top`` at ``times`` (m,) from the state ``y0`` (d,) at time zero; shape (m, d).
+
+    Times lead away from zero, all forward (>= 0) or all backward (<= 0), and are taken as exact numbers. Each
+    state is within an ulp of its own size of the solution, for as long as the motion's sensitivity has not
+    amplified the local error of 1e-31 to that.
+
+    Raises RunError when the motion leaves the range of a double, its steps shrink below the resolution of
+    time, or the span is too long to follow; ValueError for times that are not as said.
+    """
+    y, t = _checked(top, y0, times)
+    coef = coefficients(top.euler_poisson())
+    k, m = _units(coef, y)
+    unit = np.repeat((-k, m), 3)
+    state, out, work = np.zeros(15), np.zeros((t.size, 6)), np.zeros(12 * (ORDER + 1))
+    with np.errstate(all="ignore"):
+        state[:6] = np.ldexp(y, -unit)
+        tau = np.ldexp(t, -k)
+        quotients = coef.reshape(3, 6)
+        quotients[:, 2:] = np.ldexp(quotients[:, 2:], 2 * k + m) if y[3:].any() else 0.0
+    if t.size and not abs(tau[-1]) < 2.0 * GRID:
+        raise RunError(
+            f"reference: t = {t[-1]:.6g} is {abs(tau[-1]):.1e} times the shortest time scale of this motion; "
+            f"it can be followed to {2.0 * GRID:.1e} of them"
+        )
+    _follow(coef, state, tau, out.reshape(-1), work, lambda at: math.ldexp(at, k))
+    with np.errstate(all="ignore"):
+        states = np.ldexp(out, unit)[:, : len(top.components)]
+    if not np.isfinite(states).all():
+        raise RunError("reference: the motion leaves the range of double precision")
+    return np.ascontiguousarray(states)
+
+
+def _follow(coef: Array, state: Array, tau: Array, out: Array, work: Array, physical: Callable[[float], float]) -> None:
+    """Call ``advance`` until all is written; in parts, so that an interrupt is heard."""
+    run = _compiled()
+    while True:
+        code = run(coef, state, tau, out, work, tau.size, ORDER, REACH, BUDGET)
+        if code == DONE:
+            return
+        at, steps = abs(state[12]), state[14]
+        if code != MORE:
+            why = "its step shrinks below the resolution of time" if code == STEP_TOO_SMALL else "it is not finite"
+            raise RunError(f"reference: the motion cannot be followed beyond t = {physical(state[12]):.6g}: {why}")
+        if steps * (abs(tau[-1]) / at) > MAX_STEPS:
+            raise RunError(
+                f"reference: t = {physical(tau[-1]):.6g} would take more than {MAX_STEPS} Taylor steps; "
+                f"after {steps:.0f} it is at t = {physical(state[12]):.6g}"
+            )

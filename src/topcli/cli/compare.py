@@ -1,0 +1,100 @@
+"""``topcli compare``: one experiment under several schemes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
+from topcli.cli.talk import print_json, print_table, say
+
+PAPER_SCENE = "kowalevski_hk"
+
+
+def _lines(figures: dict[str, Any]) -> list[list[str]]:
+    """The comparison as lines: a label, then a cell for each scheme."""
+    from topcli.studies.report import number
+
+    schemes = figures["schemes"]
+    spacing = figures["reference"]["swing_spacing"]
+    swing = f"spacing of {figures['reference']['swing']} minima"
+    if spacing is not None:
+        swing += f" (reference {spacing:.4f})"
+
+    def line(label: str, cell: Any) -> list[str]:
+        return [label, *(cell(scheme) for scheme in schemes)]
+
+    lines = [
+        line("outcome", lambda s: s["outcome"]),
+        line("max error", lambda s: number(s["max_error"])),
+        line("error at the end", lambda s: number(s["end_error"])),
+    ]
+    for i, row in enumerate(schemes[0]["invariants"]):
+        symbol = row["symbol"]
+        lines += [
+            line(f"{symbol} max deviation", lambda s, i=i: number(s["invariants"][i]["max_deviation"])),
+            line(f"{symbol} drift per unit time", lambda s, i=i: number(s["invariants"][i]["drift"])),
+            line("  its standard error", lambda s, i=i: number(s["invariants"][i]["drift_error"], 2)),
+            line("  verdict", lambda s, i=i: s["invariants"][i]["verdict"]),
+        ]
+    h = schemes[0]["reversal"]["h"]
+    return [
+        *lines,
+        line(f"reversal defect at h = {h:g}", lambda s: number(s["reversal"]["defect"])),
+        line(
+            "  its order in h",
+            lambda s: "round-off" if s["reversal"]["order"] is None else f"{s['reversal']['order']:.2f}",
+        ),
+        line(swing, lambda s: "–" if s["swing_spacing"] is None else f"{s['swing_spacing']:.4f}"),
+        line("ns per step", lambda s: f"{s['nanoseconds_per_step']:.1f}"),
+        line("compile or load, s", lambda s: f"{s['compile_seconds']:.3f}"),
+    ]
+
+
+def compare(
+    schemes: Annotated[
+        list[str],
+        typer.Argument(metavar="SCHEME SCHEME...", help="Names of schemes.", autocompletion=complete_scheme),
+    ],
+    config: Annotated[
+        str,
+        typer.Option(
+            "--config",
+            metavar="CONFIG",
+            help="The experiment; the paper's scene by default.",
+            autocompletion=complete_config,
+        ),
+    ] = PAPER_SCENE,
+    sets: Sets = None,
+    as_json: Json = False,
+    plot: Annotated[bool, typer.Option("--plot", help="Draw errors and swings over time.")] = False,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figure.")] = Path("results/figures"),
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Compare schemes on one experiment: errors, drifts, reversal, swings, speed."""
+    from topcli.config.load import load_experiment
+    from topcli.studies.compare import compare_schemes
+
+    load_scheme_files(scheme_files)
+    experiment = load_experiment(config, sets or [])
+    comparison = compare_schemes(experiment, schemes)
+    files: list[str] = []
+    if plot:
+        from topcli.figures.comparison import draw_comparison
+
+        files = [str(path) for path in draw_comparison(comparison, f"compare_{experiment.name}", out)]
+    if as_json:
+        print_json("compare", {**comparison.figures, "files": files})
+    else:
+        title = f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}"
+        header = ["", *(scheme["scheme"] for scheme in comparison.figures["schemes"])]
+        print_table(header, _lines(comparison.figures), title)
+        for file in files:
+            say(f"wrote {file}")
+    failed = [scheme for scheme in comparison.figures["schemes"] if scheme["outcome"] != "completed"]
+    for scheme in failed:
+        say(f"error: {scheme['scheme']}: {scheme['message']}")
+    if failed:
+        raise typer.Exit(1)

@@ -1,0 +1,205 @@
+"""``topcli list``, ``show``, ``init``, ``schema`` and ``doctor``: look before running."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from topcli.cli.options import (
+    Json,
+    Out,
+    SchemeFiles,
+    Sets,
+    complete_config,
+    complete_scheme,
+    complete_top,
+    load_scheme_files,
+)
+from topcli.cli.talk import print_json, print_table, say
+
+list_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, figures or runs.")
+
+
+def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_json: bool) -> None:
+    if as_json:
+        print_json(f"list {kind}", {kind: items})
+    elif items:
+        print_table(columns, [[_cell(item[column]) for column in columns] for item in items])
+    else:
+        say(f"no {kind}")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "–"
+    return str(value)
+
+
+@list_app.command("tops")
+def list_tops(as_json: Json = False) -> None:
+    """The tops, with their parameters, state and invariants."""
+    from topcli.tops import TOPS
+
+    items = [
+        {
+            "name": top.kind,
+            "title": top.title,
+            "parameters": {name: field.default for name, field in top.model_fields.items()},
+            "components": list(top.components),
+            "invariants": [invariant.name for invariant in top().invariants()],
+            "citation": top.citation,
+        }
+        for top in TOPS.values()
+    ]
+    shown = [{**item, "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]} for item in items]
+    _print_list("tops", items if as_json else shown, ["name", "parameters", "components", "invariants"], as_json)
+
+
+@list_app.command("schemes")
+def list_schemes(
+    top: Annotated[
+        str | None, typer.Option("--top", help="Only those for this top.", autocompletion=complete_top)
+    ] = None,
+    as_json: Json = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """The registered schemes with their declared traits; plugins that failed are named on stderr."""
+    from topcli.schemes.registry import all_schemes, plugin_failures
+    from topcli.tops import top_class
+
+    load_scheme_files(scheme_files)
+    kind = top_class(top).kind if top else None
+    items = [
+        {
+            "name": scheme.name,
+            "top": scheme.top,
+            "title": scheme.title,
+            "order": scheme.order,
+            "explicit": scheme.explicit,
+            "self_adjoint": scheme.self_adjoint,
+            "conserves": list(scheme.conserves),
+            "options": {name: str(field.default) for name, field in scheme.options.model_fields.items()},
+            "equations": scheme.equations,
+            "citation": scheme.citation,
+            "origin": scheme.origin,
+        }
+        for scheme in all_schemes()
+        if kind in (None, scheme.top)
+    ]
+    for failure in plugin_failures():
+        say(f"plugin {failure.name} failed: {failure.reason}")
+    shown = [{**item, "options": [f"{k}={v}" for k, v in item["options"].items()]} for item in items]
+    columns = ["name", "top", "order", "explicit", "self_adjoint", "conserves", "options", "origin"]
+    _print_list("schemes", items if as_json else shown, columns, as_json)
+
+
+@list_app.command("figures")
+def list_figures(as_json: Json = False) -> None:
+    """The figures that ``topcli plot`` draws."""
+    from topcli.figures.catalogue import FIGURES
+
+    items: list[dict[str, Any]] = [
+        {"name": spec.name, "title": spec.title, "scene": spec.scene} for spec in FIGURES.values()
+    ]
+    _print_list("figures", items, ["name", "scene", "title"], as_json)
+
+
+@list_app.command("runs")
+def list_runs(out: Out = Path("results"), as_json: Json = False) -> None:
+    """The finished runs in a folder of run folders."""
+    from topcli.store.run_folder import stored_runs
+
+    items: list[dict[str, Any]] = [
+        {
+            "name": run.folder.name,
+            "outcome": run.manifest["outcome"],
+            "scheme": run.manifest["config"]["scheme"]["name"],
+            "h": run.manifest["config"]["h"],
+            "N": run.manifest["config"]["N"],
+            "digest": run.manifest["digest"][:8],
+            "ended": run.manifest["ended"],
+        }
+        for run in stored_runs(out)
+    ]
+    _print_list("runs", items, ["name", "outcome", "scheme", "h", "N", "digest", "ended"], as_json)
+
+
+def show(
+    config: Annotated[
+        str,
+        typer.Argument(metavar="CONFIG", help="A config file or a packaged scene.", autocompletion=complete_config),
+    ],
+    sets: Sets = None,
+    as_json: Json = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Show a config as it will run: completed, with every default filled in."""
+    from topcli.config.load import load_experiment
+
+    load_scheme_files(scheme_files)
+    experiment = load_experiment(config, sets or [])
+    if as_json:
+        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
+    else:
+        print(experiment.to_yaml(), end="")
+
+
+def init(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="The config to write.")] = Path("experiment.yaml"),
+    top: Annotated[str, typer.Option("--top", help="Which top.", autocompletion=complete_top)] = "kowalevski",
+    scheme: Annotated[str, typer.Option("--scheme", help="Which scheme.", autocompletion=complete_scheme)] = "hybrid",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+) -> None:
+    """Write a commented starter config, and its JSON Schema beside it for the editor."""
+    import json
+
+    from topcli.config.schema import config_schema
+    from topcli.config.starter import starter_config
+    from topcli.errors import UsageError
+
+    schema_path = path.with_name("topcli.schema.json")
+    if path.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{path}: the starter config is YAML; give a name ending in .yaml")
+    if path.exists() and not force:
+        raise UsageError(f"{path}: exists already; choose another name, or --force to overwrite it")
+    text = starter_config(top, scheme, schema_path.name)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        schema_path.write_text(json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
+    print(path)
+    say(f"wrote {path} and {schema_path}; run it with: topcli run {path}")
+
+
+def schema() -> None:
+    """Print the JSON Schema of the config."""
+    import json
+
+    from topcli.config.schema import config_schema
+
+    print(json.dumps(config_schema(), indent=1, ensure_ascii=False))
+
+
+def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
+    """Report versions, CPU, threads, the cache of compiled code, and plugins with their errors."""
+    from topcli.studies.doctor import diagnosis
+
+    load_scheme_files(scheme_files)
+    found = diagnosis()
+    if as_json:
+        print_json("doctor", found)
+        return
+    rows = [[key, str(value)] for key, value in found["environment"].items()]
+    rows += [[f"cache {key}", str(value)] for key, value in found["cache"].items()]
+    rows += [["CPU threads", str(found["threads"])]]
+    rows += [[f"plugin {plugin['name']}", plugin["state"]] for plugin in found["plugins"]] or [["plugins", "none"]]
+    rows += [["problems", "; ".join(found["problems"]) or "none"]]
+    width = max(len(row[0]) for row in rows)
+    for key, value in rows:
+        print(f"{key.ljust(width)}  {value}")

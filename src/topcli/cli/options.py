@@ -1,0 +1,68 @@
+"""Options that several commands share, and the completion of names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def complete_scheme(incomplete: str) -> list[str]:
+    """Names of schemes that begin with ``incomplete``."""
+    from topcli.schemes.registry import all_schemes
+
+    names = sorted({scheme.name for scheme in all_schemes()})
+    return [name for name in names if name.startswith(incomplete.lower())]
+
+
+def complete_top(incomplete: str) -> list[str]:
+    """Kinds of tops that begin with ``incomplete``."""
+    from topcli.tops import TOPS
+
+    return [name for name in sorted(TOPS) if name.startswith(incomplete.lower())]
+
+
+def complete_figure(incomplete: str) -> list[str]:
+    """Names of figures that begin with ``incomplete``."""
+    from topcli.figures.catalogue import FIGURES
+
+    return [name for name in FIGURES if name.startswith(incomplete.lower())]
+
+
+def complete_config(incomplete: str) -> list[str]:
+    """Config files in the working folder's ``configs`` and the packaged scenes that begin with ``incomplete``."""
+    from topcli.config.load import SCENES
+
+    near = [str(path) for path in sorted(Path("configs").glob("*.*"))]
+    packaged = [path.stem for path in sorted(SCENES.glob("*.*"))]
+    return [name for name in [*near, *packaged] if name.startswith(incomplete)]
+
+
+Sets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.",
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the run folders.")]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Run again; a different run that stands in the way is kept aside."),
+]
+SchemeFiles = Annotated[
+    list[Path] | None,
+    typer.Option("--scheme-file", metavar="FILE", help="A Python file that registers schemes of your own."),
+]
+
+
+def load_scheme_files(paths: list[Path] | None) -> None:
+    """Register the schemes of the files given by ``--scheme-file``."""
+    if paths:
+        from topcli.schemes.registry import load_scheme_file
+
+        for path in paths:
+            load_scheme_file(path)

@@ -1,0 +1,66 @@
+"""``topcli plot``: figures, from run folders, running what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from topcli.cli.options import Force, Json, complete_figure
+from topcli.cli.talk import ProgressTeller, print_json, say
+
+
+def plot(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="FIGURE...", help="Names of figures.", autocompletion=complete_figure),
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="All figures.")] = False,
+    formats: Annotated[
+        list[str] | None, typer.Option("--format", help="png or pdf; may be given twice. Default: both.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figures.")] = Path("results/figures"),
+    results: Annotated[Path, typer.Option("--results", metavar="DIR", help="Folder of the run folders.")] = Path(
+        "results"
+    ),
+    configs: Annotated[
+        Path,
+        typer.Option("--configs", metavar="DIR", help="Folder of the configs; packaged scenes where it has none."),
+    ] = Path("configs"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Draw figures as PNG and PDF, with the plotted data as Parquet beside them."""
+    from topcli.errors import UsageError
+    from topcli.figures.catalogue import FIGURES, figure_spec
+    from topcli.figures.make import make_figure
+    from topcli.figures.picture import IMAGE_FORMATS
+
+    if bool(names) == every:
+        raise UsageError(f"name figures, or say --all; figures: {', '.join(FIGURES)}")
+    wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
+    if wrong:
+        raise UsageError(f"--format {wrong[0]}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}")
+    specs = list(FIGURES.values()) if every else [figure_spec(name) for name in names or ()]
+    teller = ProgressTeller(len(specs), as_json)
+    made = []
+    for spec in specs:
+        teller.begin(spec.scene)
+        one = make_figure(
+            spec,
+            out=out,
+            results=results,
+            configs=configs,
+            formats=tuple(dict.fromkeys(formats or IMAGE_FORMATS)),
+            force=force,
+            progress=teller,
+            told=say,
+        )
+        teller.close()
+        made.append(one)
+        if not as_json:
+            print(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
+    if as_json:
+        figures = [{"name": m.name, "status": m.status, "files": [str(path) for path in m.files]} for m in made]
+        print_json("plot", {"figures": figures})

@@ -1,0 +1,152 @@
+"""``topcli run``: experiments into run folders."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
+from topcli.cli.talk import ProgressTeller, print_json, print_table, say
+from topcli.errors import TopcliError
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
+    from topcli.studies.run import RunResult
+
+
+class Interruption:
+    """Turns the first Ctrl-C or SIGTERM into a request to stop between chunks; the second one is immediate."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._previous[number] = signal.signal(number, self._ask)
+        return self
+
+    def _ask(self, number: int, frame: object) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+
+def _experiment(config: str, sets: list[str], output_format: str | None) -> Experiment:
+    from topcli.config.load import load_experiment
+
+    return load_experiment(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
+
+
+def invariant_table(report: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Header and lines of the invariant report with a column for each invariant."""
+    from topcli.studies.report import INVARIANT_COLUMNS, invariant_cells
+
+    cells = [invariant_cells(row) for row in report["invariants"]]
+    lines = [[label, *(cell[i] for cell in cells)] for i, label in enumerate(INVARIANT_COLUMNS)]
+    return lines[0], lines[1:]
+
+
+def _tell(result: RunResult, quiet: bool) -> None:
+    if result.set_aside:
+        say(f"kept the earlier, different run as {result.set_aside}")
+    if quiet:
+        return
+    report = result.report
+    say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({result.status})")
+    header, lines = invariant_table(report)
+    print_table(header, lines)
+
+
+def _dry_run(experiment: Experiment, out: Path) -> dict[str, Any]:
+    from topcli.store.run_folder import stored_run
+
+    earlier = stored_run(out / experiment.name)
+    standing = "nothing there yet"
+    if earlier is not None:
+        same = earlier.same_experiment(experiment.digest)
+        standing = f"holds {'this' if same else 'a different'} experiment already"
+    return {
+        "config": experiment.resolved(),
+        "digest": experiment.digest,
+        "folder": str(out / experiment.name),
+        "standing": standing,
+        "rows": experiment.N // experiment.output.every + 1,
+    }
+
+
+def _exit_code(codes: list[int]) -> int:
+    """130 if interrupted; for one config its code; for several 0, or 3 when some failed, or the one code of all."""
+    if 130 in codes:
+        return 130
+    if 0 in codes and any(codes):
+        return 3
+    return codes[0] if len(set(codes)) == 1 else max(codes)
+
+
+def run(
+    configs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="CONFIG...",
+            help="Config files, or names of packaged scenes.",
+            autocompletion=complete_config,
+        ),
+    ],
+    sets: Sets = None,
+    out: Out = Path("results"),
+    output_format: Annotated[str | None, typer.Option("--format", help="parquet or csv.")] = None,
+    force: Force = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the configs and say what would be done.")] = False,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")] = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Run experiments: time series and a report on the conservation laws, in one folder each."""
+    load_scheme_files(scheme_files)
+    told: list[dict[str, Any]] = []
+    codes: list[int] = []
+    teller = ProgressTeller(len(configs), quiet)
+    with Interruption() as interruption:
+        for config in configs:
+            try:
+                experiment = _experiment(config, sets or [], output_format)
+                if dry_run:
+                    plan = _dry_run(experiment, out)
+                    told.append(plan)
+                    codes.append(0)
+                    if not (as_json or quiet):
+                        print(f"{experiment.name}: {plan['rows']} rows to {plan['folder']} ({plan['standing']})")
+                    continue
+                from topcli.studies.run import run_experiment
+
+                teller.begin(experiment.name)
+                result = run_experiment(experiment, out, force=force, progress=teller, stop=lambda: interruption.asked)
+                teller.close()
+                _tell(result, quiet or as_json)
+                told.append({"folder": str(result.stored.folder), "status": result.status, **result.report})
+                codes.append({"completed": 0, "interrupted": 130}.get(result.outcome.value, 1))
+                if codes[-1]:
+                    say(f"error: {experiment.name}: {result.report['message']}; what came before is kept")
+            except TopcliError as error:
+                teller.close()
+                say(f"error: {error}")
+                told.append({"config": config, "error": str(error), "exit_code": error.exit_code})
+                codes.append(error.exit_code)
+            if codes[-1] == 130 or (codes[-1] and fail_fast):
+                break
+    if as_json:
+        print_json("run", {"runs": told})
+    elif len(configs) > 1 and not quiet:
+        failed = sum(1 for code in codes if code)
+        say(f"{len(codes) - failed} of {len(configs)} configs {'fine' if dry_run else 'run'}, {failed} failed")
+    if code := _exit_code(codes):
+        raise typer.Exit(code)

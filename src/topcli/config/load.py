@@ -1,0 +1,112 @@
+"""From a config file, a packaged scene or a dict to a validated ``Experiment``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from topcli.config.document import SUFFIXES, Document, plain, read_document
+from topcli.config.models import Config, Experiment, duration_fault, name_fault
+from topcli.config.overrides import apply_overrides
+from topcli.config.problems import Problems, validate
+from topcli.config.sections import check_columns, read_initial, read_scheme, read_top
+from topcli.errors import ConfigError, UnknownNameError, nearest
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+"""The folder of the packaged scenes: configs that are found by their bare name."""
+
+
+def load_experiment(source: Path | str, overrides: Sequence[str] = ()) -> Experiment:
+    """The experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
+
+    ``overrides`` are ``key=value`` texts, applied before the config is validated.
+    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right.
+    """
+    path = find_config(source)
+    document = read_document(path)
+    apply_overrides(document, overrides)
+    return _experiment(document, path.stem)
+
+
+def experiment_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment:
+    """The experiment of a config given as a dict; without a name it is called after its top and scheme.
+
+    Lists may be tuples or numpy arrays. Raises as ``load_experiment``; the messages name the key.
+    """
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"a config is a dict with the keys {', '.join(Config.model_fields)}")
+    document = Document({})
+    document.data = plain(data, document)
+    apply_overrides(document, overrides)
+    return _experiment(document, None)
+
+
+def scene_files() -> dict[str, Path]:
+    """The packaged scenes by name."""
+    if not SCENES.is_dir():
+        return {}
+    return {path.stem: path for path in sorted(SCENES.iterdir()) if path.suffix in SUFFIXES}
+
+
+def find_config(source: Path | str) -> Path:
+    """The file of ``source``: itself when it is named like a config, else the scene of that name.
+
+    Scenes are matched without case, and with - for _. Raises UnknownNameError with the nearest scenes.
+    """
+    path = Path(source)
+    if path.suffix.lower() in SUFFIXES:
+        return path
+    text = os.fspath(source)
+    if not text or path.suffix or os.sep in text or "/" in text:
+        return path  # reading it says what is wrong with it
+    scenes = scene_files()
+    wanted = text.lower().replace("-", "_")
+    for name, scene in scenes.items():
+        if name.lower().replace("-", "_") == wanted:
+            return scene
+    files = [text + suffix for suffix in SUFFIXES if Path(text + suffix).is_file()]
+    near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes)
+    raise UnknownNameError(f"no packaged scene is called {text!r} (files end in .yaml, .yml or .toml); {near}")
+
+
+def _experiment(document: Document, default_name: str | None) -> Experiment:
+    problems = Problems(document)
+    optional = ("name", "output")
+    data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
+    if "name" not in data and default_name is not None:
+        if fault := name_fault(default_name):
+            problems.add(("name",), f"missing, and the file's own name does not serve: it {fault}")
+        data["name"] = "unnamed" if fault else default_name
+    config = validate(Config, data, (), problems)
+    cls = top = state = scheme = None
+    if "top" in data:
+        cls, top = read_top(data["top"], problems)
+    if cls and "scheme" in data:
+        scheme = read_scheme(data["scheme"], cls, problems)
+    if cls and "initial" in data:
+        state = read_initial(data["initial"], cls, problems)
+    if config:
+        if config.output.every > config.N:
+            problems.add(("output", "every"), f"must be at most N = {config.N}, not {config.output.every}")
+        if too_long := duration_fault(config.h, config.N):
+            problems.add(("N",), too_long)
+        if top:
+            check_columns(config.output.columns, top, problems)
+    problems.raise_any()
+    # what is missing here has been raised as a problem
+    assert config is not None
+    assert top is not None
+    assert state is not None
+    assert scheme is not None
+    return Experiment(
+        name=config.name or f"{top.kind}_{scheme[0].name}".replace("-", "_"),
+        top=top,
+        y0=state,
+        scheme=scheme[0],
+        options=scheme[1],
+        h=config.h,
+        N=config.N,
+        output=config.output,
+    )

@@ -1,0 +1,88 @@
+"""``--set key=value``: one key of a config set from the command line, before the config is validated."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from topcli.config.document import Document, describe, key_text, plain
+from topcli.config.yaml_lines import parse_flat
+from topcli.errors import ConfigError
+
+_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+_POSITION = re.compile(r"^(:\d+)*: ")
+BARE = {"top": "kind", "scheme": "name"}
+"""Sections that may be given as a bare name, and the key that the name stands for."""
+
+
+def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
+    """The path and the value of ``key=value``: a dotted path, and a value as YAML writes it.
+
+    >>> parse_override("initial.gamma=[auto, 0, 1e-3]")
+    (('initial', 'gamma'), ['auto', 0, 0.001])
+
+    Raises ConfigError naming the override.
+    """
+    key, equals, value = text.partition("=")
+    path = tuple(part.strip() for part in key.split("."))
+    label = override_label(text)
+    if not equals:
+        raise ConfigError(f"{label}: expected key=value, such as --set h=0.01")
+    if not all(_KEY.fullmatch(part) for part in path):
+        raise ConfigError(f"{label}: {key!r} is not a key; expected key=value with a key such as h or top.c0")
+    if not value.strip():
+        raise ConfigError(f"{label}: no value is given; expected key=value, such as --set h=0.01")
+    try:
+        return path, parse_flat(value)
+    except ValueError:
+        from topcli.config.yaml_text import parse_events
+
+        try:
+            data, _ = parse_events(value, "")
+        except ConfigError as error:
+            raise ConfigError(f"{label}: {_POSITION.sub('', str(error))}") from None
+        return path, plain(data, Document({}, {(): label}))
+
+
+def override_label(text: str) -> str:
+    """How messages name an override."""
+    shown = text if len(text) <= 60 else text[:57] + "..."
+    return f"--set {shown}" if shown.isprintable() else f"--set {shown!r}"
+
+
+def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
+    """Set the overridden keys in ``document``; whole sections before keys inside them, whatever the order.
+
+    A bare name of a top or a scheme becomes a section where a key inside it is set.
+    Raises ConfigError for a malformed or repeated override, and for a key inside what is no section.
+    """
+    parsed: dict[tuple[str, ...], tuple[str, Any]] = {}
+    for text in overrides:
+        path, value = parse_override(text)
+        if path in parsed:
+            earlier = override_label(parsed[path][0])
+            raise ConfigError(f"{override_label(text)}: {key_text(path)} is already set by {earlier}; set it once")
+        parsed[path] = (text, value)
+    for path in sorted(parsed, key=len):
+        text, value = parsed[path]
+        _set(document, path, value, override_label(text))
+
+
+def _set(document: Document, path: tuple[str, ...], value: Any, label: str) -> None:
+    section = document.data
+    for depth, key in enumerate(path[:-1]):
+        inner: Any = section.get(key)
+        if inner is None:
+            inner = {}
+        elif depth == 0 and key in BARE and isinstance(inner, str):
+            inner = {BARE[key]: inner}
+        elif not isinstance(inner, dict):
+            whole = key_text(path[: depth + 1])
+            raise ConfigError(f"{label}: {whole} is {describe(inner)}, not a section; set {whole} as a whole")
+        section[key] = inner
+        section = inner
+    section[path[-1]] = value
+    for known in [known for known in document.places if known[: len(path)] == path]:
+        del document.places[known]
+    document.places[path] = label

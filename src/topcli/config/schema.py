@@ -1,0 +1,126 @@
+"""The JSON Schema of a config, built from the models and from the registries of tops and schemes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from topcli.config.models import Config
+from topcli.config.sections import AUTO
+from topcli.contracts import Scheme, Top
+from topcli.schemes.registry import all_schemes
+from topcli.tops import TOPS
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+Schema = dict[str, Any]
+
+
+def config_schema() -> Schema:
+    """The JSON Schema (draft 2020-12) of a config: every key, every registered top and scheme.
+
+    The base describes each key; for each kind of top an ``if``/``then`` states the parameters, the initial
+    vectors, the schemes that step it, and the columns.
+    """
+    schema = Config.model_json_schema()
+    kinds = sorted(TOPS)
+    properties = schema["properties"]
+    properties["top"] |= {
+        "anyOf": [
+            {"enum": kinds},
+            {"type": "object", "required": ["kind"], "properties": {"kind": {"enum": kinds}}},
+        ]
+    }
+    properties["initial"] |= {"type": "object"}
+    properties["scheme"] |= {"type": ["string", "object"]}
+    properties["h"]["not"] = {"const": 0}
+    properties["output"].pop("$ref", None)
+    properties["output"] |= schema.pop("$defs")["Output"]
+    _drop_titles(properties)
+    return {
+        "$schema": DRAFT,
+        **schema,
+        "title": "topcli config",
+        "allOf": [_for_top(TOPS[kind]) for kind in kinds],
+    }
+
+
+def _for_top(cls: type[Top]) -> Schema:
+    """What the sections hold when the top is of class ``cls``."""
+    kind = {"const": cls.kind}
+    named = {"type": "object", "required": ["kind"], "properties": {"kind": kind}}
+    schemes = [scheme for scheme in all_schemes() if scheme.top == cls.kind]
+    columns = ["n", "t", *cls.components]
+    try:
+        columns += [invariant.name for invariant in cls().invariants()]
+        items: Schema = {"enum": columns}
+    except ValueError:  # a top without defaults for its parameters: its invariants are not known here
+        items = {"type": "string"}
+    initial = {name: _vector(cls, name) for name in cls.vectors}
+    normalize = {
+        "type": "boolean",
+        "default": False,
+        "description": f"scale {', '.join(cls.unit_vectors) or 'the unit vectors'} to unit length",
+    }
+    return {
+        "if": {"required": ["top"], "properties": {"top": {"anyOf": [kind, named]}}},
+        "then": {
+            "properties": {
+                "top": {"anyOf": [kind, _section(cls, "kind", kind | {"description": cls.title})]},
+                "initial": {
+                    "type": "object",
+                    "required": list(initial),
+                    "additionalProperties": False,
+                    "properties": {**initial, "normalize": normalize},
+                },
+                "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
+                "output": {"properties": {"columns": {"anyOf": [{"type": "array", "items": items}, {"type": "null"}]}}},
+            }
+        },
+    }
+
+
+def _scheme(scheme: Scheme) -> Schema:
+    """A scheme by its bare name or as a section with its options."""
+    name = {"const": scheme.name, "description": scheme.title}
+    return {"anyOf": [name, _section(scheme.options, "name", name)], "description": scheme.title}
+
+
+def _section(model: Any, key: str, value: Schema) -> Schema:
+    """The section of ``model``'s fields and of ``key``, which names what the section is."""
+    schema = model.model_json_schema()
+    properties = schema.get("properties", {})
+    _drop_titles(properties)
+    section = {
+        "type": "object",
+        "required": [key, *schema.get("required", [])],
+        "additionalProperties": False,
+        "properties": {key: value, **properties},
+    }
+    if "$defs" in schema:
+        # "#/$defs/..." of an embedded schema resolves inside it only when it has an identity of its own
+        section |= {"$id": f"topcli:{key}:{value['const']}", "$defs": schema["$defs"]}
+    return section
+
+
+def _vector(cls: type[Top], name: str) -> Schema:
+    """A vector of the initial state."""
+    start, stop = cls.vectors[name]
+    unit = name in cls.unit_vectors
+    item: Schema = {"anyOf": [{"type": "number"}, {"enum": list(AUTO)}]} if unit else {"type": "number"}
+    text = f"({', '.join(cls.components[start:stop])})"
+    if unit:
+        text += "; a unit vector; one component may be auto, +auto or -auto, which completes it"
+    return {
+        "type": "array",
+        "items": item,
+        "minItems": stop - start,
+        "maxItems": stop - start,
+        "description": text,
+    }
+
+
+def _drop_titles(properties: Schema) -> None:
+    """Titles made of the keys' names say nothing."""
+    for value in properties.values():
+        value.pop("title", None)
+        if isinstance(value.get("properties"), dict):
+            _drop_titles(value["properties"])

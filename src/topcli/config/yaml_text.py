@@ -1,0 +1,180 @@
+"""YAML text to plain data with the line of every key.
+
+Configs are mostly lines ``key: value``; ``yaml_lines`` reads those without ruamel.yaml, whose import takes as
+long as pydantic's. Everything else, and every mistake, goes through ruamel.yaml's events, one by one, so that
+nothing is built before it is checked: no tags, no duplicate keys, no merge keys, bounded depth and size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
+
+from topcli.config.document import MAX_DEPTH, MAX_NODES, KeyPath, describe, key_text
+from topcli.config.scalars import resolve_scalar
+from topcli.config.yaml_lines import parse_lines
+from topcli.errors import ConfigError
+
+Lines = dict[KeyPath, int]
+
+
+def parse_yaml(text: str, label: str) -> tuple[Any, Lines]:
+    """The plain data of a YAML text and the line of every key; ``label`` names the text in messages.
+
+    Raises ConfigError with ``label:line:column``.
+    """
+    return parse_lines(text) or parse_events(text, label)
+
+
+def parse_events(text: str, label: str) -> tuple[Any, Lines]:
+    """As ``parse_yaml``, for any YAML text, through ruamel.yaml. An empty text gives None."""
+    builder = _Builder(label, _events(text, label))
+    return builder.document(), builder.lines
+
+
+def _events(text: str, label: str) -> Iterator[Any]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError
+    from ruamel.yaml.reader import ReaderError
+
+    events = YAML(typ="safe", pure=True).parse(text)
+    while True:
+        try:
+            event = next(events)
+        except StopIteration:
+            return
+        except MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            where = f"{label}:{mark.line + 1}:{mark.column + 1}" if mark else label
+            problem = " ".join(str(error.problem or error.context or "wrong syntax").split())
+            if "'\\t'" in problem:
+                problem += "; indent with spaces, not tabs"
+            raise ConfigError(f"{where}: YAML: {problem}") from None
+        except ReaderError as error:
+            line = text.count("\n", 0, error.position) + 1
+            code = error.character if isinstance(error.character, int) else ord(error.character)
+            raise ConfigError(f"{label}:{line}: YAML: the character U+{code:04X} is not allowed") from None
+        except Exception as error:  # the parser meets arbitrary text, and some of it trips its own code
+            reason = " ".join(f"{type(error).__name__} {error}".split())[:80]
+            raise ConfigError(f"{label}: cannot be read as YAML ({reason}); check its syntax") from None
+        yield event
+
+
+@dataclass
+class _Anchor:
+    """An anchored value, with its size and height for what its aliases will cost; ``ready`` once complete."""
+
+    value: Any = None
+    nodes: int = 0
+    height: int = 0
+    ready: bool = False
+
+
+@dataclass
+class _Builder:
+    label: str
+    events: Iterator[Any]
+    lines: Lines = field(default_factory=dict)
+    anchors: dict[str, _Anchor] = field(default_factory=dict)
+    nodes: int = 0
+    deepest: int = 0
+
+    def refuse(self, event: Any, text: str) -> NoReturn:
+        mark = event.start_mark
+        raise ConfigError(f"{self.label}:{mark.line + 1}:{mark.column + 1}: {text}")
+
+    def document(self) -> Any:
+        """The value of the only document; None when there is none."""
+        self._next("StreamStart")
+        event = next(self.events)
+        if _kind(event) == "StreamEnd":
+            return None
+        value = self.node(next(self.events), ())
+        self._next("DocumentEnd")
+        event = next(self.events)
+        if _kind(event) != "StreamEnd":
+            self.refuse(event, "a second document starts here; a config is one document")
+        return value
+
+    def _next(self, kind: str) -> None:
+        event = next(self.events)
+        if _kind(event) != kind:
+            self.refuse(event, f"YAML: unexpected {_kind(event)}")
+
+    def node(self, event: Any, path: KeyPath) -> Any:
+        """The value that starts with ``event``."""
+        self.count(event, 1, len(path))
+        kind = _kind(event)
+        if kind == "Alias":
+            return self.alias(event, path)
+        if event.ctag is not None:
+            tag = str(event.ctag)[:40]
+            self.refuse(event, f"tags such as {tag!r} are not allowed; write the plain value")
+        anchor = None
+        if event.anchor is not None:
+            anchor = self.anchors[event.anchor] = _Anchor()
+        nodes, outer, self.deepest = self.nodes, self.deepest, len(path)
+        match kind:
+            case "Scalar":
+                value = resolve_scalar(event.value) if event.implicit[0] else event.value
+            case "SequenceStart":
+                value = self.sequence(path)
+            case _:
+                value = self.mapping(path)
+        if anchor:
+            anchor.value, anchor.ready = value, True
+            anchor.nodes, anchor.height = self.nodes - nodes + 1, self.deepest - len(path)
+        self.deepest = max(outer, self.deepest)
+        return value
+
+    def count(self, event: Any, nodes: int, depth: int) -> None:
+        """Bound the size and the depth of what has been built, aliases expanded."""
+        self.nodes += nodes
+        self.deepest = max(self.deepest, depth)
+        if self.nodes > MAX_NODES:
+            self.refuse(event, f"more than {MAX_NODES} values (aliases expanded); a config is small")
+        if depth > MAX_DEPTH:
+            self.refuse(event, f"nested deeper than {MAX_DEPTH} levels")
+
+    def alias(self, event: Any, path: KeyPath) -> Any:
+        anchor = self.anchors.get(event.anchor)
+        if anchor is None:
+            self.refuse(event, f"alias *{event.anchor}: no anchor &{event.anchor} stands before it")
+        if not anchor.ready:
+            self.refuse(event, f"alias *{event.anchor} stands inside its own anchor; write the value out")
+        self.count(event, anchor.nodes, len(path) + anchor.height)
+        return anchor.value
+
+    def sequence(self, path: KeyPath) -> list[Any]:
+        items: list[Any] = []
+        while _kind(event := next(self.events)) != "SequenceEnd":
+            items.append(self.node(event, (*path, len(items))))
+        return items
+
+    def mapping(self, path: KeyPath) -> dict[str, Any]:
+        section: dict[str, Any] = {}
+        while _kind(event := next(self.events)) != "MappingEnd":
+            key = self.key(event, path)
+            inside = (*path, key)
+            if key in section:
+                first = f"line {self.lines[inside]}"
+                self.refuse(event, f"{key_text(inside)}: the key is given twice, first on {first}; keep one")
+            self.lines[inside] = event.start_mark.line + 1
+            section[key] = self.node(next(self.events), inside)
+        return section
+
+    def key(self, event: Any, path: KeyPath) -> str:
+        kind = _kind(event)
+        if kind not in ("Scalar", "Alias"):
+            self.refuse(event, "keys are names, not lists or sections")
+        if kind == "Scalar" and event.implicit[0] and event.value == "<<":
+            self.refuse(event, "merge keys (<<) are not allowed; write the keys out")
+        key = self.node(event, path)
+        if not isinstance(key, str):
+            self.refuse(event, f"keys are names, not {describe(key)}")
+        return key
+
+
+def _kind(event: Any) -> str:
+    return type(event).__name__.removesuffix("Event")

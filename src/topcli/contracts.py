@@ -1,0 +1,160 @@
+"""The contracts between the layers: Top, Scheme, Stepper, Invariant, Outcome.
+
+Everything is dimensionless, as in the paper: times, angular velocities and energies are pure numbers.
+
+An author of a scheme meets these duties:
+
+1. ``step(state, h, p) -> state`` takes and returns flat tuples of floats, is pure, and uses only float
+   arithmetic, ``math`` functions, and other such functions. It is then both compiled by the engine and
+   runnable as plain Python.
+2. ``p`` is ``top.constants()``; ``h`` may be negative, and N = 1 is a run like any other.
+3. What the scheme declares (order, self-adjointness, exact invariants) is tested because it is declared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+Floats = tuple[float, ...]
+Array = NDArray[np.floating[Any]]
+StepFunction = Callable[[Floats, float, Floats], Floats]
+
+
+@dataclass(frozen=True)
+class Invariant:
+    """A function of the state that the exact flow conserves.
+
+    ``value`` maps states of shape (n, d) to (n,). ``scale`` maps them to the sum of the magnitudes of the
+    terms that ``value`` adds up, shape (n,): the size that round-off is measured against, because a value
+    near zero may be a difference of large terms.
+    """
+
+    name: str
+    symbol: str
+    tex: str
+    meaning: str
+    value: Callable[[Array], Array]
+    scale: Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class EulerPoisson:
+    """Coefficients of the general Euler-Poisson equations: moments of inertia and mg(x0, y0, z0)."""
+
+    moments: tuple[float, float, float]
+    gravity: tuple[float, float, float]
+
+
+class Top(BaseModel):
+    """A top: its parameters (the fields of a subclass), its equations of motion and its integrals."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    kind: ClassVar[str]
+    title: ClassVar[str]
+    citation: ClassVar[str]
+    components: ClassVar[tuple[str, ...]]
+    """Names of the state's components in order."""
+    vectors: ClassVar[Mapping[str, tuple[int, int]]]
+    """Names of the vectors of the initial state and where they lie in it, e.g. ``{"omega": (0, 3)}``."""
+    unit_vectors: ClassVar[tuple[str, ...]] = ()
+    """Those of ``vectors`` that must have unit length."""
+    swing: ClassVar[str]
+    """The component whose deep minima mark the swings of the top."""
+    field: ClassVar[Callable[[Floats, Floats], Floats]]
+    """The right-hand side ``field(state, constants)`` on flat tuples, compilable by the engine."""
+
+    def constants(self) -> Floats:
+        """The numbers that ``field`` and every step receive as their last argument."""
+        raise NotImplementedError
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        """The integrals of the continuous motion, in the order of the report."""
+        raise NotImplementedError
+
+    def euler_poisson(self) -> EulerPoisson:
+        """The same top as a case of the general Euler-Poisson equations."""
+        raise NotImplementedError
+
+
+class NoOptions(BaseModel):
+    """Options of a scheme that has none."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+@dataclass(frozen=True)
+class Stepper:
+    """One scheme ready for one top: what the engine compiles and iterates.
+
+    A scheme may work on another form of the state (scaled by h, a stereographic coordinate, with carried
+    quantities such as a chart or a compensation term): ``enter`` makes that form from the physical state,
+    ``leave`` gives the physical state back, and only what ``leave`` gives is recorded.
+    ``width`` is the length of the working state. ``counters`` names its trailing slots that count events;
+    they are reported, never fed back.
+    """
+
+    step: StepFunction
+    width: int
+    enter: StepFunction | None = None
+    leave: StepFunction | None = None
+    counters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """A time discretization of one kind of top, with its declared traits."""
+
+    name: str
+    top: str
+    title: str
+    order: int
+    explicit: bool
+    self_adjoint: bool
+    conserves: tuple[str, ...]
+    """Names of the invariants conserved exactly, that is to round-off."""
+    citation: str
+    equations: str
+    build: Callable[[Any, Any], Stepper]
+    """``build(top, options) -> Stepper``."""
+    options: type[BaseModel] = NoOptions
+    doc: str = ""
+    origin: str = "topcli"
+    """The distribution or file that registered the scheme."""
+
+
+class Outcome(StrEnum):
+    """How a run ended."""
+
+    COMPLETED = "completed"
+    BLEW_UP = "blew_up"
+    NO_CONVERGENCE = "no_convergence"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How and where a run ended: ``step`` is the last step taken, or the step that failed."""
+
+    outcome: Outcome
+    step: int
+    t: float
+    counters: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def message(self) -> str:
+        """One line that says how the run ended."""
+        where = f"at step {self.step} (t = {self.t:.6g})"
+        return {
+            Outcome.COMPLETED: f"completed {self.step} steps (t = {self.t:.6g})",
+            Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
+            Outcome.NO_CONVERGENCE: f"did not converge {where}",
+            Outcome.INTERRUPTED: f"interrupted {where}",
+        }[self.outcome]

@@ -1,0 +1,122 @@
+"""Run a scheme in chunks: constant memory at any N, progress and interruption between chunks.
+
+Times are t = n*h, never accumulated. The first row recorded is the initial state itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.contracts import Array, Ending, Outcome, Stepper, Top
+from topcli.engine.driver import compiled_loop
+
+CHUNK_ROWS = 8192
+CHUNK_STEPS = 1 << 19
+"""Steps between two looks at the clock and the keyboard: some tens of milliseconds."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Consecutive recorded rows: step numbers ``n`` (m,) and ``states`` (m, d); ``done`` steps lie behind.
+
+    The arrays are views into buffers that the next chunk overwrites.
+    """
+
+    n: NDArray[np.int64]
+    states: Array
+    done: int
+
+
+class Run:
+    """One run of a compiled scheme: iterate it for chunks, then read ``ending`` and the seconds.
+
+    ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
+    ``every``-th recorded. ``stop()`` is asked between chunks; when it says so the run ends as ``interrupted``.
+    """
+
+    def __init__(
+        self,
+        top: Top,
+        stepper: Stepper,
+        y0: Sequence[float],
+        h: float,
+        N: int,
+        every: int = 1,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.top, self.h, self.N, self.every = top, float(h), N, every
+        self._stop = stop
+        self._stepper = stepper
+        self._y0 = np.array(y0, dtype=np.float64)
+        self._p = np.array(top.constants(), dtype=np.float64)
+        self._enter, self._drive = compiled_loop(stepper, len(self._y0), len(self._p))
+        self.compile_seconds = self._drive.seconds
+        self.cached = self._drive.cached
+        self.run_seconds = 0.0
+        self.ending: Ending | None = None
+
+    def _end(self, outcome: Outcome, step: int, work: Array) -> None:
+        names = self._stepper.counters
+        counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
+        self.ending = Ending(outcome, step, step * self.h, counts)
+
+    def __iter__(self) -> Iterator[Chunk]:
+        """Chunks of recorded rows; the last one is followed by ``ending`` being set."""
+        d, every = len(self._y0), self.every
+        work = np.zeros(self._stepper.width)
+        out = np.empty(CHUNK_ROWS * d)
+        self._enter(self._y0, work, self._p, self.h)
+        yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
+        done = 0
+        outcome = Outcome.COMPLETED
+        while done < self.N and outcome is Outcome.COMPLETED:
+            if self._stop():
+                outcome = Outcome.INTERRUPTED
+                break
+            to_record = every - done % every
+            steps = min(self.N - done, CHUNK_STEPS, to_record + (CHUNK_ROWS - 1) * every)
+            start = time.perf_counter()
+            taken = self._drive(work, out, self._p, self.h, steps, every, to_record)
+            self.run_seconds += time.perf_counter() - start
+            before = done
+            if taken < 0:
+                outcome, done = Outcome.BLEW_UP, done - taken
+                last_good = done - 1
+            else:
+                done = last_good = done + taken
+            n = np.arange(before + to_record, last_good + 1, every, dtype=np.int64)
+            yield Chunk(n, out[: len(n) * d].reshape(len(n), d), last_good)
+        self._end(outcome, done, work)
+
+
+def nanoseconds_per_step(
+    runs: Sequence[tuple[Top, Stepper, Sequence[float], float]],
+    steps: int = 50_000,
+    repetitions: int = 9,
+    clock: Callable[[], int] = time.perf_counter_ns,
+) -> list[float]:
+    """Median warm time of one step, in nanoseconds, for each (top, stepper, y0, h), measured in turn.
+
+    Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the
+    machine's speed hits all alike. A trajectory that blows up is timed as far as it goes.
+    """
+    prepared = []
+    for top, stepper, y0, h in runs:
+        p = np.array(top.constants(), dtype=np.float64)
+        enter, drive = compiled_loop(stepper, len(y0), len(p))
+        prepared.append((enter, drive, np.array(y0, dtype=np.float64), p, h, np.zeros(stepper.width)))
+    times: list[list[float]] = [[] for _ in prepared]
+    for repetition in range(repetitions + 1):
+        for i, (enter, drive, y0, p, h, work) in enumerate(prepared):
+            enter(y0, work, p, h)
+            start = clock()
+            taken = drive(work, work, p, h, steps, steps + 1, steps + 1)
+            elapsed = clock() - start
+            if repetition:
+                times[i].append(elapsed / max(1, abs(taken)))
+    return [float(np.median(one)) for one in times]

@@ -1,0 +1,228 @@
+"""Plain Python kernels to machine code, kept on disk under a key made of their content.
+
+``native(function, "ppdq")`` compiles once with numba and stores the object code; every later process loads it
+with llvmlite alone, in milliseconds and without importing numba. The function takes pointers to float64
+(``p``, indexed like a list), float64 (``d``) and int64 (``q``) and returns an int64; it neither allocates nor raises.
+
+Only public interfaces are leaned on: ``numba.cfunc``, its ``inspect_llvm`` and ``native_name``, and llvmlite's
+binding layer. Where the object code cannot be stored or loaded the function still runs, compiled afresh.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import os
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from topcli import __version__
+from topcli.engine.source import compilable_copy, fingerprint
+
+CACHE_ENTRIES = 256
+"""The newest entries that the cache keeps; older ones are removed."""
+
+_CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
+
+
+@dataclass(frozen=True)
+class Native:
+    """A compiled function; call it with numpy arrays, floats and ints as its signature says.
+
+    ``seconds`` is what compiling or loading took, ``cached`` whether the machine code came from disk.
+    """
+
+    call: Callable[..., int]
+    signature: str
+    seconds: float
+    cached: bool
+    keep: tuple[Any, ...] = field(repr=False, default=())
+
+    def __call__(self, *arguments: Any) -> int:
+        """Call the machine code; arrays must be C-contiguous float64 and stay alive (they do: the caller holds them).
+
+        Raises TypeError for an array of another kind.
+        """
+        plain = []
+        for code, value in zip(self.signature, arguments, strict=True):
+            if code == "p":
+                if value.dtype != np.float64 or not value.flags.c_contiguous:
+                    raise TypeError("expected a contiguous float64 array")
+                plain.append(value.ctypes.data)
+            else:
+                plain.append(value)
+        return self.call(*plain)
+
+
+def cache_folder() -> Path:
+    """Where object code is kept: ``$NUMBA_CACHE_DIR/topcli`` when that is set, else the user's cache folder."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen) / "topcli"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("topcli") / "kernels"
+
+
+@cache
+def _machine() -> tuple[Any, str]:
+    """llvmlite's binding, ready for this CPU, and the words that name CPU and compiler."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    if sys.platform == "linux":
+        # sin, cos and their kin: numpy has libm loaded, but for itself alone; some C libraries carry them themselves
+        with suppress(RuntimeError):
+            llvm.load_library_permanently("libm.so.6")
+    words = (
+        __version__,
+        version("numba"),
+        version("llvmlite"),
+        sys.version.split()[0],
+        llvm.get_process_triple(),
+        llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+    )
+    return llvm, "|".join(words)
+
+
+def _target_machine() -> Any:
+    llvm, _ = _machine()
+    x86 = llvm.get_process_triple().startswith(("x86", "i386", "i686"))
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        jit=True,
+        reloc="static" if x86 else "default",
+        codemodel="jitdefault",
+    )
+
+
+def _outside(ir: str) -> list[str]:
+    """Names that a module needs from outside: functions it declares and variables it does not define."""
+    functions = re.findall(r"^declare [^@]*@\"?([^\s\"(]+)", ir, re.MULTILINE)
+    variables = re.findall(r"^@\"?([^\s\"]+)\"? = external", ir, re.MULTILINE)
+    return sorted(name for name in {*functions, *variables} if not name.startswith("llvm."))
+
+
+def _provide(name: str) -> None:
+    """Make the symbol ``name`` known to the linker.
+
+    numba's wrapper mentions what it would call to report an exception. Kernels raise none; should one do so all
+    the same, the process ends there. Raises OSError for a symbol of any other kind that is not to be found.
+    """
+    llvm, _ = _machine()
+    if llvm.address_of_symbol(name):
+        return
+    try:
+        address = ctypes.addressof(ctypes.c_char.in_dll(ctypes.pythonapi, name))
+    except ValueError:
+        if not name.startswith("numba_gil_"):
+            raise OSError(f"object code needs {name}, which is nowhere") from None
+        address = ctypes.addressof(ctypes.c_char.in_dll(ctypes.pythonapi, "Py_FatalError"))
+    llvm.add_symbol(name, address)
+
+
+def _load(code: bytes, symbol: str, signature: str, needs: list[str]) -> tuple[Callable[..., int], tuple[Any, ...]]:
+    """The function ``symbol`` of an object file, linked into this process."""
+    llvm, _ = _machine()
+    for name in needs:
+        _provide(name)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    address = engine.get_function_address(symbol)
+    if not address:
+        raise OSError(f"object code without {symbol}")
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
+    return prototype(address), (engine,)
+
+
+def _read(path: Path, signature: str) -> tuple[Callable[..., int], tuple[Any, ...]] | None:
+    """The function stored at ``path``; None when there is none, or it is not what was written."""
+    try:
+        header, _, code = path.read_bytes().partition(b"\n")
+        told = json.loads(header)
+        if hashlib.sha256(code).hexdigest() != told["sha256"]:
+            return None
+        loaded = _load(code, told["symbol"], signature, told["needs"])
+        os.utime(path)
+        return loaded
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
+        return None
+
+
+def _write(path: Path, code: bytes, symbol: str, needs: list[str]) -> None:
+    """Store object code whole or not at all; a folder that cannot be written is no error."""
+    told = {"symbol": symbol, "needs": needs, "sha256": hashlib.sha256(code).hexdigest()}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(json.dumps(told).encode() + b"\n" + code)
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+        entries = sorted(path.parent.glob("*.o"), key=lambda entry: entry.stat().st_mtime, reverse=True)
+        for old in entries[CACHE_ENTRIES:]:
+            old.unlink(missing_ok=True)
+    except OSError:
+        pass
+
+
+def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
+    """Compile with numba; the numba cfunc."""
+    from numba import cfunc, njit, types
+
+    kinds = {"p": types.CPointer(types.float64), "d": types.float64, "q": types.int64}
+    jit = njit(forceinline=inline, error_model="numpy")
+    return cfunc(types.int64(*(kinds[c] for c in signature)), error_model="numpy")(compilable_copy(function, jit))
+
+
+def content_key(function: Callable[..., Any], signature: str, inline: bool) -> str:
+    """The name under which the machine code of ``function`` is kept: content, compiler, CPU and versions."""
+    words = f"{fingerprint(function)}|{signature}|{inline}|{_machine()[1]}"
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+def native(function: Callable[..., Any], signature: str, *, inline: bool = True) -> Native:
+    """``function`` as machine code, from the cache when its content is known there.
+
+    ``signature`` has a letter an argument: ``p`` pointer to float64, ``d`` float64, ``q`` int64. ``inline``
+    forces every kernel into its caller, which is right for a step of a hundred operations and wrong for loops.
+    """
+    start = time.perf_counter()
+    path = cache_folder() / f"{content_key(function, signature, inline)}.o"
+    stored = _read(path, signature)
+    if stored is not None:
+        return Native(stored[0], signature, time.perf_counter() - start, True, stored[1])
+    compiled = _compile(function, signature, inline)
+    llvm, _ = _machine()
+    ir = compiled.inspect_llvm()
+    needs = _outside(ir)
+    code = _target_machine().emit_object(llvm.parse_assembly(ir))
+    try:
+        for name in ("sin", *needs):
+            _provide(name)
+        call, keep = _load(code, compiled.native_name, signature, needs)
+        _write(path, code, compiled.native_name, needs)
+    except OSError:  # something to link stored code against is missing here: use numba's own, unstored
+        prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
+        call, keep = prototype(compiled.address), (compiled,)
+    return Native(call, signature, time.perf_counter() - start, False, keep)

@@ -1,0 +1,1 @@
+"""From recorded data to pictures: data first, then rendered."""

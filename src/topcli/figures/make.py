@@ -1,0 +1,128 @@
+"""Make figures: find or run their experiments, take the plotted columns, draw, write data and pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from topcli import __version__
+from topcli.config.load import load_experiment
+from topcli.contracts import Outcome
+from topcli.engine.source import fingerprint
+from topcli.errors import RunError, UsageError
+from topcli.figures.catalogue import FigureSpec
+from topcli.figures.picture import IMAGE_FORMATS, STYLE, Panel, draw, save
+from topcli.store.run_folder import io_failure
+from topcli.store.series import read_metadata, read_series, write_parquet
+from topcli.studies.run import Progress, RunResult, run_experiment
+
+SOURCE = "topcli.figure.source"
+
+
+@dataclass(frozen=True)
+class MadeFigure:
+    """One figure's files and whether they were drawn now or stood up to date."""
+
+    name: str
+    files: tuple[Path, ...]
+    status: str
+
+
+def scene_config(scene: str, configs: Path) -> Path | str:
+    """The config of ``scene`` in the folder ``configs`` when there is one, else the packaged scene's name."""
+    for suffix in (".yaml", ".yml", ".toml"):
+        path = configs / f"{scene}{suffix}"
+        if path.is_file():
+            return path
+    return scene
+
+
+def _source(spec: FigureSpec, run: RunResult) -> str:
+    """What the figure was made from and with; an equal text means equal pictures."""
+    return json.dumps(
+        {
+            "figure": fingerprint(draw),
+            "style": STYLE.read_text(encoding="utf-8"),
+            "panels": repr(spec.panels),
+            "digest": run.stored.manifest["digest"],
+            "code": run.stored.manifest["code"],
+            "topcli": __version__,
+        }
+    )
+
+
+def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file under a temporary name of the same suffix, then put it in place."""
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_figure(
+    name: str,
+    panels: Sequence[Panel],
+    data: Mapping[str, np.ndarray],
+    out: Path,
+    formats: Sequence[str] = IMAGE_FORMATS,
+    metadata: Mapping[str, str] | None = None,
+) -> tuple[Path, ...]:
+    """Draw ``panels`` over the columns of ``data`` and write pictures and data into ``out``; the paths written.
+
+    Raises RunError when they cannot be written.
+    """
+    data_path = out / f"{name}.parquet"
+    pictures = [out / f"{name}.{suffix}" for suffix in formats]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        data_path.unlink(missing_ok=True)  # written last: it vouches for the pictures
+        figure = draw(panels, data)
+        for path in pictures:
+            _write_whole(path, lambda temporary: save(figure, temporary))
+        _write_whole(data_path, lambda temporary: write_parquet(temporary, data, metadata or {}))
+    except OSError as error:
+        raise io_failure(error, out) from error
+    return (*pictures, data_path)
+
+
+def make_figure(
+    spec: FigureSpec,
+    *,
+    out: Path,
+    results: Path,
+    configs: Path,
+    formats: Sequence[str] = IMAGE_FORMATS,
+    force: bool = False,
+    progress: Progress = lambda done, total: None,
+    told: Callable[[str], None] = lambda line: None,
+) -> MadeFigure:
+    """Make one figure into the folder ``out``: ``<name>.png``, ``.pdf`` and the plotted data as ``.parquet``.
+
+    Its run is read from ``results``, and made there when it is missing or differs from the config; nothing is
+    drawn again when data, drawing code and style are what they were. ``told`` receives lines of talk.
+    Raises UsageError and RunError.
+    """
+    experiment = load_experiment(scene_config(spec.scene, configs))
+    missing = [name for name in spec.columns if experiment.output.columns and name not in experiment.output.columns]
+    if missing:
+        raise UsageError(f"{spec.name}: the config of {spec.scene} does not record {', '.join(missing)}")
+    run = run_experiment(experiment, results, force=force, displace=True, progress=progress)
+    if run.set_aside:
+        told(f"kept the earlier, different run as {run.set_aside}")
+    if run.outcome is not Outcome.COMPLETED:
+        raise RunError(f"{spec.name}: the run {run.stored.folder} {run.report['message']}")
+    data_path = out / f"{spec.name}.parquet"
+    pictures = [out / f"{spec.name}.{suffix}" for suffix in formats]
+    source = _source(spec, run)
+    if not force and all(path.is_file() for path in pictures) and read_metadata(data_path).get(SOURCE) == source:
+        return MadeFigure(spec.name, (*pictures, data_path), "up to date")
+    data = read_series(run.stored.series, spec.columns)
+    files = write_figure(spec.name, spec.panels, data, out, formats, {SOURCE: source})
+    return MadeFigure(spec.name, files, "drawn")

@@ -1,0 +1,1 @@
+"""Scalar functions on floats: compiled by the engine, runnable as plain Python."""

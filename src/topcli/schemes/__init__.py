@@ -1,0 +1,1 @@
+"""Time discretizations: one family a file, and the registry that lists them."""

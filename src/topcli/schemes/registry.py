@@ -1,0 +1,172 @@
+"""The registry of schemes: one decorator to register, one function to look up, plugins by entry point or file."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from topcli.contracts import NoOptions, Scheme, Stepper
+from topcli.errors import UnknownNameError, UsageError, nearest
+
+ENTRY_POINT_GROUP = "topcli.schemes"
+BUILT_IN = ("topcli.schemes.hk", "topcli.schemes.bohlin", "topcli.schemes.hybrid")
+
+Build = Callable[[Any, Any], Stepper]
+
+_schemes: dict[tuple[str, str], Scheme] = {}
+_origin = "topcli"
+
+
+@dataclass(frozen=True)
+class PluginFailure:
+    """A plugin that could not be imported: its name and the reason, in one line."""
+
+    name: str
+    reason: str
+
+
+def scheme(
+    name: str,
+    *,
+    top: str,
+    title: str,
+    order: int,
+    explicit: bool,
+    self_adjoint: bool,
+    citation: str,
+    equations: str,
+    conserves: Iterable[str] = (),
+    options: type[BaseModel] = NoOptions,
+) -> Callable[[Build], Build]:
+    """Register ``build(top, options) -> Stepper`` as the scheme ``name`` of the top of kind ``top``.
+
+    One name may serve several tops, each with its own decorated function. The docstring of the function
+    documents the scheme. Raises ValueError for a name already taken for that top or a missing docstring.
+    """
+
+    def register(build: Build) -> Build:
+        key = (name.lower(), top)
+        if key in _schemes:
+            raise ValueError(f"scheme {name!r} for top {top!r} is already registered by {_schemes[key].origin}")
+        if not build.__doc__:
+            raise ValueError(f"scheme {name!r} has no docstring")
+        _schemes[key] = Scheme(
+            name=name.lower(),
+            top=top,
+            title=title,
+            order=order,
+            explicit=explicit,
+            self_adjoint=self_adjoint,
+            conserves=tuple(conserves),
+            citation=citation,
+            equations=equations,
+            build=build,
+            options=options,
+            doc=inspect.cleandoc(build.__doc__),
+            origin=_origin,
+        )
+        return build
+
+    return register
+
+
+def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
+    """Import one plugin whole or not at all: what a failing one had registered is taken back."""
+    global _origin
+    before, previous = dict(_schemes), _origin
+    _origin = origin
+    try:
+        load()
+    except (KeyboardInterrupt, MemoryError):
+        raise
+    except BaseException as error:  # a plugin may do anything, even exit; it must not take us along
+        _schemes.clear()
+        _schemes.update(before)
+        return PluginFailure(name, f"{type(error).__name__}: {error}".splitlines()[0])
+    finally:
+        _origin = previous
+    return None
+
+
+@cache
+def plugin_failures() -> tuple[PluginFailure, ...]:
+    """Import the built-in schemes and the plugins of the entry-point group; the plugins that failed."""
+    for module in BUILT_IN:
+        import_module(module)
+    failures = []
+    found: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
+    for entry in found:
+        origin = entry.dist.name if entry.dist else entry.name
+        failure = _import_plugin(entry.name, origin, entry.load)
+        if failure:
+            failures.append(failure)
+    return tuple(failures)
+
+
+@cache
+def load_scheme_file(path: Path) -> None:
+    """Import the schemes of a Python file (``--scheme-file``).
+
+    Raises UsageError when the file cannot be read or imported, or registers nothing.
+    """
+    plugin_failures()
+    if not path.is_file():
+        raise UsageError(f"scheme file {path}: no such file")
+    name = "topcli_scheme_file_" + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"scheme file {path}: not a Python file (expected a name ending in .py)")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    known = len(_schemes)
+    loader = spec.loader
+    failure = _import_plugin(str(path), str(path), lambda: loader.exec_module(module))
+    if failure:
+        raise UsageError(f"scheme file {path}: {failure.reason}")
+    if len(_schemes) == known:
+        raise UsageError(f"scheme file {path}: registers no scheme; decorate a function with @topcli.scheme(...)")
+
+
+def all_schemes() -> tuple[Scheme, ...]:
+    """Every registered scheme, by top and name."""
+    plugin_failures()
+    return tuple(_schemes[key] for key in sorted(_schemes, key=lambda key: (key[1], key[0])))
+
+
+def find_scheme(name: str, top: str) -> Scheme:
+    """The scheme called ``name`` (matched without case) for the top of kind ``top``.
+
+    Raises UnknownNameError with the nearest names, or SchemeMisfitError naming the tops that the scheme fits.
+    """
+    plugin_failures()
+    found = _schemes.get((name.lower(), top))
+    if found:
+        return found
+    fits = sorted(kind for known, kind in _schemes if known == name.lower())
+    if fits:
+        raise SchemeMisfitError(
+            f"scheme {name!r} does not fit top {top!r}; it fits {', '.join(fits)}; "
+            f"schemes for {top}: {', '.join(names_for(top)) or 'none'}"
+        )
+    raise UnknownNameError(f"unknown scheme {name!r}; {nearest(name, names_for(top))}")
+
+
+def names_for(top: str) -> list[str]:
+    """Names of the schemes that step the top of kind ``top``."""
+    plugin_failures()
+    return sorted(name for name, kind in _schemes if kind == top)
+
+
+class SchemeMisfitError(UsageError):
+    """A scheme that exists but does not step the asked top (exit code 2)."""

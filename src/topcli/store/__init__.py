@@ -1,0 +1,1 @@
+"""Run folders: time series as Parquet or CSV, reports, and the manifest written last."""

@@ -1,0 +1,98 @@
+"""Where a result comes from: versions, platform, CPU, commit."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from topcli import __version__
+
+PACKAGES = ("numpy", "numba", "llvmlite", "pyarrow", "pydantic")
+
+
+def installed(package: str) -> str | None:
+    """The installed version of a package, found without importing it; None when it is not there."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def cpu_name() -> str:
+    """The processor's name as the system tells it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.lower().startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def now() -> str:
+    """The time in UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+class Commit:
+    """The git commit that topcli runs from, asked for in the background; nothing outside a checkout.
+
+    A context manager: whatever happens before ``read``, no process and no pipe is left behind.
+    """
+
+    def __init__(self) -> None:
+        root = Path(__file__).resolve().parents[3]
+        self._process: subprocess.Popen[str] | None = None
+        if not (root / ".git").exists():
+            return
+        with contextlib.suppress(OSError):
+            self._process = subprocess.Popen(
+                ["git", "-C", str(root), "status", "--porcelain=v2", "--branch", "--untracked-files=no"],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                stdin=subprocess.DEVNULL,
+                text=True,
+                env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+            )
+
+    def __enter__(self) -> Commit:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._process is not None and self._process.returncode is None:
+            self._process.kill()
+            self._process.communicate()
+
+    def read(self) -> dict[str, Any]:
+        """``{"commit": hash or None, "dirty": bool or None}``; waits two seconds at most."""
+        told: dict[str, Any] = {"commit": None, "dirty": None}
+        if self._process is None:
+            return told
+        try:
+            lines = self._process.communicate(timeout=2)[0].splitlines()
+        except subprocess.TimeoutExpired:
+            return told
+        for line in lines:
+            if line.startswith("# branch.oid ") and "(initial)" not in line:
+                told["commit"] = line.split()[-1]
+        if told["commit"]:
+            told["dirty"] = any(not line.startswith("#") for line in lines)
+        return told
+
+
+def environment() -> dict[str, Any]:
+    """Versions, platform and CPU of this process."""
+    return {
+        "topcli": __version__,
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "cpu": cpu_name(),
+        **{package: installed(package) for package in PACKAGES},
+    }

@@ -1,0 +1,136 @@
+"""The same experiment under several schemes, measured against an independent reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.drift import invariant_report
+from topcli.analysis.order import reversal
+from topcli.analysis.reference import reference_states
+from topcli.analysis.swings import swing_spacing
+from topcli.analysis.trajectory import Trajectory
+from topcli.config.load import experiment_from
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Stepper
+from topcli.engine.loop import nanoseconds_per_step
+from topcli.errors import UsageError
+from topcli.studies.report import finite
+from topcli.studies.simulate import trajectory_of
+
+MAX_ROWS = 2_000_000
+REVERSAL_STATES = 16
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One experiment under several schemes: the measured ``figures`` and the ``series`` they rest on.
+
+    ``series`` has ``t`` (m,), and for each scheme ``error:<scheme>`` and ``swing:<scheme>`` (m,), the latter also
+    for ``reference``; rows after a blow-up are nan.
+    """
+
+    figures: dict[str, Any]
+    series: dict[str, Array]
+
+
+def under_scheme(experiment: Experiment, name: str) -> Experiment:
+    """``experiment`` with another scheme; its options are kept when it is the experiment's own scheme."""
+    resolved = experiment.resolved()
+    if name.lower() != experiment.scheme.name:
+        resolved["scheme"] = name
+    return experiment_from(resolved)
+
+
+def _padded(values: Array, rows: int) -> Array:
+    return np.concatenate([values, np.full(rows - len(values), np.nan)])
+
+
+def _figures(
+    experiment: Experiment,
+    stepper: Stepper,
+    trajectory: Trajectory,
+    error: Array,
+    probes: Array,
+    nanoseconds: float,
+) -> dict[str, Any]:
+    top = experiment.top
+    back = reversal(top, stepper, probes, experiment.h)
+    ended_well = trajectory.ending.step == experiment.N and trajectory.ending.outcome.value == "completed"
+    return {
+        "scheme": experiment.scheme.name,
+        "options": experiment.resolved()["scheme"],
+        "outcome": trajectory.ending.outcome.value,
+        "message": trajectory.ending.message,
+        "counters": dict(trajectory.ending.counters),
+        "declared_order": experiment.scheme.order,
+        "max_error": float(error.max()),
+        "end_error": float(error[-1]) if ended_well else None,
+        "invariants": [row.as_dict() for row in invariant_report(top, trajectory.n, trajectory.h, trajectory.states)],
+        "reversal": {
+            "h": back.h,
+            "defect": back.defect,
+            "order": back.order,
+            "sizes": list(back.sizes),
+            "defects": list(back.defects),
+        },
+        "swing_spacing": swing_spacing(trajectory.t, trajectory[top.swing]),
+        "nanoseconds_per_step": nanoseconds,
+        "compile_seconds": trajectory.compile_seconds,
+    }
+
+
+def compare_schemes(experiment: Experiment, names: Sequence[str]) -> Comparison:
+    """Run ``experiment`` under each of the schemes ``names`` and measure them.
+
+    Errors are Euclidean norms of the difference of states from the Taylor reference at the recorded times. The
+    reversal defect is the largest over states spread along the reference. Raises UsageError for a repeated or
+    unknown scheme, or for more rows than fit in memory.
+    """
+    experiments = [under_scheme(experiment, name) for name in names]
+    used = [one.scheme.name for one in experiments]
+    repeated = sorted({name for name in used if used.count(name) > 1})
+    if repeated:
+        raise UsageError(f"scheme {repeated[0]!r} is named twice")
+    rows = experiment.N // experiment.output.every + 1
+    if rows > MAX_ROWS:
+        raise UsageError(
+            f"output.every: {rows} rows to compare in memory; "
+            f"record every {experiment.N // MAX_ROWS + 1}th step or more with --set output.every=..."
+        )
+    top = experiment.top
+    steppers = [one.stepper() for one in experiments]
+    trajectories = [trajectory_of(one) for one in experiments]
+    n = np.arange(0, experiment.N + 1, experiment.output.every)
+    reference = reference_states(top, experiment.y0, n * experiment.h)
+    probes = reference[:: max(1, len(reference) // REVERSAL_STATES)][:REVERSAL_STATES]
+    timed = nanoseconds_per_step(
+        [(top, stepper, experiment.y0, experiment.h) for stepper in steppers],
+        steps=min(max(experiment.N, 1000), 50_000),
+    )
+    swing = top.components.index(top.swing)
+    series = {"t": n * experiment.h, "swing:reference": reference[:, swing]}
+    figures = []
+    for one, stepper, trajectory, nanoseconds in zip(experiments, steppers, trajectories, timed, strict=True):
+        with np.errstate(over="ignore"):
+            error = np.linalg.norm(trajectory.states - reference[: len(trajectory)], axis=1)
+        figures.append(_figures(one, stepper, trajectory, error, probes, nanoseconds))
+        series[f"error:{one.scheme.name}"] = _padded(error, len(n))
+        series[f"swing:{one.scheme.name}"] = _padded(trajectory.states[:, swing], len(n))
+    return Comparison(
+        finite(
+            {
+                "config": experiment.resolved(),
+                "reference": {
+                    "method": "Taylor series in double-double arithmetic",
+                    "swing": top.swing,
+                    "swing_spacing": swing_spacing(series["t"], series["swing:reference"]),
+                },
+                "schemes": figures,
+            }
+        ),
+        series,
+    )

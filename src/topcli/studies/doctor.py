@@ -1,0 +1,53 @@
+"""What ``topcli doctor`` finds: versions, CPU, threads, the cache of compiled code, plugins."""
+
+from __future__ import annotations
+
+import os
+from importlib.metadata import entry_points
+from typing import Any
+
+from topcli.engine.native import cache_folder, native
+from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures
+from topcli.store.provenance import environment, installed
+
+EXTRAS = ("scipy", "pandas", "matplotlib", "typer", "rich", "ruamel.yaml", "platformdirs")
+
+
+def _probe(x: Any, n: int) -> int:
+    x[0] = x[0] + 1.0
+    return n + 1
+
+
+def diagnosis() -> dict[str, Any]:
+    """``environment``, ``cache``, ``threads``, ``plugins`` and ``problems``, as plain data."""
+    import numpy as np
+
+    problems: list[str] = []
+    folder = cache_folder()
+    native(_probe, "pq")
+    again = native(_probe, "pq")
+    if again(np.zeros(1), 1) != 2:
+        problems.append("compiled code gives wrong results on this machine")
+    if not again.cached:
+        problems.append(f"compiled code is not kept: {folder} cannot be written or loaded; every process recompiles")
+    entries = list(folder.glob("*.o"))
+    failures = {failure.name: failure.reason for failure in plugin_failures()}
+    plugins = []
+    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
+        origin = entry.dist.name if entry.dist else entry.name
+        names = sorted({scheme.name for scheme in all_schemes() if scheme.origin == origin})
+        state = f"failed: {failures[entry.name]}" if entry.name in failures else f"registers {', '.join(names)}"
+        plugins.append({"name": entry.name, "state": state})
+    problems += [f"plugin {name} failed: {reason}" for name, reason in failures.items()]
+    return {
+        "environment": {**environment(), **{package: installed(package) for package in EXTRAS}},
+        "cache": {
+            "folder": str(folder),
+            "entries": len(entries),
+            "bytes": sum(entry.stat().st_size for entry in entries),
+            "kept between processes": again.cached,
+        },
+        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "plugins": plugins,
+        "problems": problems,
+    }

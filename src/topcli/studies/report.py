@@ -1,0 +1,117 @@
+"""The report of a run: as plain data for ``report.json`` and as Markdown for ``report.md``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from topcli.analysis.drift import ROUND_OFF_ULPS, SIGNIFICANCE, InvariantRow
+
+SCHEMA_VERSION = 1
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number for a table: short, with an exponent where it helps, a dash for None."""
+    if value is None:
+        return "–"
+    if value == 0.0:
+        return "0"
+    if not math.isfinite(value):
+        return str(value)
+    return f"{value:.{digits}g}" if 1e-3 <= abs(value) < 1e5 else f"{value:.{max(digits - 2, 1)}e}"
+
+
+def exact_number(value: float | None) -> str:
+    """A number to ten digits: enough to see how an invariant moves; a dash for None."""
+    return "–" if value is None else f"{value:.10g}"
+
+
+INVARIANT_COLUMNS = (
+    "invariant",
+    "first",
+    "min",
+    "max",
+    "max dev",
+    "rel",
+    "rms dev",
+    "rms rel",
+    "drift / time",
+    "verdict",
+)
+
+
+def invariant_cells(row: dict[str, Any]) -> tuple[str, ...]:
+    """One line of the invariant table, for the terminal and for Markdown, from a row of ``report.json``."""
+    drift = number(row["drift"])
+    if row["drift_error"] is not None:
+        drift += f" ± {number(row['drift_error'], 2)}"
+    return (
+        row["symbol"],
+        exact_number(row["first"]),
+        exact_number(row["min"]),
+        exact_number(row["max"]),
+        number(row["max_deviation"]),
+        number(row["max_deviation_relative"]),
+        number(row["rms_deviation"]),
+        number(row["rms_deviation_relative"]),
+        drift,
+        row["verdict"],
+    )
+
+
+def finite(data: Any) -> Any:
+    """The same plain data with null for numbers that JSON does not have (nan, inf)."""
+    if isinstance(data, float) and not math.isfinite(data):
+        return None
+    if isinstance(data, dict):
+        return {key: finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [finite(value) for value in data]
+    return data
+
+
+def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[str, Any]:
+    """The content of ``report.json``: the run's ``summary`` and a row for each invariant."""
+    return finite(
+        {
+            "schema_version": SCHEMA_VERSION,
+            **summary,
+            "round_off_ulps": ROUND_OFF_ULPS,
+            "significance": SIGNIFICANCE,
+            "invariants": [row.as_dict() for row in rows],
+        }
+    )
+
+
+def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
+    ruled = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    return ruled + ["| " + " | ".join(line) + " |" for line in lines]
+
+
+def report_markdown(report: dict[str, Any]) -> str:
+    """``report.md``: the same content for a reader."""
+    counters = ", ".join(f"{name.replace('_', ' ')}: {count}" for name, count in report["counters"].items())
+    lines = [
+        f"# {report['name']}",
+        "",
+        f"{report['top_title']}, scheme **{report['scheme']}** ({report['scheme_title']}), "
+        f"h = {report['h']!r}, N = {report['N']}. All quantities are dimensionless.",
+        "",
+        f"**{report['outcome']}**: {report['message']}.",
+        *(["", f"Counters: {counters}."] if counters else []),
+        "",
+        "## Conservation laws",
+        "",
+        *_table(INVARIANT_COLUMNS, [invariant_cells(row) for row in report["invariants"]]),
+        "",
+        *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
+        "",
+        f"Deviations are from the first value. *exact*: no deviation beyond {ROUND_OFF_ULPS:g} ulp × √steps of the "
+        f"invariant's terms. *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
+        "further than twice the scatter about it. *bounded*: neither.",
+        "",
+        f"Compiled or loaded in {report['seconds']['compile']:.3g} s, ran in {report['seconds']['run']:.3g} s.",
+        "",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,172 @@
+"""Run an experiment into a run folder: stream the series, tally the invariants, write the reports."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from topcli.analysis.columns import column_names, columns
+from topcli.analysis.drift import InvariantTally
+from topcli.config.models import Experiment
+from topcli.contracts import Outcome, Stepper
+from topcli.engine.loop import Run
+from topcli.engine.source import fingerprint
+from topcli.errors import UsageError
+from topcli.store.provenance import Commit, environment, now
+from topcli.store.run_folder import RunWriter, StoredRun, io_failure, stored_run
+from topcli.store.series import SeriesWriter
+from topcli.studies.report import report_data, report_markdown
+
+Progress = Callable[[int, int], None]
+"""Told (steps done, N) between chunks."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A run folder, its report, and what became of the call.
+
+    ``status`` is ``"ran"`` or ``"up to date"``; ``set_aside`` is where a different earlier run was moved.
+    """
+
+    stored: StoredRun
+    report: dict[str, Any]
+    status: str
+    set_aside: Path | None = None
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return Outcome(self.report["outcome"])
+
+
+def _standing(target: Path, digest: str, displace: bool) -> StoredRun | None:
+    """The finished run at ``target``. Raises UsageError when something else there would be overwritten."""
+    earlier = stored_run(target)
+    if earlier is None:
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise UsageError(
+                f"{target}: exists and is no finished run; nothing was written\n"
+                "move it away, or choose another folder with --out or another name with --set name=..."
+            )
+        return None
+    if not earlier.same_experiment(digest) and not displace:
+        raise UsageError(
+            f"{target}: holds a different experiment (digest {str(earlier.manifest['digest'])[:8]}, this one "
+            f"{digest[:8]}); nothing was written\nchoose --set name=... or --out, or --force to keep the earlier run "
+            "aside and put this one in its place"
+        )
+    return earlier
+
+
+def _write_series(
+    path: Path,
+    experiment: Experiment,
+    run: Run,
+    tally: InvariantTally,
+    about: dict[str, str],
+    progress: Progress,
+) -> None:
+    top, h = experiment.top, experiment.h
+    names = list(experiment.output.columns or column_names(top))
+    with SeriesWriter(path, names, about) as writer:
+        for chunk in run:
+            tally.add(chunk.n, chunk.states)
+            writer.write(columns(top, chunk.n, h, chunk.states, names))
+            progress(chunk.done, experiment.N)
+        assert run.ending is not None
+        writer.finish({"topcli.outcome": run.ending.outcome.value, "topcli.message": run.ending.message})
+
+
+def _summary(experiment: Experiment, run: Run, digest: str) -> dict[str, Any]:
+    ending = run.ending
+    assert ending is not None
+    return {
+        "name": experiment.name,
+        "digest": digest,
+        "top": experiment.top.kind,
+        "top_title": experiment.top.title,
+        "scheme": experiment.scheme.name,
+        "scheme_title": experiment.scheme.title,
+        "h": experiment.h,
+        "N": experiment.N,
+        "outcome": ending.outcome.value,
+        "message": ending.message,
+        "step": ending.step,
+        "t": ending.t,
+        "counters": dict(ending.counters),
+        "seconds": {"compile": run.compile_seconds, "compile_cached": run.cached, "run": run.run_seconds},
+    }
+
+
+def run_experiment(
+    experiment: Experiment,
+    out: Path,
+    *,
+    force: bool = False,
+    displace: bool = False,
+    progress: Progress = lambda done, total: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> RunResult:
+    """Run ``experiment`` into ``out/<name>/``, or find it there already.
+
+    A run of the same experiment by the same code that ended by itself is not repeated unless ``force``. A
+    different experiment standing there is refused, unless ``force`` or ``displace``: then it is set aside under
+    another name. ``stop`` is asked between chunks; what was written until then is kept, marked ``interrupted``.
+
+    Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
+    """
+    stepper: Stepper = experiment.stepper()
+    digest = experiment.digest
+    code = fingerprint(stepper.step, stepper.enter, stepper.leave)
+    earlier = _standing(out / experiment.name, digest, force or displace)
+    if earlier is not None and not force and earlier.up_to_date(digest, code):
+        return RunResult(earlier, earlier.report(), "up to date")
+    started = now()
+    tally = InvariantTally(experiment.top, experiment.h, experiment.N)
+    keep = earlier is not None and not (earlier.same_experiment(digest) and earlier.manifest.get("code") == code)
+    with Commit() as commit, RunWriter(out, experiment.name, keep_earlier=keep) as writer:
+        series = writer.folder / f"series.{experiment.output.format}"
+        try:
+            resolved = experiment.resolved()
+            about = {
+                "topcli.config": json.dumps(resolved),
+                "topcli.digest": digest,
+                "topcli.environment": json.dumps(environment()),
+            }
+            run = Run(
+                experiment.top,
+                stepper,
+                experiment.y0,
+                experiment.h,
+                experiment.N,
+                experiment.output.every,
+                stop,
+            )
+            _write_series(series, experiment, run, tally, about, progress)
+            report = report_data(_summary(experiment, run, digest), tally.rows())
+            writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+            writer.write("report.md", report_markdown(report))
+            writer.write("config.yaml", experiment.to_yaml())
+            stored = writer.commit(
+                {
+                    "name": experiment.name,
+                    "digest": digest,
+                    "code": code,
+                    "outcome": report["outcome"],
+                    "message": report["message"],
+                    "series": series.name,
+                    "config": resolved,
+                    "scheme_origin": experiment.scheme.origin,
+                    "started": started,
+                    "ended": now(),
+                    "seconds": report["seconds"],
+                    "environment": environment(),
+                    **commit.read(),
+                }
+            )
+        except OSError as error:
+            raise io_failure(error, out / experiment.name) from error
+    return RunResult(stored, report, "ran", writer.set_aside)

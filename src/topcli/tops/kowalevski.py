@@ -1,0 +1,102 @@
+"""The Kowalevski top: A = B = 2C, centre of gravity on the first axis (Sogo, section 3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
+
+
+def field(y: Floats, p: Floats) -> Floats:
+    """Right-hand side of Sogo's (K1), (K2), with c = mg x0/C = ``p[0]``."""
+    w1, w2, w3, g1, g2, g3 = y
+    c = p[0]
+    return (
+        0.5 * w2 * w3,
+        0.5 * (c * g3 - w3 * w1),
+        -c * g2,
+        g2 * w3 - g3 * w2,
+        g3 * w1 - g1 * w3,
+        g1 * w2 - g2 * w1,
+    )
+
+
+class Kowalevski(Top):
+    """Kowalevski top with moments (A, A, A/2) and mg(x0, y0, z0) = (c0, 0, 0); dimensionless.
+
+    The paper sets A = B = 2, C = 1 "without loss of generality", and so does the default. For another A the
+    equations of motion divide by C = A/2 and become the paper's with c0 replaced by c = c0/C: time, omega and
+    gamma keep their meaning, 2l and E are C times the paper's expressions, and k² = |omega² - c gamma|².
+    c0 is any real number; c0 = 0 is the free symmetric top.
+    """
+
+    kind: ClassVar[str] = "kowalevski"
+    title: ClassVar[str] = "Kowalevski top (A = B = 2C, centre of gravity on the first axis)"
+    citation: ClassVar[str] = "Kowalevski 1889; Sogo, Discrete Spinning Tops, section 3"
+    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
+    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
+    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
+    swing: ClassVar[str] = "gamma1"
+    field: ClassVar = staticmethod(field)
+
+    c0: float = Field(default=1.0, description="mg x0, the moment of gravity about the fixed point; any real number")
+    A: float = Field(default=2.0, gt=0.0, description="first and second moment of inertia; the third is A/2")
+
+    @field_validator("c0", "A")
+    @classmethod
+    def _usable(cls, value: float) -> float:
+        if not math.isfinite(value):
+            raise ValueError("must be a finite number")
+        return value
+
+    @property
+    def C(self) -> float:
+        """The third moment of inertia, A/2."""
+        return 0.5 * self.A
+
+    def constants(self) -> Floats:
+        """``(c,)`` with c = c0/C."""
+        return (self.c0 / self.C,)
+
+    def euler_poisson(self) -> EulerPoisson:
+        """The same top in the general Euler-Poisson equations."""
+        return EulerPoisson((self.A, self.A, self.C), (self.c0, 0.0, 0.0))
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        """gamma², 2l = m·gamma, E and Kowalevski's k², Sogo section 3.1."""
+        C, c0, c = self.C, self.c0, self.c0 / self.C
+
+        def gamma_sq(y: Array) -> Array:
+            return y[:, 3] ** 2 + y[:, 4] ** 2 + y[:, 5] ** 2
+
+        def two_l(y: Array) -> Array:
+            return C * (2.0 * (y[:, 0] * y[:, 3] + y[:, 1] * y[:, 4]) + y[:, 2] * y[:, 5])
+
+        def two_l_scale(y: Array) -> Array:
+            return two_l(np.abs(y))
+
+        def energy(y: Array) -> Array:
+            return C * (y[:, 0] ** 2 + y[:, 1] ** 2 + 0.5 * y[:, 2] ** 2) + c0 * y[:, 3]
+
+        def energy_scale(y: Array) -> Array:
+            return C * (y[:, 0] ** 2 + y[:, 1] ** 2 + 0.5 * y[:, 2] ** 2) + np.abs(c0 * y[:, 3])
+
+        def k_sq(y: Array) -> Array:
+            re = y[:, 0] ** 2 - y[:, 1] ** 2 - c * y[:, 3]
+            im = 2.0 * y[:, 0] * y[:, 1] - c * y[:, 4]
+            return re**2 + im**2
+
+        def k_sq_scale(y: Array) -> Array:
+            return (y[:, 0] ** 2 + y[:, 1] ** 2 + np.hypot(c * y[:, 3], c * y[:, 4])) ** 2
+
+        return (
+            Invariant("gamma_sq", "γ²", r"\gamma^2", "length of the vertical, squared", gamma_sq, gamma_sq),
+            Invariant("two_l", "2l", r"2\ell", "angular momentum about the vertical", two_l, two_l_scale),
+            Invariant("energy", "E", r"E", "energy", energy, energy_scale),
+            Invariant("k_sq", "k²", r"k^2", "Kowalevski's integral |ω² - cγ|²", k_sq, k_sq_scale),
+        )

@@ -1,0 +1,33 @@
+"""Shared scenes of the tests, and a cache of compiled code that lasts from one run of the tests to the next."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".pytest_cache" / "kernels"))
+
+GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
+"""A generic state of the Kowalevski top, far from every special orbit."""
+PAPER = (2.0, 0.0, 0.0, math.sqrt(1.0 - 1e-6), 0.0, 1e-3)
+"""The paper's initial state, close to a homoclinic orbit."""
+
+
+def random_states(count: int, seed: int) -> np.ndarray:
+    """States (count, 6) with omega of size about one and gamma on the unit sphere."""
+    random = np.random.default_rng(seed)
+    gamma = random.normal(size=(count, 3))
+    gamma /= np.linalg.norm(gamma, axis=1, keepdims=True)
+    return np.hstack([random.normal(size=(count, 3)), gamma])
+
+
+@pytest.fixture
+def in_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

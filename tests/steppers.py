@@ -1,0 +1,37 @@
+"""Schemes written for the tests: positive controls that do not have the traits under test."""
+
+from __future__ import annotations
+
+from topcli.contracts import Floats, Stepper
+from topcli.tops.kowalevski import field
+
+
+def _moved(s: Floats, a: float, k: Floats) -> Floats:
+    return (
+        s[0] + a * k[0],
+        s[1] + a * k[1],
+        s[2] + a * k[2],
+        s[3] + a * k[3],
+        s[4] + a * k[4],
+        s[5] + a * k[5],
+    )
+
+
+def rk2_step(s: Floats, h: float, p: Floats) -> Floats:
+    """Explicit midpoint rule: order 2, irreversible, conserves nothing."""
+    return _moved(s, h, field(_moved(s, 0.5 * h, field(s, p)), p))
+
+
+def euler_step(s: Floats, h: float, p: Floats) -> Floats:
+    """Euler's rule: order 1."""
+    return _moved(s, h, field(s, p))
+
+
+def explode_step(s: Floats, h: float, p: Floats) -> Floats:
+    """Squares omega1 every step: not finite after a known number of steps."""
+    return (s[0] * s[0], s[1], s[2], s[3], s[4], s[5])
+
+
+RK2 = Stepper(rk2_step, 6)
+EULER = Stepper(euler_step, 6)
+EXPLODE = Stepper(explode_step, 6)

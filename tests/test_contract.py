@@ -1,0 +1,157 @@
+"""What a scheme declares is tested because it is declared: order, self-adjointness, exact invariants.
+
+Every test comes with a positive control: a scheme without the trait that the same measure condemns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import GEN, random_states
+from steppers import EULER, RK2
+from topcli.analysis.drift import invariant_report
+from topcli.analysis.order import observed_order, one_step_back_and_forth, reversal
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Scheme, Stepper, Top
+from topcli.engine.loop import Run
+from topcli.schemes.registry import all_schemes
+from topcli.tops import TOPS
+from topcli.tops.kowalevski import Kowalevski
+
+SCHEMES = all_schemes()
+by_name = pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}/{s.top}")
+
+
+def every_option(scheme: Scheme) -> list:
+    """The default options and, one at a time, every other choice of an enumerated option."""
+    made = [scheme.options()]
+    for name, schema in scheme.options.model_json_schema().get("properties", {}).items():
+        made += [scheme.options(**{name: v}) for v in schema.get("enum", []) if v != schema.get("default")]
+    return made
+
+
+def last_state(top: Top, stepper: Stepper, y0, h: float, N: int) -> np.ndarray:
+    state = np.array(y0)
+    for chunk in Run(top, stepper, y0, h, N, N):
+        if len(chunk.n):
+            state = chunk.states[-1].copy()
+    return state
+
+
+def observed(top: Top, stepper: Stepper, duration: float = 2.0) -> float:
+    counts = np.array([200, 400, 800, 1600])
+    exact = reference_states(top, GEN, np.array([duration]))[0]
+    errors = [np.linalg.norm(last_state(top, stepper, GEN, duration / N, int(N)) - exact) for N in counts]
+    order = observed_order(list(duration / counts), errors, 1e-12)
+    assert order is not None
+    return order
+
+
+@by_name
+def test_registration_is_complete(scheme: Scheme) -> None:
+    assert scheme.name == scheme.name.lower()
+    assert scheme.top in TOPS
+    assert scheme.title
+    assert scheme.doc
+    assert scheme.citation
+    assert scheme.equations
+    known = {invariant.name for invariant in TOPS[scheme.top]().invariants()}
+    assert set(scheme.conserves) <= known
+    assert all(field.description for field in scheme.options.model_fields.values())
+
+
+def test_names_are_unique() -> None:
+    keys = [(scheme.name, scheme.top) for scheme in SCHEMES]
+    assert len(set(keys)) == len(keys)
+
+
+@by_name
+def test_declared_order_is_observed(scheme: Scheme) -> None:
+    for top in (Kowalevski(), Kowalevski(c0=-0.8, A=3.0)):
+        for options in every_option(scheme):
+            order = observed(top, scheme.build(top, options))
+            assert order == pytest.approx(scheme.order, abs=0.1), (top, options)
+
+
+def test_order_control() -> None:
+    """The measure tells orders apart: Euler is no order-2 scheme."""
+    assert observed(Kowalevski(), EULER) == pytest.approx(1.0, abs=0.1)
+    assert observed(Kowalevski(), RK2) == pytest.approx(2.0, abs=0.1)
+
+
+def worst_defect(top: Top, stepper: Stepper, h: float) -> float:
+    return max(one_step_back_and_forth(top, stepper, y, h) for y in random_states(12, seed=3))
+
+
+@by_name
+def test_declared_self_adjointness(scheme: Scheme) -> None:
+    """One step there and back: round-off for a self-adjoint scheme at every h, visibly more for the others."""
+    top = TOPS[scheme.top]()
+    for options in every_option(scheme):
+        stepper = scheme.build(top, options)
+        defects = [worst_defect(top, stepper, h) for h in (0.2, 0.1, 0.05)]
+        if scheme.self_adjoint:
+            assert max(defects) < 1e-14
+        else:
+            assert min(defects) > 1e-9
+
+
+def test_self_adjointness_control() -> None:
+    assert worst_defect(Kowalevski(), RK2, 0.1) > 1e-6
+
+
+def deviation_over_bound(top: Top, stepper: Stepper, y0, h: float, names: tuple[str, ...]) -> float:
+    """Largest deviation of the invariants ``names`` in units of 50 ulp times sqrt(N), over 2e4 steps."""
+    pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in Run(top, stepper, y0, h, 20_000, 10)]
+    states = np.concatenate([states for _, states in pieces])
+    worst = 0.0
+    for invariant in top.invariants():
+        if invariant.name in names:
+            values = invariant.value(states)
+            bound = 50.0 * np.finfo(float).eps * np.sqrt(20_000) * invariant.scale(states).max()
+            worst = max(worst, float(np.abs(values - values[0]).max()) / bound)
+    return worst
+
+
+TOPS_TO_TRY = [Kowalevski(), Kowalevski(c0=-1.5), Kowalevski(c0=0.0), Kowalevski(c0=2.0, A=5.0)]
+
+
+@pytest.mark.parametrize("scheme", [s for s in SCHEMES if s.conserves], ids=lambda s: f"{s.name}/{s.top}")
+@pytest.mark.parametrize("top", TOPS_TO_TRY, ids=str)
+def test_declared_invariants_are_exact(scheme: Scheme, top: Top) -> None:
+    """Round-off and no more, on several tops, states and step sizes."""
+    stepper = scheme.build(top, scheme.options())
+    for y0, h in zip([GEN, *random_states(3, seed=11)], (0.1, 0.05, 0.01, 0.002), strict=True):
+        assert deviation_over_bound(top, stepper, y0, h, scheme.conserves) < 1.0
+
+
+@pytest.mark.parametrize("top", TOPS_TO_TRY, ids=str)
+def test_exactness_control(top: Top) -> None:
+    """The explicit midpoint rule, at a small step, fails the same test by far."""
+    for name in ("gamma_sq", "k_sq"):
+        assert deviation_over_bound(top, RK2, GEN, 0.01, (name,)) > 100.0
+
+
+@by_name
+def test_reversal_order_is_reported(scheme: Scheme) -> None:
+    """The study's own measure: no order for a self-adjoint scheme, at least order + 1 for the others."""
+    top = TOPS[scheme.top]()
+    found = reversal(top, scheme.build(top, scheme.options()), random_states(6, seed=5), 1e-3)
+    if scheme.self_adjoint:
+        assert found.order is None
+        assert found.defect < 1e-14
+    else:
+        assert found.order is not None
+        assert found.order > scheme.order + 0.8
+
+
+def test_verdict_exact_needs_the_declared_invariants_only() -> None:
+    """HK's report does not call k² exact; a constant series is."""
+    top = Kowalevski()
+    hk = next(scheme for scheme in SCHEMES if scheme.name == "hk")
+    pieces = [(c.n.copy(), c.states.copy()) for c in Run(top, hk.build(top, hk.options()), GEN, 0.05, 4000)]
+    n, states = (np.concatenate([p[i] for p in pieces]) for i in (0, 1))
+    assert {row.verdict for row in invariant_report(top, n, 0.05, states)} == {"bounded"}
+    still = np.repeat(states[:1], len(n), axis=0)
+    assert {row.verdict for row in invariant_report(top, n, 0.05, still)} == {"exact"}
