@@ -15,6 +15,7 @@ from conftest import GEN, PAPER, random_states
 from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.schemes.bohlin import SWITCH_BELOW, method_b_single, method_b_switch
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski, field
 
@@ -139,13 +140,20 @@ def test_bohlin_is_its_straightforward_form(method: str, branch: str) -> None:
 
 def test_bohlin_b_on_the_other_chart_is_its_mirror_image() -> None:
     """gamma3 -> -gamma3 with (omega1, omega2) -> -(omega1, omega2) takes one chart's gamma to the other's."""
-    from topcli.schemes.bohlin import method_b_single, method_b_switch
-
     for y in random_states(20, seed=8):
         w1, w2, w3, g1, g2, g3 = map(float, y)
-        up = method_b_single(w1, w2, w3, g1, g2, abs(g3), 0.01)
-        down = method_b_switch(-w1, -w2, w3, g1, g2, -abs(g3), 0.01)
+        shrink = 0.5 / math.hypot(g1, g2)
+        g1, g2, g3 = shrink * g1, shrink * g2, math.sqrt(0.75)
+        up = method_b_single(w1, w2, w3, g1, g2, g3, 0.01)
+        down = method_b_switch(-w1, -w2, w3, g1, g2, -g3, 0.01)
         assert (down[0], down[1], -down[2]) == up
+
+
+def test_bohlin_b_keeps_the_papers_chart_on_the_papers_scene() -> None:
+    states, loop = run(stepper("bohlin-b"), PAPER, 1e-3, 50_000)
+    assert loop.ending is not None
+    assert loop.ending.counters == {"chart_switches": 0}
+    assert np.array_equal(states, run(stepper("bohlin-b", chart="single"), PAPER, 1e-3, 50_000)[0])
 
 
 def run(made: Stepper, y0, h: float, N: int):
@@ -161,12 +169,12 @@ def test_bohlin_b_passes_the_south_pole() -> None:
     states, loop = run(stepper("bohlin-b"), y0, h, N)
     assert loop.ending is not None
     assert loop.ending.outcome is Outcome.COMPLETED
-    crossings = np.count_nonzero(np.diff(np.signbit(states[:, 5])))
+    crossings = np.count_nonzero(np.diff(states[:, 5] < SWITCH_BELOW))
     assert crossings > 2
     assert loop.ending.counters == {"chart_switches": crossings}
     assert states[:, 5].min() < -0.999
     assert np.abs((states[:, 3:] ** 2).sum(axis=1) - 1.0).max() < 8 * EPS
-    assert np.abs(np.diff(states, axis=0)).max() < 5 * h  # no jump, at the pole or at the equator
+    assert np.abs(np.diff(states, axis=0)).max() < 5 * h  # no jump, at the pole or at a switch
     _, single = run(stepper("bohlin-b", chart="single"), (0.01, 0.0, 3.0, 1e-8, 0.0, -1.0), 0.1, 1000)
     assert single.ending is not None
     assert single.ending.outcome is Outcome.BLEW_UP

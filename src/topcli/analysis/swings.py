@@ -40,6 +40,9 @@ def minima_times(t: Array, values: Array) -> Array:
 
 
 def swing_spacing(t: Array, values: Array) -> float | None:
-    """Mean time between consecutive deep minima; None when the record holds fewer than two."""
+    """Time from the first deep minimum to the second; None when the record holds fewer than two.
+
+    The first spacing and not the mean: a scheme that drifts changes it from swing to swing.
+    """
     times = minima_times(t, values)
-    return float((times[-1] - times[0]) / (len(times) - 1)) if len(times) > 1 else None
+    return float(times[1] - times[0]) if len(times) > 1 else None

@@ -18,7 +18,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -119,29 +119,18 @@ def _outside(ir: str) -> list[str]:
     return sorted(name for name in {*functions, *variables} if not name.startswith("llvm."))
 
 
-def _provide(name: str) -> None:
-    """Make the symbol ``name`` known to the linker.
-
-    numba's wrapper mentions what it would call to report an exception. Kernels raise none; should one do so all
-    the same, the process ends there. Raises OSError for a symbol of any other kind that is not to be found.
-    """
+def _require(names: Iterable[str]) -> None:
+    """Raise OSError when a symbol that stored code refers to cannot be linked in this process."""
     llvm, _ = _machine()
-    if llvm.address_of_symbol(name):
-        return
-    try:
-        address = ctypes.addressof(ctypes.c_char.in_dll(ctypes.pythonapi, name))
-    except ValueError:
-        if not name.startswith("numba_gil_"):
-            raise OSError(f"object code needs {name}, which is nowhere") from None
-        address = ctypes.addressof(ctypes.c_char.in_dll(ctypes.pythonapi, "Py_FatalError"))
-    llvm.add_symbol(name, address)
+    for name in names:
+        if not llvm.address_of_symbol(name):
+            raise OSError(f"object code needs {name}, which is nowhere")
 
 
 def _load(code: bytes, symbol: str, signature: str, needs: list[str]) -> tuple[Callable[..., int], tuple[Any, ...]]:
     """The function ``symbol`` of an object file, linked into this process."""
     llvm, _ = _machine()
-    for name in needs:
-        _provide(name)
+    _require(needs)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -192,7 +181,9 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
 
     kinds = {"p": types.CPointer(types.float64), "d": types.float64, "q": types.int64}
     jit = njit(forceinline=inline, error_model="numpy")
-    return cfunc(types.int64(*(kinds[c] for c in signature)), error_model="numpy")(compilable_copy(function, jit))
+    # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
+    signature_type = types.int64(*(kinds[c] for c in signature))
+    return cfunc(signature_type, error_model="numpy", forceinline=True)(compilable_copy(function, jit))
 
 
 def content_key(function: Callable[..., Any], signature: str, inline: bool) -> str:
@@ -218,8 +209,7 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
     needs = _outside(ir)
     code = _target_machine().emit_object(llvm.parse_assembly(ir))
     try:
-        for name in ("sin", *needs):
-            _provide(name)
+        _require(["sin"])  # or any mathematics that the compiler calls without declaring it
         call, keep = _load(code, compiled.native_name, signature, needs)
         _write(path, code, compiled.native_name, needs)
     except OSError:  # something to link stored code against is missing here: use numba's own, unstored

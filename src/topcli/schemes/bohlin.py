@@ -8,7 +8,6 @@ What makes it fast:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Literal
 
@@ -21,6 +20,13 @@ from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
 CONSERVES = ("gamma_sq", "k_sq")
+
+SWITCH_BELOW = -0.8
+"""Method B leaves the paper's chart where gamma3 is below this, |z| > 3 (the other chart then has |z| < 1/3).
+
+Not at the equator, because Euler's rule on the other chart is another scheme of order 1: so late a switch leaves
+the paper's own scene, where gamma3 >= -0.663, to the paper's own chart.
+"""
 
 Root = Callable[[float, float, float, float], tuple[float, float]]
 Method = Callable[[float, float, float, float, float, float, float], tuple[float, float, float]]
@@ -44,7 +50,7 @@ class ChartOptions(BranchOptions):
 
     chart: Literal["switch", "single"] = Field(
         default="switch",
-        description="stereographic coordinate from the farther pole, or always the paper's, which fails at gamma3 = -1",
+        description="go to the other pole's coordinate near gamma3 = -1, or keep the paper's, which fails there",
     )
 
 
@@ -90,8 +96,8 @@ def method_b_single(
 def method_b_switch(
     w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float
 ) -> tuple[float, float, float]:
-    """Gamma by Method B on the chart of the nearer hemisphere: |z| <= 1 before every step."""
-    return _euler_on_chart(math.copysign(1.0, g3), w1, w2, w3, g1, g2, g3, h)
+    """Gamma by Method B on the paper's chart, or the other pole's near its missing point: |z| <= 3 before a step."""
+    return _euler_on_chart(-1.0 if g3 < SWITCH_BELOW else 1.0, w1, w2, w3, g1, g2, g3, h)
 
 
 def method_c(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> tuple[float, float, float]:
@@ -122,12 +128,12 @@ def bohlin_step(method: Method, root: Root) -> StepFunction:
 
 
 def counting_step(step: StepFunction) -> StepFunction:
-    """``step`` with a seventh slot that counts the changes of the sign of gamma3, which are changes of the chart."""
+    """``step`` with a seventh slot that counts the changes of the chart, in either direction."""
 
     def counted(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3, count = s
         v1, v2, v3, n1, n2, n3 = step((w1, w2, w3, g1, g2, g3), h, p)
-        if math.copysign(1.0, n3) != math.copysign(1.0, g3):
+        if (n3 < SWITCH_BELOW) != (g3 < SWITCH_BELOW):
             count = count + 1.0
         return (v1, v2, v3, n1, n2, n3, count)
 
@@ -182,8 +188,8 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     """Euler's rule for the stereographic coordinate z of gamma; omega as in bohlin-a.
 
     The paper's z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1. By default the step takes the
-    coordinate from the other pole, 1/conj(z), where gamma3 < 0. Euler's rule on it is a slightly different scheme of
-    the same order, and z is found anew from gamma at each step, so that nothing but the state is carried, a switch
+    coordinate from the other pole, 1/conj(z), where gamma3 < -0.8. Euler's rule on it is a slightly different scheme
+    of the same order, and z is found anew from gamma at each step, so that nothing but the state is carried, a switch
     costs nothing, and a resumed run equals a whole one. The run reports how often the chart was switched.
     """
     root = ROOTS[options.branch]

@@ -11,7 +11,7 @@ import numpy as np
 from topcli.analysis.drift import invariant_report
 from topcli.analysis.order import reversal
 from topcli.analysis.reference import reference_states
-from topcli.analysis.swings import swing_spacing
+from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
@@ -78,6 +78,7 @@ def _figures(
             "defects": list(back.defects),
         },
         "swing_spacing": swing_spacing(trajectory.t, trajectory[top.swing]),
+        "swing_times": minima_times(trajectory.t, trajectory[top.swing]).tolist(),
         "nanoseconds_per_step": nanoseconds,
         "compile_seconds": trajectory.compile_seconds,
     }
