@@ -27,7 +27,7 @@ class Signal(Kowalevski):
 
 
 def report(values: np.ndarray, h: float = 0.01, pieces: int = 1):
-    tally = InvariantTally(Signal(), h, len(values) - 1)
+    tally = InvariantTally(Signal().invariants(), h, len(values) - 1)
     for n in np.array_split(np.arange(len(values)), pieces):
         states = np.zeros((len(n), 6))
         states[:, 0] = values[n]

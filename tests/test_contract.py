@@ -152,6 +152,6 @@ def test_verdict_exact_needs_the_declared_invariants_only() -> None:
     hk = next(scheme for scheme in SCHEMES if scheme.name == "hk")
     pieces = [(c.n.copy(), c.states.copy()) for c in Run(top, hk.build(top, hk.options()), GEN, 0.05, 4000)]
     n, states = (np.concatenate([p[i] for p in pieces]) for i in (0, 1))
-    assert {row.verdict for row in invariant_report(top, n, 0.05, states)} == {"bounded"}
+    assert {row.verdict for row in invariant_report(top.invariants(), n, 0.05, states)} == {"bounded"}
     still = np.repeat(states[:1], len(n), axis=0)
-    assert {row.verdict for row in invariant_report(top, n, 0.05, still)} == {"exact"}
+    assert {row.verdict for row in invariant_report(top.invariants(), n, 0.05, still)} == {"exact"}

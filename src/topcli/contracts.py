@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,9 @@ class Top(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: ClassVar[str]
+    """What a config calls the top."""
+    form: ClassVar[str]
+    """What schemes are registered for: the kind, or the kind with the form of its state where it has several."""
     title: ClassVar[str]
     citation: ClassVar[str]
     components: ClassVar[tuple[str, ...]]
@@ -83,6 +86,11 @@ class Top(BaseModel):
         """The same top as a case of the general Euler-Poisson equations."""
         raise NotImplementedError
 
+    @classmethod
+    def new(cls) -> Self:
+        """The top with its default parameters."""
+        return cls()
+
 
 class NoOptions(BaseModel):
     """Options of a scheme that has none."""
@@ -98,7 +106,7 @@ class Stepper:
     quantities such as a chart or a compensation term): ``enter`` makes that form from the physical state,
     ``leave`` gives the physical state back, and only what ``leave`` gives is recorded.
     ``width`` is the length of the working state. ``counters`` names its trailing slots that count events;
-    they are reported, never fed back.
+    they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter.
     """
 
     step: StepFunction
@@ -106,11 +114,26 @@ class Stepper:
     enter: StepFunction | None = None
     leave: StepFunction | None = None
     counters: tuple[str, ...] = ()
+    plain: bool = False
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """A solution in closed form: evaluated at the times of the steps, not iterated.
+
+    ``states(y0, h, n, p)`` takes the initial state (d,), the step, step numbers (m,) and the constants of the top,
+    and returns the states (m, d) after so many steps.
+    """
+
+    states: Callable[[Array, float, NDArray[np.int64], Floats], Array]
+
+
+Method = Stepper | Sampler
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """A time discretization of one kind of top, with its declared traits."""
+    """A time discretization of one form of a top, with its declared traits."""
 
     name: str
     top: str
@@ -122,8 +145,10 @@ class Scheme:
     """Names of the invariants conserved exactly, that is to round-off."""
     citation: str
     equations: str
-    build: Callable[[Any, Any], Stepper]
-    """``build(top, options) -> Stepper``."""
+    build: Callable[[Any, Any], Method]
+    """``build(top, options)``: a Stepper, or a Sampler for a solution in closed form."""
+    modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None
+    """``modified(top, h, options)``: integrals of the scheme itself, which depend on h; conserved exactly."""
     options: type[BaseModel] = NoOptions
     doc: str = ""
     origin: str = "topcli"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Top
+from topcli.contracts import Array, Invariant, Top
 from topcli.errors import UsageError, nearest
 
 
@@ -17,12 +17,20 @@ def column_names(top: Top) -> list[str]:
     return ["n", "t", *top.components, *(invariant.name for invariant in top.invariants())]
 
 
-def columns(top: Top, n: NDArray[np.int64], h: float, states: Array, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+def columns(
+    top: Top,
+    n: NDArray[np.int64],
+    h: float,
+    states: Array,
+    names: Iterable[str],
+    modified: Iterable[Invariant] = (),
+) -> dict[str, NDArray[Any]]:
     """The columns called ``names``, each of shape (m,), from step numbers (m,) and states (m, d).
 
-    Only what is asked for is computed. Raises UsageError for an unknown name.
+    ``modified`` are the integrals of the scheme, which have columns too. Only what is asked for is computed.
+    Raises UsageError for an unknown name.
     """
-    invariants = {invariant.name: invariant for invariant in top.invariants()}
+    invariants = {invariant.name: invariant for invariant in (*top.invariants(), *modified)}
     made: dict[str, NDArray[Any]] = {}
     for name in names:
         if name == "n":
@@ -35,10 +43,5 @@ def columns(top: Top, n: NDArray[np.int64], h: float, states: Array, names: Iter
             with np.errstate(over="ignore", invalid="ignore"):
                 made[name] = invariants[name].value(states)
         else:
-            raise UsageError(f"no column {name!r}; {nearest(name, column_names(top))}")
+            raise UsageError(f"no column {name!r}; {nearest(name, ['n', 't', *top.components, *invariants])}")
     return made
-
-
-def column(top: Top, n: NDArray[np.int64], h: float, states: Array, name: str) -> NDArray[Any]:
-    """One column as float64 or int64, shape (m,). Raises UsageError for an unknown name."""
-    return columns(top, n, h, states, [name])[name]

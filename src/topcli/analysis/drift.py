@@ -16,13 +16,14 @@ leaks into the slope only as (P/T)^3. Its standard error allows for correlated r
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Invariant, Top
+from topcli.contracts import Array, Invariant
 
 ROUND_OFF_ULPS = 20.0
 SIGNIFICANCE = 5.0
@@ -116,10 +117,10 @@ class _Tally:
 
 
 class InvariantTally:
-    """The invariant report of a run of N steps of size h, fed with chunks of rows."""
+    """The report on ``invariants`` over a run of N steps of size h, fed with chunks of rows."""
 
-    def __init__(self, top: Top, h: float, N: int) -> None:
-        self._top, self._h, self._N = top, h, N
+    def __init__(self, invariants: Sequence[Invariant], h: float, N: int) -> None:
+        self._invariants, self._h, self._N = invariants, h, N
         self._tallies: list[_Tally] = []
         self._counts = np.zeros(BLOCKS)
         self._steps_in = np.zeros(BLOCKS)
@@ -131,8 +132,8 @@ class InvariantTally:
             return
         if not self._tallies:
             with np.errstate(over="ignore", invalid="ignore"):
-                firsts = [float(invariant.value(states[:1])[0]) for invariant in self._top.invariants()]
-            self._tallies = list(map(_Tally, self._top.invariants(), firsts))
+                firsts = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
+            self._tallies = list(map(_Tally, self._invariants, firsts))
         block = n * BLOCKS // (self._N + 1)
         self._counts += np.bincount(block, minlength=BLOCKS)
         self._steps_in += np.bincount(block, weights=n, minlength=BLOCKS)
@@ -142,7 +143,7 @@ class InvariantTally:
                 tally.add(states, block)
 
     def rows(self) -> list[InvariantRow]:
-        """The report, one row an invariant in the order of ``top.invariants()``."""
+        """The report, one row an invariant in their order."""
         with np.errstate(over="ignore", invalid="ignore"):
             return [self._row(tally) for tally in self._tallies]
 
@@ -192,8 +193,10 @@ def _verdict(deviation: float, bound: float, fit: Trend | None, span: float) -> 
     return "bounded", f"{beyond}; {told}, scatter {fit.scatter:.1e}"
 
 
-def invariant_report(top: Top, n: NDArray[np.int64], h: float, states: Array) -> list[InvariantRow]:
+def invariant_report(
+    invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array
+) -> list[InvariantRow]:
     """The report on recorded rows that are all in memory: step numbers (m,), states (m, d)."""
-    tally = InvariantTally(top, h, int(n[-1]))
+    tally = InvariantTally(invariants, h, int(n[-1]))
     tally.add(n, states)
     return tally.rows()

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from topcli.contracts import Array, Stepper, Top
-from topcli.engine.driver import plain_loop
+from topcli.contracts import Array, Method, Stepper, Top
+from topcli.engine.driver import Loop, loop_of, plain_loop
 
 ROUND_OFF = 64.0 * float(np.finfo(np.float64).eps)
 
@@ -41,23 +41,28 @@ class Reversal:
     defects: tuple[float, ...]
 
 
-def one_step_back_and_forth(top: Top, stepper: Stepper, y: Sequence[float], h: float) -> float:
+def _interpreted(method: Method, d: int, constants: int) -> Loop:
+    """The loop of a method without compiling: for single steps the interpreter is quicker."""
+    if isinstance(method, Stepper):
+        return Loop(*plain_loop(method, d, constants), method.width)
+    return loop_of(method, d, constants)
+
+
+def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: float) -> float:
     """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python."""
     d = len(y)
     p = np.array(top.constants())
-    enter, drive = plain_loop(stepper, d, len(p))
-    there, back, work = np.empty(d), np.empty(d), np.zeros(stepper.width)
+    loop = _interpreted(method, d, len(p))
+    there, back, work = np.empty(d), np.empty(d), np.zeros(loop.width)
     start = np.array(y, dtype=np.float64)
-    enter(start, work, p, h)
-    if drive(work, there, p, h, 1, 1, 1) < 0:
-        return math.inf
-    enter(there, work, p, -h)
-    if drive(work, back, p, -h, 1, 1, 1) < 0:
-        return math.inf
+    for begin, end, step in ((start, there, h), (there, back, -h)):
+        loop.enter(begin, work, p, step)
+        if loop.drive(work, end, p, step, 1, 1, 1) < 0:
+            return math.inf
     return float(np.abs(back - start).max())
 
 
-def reversal(top: Top, stepper: Stepper, states: Array, h: float) -> Reversal:
+def reversal(top: Top, method: Method, states: Array, h: float) -> Reversal:
     """The reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
 
     The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may lie
@@ -68,7 +73,7 @@ def reversal(top: Top, stepper: Stepper, states: Array, h: float) -> Reversal:
         sizes.append(2.0 * sizes[-1])
     while len(sizes) < 4:
         sizes.insert(0, 0.5 * sizes[0])
-    defects = [max(one_step_back_and_forth(top, stepper, y, size) for y in states) for size in sizes]
+    defects = [max(one_step_back_and_forth(top, method, y, size) for y in states) for size in sizes]
     floor = ROUND_OFF * max(1.0, float(np.abs(states).max()))
     return Reversal(
         h=abs(h),

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import column, column_names
+from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import invariant_report
-from topcli.contracts import Array, Ending, Top
+from topcli.contracts import Array, Ending, Invariant, Top
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,6 +32,8 @@ class Trajectory:
     ending: Ending
     compile_seconds: float
     run_seconds: float
+    modified: tuple[Invariant, ...] = ()
+    """Integrals of the scheme itself, which depend on h."""
 
     @property
     def t(self) -> Array:
@@ -42,8 +44,8 @@ class Trajectory:
         return len(self.n)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """A column by name: ``n``, ``t``, a component, or an invariant."""
-        return column(self.top, self.n, self.h, self.states, name)
+        """A column by name: ``n``, ``t``, a component, an invariant, or a modified integral of the scheme."""
+        return columns(self.top, self.n, self.h, self.states, [name], self.modified)[name]
 
     def to_pandas(self) -> pd.DataFrame:
         """All columns as a DataFrame: n, t, the components, the invariants."""
@@ -52,8 +54,8 @@ class Trajectory:
         return pd.DataFrame({name: self[name] for name in column_names(self.top)})
 
     def invariants(self) -> pd.DataFrame:
-        """The invariant report as a DataFrame, one row an invariant (see ``analysis.drift``)."""
+        """The report on invariants and modified integrals as a DataFrame, a row each (see ``analysis.drift``)."""
         import pandas as pd
 
-        rows = invariant_report(self.top, self.n, self.h, self.states)
+        rows = invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states)
         return pd.DataFrame([row.as_dict() for row in rows]).set_index("name")

@@ -47,16 +47,17 @@ def list_tops(as_json: Json = False) -> None:
     items = [
         {
             "name": top.kind,
+            "form": top.form,
             "title": top.title,
             "parameters": {name: field.default for name, field in top.model_fields.items()},
             "components": list(top.components),
-            "invariants": [invariant.name for invariant in top().invariants()],
+            "invariants": [invariant.name for invariant in top.new().invariants()],
             "citation": top.citation,
         }
         for top in TOPS.values()
     ]
     shown = [{**item, "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]} for item in items]
-    _print_list("tops", items if as_json else shown, ["name", "parameters", "components", "invariants"], as_json)
+    _print_list("tops", items if as_json else shown, ["form", "parameters", "components", "invariants"], as_json)
 
 
 @list_app.command("schemes")
@@ -69,10 +70,10 @@ def list_schemes(
 ) -> None:
     """The registered schemes with their declared traits; plugins that failed are named on stderr."""
     from topcli.schemes.registry import all_schemes, plugin_failures
-    from topcli.tops import top_class
+    from topcli.tops import forms
 
     load_scheme_files(scheme_files)
-    kind = top_class(top).kind if top else None
+    wanted = [form.form for form in forms(top)] if top else None
     items = [
         {
             "name": scheme.name,
@@ -88,7 +89,7 @@ def list_schemes(
             "origin": scheme.origin,
         }
         for scheme in all_schemes()
-        if kind in (None, scheme.top)
+        if wanted is None or scheme.top in wanted
     ]
     for failure in plugin_failures():
         say(f"plugin {failure.name} failed: {failure.reason}")

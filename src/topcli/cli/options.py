@@ -18,9 +18,9 @@ def complete_scheme(incomplete: str) -> list[str]:
 
 def complete_top(incomplete: str) -> list[str]:
     """Kinds of tops that begin with ``incomplete``."""
-    from topcli.tops import TOPS
+    from topcli.tops import kinds
 
-    return [name for name in sorted(TOPS) if name.startswith(incomplete.lower())]
+    return [name for name in sorted(kinds()) if name.startswith(incomplete.lower())]
 
 
 def complete_figure(incomplete: str) -> list[str]:

@@ -82,7 +82,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment:
     config = validate(Config, data, (), problems)
     cls = top = state = scheme = None
     if "top" in data:
-        cls, top = read_top(data["top"], problems)
+        cls, top = read_top(data["top"], data.get("initial"), problems)
     if cls and "scheme" in data:
         scheme = read_scheme(data["scheme"], cls, problems)
     if cls and "initial" in data:
@@ -92,8 +92,10 @@ def _experiment(document: Document, default_name: str | None) -> Experiment:
             problems.add(("output", "every"), f"must be at most N = {config.N}, not {config.output.every}")
         if too_long := duration_fault(config.h, config.N):
             problems.add(("N",), too_long)
-        if top:
-            check_columns(config.output.columns, top, problems)
+        if top and scheme:
+            integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
+            known = ["n", "t", *top.components, *(integral.name for integral in integrals)]
+            check_columns(config.output.columns, known, problems)
     problems.raise_any()
     # what is missing here has been raised as a problem
     assert config is not None

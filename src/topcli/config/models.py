@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
-from topcli.contracts import Scheme, Stepper, Top
+from topcli.contracts import Invariant, Method, Scheme, Top
 
 MAX_STEPS = 10**12
 MAX_NAME = 100
@@ -126,9 +126,14 @@ class Experiment(BaseModel):
         """The time N*h at which the run ends; negative for a negative step."""
         return self.N * self.h
 
-    def stepper(self) -> Stepper:
+    def method(self) -> Method:
         """The scheme made ready for the top, with the options."""
         return self.scheme.build(self.top, self.options)
+
+    @property
+    def modified(self) -> tuple[Invariant, ...]:
+        """The integrals of the scheme itself at this h."""
+        return self.scheme.modified(self.top, self.h, self.options) if self.scheme.modified else ()
 
     def resolved(self) -> dict[str, Any]:
         """Everything the run depends on as plain data, which loads to the same experiment, bit for bit."""

@@ -8,7 +8,7 @@ from topcli.config.models import Config
 from topcli.config.sections import AUTO
 from topcli.contracts import Scheme, Top
 from topcli.schemes.registry import all_schemes
-from topcli.tops import TOPS
+from topcli.tops import TOPS, forms, kinds
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -21,12 +21,12 @@ def config_schema() -> Schema:
     vectors, the schemes that step it, and the columns.
     """
     schema = Config.model_json_schema()
-    kinds = sorted(TOPS)
+    known = kinds()
     properties = schema["properties"]
     properties["top"] |= {
         "anyOf": [
-            {"enum": kinds},
-            {"type": "object", "required": ["kind"], "properties": {"kind": {"enum": kinds}}},
+            {"enum": known},
+            {"type": "object", "required": ["kind"], "properties": {"kind": {"enum": known}}},
         ]
     }
     properties["initial"] |= {"type": "object"}
@@ -39,7 +39,7 @@ def config_schema() -> Schema:
         "$schema": DRAFT,
         **schema,
         "title": "topcli config",
-        "allOf": [_for_top(TOPS[kind]) for kind in kinds],
+        "allOf": [_for_top(cls) for cls in TOPS.values()],
     }
 
 
@@ -47,21 +47,24 @@ def _for_top(cls: type[Top]) -> Schema:
     """What the sections hold when the top is of class ``cls``."""
     kind = {"const": cls.kind}
     named = {"type": "object", "required": ["kind"], "properties": {"kind": kind}}
-    schemes = [scheme for scheme in all_schemes() if scheme.top == cls.kind]
-    columns = ["n", "t", *cls.components]
-    try:
-        columns += [invariant.name for invariant in cls().invariants()]
-        items: Schema = {"enum": columns}
-    except ValueError:  # a top without defaults for its parameters: its invariants are not known here
-        items = {"type": "string"}
+    schemes = [scheme for scheme in all_schemes() if scheme.top == cls.form]
+    columns = ["n", "t", *cls.components, *(invariant.name for invariant in cls.new().invariants())]
+    items: Schema = {"anyOf": [{"enum": columns}, {"pattern": "^modified_"}]}
     initial = {name: _vector(cls, name) for name in cls.vectors}
     normalize = {
         "type": "boolean",
         "default": False,
         "description": f"scale {', '.join(cls.unit_vectors) or 'the unit vectors'} to unit length",
     }
+    condition: Schema = {"required": ["top"], "properties": {"top": {"anyOf": [kind, named]}}}
+    others = {name for form in forms(cls.kind) for name in form.vectors} - set(initial)
+    if len(forms(cls.kind)) > 1:
+        condition["required"].append("initial")
+        condition["properties"]["initial"] = {"required": list(initial)}
+        if others:
+            condition["properties"]["initial"]["not"] = {"anyOf": [{"required": [name]} for name in sorted(others)]}
     return {
-        "if": {"required": ["top"], "properties": {"top": {"anyOf": [kind, named]}}},
+        "if": condition,
         "then": {
             "properties": {
                 "top": {"anyOf": [kind, _section(cls, "kind", kind | {"description": cls.title})]},

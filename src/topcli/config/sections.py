@@ -12,20 +12,23 @@ from topcli.config.problems import Problems, unknown_key, validate
 from topcli.contracts import Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest
 from topcli.schemes.registry import find_scheme, names_for
-from topcli.tops import TOPS, top_class
+from topcli.tops import kinds, top_class
 
 UNIT_TOLERANCE = 1e-12
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 
 
-def read_top(raw: object, problems: Problems) -> tuple[type[Top] | None, Top | None]:
-    """The class of the top, and the top with its parameters; None for what cannot be read."""
-    section = _named_section(raw, "top", "kind", sorted(TOPS), problems)
+def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top] | None, Top | None]:
+    """The class of the top, and the top with its parameters; None for what cannot be read.
+
+    The vectors named in ``initial`` choose among the forms of a top.
+    """
+    section = _named_section(raw, "top", "kind", kinds(), problems)
     if section is None:
         return None, None
     kind, where, parameters = section
     try:
-        cls = top_class(kind)
+        cls = top_class(kind, [key for key in initial if key != "normalize"] if isinstance(initial, dict) else ())
     except UnknownNameError as error:
         problems.add(where, str(error), unknown_name=True)
         return None, None
@@ -34,12 +37,12 @@ def read_top(raw: object, problems: Problems) -> tuple[type[Top] | None, Top | N
 
 def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme, BaseModel] | None:
     """The scheme for tops of class ``cls`` with its options."""
-    section = _named_section(raw, "scheme", "name", names_for(cls.kind), problems)
+    section = _named_section(raw, "scheme", "name", names_for(cls.form), problems)
     if section is None:
         return None
     name, where, given = section
     try:
-        scheme = find_scheme(name, cls.kind)
+        scheme = find_scheme(name, cls.form)
     except UsageError as error:
         problems.add(where, str(error), unknown_name=isinstance(error, UnknownNameError))
         return None
@@ -174,9 +177,8 @@ def _unit(vector: list[float], normalize: bool, path: KeyPath, problems: Problem
     return None
 
 
-def check_columns(columns: tuple[str, ...] | None, top: Top, problems: Problems) -> None:
-    """Note every column that the top does not have."""
-    known = ["n", "t", *top.components, *(invariant.name for invariant in top.invariants())]
+def check_columns(columns: tuple[str, ...] | None, known: list[str], problems: Problems) -> None:
+    """Note every column that is not among the ``known`` ones."""
     for name in columns or ():
         if name not in known:
             problems.add(("output", "columns"), f"unknown column {name[:40]!r}; {nearest(name[:40], known)}")

@@ -23,7 +23,7 @@ def starter_config(top: str = "kowalevski", scheme: str = "hybrid", schema: str 
     Raises UnknownNameError with the nearest names, or UsageError for a scheme that does not fit the top.
     """
     cls = top_class(top)
-    found = find_scheme(scheme, cls.kind)
+    found = find_scheme(scheme, cls.form)
     described = {key: field.description for key, field in Config.model_fields.items()}
     lines = [
         f"# yaml-language-server: $schema={schema}",
@@ -39,7 +39,7 @@ def starter_config(top: str = "kowalevski", scheme: str = "hybrid", schema: str 
         "initial:",
         *_initial(cls),
         "",
-        f"# one of {', '.join(names_for(cls.kind))}",
+        f"# one of {', '.join(names_for(cls.form))}",
         "scheme:",
         f"  name: {found.name}",
         *_fields(found.options),

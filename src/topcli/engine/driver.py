@@ -7,11 +7,14 @@ the recorded state and the constants; the text below is all the code there is.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from topcli.contracts import Stepper
-from topcli.engine.native import Native, native
+import numpy as np
+
+from topcli.contracts import Array, Method, Sampler, Stepper
+from topcli.engine.native import native
 
 SIGNATURE = "pppdqqq"
 
@@ -74,7 +77,55 @@ def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., 
     return make(stepper.step, stepper.enter or _same, stepper.leave or _same)
 
 
-def compiled_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Native]:
-    """``(enter, drive)`` with ``drive`` as machine code; ``enter`` runs once and stays plain Python."""
-    enter, drive = plain_loop(stepper, d, constants)
-    return enter, native(drive, SIGNATURE)
+def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callable[..., int]]:
+    """``(enter, drive)`` for a closed form: the working state is the initial state and the number of steps done."""
+
+    def enter(y: Array, work: Array, params: Array, h: float) -> int:
+        work[:d] = y
+        work[d] = 0.0
+        return 0
+
+    def drive(work: Array, out: Array, params: Array, h: float, steps: int, every: int, until_record: int) -> int:
+        done = int(work[d])
+        n = np.arange(done + until_record, done + steps + 1, every, dtype=np.int64)
+        states = sampler.states(work[:d], h, n, tuple(params))
+        good = np.isfinite(states).all(axis=1)
+        kept = len(n) if good.all() else int(np.argmin(good))
+        out[: kept * d] = states[:kept].ravel()
+        if kept < len(n):
+            return done - int(n[kept])
+        work[d] = done + steps
+        return steps
+
+    return enter, drive
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
+
+    ``work`` has ``width`` slots, the last ones counting the events named in ``counters``. ``seconds`` is what
+    compiling or loading took, ``cached`` whether the machine code was known.
+    """
+
+    enter: Callable[..., int]
+    drive: Callable[..., int]
+    width: int
+    counters: tuple[str, ...] = ()
+    seconds: float = 0.0
+    cached: bool = True
+
+
+def loop_of(method: Method, d: int, constants: int) -> Loop:
+    """The loop of a method for states of length ``d``: machine code, except where a method cannot be compiled.
+
+    ``enter`` runs once and stays plain Python.
+    """
+    if isinstance(method, Sampler):
+        enter, sample = _sampled_loop(method, d)
+        return Loop(enter, sample, d + 1)
+    enter, drive = plain_loop(method, d, constants)
+    if method.plain:
+        return Loop(enter, drive, method.width, method.counters)
+    code = native(drive, SIGNATURE)
+    return Loop(enter, code, method.width, method.counters, code.seconds, code.cached)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Outcome, Stepper, Top
-from topcli.engine.driver import compiled_loop
+from topcli.contracts import Array, Ending, Method, Outcome, Top
+from topcli.engine.driver import loop_of
 
 CHUNK_ROWS = 8192
 CHUNK_STEPS = 1 << 19
@@ -42,7 +42,7 @@ class Run:
     def __init__(
         self,
         top: Top,
-        stepper: Stepper,
+        method: Method,
         y0: Sequence[float],
         h: float,
         N: int,
@@ -51,26 +51,25 @@ class Run:
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
-        self._stepper = stepper
         self._y0 = np.array(y0, dtype=np.float64)
         self._p = np.array(top.constants(), dtype=np.float64)
-        self._enter, self._drive = compiled_loop(stepper, len(self._y0), len(self._p))
-        self.compile_seconds = self._drive.seconds
-        self.cached = self._drive.cached
+        self._loop = loop_of(method, len(self._y0), len(self._p))
+        self.compile_seconds = self._loop.seconds
+        self.cached = self._loop.cached
         self.run_seconds = 0.0
         self.ending: Ending | None = None
 
     def _end(self, outcome: Outcome, step: int, work: Array) -> None:
-        names = self._stepper.counters
+        names = self._loop.counters
         counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
         self.ending = Ending(outcome, step, step * self.h, counts)
 
     def __iter__(self) -> Iterator[Chunk]:
         """Chunks of recorded rows; the last one is followed by ``ending`` being set."""
         d, every = len(self._y0), self.every
-        work = np.zeros(self._stepper.width)
+        work = np.zeros(self._loop.width)
         out = np.empty(CHUNK_ROWS * d)
-        self._enter(self._y0, work, self._p, self.h)
+        self._loop.enter(self._y0, work, self._p, self.h)
         yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
         done = 0
         outcome = Outcome.COMPLETED
@@ -81,7 +80,7 @@ class Run:
             to_record = every - done % every
             steps = min(self.N - done, CHUNK_STEPS, to_record + (CHUNK_ROWS - 1) * every)
             start = time.perf_counter()
-            taken = self._drive(work, out, self._p, self.h, steps, every, to_record)
+            taken = self._loop.drive(work, out, self._p, self.h, steps, every, to_record)
             self.run_seconds += time.perf_counter() - start
             before = done
             if taken < 0:
@@ -95,27 +94,27 @@ class Run:
 
 
 def nanoseconds_per_step(
-    runs: Sequence[tuple[Top, Stepper, Sequence[float], float]],
+    runs: Sequence[tuple[Top, Method, Sequence[float], float]],
     steps: int = 50_000,
     repetitions: int = 9,
     clock: Callable[[], int] = time.perf_counter_ns,
 ) -> list[float]:
-    """Median warm time of one step, in nanoseconds, for each (top, stepper, y0, h), measured in turn.
+    """Median warm time of one step, in nanoseconds, for each (top, method, y0, h), measured in turn.
 
     Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the
     machine's speed hits all alike. A trajectory that blows up is timed as far as it goes.
     """
     prepared = []
-    for top, stepper, y0, h in runs:
+    for top, method, y0, h in runs:
         p = np.array(top.constants(), dtype=np.float64)
-        enter, drive = compiled_loop(stepper, len(y0), len(p))
-        prepared.append((enter, drive, np.array(y0, dtype=np.float64), p, h, np.zeros(stepper.width)))
+        loop = loop_of(method, len(y0), len(p))
+        prepared.append((loop, np.array(y0, dtype=np.float64), p, h, np.zeros(loop.width)))
     times: list[list[float]] = [[] for _ in prepared]
     for repetition in range(repetitions + 1):
-        for i, (enter, drive, y0, p, h, work) in enumerate(prepared):
-            enter(y0, work, p, h)
+        for i, (loop, y0, p, h, work) in enumerate(prepared):
+            loop.enter(y0, work, p, h)
             start = clock()
-            taken = drive(work, work, p, h, steps, steps + 1, steps + 1)
+            taken = loop.drive(work, work, p, h, steps, steps + 1, steps + 1)
             elapsed = clock() - start
             if repetition:
                 times[i].append(elapsed / max(1, abs(taken)))

@@ -16,13 +16,14 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.contracts import NoOptions, Scheme, Stepper
+from topcli.contracts import Invariant, Method, NoOptions, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
 BUILT_IN = ("topcli.schemes.hk", "topcli.schemes.bohlin", "topcli.schemes.hybrid")
 
-Build = Callable[[Any, Any], Stepper]
+Build = Callable[[Any, Any], Method]
 
 _schemes: dict[tuple[str, str], Scheme] = {}
 _origin = "topcli"
@@ -39,43 +40,50 @@ class PluginFailure:
 def scheme(
     name: str,
     *,
-    top: str,
+    top: str | Iterable[str] | None,
     title: str,
     order: int,
     explicit: bool,
     self_adjoint: bool,
     citation: str,
     equations: str,
-    conserves: Iterable[str] = (),
+    conserves: Iterable[str] | Callable[[Top], Iterable[str]] = (),
     options: type[BaseModel] = NoOptions,
+    modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
 ) -> Callable[[Build], Build]:
-    """Register ``build(top, options) -> Stepper`` as the scheme ``name`` of the top of kind ``top``.
+    """Register ``build(top, options) -> Stepper | Sampler`` as the scheme ``name`` of ``top``.
 
-    One name may serve several tops, each with its own decorated function. The docstring of the function
-    documents the scheme. Raises ValueError for a name already taken for that top or a missing docstring.
+    ``top`` is a form of a top, several of them, or None for every one; one name may also serve several tops with a
+    decorated function each. ``conserves`` names invariants, or gives them for a top. The docstring of the function
+    documents the scheme. Raises ValueError for a name already taken for a top or a missing docstring.
     """
+    forms = TOPS if top is None else (top,) if isinstance(top, str) else tuple(top)
 
     def register(build: Build) -> Build:
-        key = (name.lower(), top)
-        if key in _schemes:
-            raise ValueError(f"scheme {name!r} for top {top!r} is already registered by {_schemes[key].origin}")
         if not build.__doc__:
             raise ValueError(f"scheme {name!r} has no docstring")
-        _schemes[key] = Scheme(
-            name=name.lower(),
-            top=top,
-            title=title,
-            order=order,
-            explicit=explicit,
-            self_adjoint=self_adjoint,
-            conserves=tuple(conserves),
-            citation=citation,
-            equations=equations,
-            build=build,
-            options=options,
-            doc=inspect.cleandoc(build.__doc__),
-            origin=_origin,
-        )
+        for form in forms:
+            key = (name.lower(), form)
+            if key in _schemes:
+                raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {_schemes[key].origin}")
+            if form not in TOPS:
+                raise ValueError(f"scheme {name!r}: no top {form!r}; {nearest(form, TOPS)}")
+            _schemes[key] = Scheme(
+                name=name.lower(),
+                top=form,
+                title=title,
+                order=order,
+                explicit=explicit,
+                self_adjoint=self_adjoint,
+                conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
+                citation=citation,
+                equations=equations,
+                build=build,
+                options=options,
+                modified=modified,
+                doc=inspect.cleandoc(build.__doc__),
+                origin=_origin,
+            )
         return build
 
     return register
@@ -145,7 +153,7 @@ def all_schemes() -> tuple[Scheme, ...]:
 
 
 def find_scheme(name: str, top: str) -> Scheme:
-    """The scheme called ``name`` (matched without case) for the top of kind ``top``.
+    """The scheme called ``name`` (matched without case) for the form ``top`` of a top.
 
     Raises UnknownNameError with the nearest names, or SchemeMisfitError naming the tops that the scheme fits.
     """
@@ -163,7 +171,7 @@ def find_scheme(name: str, top: str) -> Scheme:
 
 
 def names_for(top: str) -> list[str]:
-    """Names of the schemes that step the top of kind ``top``."""
+    """Names of the schemes that step the form ``top`` of a top."""
     plugin_failures()
     return sorted(name for name, kind in _schemes if kind == top)
 

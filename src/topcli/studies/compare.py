@@ -15,7 +15,7 @@ from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Stepper
+from topcli.contracts import Array, Method
 from topcli.engine.loop import nanoseconds_per_step
 from topcli.errors import UsageError
 from topcli.studies.report import finite
@@ -51,14 +51,14 @@ def _padded(values: Array, rows: int) -> Array:
 
 def _figures(
     experiment: Experiment,
-    stepper: Stepper,
+    method: Method,
     trajectory: Trajectory,
     error: Array,
     probes: Array,
     nanoseconds: float,
 ) -> dict[str, Any]:
     top = experiment.top
-    back = reversal(top, stepper, probes, experiment.h)
+    back = reversal(top, method, probes, experiment.h)
     ended_well = trajectory.ending.step == experiment.N and trajectory.ending.outcome.value == "completed"
     return {
         "scheme": experiment.scheme.name,
@@ -69,7 +69,9 @@ def _figures(
         "declared_order": experiment.scheme.order,
         "max_error": float(error.max()),
         "end_error": float(error[-1]) if ended_well else None,
-        "invariants": [row.as_dict() for row in invariant_report(top, trajectory.n, trajectory.h, trajectory.states)],
+        "invariants": [
+            row.as_dict() for row in invariant_report(top.invariants(), trajectory.n, trajectory.h, trajectory.states)
+        ],
         "reversal": {
             "h": back.h,
             "defect": back.defect,
@@ -103,22 +105,22 @@ def compare_schemes(experiment: Experiment, names: Sequence[str]) -> Comparison:
             f"record every {experiment.N // MAX_ROWS + 1}th step or more with --set output.every=..."
         )
     top = experiment.top
-    steppers = [one.stepper() for one in experiments]
+    methods = [one.method() for one in experiments]
     trajectories = [trajectory_of(one) for one in experiments]
     n = np.arange(0, experiment.N + 1, experiment.output.every)
     reference = reference_states(top, experiment.y0, n * experiment.h)
     probes = reference[:: max(1, len(reference) // REVERSAL_STATES)][:REVERSAL_STATES]
     timed = nanoseconds_per_step(
-        [(top, stepper, experiment.y0, experiment.h) for stepper in steppers],
+        [(top, method, experiment.y0, experiment.h) for method in methods],
         steps=min(max(experiment.N, 1000), 50_000),
     )
     swing = top.components.index(top.swing)
     series = {"t": n * experiment.h, "swing:reference": reference[:, swing]}
     figures = []
-    for one, stepper, trajectory, nanoseconds in zip(experiments, steppers, trajectories, timed, strict=True):
+    for one, method, trajectory, nanoseconds in zip(experiments, methods, trajectories, timed, strict=True):
         with np.errstate(over="ignore"):
             error = np.linalg.norm(trajectory.states - reference[: len(trajectory)], axis=1)
-        figures.append(_figures(one, stepper, trajectory, error, probes, nanoseconds))
+        figures.append(_figures(one, method, trajectory, error, probes, nanoseconds))
         series[f"error:{one.scheme.name}"] = _padded(error, len(n))
         series[f"swing:{one.scheme.name}"] = _padded(trajectory.states[:, swing], len(n))
     return Comparison(

@@ -11,7 +11,7 @@ from typing import Any
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
-from topcli.contracts import Outcome, Stepper
+from topcli.contracts import Invariant, Outcome, Sampler
 from topcli.engine.loop import Run
 from topcli.engine.source import fingerprint
 from topcli.errors import UsageError
@@ -66,6 +66,7 @@ def _write_series(
     experiment: Experiment,
     run: Run,
     tally: InvariantTally,
+    modified: tuple[Invariant, ...],
     about: dict[str, str],
     progress: Progress,
 ) -> None:
@@ -74,7 +75,7 @@ def _write_series(
     with SeriesWriter(path, names, about) as writer:
         for chunk in run:
             tally.add(chunk.n, chunk.states)
-            writer.write(columns(top, chunk.n, h, chunk.states, names))
+            writer.write(columns(top, chunk.n, h, chunk.states, names, modified))
             progress(chunk.done, experiment.N)
         assert run.ending is not None
         writer.finish({"topcli.outcome": run.ending.outcome.value, "topcli.message": run.ending.message})
@@ -118,14 +119,18 @@ def run_experiment(
 
     Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
     """
-    stepper: Stepper = experiment.stepper()
+    method = experiment.method()
     digest = experiment.digest
-    code = fingerprint(stepper.step, stepper.enter, stepper.leave)
+    if isinstance(method, Sampler):
+        code = fingerprint(method.states)
+    else:
+        code = fingerprint(method.step, method.enter, method.leave)
     earlier = _standing(out / experiment.name, digest, force or displace)
     if earlier is not None and not force and earlier.up_to_date(digest, code):
         return RunResult(earlier, earlier.report(), "up to date")
     started = now()
-    tally = InvariantTally(experiment.top, experiment.h, experiment.N)
+    modified = experiment.modified
+    tally = InvariantTally((*experiment.top.invariants(), *modified), experiment.h, experiment.N)
     keep = earlier is not None and not (earlier.same_experiment(digest) and earlier.manifest.get("code") == code)
     with Commit() as commit, RunWriter(out, experiment.name, keep_earlier=keep) as writer:
         series = writer.folder / f"series.{experiment.output.format}"
@@ -138,14 +143,14 @@ def run_experiment(
             }
             run = Run(
                 experiment.top,
-                stepper,
+                method,
                 experiment.y0,
                 experiment.h,
                 experiment.N,
                 experiment.output.every,
                 stop,
             )
-            _write_series(series, experiment, run, tally, about, progress)
+            _write_series(series, experiment, run, tally, modified, about, progress)
             report = report_data(_summary(experiment, run, digest), tally.rows())
             writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
             writer.write("report.md", report_markdown(report))

@@ -16,8 +16,7 @@ from topcli.engine.loop import Run
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
     """Run an experiment in memory."""
-    stepper = experiment.stepper()
-    run = Run(experiment.top, stepper, experiment.y0, experiment.h, experiment.N, experiment.output.every)
+    run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, experiment.N, experiment.output.every)
     pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in run]
     assert run.ending is not None
     return Trajectory(
@@ -29,6 +28,7 @@ def trajectory_of(experiment: Experiment) -> Trajectory:
         ending=run.ending,
         compile_seconds=run.compile_seconds,
         run_seconds=run.run_seconds,
+        modified=experiment.modified,
     )
 
 

@@ -36,6 +36,7 @@ class Kowalevski(Top):
     """
 
     kind: ClassVar[str] = "kowalevski"
+    form: ClassVar[str] = "kowalevski"
     title: ClassVar[str] = "Kowalevski top (A = B = 2C, centre of gravity on the first axis)"
     citation: ClassVar[str] = "Kowalevski 1889; Sogo, Discrete Spinning Tops, section 3"
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
