@@ -116,7 +116,7 @@ def test_python_interface() -> None:
     assert experiment.y0 == (2.0, 0.0, 0.0, *PAPER_GAMMA)
     assert experiment.options.model_dump() == {"branch": "sign", "chart": "single"}
     assert experiment.output.columns == ("t", "k_sq")
-    assert isinstance(experiment.stepper(), Stepper)
+    assert isinstance(experiment.method(), Stepper)
     assert experiment_from(experiment.resolved()) == experiment
     with pytest.raises(ConfigError, match=r"^h: must not be zero"):
         experiment_from(data | {"h": 0})
