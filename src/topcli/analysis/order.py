@@ -49,16 +49,23 @@ def _interpreted(method: Method, d: int, constants: int) -> Loop:
 
 
 def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: float) -> float:
-    """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python."""
+    """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python.
+
+    Infinite when one of the steps fails.
+    """
     d = len(y)
     p = np.array(top.constants())
     loop = _interpreted(method, d, len(p))
     there, back, work = np.empty(d), np.empty(d), np.zeros(loop.width)
     start = np.array(y, dtype=np.float64)
-    for begin, end, step in ((start, there, h), (there, back, -h)):
-        loop.enter(begin, work, p, step)
-        if loop.drive(work, end, p, step, 1, 1, 1) < 0:
-            return math.inf
+    try:
+        with np.errstate(all="ignore"):
+            for begin, end, step in ((start, there, h), (there, back, -h)):
+                loop.enter(begin, work, p, step)
+                if loop.drive(work, end, p, step, 1, 1, 1) < 0:
+                    return math.inf
+    except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
+        return math.inf
     return float(np.abs(back - start).max())
 
 

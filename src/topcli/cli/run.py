@@ -45,23 +45,16 @@ def _experiment(config: str, sets: list[str], output_format: str | None) -> Expe
     return load_experiment(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
 
 
-def invariant_table(report: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Header and lines of the invariant report with a column for each invariant."""
-    from topcli.studies.report import INVARIANT_COLUMNS, invariant_cells
-
-    cells = [invariant_cells(row) for row in report["invariants"]]
-    lines = [[label, *(cell[i] for cell in cells)] for i, label in enumerate(INVARIANT_COLUMNS)]
-    return lines[0], lines[1:]
-
-
 def _tell(result: RunResult, quiet: bool) -> None:
     if result.set_aside:
         say(f"kept the earlier, different run as {result.set_aside}")
     if quiet:
         return
+    from topcli.studies.report import invariant_table
+
     report = result.report
     say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({result.status})")
-    header, lines = invariant_table(report)
+    header, *lines = invariant_table(report)
     print_table(header, lines)
 
 

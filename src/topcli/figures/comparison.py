@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from topcli.figures.make import write_figure
-from topcli.figures.picture import Line, Panel
+from topcli.figures.picture import REFERENCE, Line, Panel
 from topcli.studies.compare import Comparison
 
 
@@ -25,6 +25,6 @@ def draw_comparison(comparison: Comparison, name: str, out: Path) -> tuple[Path,
         data[f"error:{scheme}"] = np.where(error > 0.0, error, np.nan)  # a logarithmic axis has no zero
     panels = (
         Panel(tuple(Line(f"error:{scheme}", scheme) for scheme in schemes), "error of the state", log=True),
-        Panel(tuple(Line(f"swing:{scheme}", scheme) for scheme in ("reference", *schemes)), symbol),
+        Panel(tuple(Line(f"swing:{scheme}", scheme) for scheme in (REFERENCE, *schemes)), symbol),
     )
     return write_figure(name, panels, data, out)

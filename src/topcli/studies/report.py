@@ -32,20 +32,21 @@ INVARIANT_COLUMNS = (
     "first",
     "min",
     "max",
-    "max dev",
-    "rel",
-    "rms dev",
-    "rms rel",
-    "drift / time",
+    "max deviation",
+    "relative",
+    "rms deviation",
+    "relative",
+    "drift per unit time",
+    "± standard error",
+    "over the run",
+    "scatter",
+    "round-off bound",
     "verdict",
 )
 
 
 def invariant_cells(row: dict[str, Any]) -> tuple[str, ...]:
     """One line of the invariant table, for the terminal and for Markdown, from a row of ``report.json``."""
-    drift = number(row["drift"])
-    if row["drift_error"] is not None:
-        drift += f" ± {number(row['drift_error'], 2)}"
     return (
         row["symbol"],
         exact_number(row["first"]),
@@ -55,7 +56,11 @@ def invariant_cells(row: dict[str, Any]) -> tuple[str, ...]:
         number(row["max_deviation_relative"]),
         number(row["rms_deviation"]),
         number(row["rms_deviation_relative"]),
-        drift,
+        number(row["drift"]),
+        number(row["drift_error"], 2),
+        number(row["drift_over_run"]),
+        number(row["scatter"]),
+        number(row["round_off_bound"]),
         row["verdict"],
     )
 
@@ -84,9 +89,15 @@ def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[s
     )
 
 
-def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
-    ruled = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
-    return ruled + ["| " + " | ".join(line) + " |" for line in lines]
+def invariant_table(report: dict[str, Any]) -> list[list[str]]:
+    """The invariant report as lines of cells, a column for each invariant; the first line is the header."""
+    cells = [invariant_cells(row) for row in report["invariants"]]
+    return [[label, *(cell[i] for cell in cells)] for i, label in enumerate(INVARIANT_COLUMNS)]
+
+
+def _markdown(lines: Sequence[Sequence[str]]) -> list[str]:
+    ruled = ["| " + " | ".join(line) + " |" for line in lines]
+    return [ruled[0], "|" + " --- |" * len(lines[0]), *ruled[1:]]
 
 
 def report_markdown(report: dict[str, Any]) -> str:
@@ -103,7 +114,7 @@ def report_markdown(report: dict[str, Any]) -> str:
         "",
         "## Conservation laws",
         "",
-        *_table(INVARIANT_COLUMNS, [invariant_cells(row) for row in report["invariants"]]),
+        *_markdown(invariant_table(report)),
         "",
         *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
         "",

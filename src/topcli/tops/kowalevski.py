@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
 
@@ -54,6 +54,12 @@ class Kowalevski(Top):
         if not math.isfinite(value):
             raise ValueError("must be a finite number")
         return value
+
+    @model_validator(mode="after")
+    def _in_range(self) -> Kowalevski:
+        if not (self.C > 0.0 and math.isfinite(self.c0 / self.C)):
+            raise ValueError(f"A = {self.A!r} and c0 = {self.c0!r} leave the range of numbers: c0/(A/2) is not finite")
+        return self
 
     @property
     def C(self) -> float:

@@ -1,0 +1,132 @@
+"""Comparisons: what is measured of each scheme, against what is known of the paper's scene."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import topcli
+from conftest import GEN, ROOT
+from topcli.config.load import load_experiment
+from topcli.studies.compare import Comparison, compare_schemes, under_scheme
+
+HK = ROOT / "configs" / "kowalevski_hk.yaml"
+FIVE = ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")
+
+
+@pytest.fixture(scope="module")
+def paper() -> Comparison:
+    """The paper's scene under the paper's five schemes."""
+    return compare_schemes(load_experiment(HK), FIVE)
+
+
+def of(comparison: Comparison, scheme: str) -> dict:
+    return next(one for one in comparison.figures["schemes"] if one["scheme"] == scheme)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "spacing"),
+    [("hk", 28.172), ("hybrid", 28.167), ("bohlin-a", 15.30), ("bohlin-b", 15.35), ("bohlin-c", 15.30)],
+)
+def test_spacing_of_the_swings(paper: Comparison, scheme: str, spacing: float) -> None:
+    """HK and the hybrid keep the period; the schemes of order 1 halve it, being of order 1 near a separatrix."""
+    assert of(paper, scheme)["swing_spacing"] == pytest.approx(spacing, abs=6e-3 if spacing < 20 else 1e-3)
+
+
+def test_the_reference_swings_as_the_theory_says(paper: Comparison) -> None:
+    """Half the period is sqrt 2 ln(8 sqrt 7/eps) to leading order in eps = gamma3(0), the first swing at 14.086."""
+    spacing = paper.figures["reference"]["swing_spacing"]
+    assert spacing == pytest.approx(28.171, abs=1e-3)
+    assert spacing / 2 == pytest.approx(math.sqrt(2) * math.log(8 * math.sqrt(7) / 1e-3), abs=2e-3)
+    assert of(paper, "hk")["swing_times"][0] == pytest.approx(14.086, abs=1e-3)
+
+
+def test_verdicts(paper: Comparison) -> None:
+    verdicts = {scheme: {row["name"]: row["verdict"] for row in of(paper, scheme)["invariants"]} for scheme in FIVE}
+    assert set(verdicts["hk"].values()) == {"bounded"}
+    for scheme in FIVE[1:]:
+        assert verdicts[scheme]["gamma_sq"] == verdicts[scheme]["k_sq"] == "exact"
+    for scheme in ("bohlin-a", "bohlin-c"):
+        assert verdicts[scheme]["energy"] == verdicts[scheme]["two_l"] == "drifting"
+
+
+def test_reversal(paper: Comparison) -> None:
+    """The paper calls the hybrid reversible: it misses by O(h⁴). Bohlin's schemes miss by O(h²), HK not at all."""
+    assert of(paper, "hk")["reversal"]["order"] is None
+    assert of(paper, "hk")["reversal"]["defect"] < 1e-15
+    assert of(paper, "hybrid")["reversal"]["order"] == pytest.approx(4.0, abs=0.1)
+    for scheme in ("bohlin-a", "bohlin-b", "bohlin-c"):
+        assert of(paper, scheme)["reversal"]["order"] == pytest.approx(2.0, abs=0.1)
+
+
+def test_errors_are_against_an_independent_reference(paper: Comparison) -> None:
+    """The error of HK at the end of the run agrees with the distance from a run with a step four times smaller."""
+    fine = topcli.simulate(HK, h=2.5e-4, N=200_000, output={"every": 200_000})
+    coarse = topcli.simulate(HK, output={"every": 50_000})
+    assert of(paper, "hk")["end_error"] == pytest.approx(np.linalg.norm(fine.states[-1] - coarse.states[-1]), rel=0.1)
+    assert of(paper, "hk")["max_error"] == np.nanmax(paper.series["error:hk"])
+
+
+def test_speed_and_series_are_reported(paper: Comparison) -> None:
+    for scheme in FIVE:
+        assert 1.0 < of(paper, scheme)["nanoseconds_per_step"] < 1e5
+        assert of(paper, scheme)["compile_seconds"] >= 0.0
+        assert len(paper.series[f"error:{scheme}"]) == len(paper.series["t"]) == 50_001
+    json.dumps(paper.figures, allow_nan=False)
+
+
+def test_options_belong_to_their_scheme() -> None:
+    experiment = load_experiment(HK, ["scheme={name: hybrid, branch: sign}"])
+    assert under_scheme(experiment, "Hybrid").options.model_dump() == {"branch": "sign"}
+    assert under_scheme(experiment, "bohlin-a").options.model_dump() == {"branch": "nearest"}
+
+
+def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
+    experiment = load_experiment(
+        HK,
+        [
+            "initial.omega=[0.01, 0, 3]",
+            "initial.gamma=[1e-8, 0, -auto]",
+            "scheme={name: bohlin-b, chart: single}",
+            "h=0.1",
+            "N=500",
+        ],
+    )
+    comparison = compare_schemes(experiment, ["bohlin-b", "hk"])
+    broken = of(comparison, "bohlin-b")
+    assert broken["outcome"] == "blew_up"
+    assert broken["end_error"] is None
+    assert np.isnan(comparison.series["error:bohlin-b"][-1])
+    assert of(comparison, "hk")["outcome"] == "completed"
+
+
+def test_pictures_of_a_comparison(tmp_path: Path) -> None:
+    from topcli.figures.comparison import draw_comparison
+
+    comparison = compare_schemes(load_experiment(HK, ["N=2000", "h=0.01"]), ["hk", "hybrid"])
+    files = draw_comparison(comparison, "compare", tmp_path)
+    assert [file.name for file in files] == ["compare.png", "compare.pdf", "compare.parquet"]
+    assert "error:hk" in pq.read_schema(files[-1]).names
+
+
+def test_the_python_interface() -> None:
+    trajectory = topcli.simulate(
+        top={"kind": "kowalevski", "c0": 1.0},
+        initial={"omega": GEN[:3], "gamma": GEN[3:]},
+        scheme="hybrid",
+        h=0.01,
+        N=1000,
+    )
+    frame = trajectory.to_pandas()
+    assert list(frame.columns[:3]) == ["n", "t", "omega1"]
+    assert len(frame) == len(trajectory) == 1001
+    assert (frame["k_sq"].to_numpy() == trajectory["k_sq"]).all()
+    assert trajectory.invariants().loc["k_sq", "verdict"] == "exact"
+    assert trajectory.ending.message == "completed 1000 steps (t = 10)"
+    shorter = topcli.simulate("kowalevski_hk", overrides=["h=0.01"], N=10)
+    assert shorter.t[-1] == 10 * 0.01
