@@ -1,6 +1,6 @@
 """Time series on disk: Parquet or CSV, written chunk by chunk, read back column by column.
 
-Parquet columns are stored with zstd at level 1 after a byte-stream split and without dictionaries: for smooth
+Parquet columns are stored with zstd at its quick level -1 after a byte-stream split and without dictionaries: for smooth
 float64 series that is both smaller and several times faster to write than the defaults, and bit-exact. CSV
 numbers are the shortest that read back to the same bits.
 """
@@ -42,7 +42,8 @@ def _parquet_options(names: Iterable[str]) -> dict[str, Any]:
     encodings = {name: "DELTA_BINARY_PACKED" if name == "n" else "BYTE_STREAM_SPLIT" for name in names}
     return {
         "compression": "zstd",
-        "compression_level": 1,
+        "compression_level": -1,
+        "data_page_size": 1 << 23,
         "use_dictionary": False,
         "column_encoding": encodings,
         "write_statistics": False,
