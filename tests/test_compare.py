@@ -11,9 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 
 import topcli
-from conftest import GEN, ROOT
+from conftest import GEN, PAPER, ROOT, random_states
+from steppers import RK2
+from topcli.analysis.swings import swing_spacing
 from topcli.config.load import load_experiment
+from topcli.engine.loop import Run
+from topcli.schemes.registry import find_scheme
 from topcli.studies.compare import Comparison, compare_schemes, under_scheme
+from topcli.tops.kowalevski import Kowalevski
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 FIVE = ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")
@@ -44,6 +49,30 @@ def test_the_reference_swings_as_the_theory_says(paper: Comparison) -> None:
     assert spacing == pytest.approx(28.171, abs=1e-3)
     assert spacing / 2 == pytest.approx(math.sqrt(2) * math.log(8 * math.sqrt(7) / 1e-3), abs=2e-3)
     assert of(paper, "hk")["swing_times"][0] == pytest.approx(14.086, abs=1e-3)
+
+
+def test_irreversibility_alone_does_not_halve_the_period() -> None:
+    """The explicit midpoint rule is irreversible too, and of order 2: it keeps the period."""
+    states = np.concatenate([chunk.states.copy() for chunk in Run(Kowalevski(), RK2, PAPER, 1e-3, 50_000)])
+    assert swing_spacing(np.arange(50_001) * 1e-3, states[:, 3]) == pytest.approx(28.170, abs=1e-3)
+
+
+def largest_jump(branch: str, y0: np.ndarray, h: float) -> float:
+    """The largest change of omega1, omega2 in one step of Bohlin A, up to t = 20."""
+    scheme = find_scheme("bohlin-a", "kowalevski")
+    run = Run(Kowalevski(), scheme.build(Kowalevski(), scheme.options(branch=branch)), y0, h, round(20 / h))
+    states = np.concatenate([chunk.states.copy() for chunk in run])
+    return float(np.abs(np.diff(states[:, :2], axis=0)).max())
+
+
+def test_the_papers_branch_rule_takes_wrong_roots_and_the_default_none() -> None:
+    """Where omega1 + i omega2 crosses the real axis the signs of the arguments mislead: omega jumps to -omega."""
+    jumps = {
+        branch: sum(largest_jump(branch, y0, 0.05) > 1.5 for y0 in random_states(200, seed=1))
+        for branch in ("sign", "nearest")
+    }
+    assert jumps["sign"] > 0
+    assert jumps["nearest"] == 0
 
 
 def test_verdicts(paper: Comparison) -> None:

@@ -1,8 +1,8 @@
 """Time series on disk: Parquet or CSV, written chunk by chunk, read back column by column.
 
-Parquet columns are stored with zstd at its quick level -1 after a byte-stream split and without dictionaries: for smooth
-float64 series that is both smaller and several times faster to write than the defaults, and bit-exact. CSV
-numbers are the shortest that read back to the same bits.
+Parquet columns are stored with zstd at its quick level -1 after a byte-stream split and without dictionaries: for
+smooth float64 series that is both smaller and several times faster to write than the defaults, and bit-exact.
+CSV numbers are the shortest that read back to the same bits.
 """
 
 from __future__ import annotations
