@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from conftest import ROOT
@@ -38,6 +38,7 @@ def small(*overrides: str) -> Experiment:
     values=st.lists(st.floats(allow_nan=False), min_size=1, max_size=50),
     suffix=st.sampled_from(["parquet", "csv"]),
 )
+@example(values=[1.0, 2.0], suffix="csv")
 def test_series_are_bit_exact(tmp_path_factory: pytest.TempPathFactory, values: list[float], suffix: str) -> None:
     path = tmp_path_factory.mktemp("series") / f"series.{suffix}"
     data = {"n": np.arange(len(values)), "x": np.array(values)}
@@ -46,6 +47,7 @@ def test_series_are_bit_exact(tmp_path_factory: pytest.TempPathFactory, values: 
         writer.finish({"end": "yes"})
     back = read_series(path)
     assert list(back) == ["n", "x"]
+    assert back["x"].dtype == np.float64
     assert (back["n"] == data["n"]).all()
     assert back["x"].tobytes() == data["x"].tobytes()
 

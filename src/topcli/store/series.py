@@ -114,7 +114,11 @@ def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.
     if path.suffix == ".csv":
         import pyarrow.csv as csv
 
-        table = csv.read_csv(path)
+        with path.open(encoding="utf-8") as file:
+            header = file.readline().strip().split(",")
+        # the types are known: a column of whole numbers is still one of floats
+        types = csv.ConvertOptions(column_types={name: _arrow_type(name) for name in header})
+        table = csv.read_csv(path, convert_options=types)
     else:
         import pyarrow.parquet as pq
 
