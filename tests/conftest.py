@@ -13,7 +13,7 @@ from hypothesis import settings
 ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".pytest_cache" / "kernels"))
 
-# elsewhere hypothesis looks for new failures at every run; where a verdict is passed on a change it looks at the same ones
+# elsewhere hypothesis looks for new failures at every run; a verdict on a change rests on the same examples each time
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):
     settings.load_profile("ci")
