@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -126,17 +124,6 @@ def test_python_interface() -> None:
     loop["top"] = loop
     with pytest.raises(ConfigError, match="top: nested deeper than 16 levels"):
         experiment_from(loop)
-
-
-def test_reading_a_config_needs_no_yaml_library() -> None:
-    code = (
-        "import sys; from topcli.config.load import load_experiment;"
-        "load_experiment(sys.argv[1], ['h=1e-2']).to_yaml();"
-        "print([name for name in ('ruamel', 'numba', 'pandas', 'scipy', 'pyarrow') if name in sys.modules])"
-    )
-    path = str(CONFIGS / "kowalevski_hybrid.yaml")
-    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_overrides() -> None:

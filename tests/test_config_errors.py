@@ -10,7 +10,7 @@ import pytest
 from config_texts import BASE, BASE_TOML, refusal, write
 from topcli.config.load import load_experiment
 from topcli.config.toml_text import key_lines
-from topcli.config.yaml_text import parse_events
+from topcli.config.yaml_text import parse_yaml
 from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError
 from topcli.schemes import registry
@@ -172,13 +172,13 @@ def test_alias_bomb(tmp_path: Path) -> None:
         rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
         return "\n".join(rows) + "\n"
 
-    data, _ = parse_events(tower(3), "bomb")
+    data, _ = parse_yaml(tower(3), "bomb")
     assert data["a2"] == [[[1] * 9] * 9] * 9
     with pytest.raises(ConfigError, match=r"bomb:4:\d+: more than 5000 values \(aliases expanded\)"):
-        parse_events(tower(10), "bomb")
+        parse_yaml(tower(10), "bomb")
     deep = "a0: &a0 [1]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1, 30))
     with pytest.raises(ConfigError, match="nested deeper than 16 levels"):
-        parse_events(deep, "bomb")
+        parse_yaml(deep, "bomb")
     path = write(tmp_path, BASE.replace("[2, 0, 0]", "&w [2, 0, 0]").replace(GAMMA, "*w\n  normalize: true"))
     assert load_experiment(path).y0 == (2.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 

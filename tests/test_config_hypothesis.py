@@ -18,8 +18,7 @@ from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import name_fault
 from topcli.config.overrides import parse_override
 from topcli.config.toml_text import key_lines
-from topcli.config.yaml_lines import parse_lines
-from topcli.config.yaml_text import parse_events, parse_yaml
+from topcli.config.yaml_text import parse_yaml
 from topcli.errors import ConfigError, TopcliError
 from topcli.schemes.registry import all_schemes
 
@@ -162,46 +161,6 @@ def test_any_value_of_a_key(key: str, value: object) -> None:
     message = refusal(lambda: experiment_from(data))
     assert key in message or not message
     assert not message.startswith("not a message")
-
-
-# --- the quick reader of the everyday subset agrees with the full parser --------------------------------------------
-
-SUBSET_PIECES = [
-    *("a", "b", "null", "true", "y", "_k-1", "1", "-1e-3", ".5", "+auto", "x.y", "a-b", "~", "0x1f", ".nan", "é"),
-    *(": ", ":", " ", "  ", "\n", "\n", "\n  ", "\n    ", "[", "]", "{", "}", ",", ", ", " # c", "#", "-", "'"),
-]
-# Half of the values and spaces are ordinary, so that texts of several right lines are common.
-LINES = st.lists(
-    st.tuples(
-        st.sampled_from(["", "", "  ", "  ", "    ", " "]),
-        st.sampled_from(["a", "b", "c", "d", "e", "f_-1", "null"]),
-        st.sampled_from([": ", ": ", ": ", ":  ", ":"]),
-        st.sampled_from(["", "", "1", "x", "-.5", "x", "[1, a]", "[ ]", "{a: 1, b: x}", "{}", "[1,2]"])
-        | st.sampled_from(["", "", "1", "{a: 1, a: 2}", "a b", "[1", "-"]),
-        st.sampled_from(["", "", "", " ", " # note: é", "#", " #"]),
-    ).map("".join),
-    max_size=5,
-).map("\n".join)
-
-
-@settings(CONFIG, max_examples=600)
-@given(text=LINES | pieces(SUBSET_PIECES))
-@example(text=HYBRID)
-@example(text="a:\n  b: 1\n c: 2\n")
-@example(text="a: [1,2]\nb: {c: 1}\n")
-@example(text="a: -\n")
-def test_line_reader_agrees_with_full_parser(text: str) -> None:
-    quick = parse_lines(text)
-    if quick is not None:
-        assert repr(quick) == repr(parse_events(text, "text"))
-
-
-def test_line_reader_reads_the_configs() -> None:
-    for path in CONFIGS.glob("*.yaml"):
-        text = path.read_text()
-        assert repr(parse_lines(text)) == repr(parse_events(text, "text"))
-        resolved = load_experiment(path).to_yaml()
-        assert repr(parse_lines(resolved)) == repr(parse_events(resolved, "text"))
 
 
 # --- round trips ----------------------------------------------------------------------------------------------------

@@ -6,9 +6,8 @@ import re
 from typing import Any
 
 from topcli.config.scalars import resolve_scalar
-from topcli.config.yaml_lines import SCALAR
 
-_PLAIN = re.compile(SCALAR)
+_PLAIN = re.compile(r"[+-]?\.?[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 
 def to_yaml(data: dict[str, Any]) -> str:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from topcli.config.document import Document, describe, key_text, plain
-from topcli.config.yaml_lines import parse_flat
 from topcli.errors import ConfigError
 
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -33,16 +32,13 @@ def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
         raise ConfigError(f"{label}: {key!r} is not a key; expected key=value with a key such as h or top.c0")
     if not value.strip():
         raise ConfigError(f"{label}: no value is given; expected key=value, such as --set h=0.01")
-    try:
-        return path, parse_flat(value)
-    except ValueError:
-        from topcli.config.yaml_text import parse_events
+    from topcli.config.yaml_text import parse_yaml
 
-        try:
-            data, _ = parse_events(value, "")
-        except ConfigError as error:
-            raise ConfigError(f"{label}: {_POSITION.sub('', str(error))}") from None
-        return path, plain(data, Document({}, {(): label}))
+    try:
+        data, _ = parse_yaml(value, "")
+    except ConfigError as error:
+        raise ConfigError(f"{label}: {_POSITION.sub('', str(error))}") from None
+    return path, plain(data, Document({}, {(): label}))
 
 
 def override_label(text: str) -> str:

@@ -1,8 +1,7 @@
 """YAML text to plain data with the line of every key.
 
-Configs are mostly lines ``key: value``; ``yaml_lines`` reads those without ruamel.yaml, whose import takes as
-long as pydantic's. Everything else, and every mistake, goes through ruamel.yaml's events, one by one, so that
-nothing is built before it is checked: no tags, no duplicate keys, no merge keys, bounded depth and size.
+The text goes through ruamel.yaml's events, one by one, so that nothing is built before it is checked: no tags, no
+duplicate keys, no merge keys, bounded depth and size.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from typing import Any, NoReturn
 
 from topcli.config.document import MAX_DEPTH, MAX_NODES, KeyPath, describe, key_text
 from topcli.config.scalars import resolve_scalar
-from topcli.config.yaml_lines import parse_lines
 from topcli.errors import ConfigError
 
 Lines = dict[KeyPath, int]
@@ -22,13 +20,8 @@ Lines = dict[KeyPath, int]
 def parse_yaml(text: str, label: str) -> tuple[Any, Lines]:
     """The plain data of a YAML text and the line of every key; ``label`` names the text in messages.
 
-    Raises ConfigError with ``label:line:column``.
+    An empty text gives None. Raises ConfigError with ``label:line:column``.
     """
-    return parse_lines(text) or parse_events(text, label)
-
-
-def parse_events(text: str, label: str) -> tuple[Any, Lines]:
-    """As ``parse_yaml``, for any YAML text, through ruamel.yaml. An empty text gives None."""
     builder = _Builder(label, _events(text, label))
     return builder.document(), builder.lines
 
