@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from topcli.config.document import SUFFIXES, Document, plain, read_document
+from topcli.config.document import Document, plain
+from topcli.config.files import SUFFIXES, read_document
 from topcli.config.models import Config, Experiment, duration_fault, name_fault
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, validate
