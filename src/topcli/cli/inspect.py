@@ -26,7 +26,8 @@ def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_j
     if as_json:
         print_json(f"list {kind}", {kind: items})
     elif items:
-        print_table(columns, [[_cell(item[column]) for column in columns] for item in items])
+        header = [column.replace("_", "-") for column in columns]
+        print_table(header, [[_cell(item[column]) for column in columns] for item in items], numbers=False)
     else:
         say(f"no {kind}")
 
@@ -57,7 +58,7 @@ def list_tops(as_json: Json = False) -> None:
         for top in TOPS.values()
     ]
     shown = [{**item, "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]} for item in items]
-    _print_list("tops", items if as_json else shown, ["form", "parameters", "components", "invariants"], as_json)
+    _print_list("tops", items if as_json else shown, ["form", "title", "parameters", "invariants"], as_json)
 
 
 @list_app.command("schemes")
@@ -93,9 +94,7 @@ def list_schemes(
     ]
     for failure in plugin_failures():
         say(f"plugin {failure.name} failed: {failure.reason}")
-    shown = [{**item, "options": [f"{k}={v}" for k, v in item["options"].items()]} for item in items]
-    columns = ["name", "top", "order", "explicit", "self_adjoint", "conserves", "options", "origin"]
-    _print_list("schemes", items if as_json else shown, columns, as_json)
+    _print_list("schemes", items, ["name", "top", "order", "self_adjoint", "conserves", "origin"], as_json)
 
 
 @list_app.command("figures")

@@ -26,8 +26,11 @@ def on_terminal() -> bool:
     return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table: ruled on a terminal, plain aligned columns elsewhere. The first column is left-aligned."""
+def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str = "", numbers: bool = True) -> None:
+    """Print a table: ruled on a terminal, plain aligned columns elsewhere.
+
+    The first column is left-aligned, and so are the others unless they are ``numbers``.
+    """
     if on_terminal():
         from rich import box
         from rich.console import Console
@@ -35,7 +38,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str
 
         table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
         for i, name in enumerate(header):
-            table.add_column(name, justify="left" if i == 0 else "right", overflow="fold")
+            table.add_column(name, justify="right" if i and numbers else "left", overflow="fold")
         for row in rows:
             table.add_row(*row)
         Console(highlight=False).print(table)
