@@ -178,7 +178,7 @@ class Ending:
         """One line that says how the run ended."""
         where = f"at step {self.step} (t = {self.t:.6g})"
         return {
-            Outcome.COMPLETED: f"completed {self.step} steps (t = {self.t:.6g})",
+            Outcome.COMPLETED: f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})",
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
             Outcome.NO_CONVERGENCE: f"did not converge {where}",
             Outcome.INTERRUPTED: f"interrupted {where}",

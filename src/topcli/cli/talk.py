@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -31,7 +32,9 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str
 
     The first column is left-aligned, and so are the others unless they are ``numbers``.
     """
-    if on_terminal():
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+    fits = sum(widths) + 3 * len(widths) <= shutil.get_terminal_size().columns
+    if on_terminal() and (fits or not numbers):  # a number broken over two lines misleads
         from rich import box
         from rich.console import Console
         from rich.table import Table
@@ -45,7 +48,6 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str
         return
     if title:
         print(title)
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
     for row in [header, *rows]:
         cells = [
             row[0].ljust(widths[0]),

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array, Method, Sampler, Stepper
-from topcli.engine.native import native
+from topcli.engine.native import CompileError, native
+from topcli.errors import SchemeCodeError
 
 SIGNATURE = "pppdqqq"
 
@@ -119,7 +120,7 @@ class Loop:
 def loop_of(method: Method, d: int, constants: int) -> Loop:
     """The loop of a method for states of length ``d``: machine code, except where a method cannot be compiled.
 
-    ``enter`` runs once and stays plain Python.
+    ``enter`` runs once and stays plain Python. Raises SchemeCodeError for a step that cannot be compiled.
     """
     if isinstance(method, Sampler):
         enter, sample = _sampled_loop(method, d)
@@ -127,5 +128,11 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     enter, drive = plain_loop(method, d, constants)
     if method.plain:
         return Loop(enter, drive, method.width, method.counters)
-    code = native(drive, SIGNATURE)
+    try:
+        code = native(drive, SIGNATURE)
+    except CompileError as error:
+        where = f"{method.step.__code__.co_filename}:{method.step.__code__.co_firstlineno}"
+        raise SchemeCodeError(
+            f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
+        ) from None
     return Loop(enter, code, method.width, method.counters, code.seconds, code.cached)

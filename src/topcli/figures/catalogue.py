@@ -27,26 +27,38 @@ class FigureSpec:
         return list(dict.fromkeys(used))
 
 
-_GAMMA = Panel(
-    tuple(Line(f"gamma{i}", rf"$\gamma_{i}$") for i in (1, 2, 3)), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1)
-)
-_OMEGA = Panel(tuple(Line(f"omega{i}", rf"$\omega_{i}$") for i in (1, 2, 3)), r"$\boldsymbol{\omega}$")
+def _motion(scheme: str) -> tuple[Panel, Panel]:
+    """Gamma on the left, omega on the right."""
+
+    def lines(vector: str) -> tuple[Line, ...]:
+        return tuple(Line(f"{vector}{i}", rf"$\{vector}_{i}$") for i in (1, 2, 3))
+
+    return (
+        Panel(lines("gamma"), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title=f"(a) {scheme}"),
+        Panel(lines("omega"), r"$\boldsymbol{\omega}$", title=f"(b) {scheme}"),
+    )
+
 
 FIGURES: dict[str, FigureSpec] = {
     spec.name: spec
     for spec in (
-        FigureSpec("fig1", "Kowalevski top, HK scheme: gamma and omega", "kowalevski_hk", (_GAMMA, _OMEGA)),
-        FigureSpec("fig2", "Kowalevski top, Bohlin A: gamma and omega", "kowalevski_bohlin_a", (_GAMMA, _OMEGA)),
+        FigureSpec("fig1", "Kowalevski top, HK scheme: gamma and omega", "kowalevski_hk", _motion("HK")),
+        FigureSpec("fig2", "Kowalevski top, Bohlin A: gamma and omega", "kowalevski_bohlin_a", _motion("Bohlin A")),
         FigureSpec(
             "fig3",
             "Kowalevski top, Bohlin A: 2l and E, and E enlarged",
             "kowalevski_bohlin_a",
             (
-                Panel((Line("energy", "$E$"), Line("two_l", r"$2\ell$")), r"$E,\ 2\ell$", ylim=(0.0, 6.0)),
-                Panel((Line("energy", "$E$"),), "$E$"),
+                Panel(
+                    (Line("energy", "$E$"), Line("two_l", r"$2\ell$")),
+                    r"$E,\ 2\ell$",
+                    ylim=(0.0, 6.0),
+                    title="(a) Bohlin A",
+                ),
+                Panel((Line("energy", "$E$"),), "$E$", title="(b) Bohlin A"),
             ),
         ),
-        FigureSpec("fig4", "Kowalevski top, hybrid scheme: gamma and omega", "kowalevski_hybrid", (_GAMMA, _OMEGA)),
+        FigureSpec("fig4", "Kowalevski top, hybrid scheme: gamma and omega", "kowalevski_hybrid", _motion("hybrid")),
     )
 }
 

@@ -27,7 +27,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes. ``ylim`` fixes the vertical range; ``log`` makes the vertical axis logarithmic."""
+    """One pair of axes. ``ylim`` fixes the vertical range; ``log`` makes the vertical axis logarithmic.
+
+    ``title`` stands above the axes on the left.
+    """
 
     lines: tuple[Line, ...]
     ylabel: str
@@ -35,6 +38,7 @@ class Panel:
     x: str = "t"
     ylim: tuple[float, float] | None = None
     log: bool = False
+    title: str = ""
 
 
 REFERENCE = "reference"
@@ -56,6 +60,7 @@ def _draw_panel(axes: Any, panel: Panel, data: Mapping[str, np.ndarray], styles:
         axes.plot(x, data[line.column], label=line.label, **styles[line.label])
     axes.set_xlabel(panel.xlabel)
     axes.set_ylabel(panel.ylabel)
+    axes.set_title(panel.title, loc="left")
     finite = x[np.isfinite(x)]
     axes.set_xlim(float(finite.min()), float(finite.max()))
     if panel.log:
