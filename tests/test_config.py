@@ -36,7 +36,9 @@ def test_config_round_trips(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_paper_scene() -> None:
-    schemes = {path.stem.removeprefix("kowalevski_"): load_experiment(path) for path in CONFIGS.glob("kowalevski_*.yaml")}
+    schemes = {
+        path.stem.removeprefix("kowalevski_"): load_experiment(path) for path in CONFIGS.glob("kowalevski_*.yaml")
+    }
     papers = {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid"}
     assert set(schemes) == papers | {"midpoint", "rk2", "rk4", "dop853"}
     for stem, experiment in schemes.items():
