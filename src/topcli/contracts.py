@@ -107,6 +107,8 @@ class Stepper:
     ``leave`` gives the physical state back, and only what ``leave`` gives is recorded.
     ``width`` is the length of the working state. ``counters`` names its trailing slots that count events;
     they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter.
+    The slot before the counters of an ``iterative`` step is its status: 0.0, or nan when the iteration did not
+    converge. The run then ends there as ``no_convergence``.
     """
 
     step: StepFunction
@@ -115,6 +117,7 @@ class Stepper:
     leave: StepFunction | None = None
     counters: tuple[str, ...] = ()
     plain: bool = False
+    iterative: bool = False
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,9 @@ class Scheme:
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None
     """``modified(top, h, options)``: integrals of the scheme itself, which depend on h; conserved exactly."""
     options: type[BaseModel] = NoOptions
+    adaptive: bool = False
+    """Takes as many steps of its own within each h as a tolerance asks for. ``order`` is then that of the formula: it
+    is observed where the tolerance is so loose that one step is taken, and at a given tolerance h tells nothing."""
     doc: str = ""
     origin: str = "topcli"
     """The distribution or file that registered the scheme."""
