@@ -10,9 +10,10 @@ from collections.abc import Collection
 
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, nearest
+from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.kowalevski import Kowalevski
 
-TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski,)}
+TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski, Euler, EulerGamma)}
 
 
 def kinds() -> list[str]:
