@@ -119,8 +119,9 @@ def hk_integrals(top: Euler, h: float, options: NoOptions) -> tuple[Invariant, .
     """The exact integrals of the HK map (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011).
 
     With K_i = 1 - (h/2)² alpha_j alpha_k omega_i², m²/K_i, m·omega/K_i and K_i/K_j are conserved. m² and m·omega are
-    divided by the mean K of the three. K_1/K_2 = 1 + (h/2)² alpha_3 q with q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2,
-    and it is q that is given: it keeps its digits however small h is, and becomes an integral of the motion as h -> 0.
+    divided by the mean K of the three. K_1/K_2 = 1 + (h/2)² alpha_3 q with
+    q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2, and it is q that is given: it keeps its digits however small h is,
+    and becomes an integral of the motion as h -> 0.
     """
     alpha = np.array(top.constants()[3:])
     pairs = (0.5 * h) ** 2 * np.roll(alpha, -1) * np.roll(alpha, -2)

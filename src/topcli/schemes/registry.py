@@ -21,7 +21,13 @@ from topcli.errors import UnknownNameError, UsageError, nearest
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
-BUILT_IN = ("topcli.schemes.hk", "topcli.schemes.bohlin", "topcli.schemes.hybrid", "topcli.schemes.euler")
+BUILT_IN = (
+    "topcli.schemes.hk",
+    "topcli.schemes.bohlin",
+    "topcli.schemes.hybrid",
+    "topcli.schemes.euler",
+    "topcli.schemes.euler_exact",
+)
 
 Build = Callable[[Any, Any], Method]
 
