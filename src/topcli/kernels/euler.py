@@ -27,6 +27,9 @@ LAST_STEP = 1e-16
 """Newton's method is done when the square of its correction is below this, relative to the square of the change: it
 doubles the digits, so that what is left is below the last bit."""
 
+NEGLIGIBLE = 1e-60
+"""Or below this, relative to the square of omega: on the way into a steady rotation the change itself dies out."""
+
 
 def hk_increment(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> Vector:
     """omega' - omega of the HK scheme: M x = 2 u, in closed form.
@@ -177,10 +180,11 @@ def newton(residual: Residual, correction: Correction) -> Solve:
         x = start
         r = residual(w, q, x)
         size = square(r)
+        floor = NEGLIGIBLE * square(w)
         for _ in range(NEWTON_LIMIT):
             d1, d2, d3 = correction(w, q, x, r)
             tried = (x[0] + d1, x[1] + d2, x[2] + d3)
-            if square((d1, d2, d3)) <= LAST_STEP * square(tried):
+            if square((d1, d2, d3)) <= LAST_STEP * square(tried) + floor:
                 return tried
             left = residual(w, q, tried)
             t = 1.0
