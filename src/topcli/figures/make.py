@@ -16,7 +16,7 @@ from topcli.contracts import Outcome
 from topcli.engine.source import fingerprint
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FigureSpec
-from topcli.figures.picture import IMAGE_FORMATS, STYLE, Panel, draw, save
+from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, draw, save
 from topcli.store.run_folder import io_failure
 from topcli.store.series import read_metadata, read_series, write_parquet
 from topcli.studies.run import Progress, RunResult, run_experiment
@@ -46,7 +46,7 @@ def _source(spec: FigureSpec, run: RunResult) -> str:
     """What the figure was made from and with; an equal text means equal pictures."""
     return json.dumps(
         {
-            "figure": fingerprint(draw),
+            "figure": fingerprint(draw, *(type(panel).paint for panel in spec.panels)),
             "style": STYLE.read_text(encoding="utf-8"),
             "panels": repr(spec.panels),
             "digest": run.stored.manifest["digest"],
@@ -68,7 +68,7 @@ def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_figure(
     name: str,
-    panels: Sequence[Panel],
+    panels: Sequence[Drawable],
     data: Mapping[str, np.ndarray],
     out: Path,
     formats: Sequence[str] = IMAGE_FORMATS,
