@@ -1,10 +1,7 @@
 """Solutions in closed form for the Euler top: of the motion itself, and of the HK map (sampled, not iterated).
 
-In both, with one axis D about which the motion circulates, the middle axis S and the third axis C,
-
-    omega_D = a_D dn u,   omega_S = a_S sn u,   omega_C = a_C cn u,   u = u_0 + n (step in u).
-
-What is constant is computed in decimal arithmetic from the doubles as exact numbers (``kernels.elliptic``), so that
+Both are Jacobi's functions of a phase that grows by the same amount in every step (``kernels.euler_elliptic``). What
+is constant is computed in decimal arithmetic from the doubles as exact numbers (``kernels.elliptic``), so that
 neither the length of the run nor the nearness of the separatrix costs digits.
 """
 
@@ -19,52 +16,13 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.kernels.elliptic import (
-    DD,
-    DIGITS,
-    PI,
-    add,
-    carlson_rf,
-    carlson_rj,
-    jacobi,
-    multiple,
-    reduce,
-    to_dd,
-)
+from topcli.kernels.elliptic import DIGITS, PI, carlson_rf, carlson_rj, to_dd
+from topcli.kernels.euler_elliptic import Elliptic, Precession, gamma_at, omega_at, turned
 from topcli.schemes.euler import FORMS, hk_integrals
 from topcli.schemes.registry import scheme
 
 Vector = tuple[Decimal, Decimal, Decimal]
 ONE = Decimal(1)
-
-
-@dataclass(frozen=True)
-class Precession:
-    """How the body turns about its angular momentum m: the angle psi of axis D, in turns.
-
-    psi advances by ``per_step`` a step and by ``per_half`` a half period 2K of u; within it by
-    ``weight`` (P(r) - P(u_0)), P the integral of the third kind with characteristic ``n``.
-    """
-
-    per_step: DD
-    per_half: DD
-    weight: float
-    n: float
-    start: float
-
-
-@dataclass(frozen=True)
-class Elliptic:
-    """omega as elliptic functions: the axes (D, S, C), their signed amplitudes, u in steps, the quarter period K."""
-
-    axes: tuple[int, int, int]
-    amplitudes: tuple[float, float, float]
-    start: DD
-    step: DD
-    quarter: DD | None
-    """None on the separatrix, where K is infinite."""
-    m1: float
-    precession: Precession | None = None
 
 
 def _axes(w: Vector, moments: Vector, alpha: Vector) -> tuple[int, int, int]:
@@ -182,72 +140,11 @@ def _quotients(moments: Vector) -> Vector:
     return ((B - C) / A, (C - A) / B, (A - B) / C)
 
 
-def omega_at(elliptic: Elliptic, n: Array) -> tuple[Array, Array, tuple[Array, Array, Array], Array]:
-    """``(omega (m, 3), j, (r, sn u, cn r), dn)`` after ``n`` (m,) steps, with u = 2 K j + r."""
-    u = add(elliptic.start, multiple(elliptic.step, n))
-    if elliptic.quarter is None:
-        j, r = np.zeros_like(n), u
-    else:
-        j, r = reduce(u, (2.0 * elliptic.quarter[0], 2.0 * elliptic.quarter[1]))
-    sn, cn, dn = jacobi(r, elliptic.quarter, elliptic.m1)
-    turn = np.where(j % 2.0 == 0.0, 1.0, -1.0)
-    omega = np.empty((len(n), 3))
-    for axis, size, value in zip(elliptic.axes, elliptic.amplitudes, (dn, turn * sn, turn * cn), strict=True):
-        omega[:, axis] = size * value
-    return omega, j, (r[0], sn, cn), dn
-
-
-def _frame(m: Array, axis: int) -> tuple[Array, Array, Array]:
-    """m/|m| and two unit vectors normal to it, the first in the plane of m and the body's ``axis``; each (m, 3)."""
-    along = m / np.linalg.norm(m, axis=1, keepdims=True)
-    second, third = (axis + 1) % 3, (axis + 2) % 3
-    normal = np.zeros_like(along)
-    rho = np.hypot(along[:, second], along[:, third])
-    normal[:, second], normal[:, third] = along[:, third] / rho, -along[:, second] / rho
-    return along, np.cross(normal, along), normal
-
-
-def gamma_at(
-    elliptic: Elliptic,
-    precession: Precession,
-    n: Array,
-    omega: Array,
-    j: Array,
-    parts: tuple[Array, Array, Array],
-    dn: Array,
-    moments: Array,
-    y0: Array,
-) -> Array:
-    """gamma (m, 3): its component along m is constant, the rest turns by -psi in the frame of m and axis D."""
-    from scipy.special import elliprj
-
-    r, s, c = parts
-    k = precession.n
-    if elliptic.quarter is None:
-        root = np.sqrt(-k)
-        within = (r + root * np.arctan(root * s)) / (1.0 - k)
-    else:
-        within = r + k / 3.0 * s**3 * elliprj(c * c, dn * dn, 1.0, 1.0 - k * s * s)
-    high, low = add(multiple(precession.per_step, n), multiple(precession.per_half, j))
-    psi = 2.0 * np.pi * ((high - np.round(high)) + low + precession.weight * (within - precession.start))
-    axis = elliptic.axes[0]
-    along, normal, other = _frame(omega * moments, axis)
-    along0, normal0, other0 = (part[0] for part in _frame((y0[:3] * moments)[None], axis))
-    x, y = float(y0[3:] @ normal0), float(y0[3:] @ other0)
-    cos, sin = np.cos(psi), np.sin(psi)
-    return float(y0[3:] @ along0) * along + (x * cos + y * sin)[:, None] * normal + (y * cos - x * sin)[:, None] * other
-
-
-def _turned(w: Vector, h: Decimal, n: Array, gamma: Array) -> Array:
-    """gamma (m, 3) after ``n`` steps at constant omega: turned by -|omega| t about omega."""
+def _steadily(w: Vector, h: Decimal, n: Array, gamma: Array) -> Array:
+    """gamma (m, 3) after ``n`` steps at constant omega."""
     size = sum((x * x for x in w), Decimal(0)).sqrt()
-    if size == 0:
-        return np.tile(gamma, (len(n), 1))
-    high, low = multiple(to_dd(size * h / (2 * PI)), n)
-    angle = 2.0 * np.pi * ((high - np.round(high)) + low)
-    axis = np.array([float(x / size) for x in w])
-    along = (axis @ gamma) * axis
-    return along + np.cos(angle)[:, None] * (gamma - along) + np.sin(angle)[:, None] * np.cross(gamma, axis)
+    axis = np.array([float(x / size) if size else 0.0 for x in w])
+    return turned(axis, to_dd(size * h / (2 * PI)), n, gamma)
 
 
 def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
@@ -257,7 +154,7 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
         w, moments, step = _decimals(y0[:3]), _decimals(p[:3]), Decimal(h)
         if _at_rest(w, _quotients(moments)):
             omega = np.tile(y0[:3], (len(n), 1))
-            return np.hstack([omega, _turned(w, step, steps, y0[3:])]) if len(y0) == 6 else omega
+            return np.hstack([omega, _steadily(w, step, steps, y0[3:])]) if len(y0) == 6 else omega
         elliptic = motion(w, moments, step)
     omega, j, parts, dn = omega_at(elliptic, steps)
     if len(y0) == 3:
