@@ -135,7 +135,8 @@ def test_a_run_that_blew_up_is_not_drawn(tmp_path: Path) -> None:
 def test_every_figure_reads_columns_that_its_scene_records() -> None:
     for spec in FIGURES.values():
         experiment = load_experiment(ROOT / "configs" / f"{spec.scene}.yaml")
-        known = {"n", "t", *experiment.top.components, *(i.name for i in experiment.top.invariants())}
+        integrals = (*experiment.top.invariants(), *experiment.modified)
+        known = {"n", "t", *experiment.top.components, *(integral.name for integral in integrals)}
         assert set(spec.columns) <= known
     assert figure_spec("FIG1").name == "fig1"
 

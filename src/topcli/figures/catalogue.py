@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from topcli.errors import UnknownNameError, nearest
-from topcli.figures.picture import Line, Panel
+from topcli.figures.picture import Drawable, Line, Panel
+from topcli.figures.polhodes import Polhodes
 
 
 @dataclass(frozen=True)
@@ -18,12 +19,12 @@ class FigureSpec:
     name: str
     title: str
     scene: str
-    panels: tuple[Panel, ...]
+    panels: tuple[Drawable, ...]
 
     @property
     def columns(self) -> list[str]:
         """The columns of the run that the panels use, in the order of first use."""
-        used = [name for panel in self.panels for name in (panel.x, *(line.column for line in panel.lines))]
+        used = [name for panel in self.panels for name in panel.columns]
         return list(dict.fromkeys(used))
 
 
@@ -38,6 +39,8 @@ def _motion(scheme: str) -> tuple[Panel, Panel]:
         Panel(lines("omega"), r"$\boldsymbol{\omega}$", title=f"(b) {scheme}"),
     )
 
+
+_M_SQ = r"$\boldsymbol{m}^2$"
 
 FIGURES: dict[str, FigureSpec] = {
     spec.name: spec
@@ -59,6 +62,31 @@ FIGURES: dict[str, FigureSpec] = {
             ),
         ),
         FigureSpec("fig4", "Kowalevski top, hybrid scheme: gamma and omega", "kowalevski_hybrid", _motion("hybrid")),
+        FigureSpec(
+            "polhodes",
+            "Euler top: polhodes on the energy ellipsoid, and the tennis racket's",
+            "euler_tennis_racket",
+            (Polhodes((3.0, 2.0, 1.0)),),
+        ),
+        FigureSpec(
+            "modified",
+            "Euler top, HK scheme: physical and modified integrals",
+            "euler_modified",
+            (
+                Panel((Line("m_sq", _M_SQ), Line("modified_m_sq", rf"{_M_SQ[:-1]}/K$")), _M_SQ),
+                Panel(
+                    (
+                        Line("m_sq", _M_SQ),
+                        Line("modified_m_sq", rf"{_M_SQ[:-1]}/K$"),
+                        Line("modified_k12", r"$\kappa_{12}$"),
+                    ),
+                    "relative deviation",
+                    log=True,
+                    deviation=True,
+                    ylim=(1e-17, 1.0),
+                ),
+            ),
+        ),
     )
 }
 

@@ -15,7 +15,7 @@ from topcli.contracts import Outcome
 from topcli.engine.source import fingerprint
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FigureSpec
-from topcli.figures.picture import IMAGE_FORMATS, STYLE, Panel, draw, save
+from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, draw, save
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, read_series, write_parquet
 from topcli.studies.run import Progress, RunResult, run_experiment
@@ -45,7 +45,7 @@ def _source(spec: FigureSpec, run: RunResult) -> str:
     """What the figure was made from and with; an equal text means equal pictures."""
     return json.dumps(
         {
-            "figure": fingerprint(draw),
+            "figure": fingerprint(draw, *(type(panel).paint for panel in spec.panels)),
             "style": STYLE.read_text(encoding="utf-8"),
             "panels": repr(spec.panels),
             "digest": run.stored.manifest["digest"],
@@ -57,7 +57,7 @@ def _source(spec: FigureSpec, run: RunResult) -> str:
 
 def write_figure(
     name: str,
-    panels: Sequence[Panel],
+    panels: Sequence[Drawable],
     data: Mapping[str, np.ndarray],
     out: Path,
     formats: Sequence[str] = IMAGE_FORMATS,

@@ -28,6 +28,8 @@ BUILT_IN = (
     "topcli.schemes.hk_heavy",
     "topcli.schemes.midpoint",
     "topcli.schemes.baselines",
+    "topcli.schemes.euler",
+    "topcli.schemes.euler_exact",
 )
 
 Build = Callable[[Any, Any], Method]
@@ -49,7 +51,7 @@ def scheme(
     *,
     top: str | Iterable[str] | None,
     title: str,
-    order: int,
+    order: int | None,
     explicit: bool,
     self_adjoint: bool,
     citation: str,
