@@ -21,7 +21,7 @@ from topcli.errors import UnknownNameError, UsageError, nearest
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
-BUILT_IN = ("topcli.schemes.hk", "topcli.schemes.bohlin", "topcli.schemes.hybrid")
+BUILT_IN = ("topcli.schemes.hk", "topcli.schemes.bohlin", "topcli.schemes.hybrid", "topcli.schemes.lagrange")
 
 Build = Callable[[Any, Any], Method]
 

@@ -11,8 +11,9 @@ from collections.abc import Collection
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, nearest
 from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
-TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski,)}
+TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski, Lagrange, LagrangeInertial)}
 
 
 def kinds() -> list[str]:

@@ -1,0 +1,73 @@
+"""One HK step of the Lagrange top: the 6x6 linear system, eliminated in closed form.
+
+With d = h/2, alpha = (A - C)/A = ``p[0]``, nu = mg z0/A = ``p[1]``, s = omega3, k = alpha s and complex numbers
+w = omega1 + i omega2, g = gamma1 + i gamma2, the discrete equations (Sogo, dEulerPoisson with A = B, x0 = y0 = 0,
+last sign corrected) leave s as it is and are linear in the changes X of w, Y of g and y of gamma3:
+
+    X = -i d (k (2 w + X) + nu (2 g + Y))
+    Y = -i d s (2 g + Y) + i d (2 gamma3 w + y w + gamma3 X)
+    y = d Im(2 conj(g) w + conj(Y) w + conj(g) X)
+
+Write K = d k, S = d s, z = d**2 nu gamma3, D = (1 + iS)(1 + iK) - z. Then
+
+1. the first gives X (1 + iK) = -i (2 K w + d nu (2 g + Y));
+2. put into the second, D Y = P + y Q with P = 2 ((z + S K - i S) g + i d gamma3 w), Q = i d (1 + iK) w;
+3. put into the third, y (1 - d Im(Q V/D)) = d Im(2 conj(g) w + conj(g) X0 + P V/D), where X = X0 + X1 Y and
+   V = conj(g) X1 - conj(w). Multiplied by |D|**2 so that both divisions start at the same time.
+"""
+
+from __future__ import annotations
+
+from topcli.contracts import Floats
+
+
+def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:
+    """The HK step from (omega, gamma); singular, hence not finite, only for steps far beyond any use."""
+    w1, w2, s, g1, g2, g3 = state
+    d = 0.5 * h
+    K = d * (p[0] * s)
+    S = d * s
+    f = d * p[1]
+    z = (d * f) * g3
+    rq = 1.0 / (1.0 + K * K)
+    e = d * g3
+
+    # D and its inverse square modulus
+    D1 = (1.0 - S * K) - z
+    D2 = S + K
+    DD = D1 * D1 + D2 * D2
+    r = 1.0 / DD
+    # P = 2 ((z + S K - i S) g + i d g3 w)
+    b = z + S * K
+    P1 = 2.0 * ((b * g1 + S * g2) - e * w2)
+    P2 = 2.0 * ((b * g2 - S * g1) + e * w1)
+    # Q = d (i - K) w
+    Q1 = -d * (w2 + K * w1)
+    Q2 = d * (w1 - K * w2)
+    # X0 = -2i (K w + f g)/(1 + iK) = u - i v up to rq; X1 = -i f/(1 + iK) = -f (K + i)/(1 + K**2)
+    t1 = K * w1 + f * g1
+    t2 = K * w2 + f * g2
+    X1 = (2.0 * rq) * (t2 - K * t1)
+    X2 = (-2.0 * rq) * (t1 + K * t2)
+    F = f * rq
+    # V = conj(g) X1 - conj(w), then V conj(D)
+    V1 = -F * (K * g1 + g2) - w1
+    V2 = F * (K * g2 - g1) + w2
+    U1 = V1 * D1 + V2 * D2
+    U2 = V2 * D1 - V1 * D2
+    # y = d (...)/(...)
+    turn = 2.0 * (g1 * w2 - g2 * w1) + (g1 * X2 - g2 * X1)
+    y = d * (turn * DD + (P1 * U2 + P2 * U1)) / (DD - d * (Q1 * U2 + Q2 * U1))
+    # Y = (P + y Q) conj(D)/|D|**2
+    N1 = P1 + y * Q1
+    N2 = P2 + y * Q2
+    Y1 = r * (N1 * D1 + N2 * D2)
+    Y2 = r * (N2 * D1 - N1 * D2)
+    return (
+        w1 + (X1 + F * (Y2 - K * Y1)),
+        w2 + (X2 - F * (Y1 + K * Y2)),
+        s,
+        g1 + Y1,
+        g2 + Y2,
+        g3 + y,
+    )
