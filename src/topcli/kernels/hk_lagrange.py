@@ -14,48 +14,60 @@ Write K = d k, S = d s, z = d**2 nu gamma3, D = (1 + iS)(1 + iK) - z. Then
 2. put into the second, D Y = P + y Q with P = 2 ((z + S K - i S) g + i d gamma3 w), Q = i d (1 + iK) w;
 3. put into the third, y (1 - d Im(Q V/D)) = d Im(2 conj(g) w + conj(g) X0 + P V/D), where X = X0 + X1 Y and
    V = conj(g) X1 - conj(w). Multiplied by |D|**2 so that both divisions start at the same time.
+
+S and K are the same in every step, and so are the rounding errors of what is computed from them alone: they would add
+up as N and not as its square root. Hence S + K is made exact, and 1/(1 + K**2) and S K carry their errors along; all
+of that is computed once, before the loop.
 """
 
 from __future__ import annotations
 
 from topcli.contracts import Floats
+from topcli.kernels.dd import two_prod, two_sum
 
 
 def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:
     """The HK step from (omega, gamma); singular, hence not finite, only for steps far beyond any use."""
     w1, w2, s, g1, g2, g3 = state
     d = 0.5 * h
-    K = d * (p[0] * s)
-    S = d * s
     f = d * p[1]
-    z = (d * f) * g3
-    rq = 1.0 / (1.0 + K * K)
-    e = d * g3
 
-    # D and its inverse square modulus
-    D1 = (1.0 - S * K) - z
-    D2 = S + K
+    # of omega3 alone
+    K = d * (p[0] * s)
+    D2 = d * s + K
+    S = D2 - K
+    K = D2 - S  # now S + K = D2 exactly
+    sk, sk_low = two_prod(S, K)
+    kk, kk_low = two_prod(K, K)
+    q, q_low = two_sum(1.0, kk)
+    rq = 1.0 / q
+    one, one_low = two_prod(rq, q)
+    rq_low = rq * (((1.0 - one) - one_low) - rq * (q_low + kk_low))
+    F = f * rq
+
+    # D, its inverse square modulus, and P; b is in both, so that D + P/(2 g) = 1 + iK where w = 0
+    z = (d * f) * g3
+    b = (z + sk_low) + sk
+    D1 = 1.0 - b
     DD = D1 * D1 + D2 * D2
     r = 1.0 / DD
-    # P = 2 ((z + S K - i S) g + i d g3 w)
-    b = z + S * K
+    e = d * g3
     P1 = 2.0 * ((b * g1 + S * g2) - e * w2)
     P2 = 2.0 * ((b * g2 - S * g1) + e * w1)
-    # Q = d (i - K) w
     Q1 = -d * (w2 + K * w1)
     Q2 = d * (w1 - K * w2)
-    # X0 = -2i (K w + f g)/(1 + iK) = u - i v up to rq; X1 = -i f/(1 + iK) = -f (K + i)/(1 + K**2)
+    # X0 = -2i (K w + f g)/(1 + iK) and X1 = -i f/(1 + iK)
     t1 = K * w1 + f * g1
     t2 = K * w2 + f * g2
-    X1 = (2.0 * rq) * (t2 - K * t1)
-    X2 = (-2.0 * rq) * (t1 + K * t2)
-    F = f * rq
-    # V = conj(g) X1 - conj(w), then V conj(D)
+    T1 = 2.0 * (t2 - K * t1)
+    T2 = -2.0 * (t1 + K * t2)
+    X1 = rq * T1 + rq_low * T1
+    X2 = rq * T2 + rq_low * T2
+    # V and V conj(D)
     V1 = -F * (K * g1 + g2) - w1
     V2 = F * (K * g2 - g1) + w2
     U1 = V1 * D1 + V2 * D2
     U2 = V2 * D1 - V1 * D2
-    # y = d (...)/(...)
     turn = 2.0 * (g1 * w2 - g2 * w1) + (g1 * X2 - g2 * X1)
     y = d * (turn * DD + (P1 * U2 + P2 * U1)) / (DD - d * (Q1 * U2 + Q2 * U1))
     # Y = (P + y Q) conj(D)/|D|**2
