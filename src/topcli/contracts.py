@@ -88,6 +88,21 @@ class Top(BaseModel):
         """The same top as a case of the general Euler-Poisson equations."""
         raise NotImplementedError
 
+    def warnings(self) -> tuple[str, ...]:
+        """What is unusual about the parameters though it can be computed, a line each.
+
+        By default: moments of inertia that break the triangle inequality, which no rigid body has.
+        """
+        moments = self.euler_poisson().moments
+        small, middle, large = sorted(moments)
+        if large <= (small + middle) * (1.0 + 1e-12):  # decimals such as 0.3, 0.1, 0.2 are rounded
+            return ()
+        told = ", ".join(f"{moment:g}" for moment in moments)
+        return (
+            f"the moments ({told}) break the triangle inequality: {large:g} > {small:g} + {middle:g}; "
+            "no rigid body has them",
+        )
+
     @classmethod
     def new(cls) -> Self:
         """The top with its default parameters."""
@@ -140,7 +155,8 @@ class Scheme:
     name: str
     top: str
     title: str
-    order: int
+    order: int | None
+    """None for the exact solution, which has no error to have an order."""
     explicit: bool
     self_adjoint: bool
     conserves: tuple[str, ...]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
-from topcli.cli.talk import print_json, print_table, say
+from topcli.cli.talk import print_json, print_table, say, say_warnings
 
 PAPER_SCENE = "kowalevski_hk"
 
@@ -79,6 +79,7 @@ def compare(
 
     load_scheme_files(scheme_files)
     experiment = load_experiment(config, sets or [])
+    say_warnings(experiment)
     comparison = compare_schemes(experiment, schemes)
     files: list[str] = []
     if plot:

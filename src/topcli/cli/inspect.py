@@ -32,6 +32,8 @@ def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_j
 
 
 def _cell(value: object) -> str:
+    if value is None:
+        return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
-from topcli.cli.talk import ProgressTeller, print_json, print_table, say
+from topcli.cli.talk import ProgressTeller, print_json, print_table, say, say_warnings
 from topcli.errors import TopcliError
 
 if TYPE_CHECKING:
@@ -119,6 +119,8 @@ def run(
         for config in configs:
             try:
                 experiment = _experiment(config, sets or [], output_format)
+                if not quiet:
+                    say_warnings(experiment)
                 if dry_run:
                     plan = _dry_run(experiment, out)
                     told.append(plan)

@@ -7,7 +7,10 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
 
 
 def print_json(command: str, content: dict[str, Any]) -> None:
@@ -19,6 +22,12 @@ def print_json(command: str, content: dict[str, Any]) -> None:
 def say(line: str) -> None:
     """Print a line of talk."""
     print(line, file=sys.stderr, flush=True)
+
+
+def say_warnings(experiment: Experiment) -> None:
+    """Say what is unusual about the parameters of the experiment's top."""
+    for line in experiment.top.warnings():
+        say(f"warning: {experiment.name}: {line}")
 
 
 def on_terminal() -> bool:

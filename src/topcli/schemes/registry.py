@@ -21,7 +21,13 @@ from topcli.errors import UnknownNameError, UsageError, nearest
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
-BUILT_IN = ("topcli.schemes.hk", "topcli.schemes.bohlin", "topcli.schemes.hybrid", "topcli.schemes.lagrange")
+BUILT_IN = (
+    "topcli.schemes.hk",
+    "topcli.schemes.bohlin",
+    "topcli.schemes.hybrid",
+    "topcli.schemes.euler",
+    "topcli.schemes.lagrange",
+)
 
 Build = Callable[[Any, Any], Method]
 
@@ -42,7 +48,7 @@ def scheme(
     *,
     top: str | Iterable[str] | None,
     title: str,
-    order: int,
+    order: int | None,
     explicit: bool,
     self_adjoint: bool,
     citation: str,

@@ -10,10 +10,13 @@ from collections.abc import Collection
 
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, nearest
+from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
-TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski, Lagrange, LagrangeInertial)}
+TOPS: dict[str, type[Top]] = {
+    top.form: top for top in (Kowalevski, Euler, EulerGamma, Lagrange, LagrangeInertial)
+}
 
 
 def kinds() -> list[str]:
