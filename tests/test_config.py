@@ -36,7 +36,9 @@ def test_config_round_trips(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_paper_scene() -> None:
-    schemes = {path.stem.removeprefix("kowalevski_"): load_experiment(path) for path in CONFIGS.glob("kowalevski_*.yaml")}
+    schemes = {
+        path.stem.removeprefix("kowalevski_"): load_experiment(path) for path in CONFIGS.glob("kowalevski_*.yaml")
+    }
     assert set(schemes) == {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid"}
     for stem, experiment in schemes.items():
         assert experiment.scheme_name == stem.replace("_", "-")

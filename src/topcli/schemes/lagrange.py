@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from topcli.contracts import Array, Floats, Invariant, NoOptions, Stepper, Top
+from topcli.contracts import Array, Floats, Invariant, NoOptions, Sampler, Stepper, Top
 from topcli.kernels.hk_lagrange import hk_lagrange
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
+from topcli.tops.lagrange_exact import body_states, inertial_states
 
 
 def hk_corrections(top: Lagrange, h: float, y: Array) -> tuple[Array, Array, Array]:
@@ -150,3 +151,41 @@ def build_bs(top: Top, options: NoOptions) -> Stepper:
     of order 1 and not self-adjoint, and yet no quantity drifts.
     """
     return Stepper(bs_step, 6)
+
+
+@scheme(
+    "exact",
+    top="lagrange",
+    title="closed form by elliptic functions",
+    order=None,
+    explicit=True,
+    self_adjoint=True,
+    conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
+    citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
+    equations="(Euler), (Poisson) with A = B, x0 = y0 = 0",
+)
+def build_exact(top: Top, options: NoOptions) -> Sampler:
+    """gamma3 by Jacobi functions, the angle by the Fourier series of its rate; to round-off at any time.
+
+    Motions asymptotic to the upright top have no period and are refused, and so are almost planar ones.
+    """
+    return Sampler(body_states)
+
+
+@scheme(
+    "exact",
+    top="lagrange/inertial",
+    title="closed form by elliptic functions",
+    order=None,
+    explicit=True,
+    self_adjoint=True,
+    conserves=("a_sq", "m_p", "m_a", "energy"),
+    citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
+    equations="m' = p x a, a' = m x a",
+)
+def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
+    """a.p by Jacobi functions, the precession by the Fourier series of its rate; to round-off at any time.
+
+    Motions asymptotic to the upright top have no period and are refused, and so are almost planar ones.
+    """
+    return Sampler(inertial_states)

@@ -14,9 +14,7 @@ from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
-TOPS: dict[str, type[Top]] = {
-    top.form: top for top in (Kowalevski, Euler, EulerGamma, Lagrange, LagrangeInertial)
-}
+TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski, Euler, EulerGamma, Lagrange, LagrangeInertial)}
 
 
 def kinds() -> list[str]:

@@ -214,7 +214,8 @@ def to_inertial(top: Lagrange, states: Array, precession: Array) -> tuple[Array,
 
     The attitude is R = R_z(precession) R_x(theta) R_z(spin), Euler's angles: (omega, gamma) determine theta and the
     spin, not the precession, which therefore is given, (n,), and the spin is handed back, so that ``to_body`` undoes
-    the conversion. Where the axis is vertical the spin is counted as 0. Raises ValueError unless mu > 0.
+    the conversion. Where the axis is vertical the two angles are one, handed back as the spin. Raises ValueError unless
+    mu > 0.
     """
     momentum, _ = units(top)
     sine, cos_spin, sin_spin = _direction(states[:, 4], states[:, 3])
@@ -224,7 +225,8 @@ def to_inertial(top: Lagrange, states: Array, precession: Array) -> tuple[Array,
     y, z = _turned(y, z, cosine, sine)
     x, y = _turned(x, y, np.cos(precession), np.sin(precession))
     a = (sine * np.sin(precession), -sine * np.cos(precession), cosine)
-    return np.column_stack([x / momentum, y / momentum, z / momentum, *a]), np.arctan2(sin_spin, cos_spin)
+    spin = np.where(sine > 0.0, np.arctan2(sin_spin, cos_spin), np.copysign(1.0, cosine) * precession)
+    return np.column_stack([x / momentum, y / momentum, z / momentum, *a]), spin
 
 
 def to_body(top: Lagrange, states: Array, spin: Array) -> tuple[Array, Array]:
