@@ -17,8 +17,8 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Invariant, Method, Top
 from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
-from topcli.kernels.elliptic import jacobi
 from topcli.kernels.hk_lagrange import hk_lagrange
+from topcli.kernels.oscillation import jacobi
 from topcli.schemes.lagrange import bs_step, hk_corrections
 from topcli.schemes.registry import find_scheme
 from topcli.studies.simulate import simulate

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Floats
 from topcli.errors import RunError
-from topcli.kernels.elliptic import DIGITS, TURN, Oscillation, oscillation
+from topcli.kernels.oscillation import DIGITS, TURN, Oscillation, oscillation
 from topcli.tops.lagrange import Lagrange
 
 MAX_SAMPLES = 1 << 15

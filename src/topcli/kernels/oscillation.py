@@ -59,7 +59,7 @@ def cubic_roots(g2: Decimal, g3: Decimal) -> tuple[Decimal, Decimal, Decimal]:
     Raises ValueError when they are not all real.
     """
     if not g2 > 0 or (27 * g3 * g3 - g2**3) > g2**3 * Decimal(10) ** (6 - DIGITS):
-        raise ValueError("elliptic: the cubic has complex roots")
+        raise ValueError("oscillation: the cubic has complex roots")
 
     def outer(start: Decimal) -> Decimal:
         x = start  # beyond the root, where Newton's iteration is monotone
@@ -172,7 +172,7 @@ def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, s
             a0 * a2 * a4 + 2 * a1 * a2 * a3 - a2**3 - a0 * a3 * a3 - a1 * a1 * a4,
         )
         if not e1 - e2 > abs(e1) * Decimal(10) ** (8 - DIGITS // 2):
-            raise ValueError("elliptic: the motion tends to rest and has no period; it has no closed form here")
+            raise ValueError("oscillation: the motion tends to rest and has no period; it has no closed form here")
         r = x0 if abs(here) <= tiny * size and tilt > 0 else _root_between(q, low, x0)
         scale, c = horner(slope, r) / 4, horner(bending, r) / 24
         half = carlson_rf(Decimal(0), e1 - e2, e1 - e3)
@@ -207,7 +207,7 @@ def _root_between(q: Sequence[Decimal], low: Decimal, high: Decimal) -> Decimal:
     """The root of Q between ``low``, where Q <= 0, and ``high``, where Q >= 0, by bisection."""
     nothing = sum(map(abs, q)) * Decimal(10) ** (10 - DIGITS)
     if horner(q, low) > nothing or horner(q, high) < -nothing:
-        raise ValueError("elliptic: Q has no sign change where the motion should turn")
+        raise ValueError("oscillation: Q has no sign change where the motion should turn")
     for _ in range(4 * DIGITS):
         middle = (low + high) / 2
         if horner(q, middle) >= 0:
