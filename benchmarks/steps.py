@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "src")]
 
 from topcli.contracts import Stepper  # noqa: E402
-from topcli.engine.driver import compiled_loop  # noqa: E402
+from topcli.engine.driver import loop_of  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402
@@ -49,7 +49,7 @@ Run = Callable[[np.ndarray, float, int], None]
 
 def in_engine(stepper: Stepper) -> Run:
     """The engine's loop, nothing recorded."""
-    _, drive = compiled_loop(stepper, 6, 1)
+    drive = loop_of(stepper, 6, 1).drive
     out, params = np.empty(6), np.ones(1)
 
     def run(y: np.ndarray, h: float, n: int) -> None:
@@ -140,7 +140,7 @@ def compare(
 
 def window_means(stepper: Stepper, y0: np.ndarray, h: float, windows: int, length: int) -> np.ndarray:
     """Weighted means of gamma² - 1 over consecutive windows of ``length`` steps."""
-    _, drive = compiled_loop(stepper, 6, 1)
+    drive = loop_of(stepper, 6, 1).drive
     x = (np.arange(length) + 1) / (length + 1)
     weight = np.exp(-1.0 / (x * (1.0 - x)))
     weight /= weight.sum()
