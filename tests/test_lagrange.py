@@ -341,15 +341,15 @@ def test_scenes_of_nutation_do_what_their_names_say() -> None:
     rates = {name: precession_rates(f"lagrange_{name}") for name in ("cusps", "loops", "waves")}
     for rate, height in rates.values():
         assert height.max() <= 0.6 + 1e-15
-        assert len(np.flatnonzero((height[1:-1] < height[:-2]) & (height[1:-1] <= height[2:]))) >= 5
-        assert abs(rate.sum() * 0.01) > 2 * np.pi  # all the way round
+        assert len(np.flatnonzero((height[1:-1] < height[:-2]) & (height[1:-1] <= height[2:]))) == 9
+        assert rate.sum() * 0.005 == pytest.approx(2 * np.pi, abs=0.01)  # once round
     rate, height = rates["cusps"]
-    assert 0.0 < rate.min() < 1e-3
+    assert 0.0 < rate.min() < 1e-4
     assert height[1:][rate.argmin()] > 0.5999  # where it is at rest it is at the top
     rate, height = rates["loops"]
     assert rate.min() < -0.3
-    assert height[1:][rate < 0.0].min() > 0.504 - 0.01
-    assert height[1:][rate > 0.0].max() < 0.504 + 0.01
+    assert height[1:][rate < 0.0].min() > 0.523 - 0.01
+    assert height[1:][rate > 0.0].max() < 0.523 + 0.01
     assert rates["waves"][0].min() > 0.15
 
 

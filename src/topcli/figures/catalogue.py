@@ -9,22 +9,37 @@ from dataclasses import dataclass
 
 from topcli.errors import UnknownNameError, nearest
 from topcli.figures.picture import Line, Panel
+from topcli.figures.sphere import Sphere
 
 
 @dataclass(frozen=True)
 class FigureSpec:
-    """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels."""
+    """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels.
+
+    A column written as ``scene:column`` is read from the run of another scene.
+    """
 
     name: str
     title: str
     scene: str
-    panels: tuple[Panel, ...]
+    panels: tuple[Panel | Sphere, ...]
 
     @property
     def columns(self) -> list[str]:
         """The columns of the run that the panels use, in the order of first use."""
-        used = [name for panel in self.panels for name in (panel.x, *(line.column for line in panel.lines))]
+        used: list[str] = []
+        for panel in self.panels:
+            used += panel.columns if isinstance(panel, Sphere) else (panel.x, *(line.column for line in panel.lines))
         return list(dict.fromkeys(used))
+
+    @property
+    def sources(self) -> dict[str, dict[str, str]]:
+        """The scenes read, each with the columns taken from its run and the names they get in the figure's data."""
+        found: dict[str, dict[str, str]] = {}
+        for name in self.columns:
+            scene, _, column = name.rpartition(":")
+            found.setdefault(scene or self.scene, {})[column] = name
+        return found
 
 
 _GAMMA = Panel(
@@ -44,6 +59,15 @@ FIGURES: dict[str, FigureSpec] = {
             (
                 Panel((Line("energy", "$E$"), Line("two_l", r"$2\ell$")), r"$E,\ 2\ell$", ylim=(0.0, 6.0)),
                 Panel((Line("energy", "$E$"),), "$E$"),
+            ),
+        ),
+        FigureSpec(
+            "nutation",
+            "Lagrange top: the trace of its axis with cusps, loops and waves",
+            "lagrange_cusps",
+            tuple(
+                Sphere(name, (f"lagrange_{name}:a1", f"lagrange_{name}:a2", f"lagrange_{name}:a3"))
+                for name in ("cusps", "loops", "waves")
             ),
         ),
         FigureSpec("fig4", "Kowalevski top, hybrid scheme: gamma and omega", "kowalevski_hybrid", (_GAMMA, _OMEGA)),

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from topcli.figures.sphere import Sphere, draw_sphere
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -52,7 +54,7 @@ def _draw_panel(axes: Any, panel: Panel, data: Mapping[str, np.ndarray]) -> None
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(4, len(panel.lines)), borderaxespad=0.2)
 
 
-def draw(panels: Sequence[Panel], data: Mapping[str, np.ndarray]) -> Figure:
+def draw(panels: Sequence[Panel | Sphere], data: Mapping[str, np.ndarray]) -> Figure:
     """A matplotlib figure with ``panels`` side by side, drawn from the columns of ``data`` (each (m,))."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -62,7 +64,10 @@ def draw(panels: Sequence[Panel], data: Mapping[str, np.ndarray]) -> Figure:
         figure = Figure()
         FigureCanvasAgg(figure)
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-            _draw_panel(axes, panel, data)
+            if isinstance(panel, Sphere):
+                draw_sphere(axes, panel, data)
+            else:
+                _draw_panel(axes, panel, data)
     return figure
 
 
