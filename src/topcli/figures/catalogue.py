@@ -10,11 +10,15 @@ from dataclasses import dataclass
 from topcli.errors import UnknownNameError, nearest
 from topcli.figures.picture import Drawable, Line, Panel
 from topcli.figures.polhodes import Polhodes
+from topcli.figures.sphere import Sphere
 
 
 @dataclass(frozen=True)
 class FigureSpec:
-    """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels."""
+    """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels.
+
+    A column written as ``scene:column`` is read from the run of another scene.
+    """
 
     name: str
     title: str
@@ -26,6 +30,15 @@ class FigureSpec:
         """The columns of the run that the panels use, in the order of first use."""
         used = [name for panel in self.panels for name in panel.columns]
         return list(dict.fromkeys(used))
+
+    @property
+    def sources(self) -> dict[str, dict[str, str]]:
+        """The scenes read, each with the columns taken from its run and the names they get in the figure's data."""
+        found: dict[str, dict[str, str]] = {}
+        for name in self.columns:
+            scene, _, column = name.rpartition(":")
+            found.setdefault(scene or self.scene, {})[column] = name
+        return found
 
 
 def _motion(scheme: str) -> tuple[Panel, Panel]:
@@ -85,6 +98,15 @@ FIGURES: dict[str, FigureSpec] = {
                     deviation=True,
                     ylim=(1e-17, 1.0),
                 ),
+            ),
+        ),
+        FigureSpec(
+            "nutation",
+            "Lagrange top: the trace of its axis with cusps, loops and waves",
+            "lagrange_cusps",
+            tuple(
+                Sphere(name, (f"lagrange_{name}:a1", f"lagrange_{name}:a2", f"lagrange_{name}:a3"))
+                for name in ("cusps", "loops", "waves")
             ),
         ),
     )
