@@ -53,6 +53,7 @@ def _motion(scheme: str) -> tuple[Panel, Panel]:
     )
 
 
+_GAMMA = ("gamma1", "gamma2", "gamma3")
 _M_SQ = r"$\boldsymbol{m}^2$"
 
 FIGURES: dict[str, FigureSpec] = {
@@ -97,6 +98,23 @@ FIGURES: dict[str, FigureSpec] = {
                     log=True,
                     deviation=True,
                     ylim=(1e-17, 1.0),
+                ),
+            ),
+        ),
+        FigureSpec(
+            "sphere",
+            "Kowalevski top: the vertical seen from the body, near the homoclinic orbit and on a generic one",
+            "kowalevski_hybrid",
+            (
+                Sphere("near the homoclinic orbit", _GAMMA, elevation=48.0, azimuth=-35.0, axis="e_3", band=False),
+                Sphere(
+                    "generic",
+                    ("kowalevski_generic_hk:gamma1", "kowalevski_generic_hk:gamma2", "kowalevski_generic_hk:gamma3"),
+                    elevation=48.0,
+                    azimuth=-35.0,
+                    axis="e_3",
+                    band=False,
+                    width=0.5,
                 ),
             ),
         ),

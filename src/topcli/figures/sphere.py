@@ -22,13 +22,17 @@ BAND = "#D55E00"
 class Sphere:
     """The trace of the unit vector whose components are ``columns``, seen from ``elevation`` and ``azimuth`` degrees.
 
-    The two parallels between which it moves are drawn with it, and a dot where it starts.
+    A dot shows where it starts, an arrow the third axis with its name ``axis``; with ``band`` the two parallels between
+    which it moves are drawn too.
     """
 
     title: str
     columns: tuple[str, str, str]
     elevation: float = 50.0
     azimuth: float = 0.0
+    axis: str = "p"
+    band: bool = True
+    width: float = 1.25
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
         """Draw the sphere and the trace into ``axes``; the ``styles`` of lines do not concern it."""
@@ -93,10 +97,10 @@ def draw_sphere(axes: Any, panel: Sphere, data: Mapping[str, np.ndarray]) -> Non
     for height in np.sin(np.linspace(-math.pi / 2, math.pi / 2, PARALLELS + 2)[1:-1]):
         _line(axes, view, _parallel(float(height)), NEAR, FAR, 0.35, 1)
     axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor="none", edgecolor="0.35", linewidth=0.7, zorder=8))
-    for height in (points[:, 2].min(), points[:, 2].max()):
+    for height in (points[:, 2].min(), points[:, 2].max()) if panel.band else ():
         _line(axes, view, _parallel(float(height)), BAND, "#F2C6A5", 0.6, 3, linestyle=(0, (4, 2.5)))
-    _line(axes, view, points, TRACE, TRACE_FAR, 1.25, 5)
-    # the vertical, from the pole outwards
+    _line(axes, view, points, TRACE, TRACE_FAR, panel.width, 5)
+    # the third axis, from the pole outwards
     foot, tip = view @ np.array([0.0, 0.0, 1.0]), view @ np.array([0.0, 0.0, 1.45])
     axes.annotate(
         "",
@@ -105,7 +109,7 @@ def draw_sphere(axes: Any, panel: Sphere, data: Mapping[str, np.ndarray]) -> Non
         arrowprops={"arrowstyle": "-|>", "color": "0.2", "lw": 0.8, "shrinkA": 0, "shrinkB": 0},
         zorder=30,
     )
-    axes.text(tip[0] + 0.05, tip[1] - 0.01, r"$\boldsymbol{p}$", va="top", zorder=30)
+    axes.text(tip[0] + 0.05, tip[1] - 0.01, rf"$\boldsymbol{{{panel.axis}}}$", va="top", zorder=30)
     right, up, towards = view @ points[0]
     filled = TRACE if towards >= 0.0 else TRACE_FAR
     axes.plot([right], [up], "o", color=filled, markersize=3.4, markeredgecolor="white", markeredgewidth=0.6, zorder=20)
