@@ -38,10 +38,10 @@ class Comparison:
 
 
 def under_scheme(experiment: Experiment, name: str) -> Experiment:
-    """``experiment`` with another scheme; its options are kept when it is the experiment's own scheme."""
+    """``experiment`` with another scheme; its options are kept when it is the experiment's own, composed or not."""
     resolved = experiment.resolved()
-    if name.lower() != experiment.scheme.name:
-        resolved["scheme"] = name
+    same = name.lower().partition("+")[0] == experiment.scheme.name.partition("+")[0]
+    resolved["scheme"] = resolved["scheme"] | {"name": name} if same else name
     return experiment_from(resolved)
 
 
