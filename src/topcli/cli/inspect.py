@@ -19,7 +19,9 @@ from topcli.cli.options import (
 )
 from topcli.cli.talk import print_json, print_table, say
 
-list_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, compositions, figures or runs.")
+list_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, compositions, figures or runs."
+)
 
 
 def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_json: bool) -> None:

@@ -112,7 +112,7 @@ def composed_step(step: StepFunction, weights: tuple[float, ...]) -> StepFunctio
             broken = 0.0
             for x in s:
                 broken += x - x
-            if not (broken == 0.0):
+            if broken != 0.0:  # a nan is
                 break
         return s
 
