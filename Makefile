@@ -37,9 +37,9 @@ check: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/steps.py
-	$(BIN)/python benchmarks/compose.py
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/store.py
+	$(BIN)/python benchmarks/compose.py
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from conftest import GEN, random_states
-from steppers import KICK_TURN, RK2
+from kick_turn import KICK_TURN
+from steppers import RK2
 from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson, Invariant, Outcome, Sampler, Scheme, Stepper, Top

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 import topcli
 from config_texts import BASE, CONFIGS, refusal, write
-from steppers import KICK_TURN
+from kick_turn import KICK_TURN
 from test_cli import cli  # noqa: F401
 from test_config_schema import fits
 from topcli.cli.options import complete_scheme
