@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 import topcli
 from config_texts import BASE, CONFIGS, refusal, write
+from conftest import ROOT
 from kick_turn import KICK_TURN
 from test_cli import cli  # noqa: F401
 from test_config_schema import fits
@@ -206,6 +207,19 @@ def test_list_compositions(cli) -> None:  # noqa: F811
     table = cli("list", "compositions").out
     assert all(row["name"] in table and row["citation"] in table for row in rows)
     assert not any("+" in row["name"] for row in cli("list", "schemes", "--json").json()["schemes"])
+
+
+def test_the_readme_is_real(cli) -> None:  # noqa: F811
+    """Its list, and its comparison but for what is round-off."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = cli("list", "compositions").out.splitlines()
+    arguments = "hk hk+suzuki4 hk+kahan-li6 --config kowalevski_generic_hk --set h=0.05 --set N=1000"
+    assert f"$ topcli compare {arguments}\n" in readme
+    table = cli("compare", *arguments.split()).out.splitlines()
+    shown += [line for line in table if line.startswith(("   ", "outcome", "max error", "E max", "  its order"))]
+    assert len(shown) == 10
+    for line in shown:
+        assert f"    {line}\n" in readme
 
 
 def test_completion() -> None:
