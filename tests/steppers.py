@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from topcli.contracts import Floats, Stepper
+from topcli.contracts import Floats, Stepper, Top
 from topcli.tops.kowalevski import field
 
 
@@ -30,6 +30,20 @@ def euler_step(s: Floats, h: float, p: Floats) -> Floats:
 def explode_step(s: Floats, h: float, p: Floats) -> Floats:
     """Squares omega1 every step: not finite after a known number of steps."""
     return (s[0] * s[0], s[1], s[2], s[3], s[4], s[5])
+
+
+def _moved3(s: Floats, a: float, k: Floats) -> Floats:
+    return (s[0] + a * k[0], s[1] + a * k[1], s[2] + a * k[2])
+
+
+def rk2(top: Top) -> Stepper:
+    """The explicit midpoint rule for any top with three or six components."""
+    rate, moved = type(top).field, _moved if len(top.components) == 6 else _moved3
+
+    def step(s: Floats, h: float, p: Floats) -> Floats:
+        return moved(s, h, rate(moved(s, 0.5 * h, rate(s, p)), p))
+
+    return Stepper(step, len(top.components))
 
 
 RK2 = Stepper(rk2_step, 6)

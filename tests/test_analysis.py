@@ -27,7 +27,7 @@ class Signal(Kowalevski):
 
 
 def report(values: np.ndarray, h: float = 0.01, pieces: int = 1):
-    tally = InvariantTally(Signal().invariants(), h, len(values) - 1)
+    tally = InvariantTally(Signal().invariants(), h)
     for n in np.array_split(np.arange(len(values)), pieces):
         states = np.zeros((len(n), 6))
         states[:, 0] = values[n]
@@ -105,10 +105,25 @@ def test_pieces_give_the_same_report() -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 2, 7])
-def test_short_runs_have_no_slope_but_a_verdict(rows: int) -> None:
+def test_short_runs_have_no_slope_and_no_verdict(rows: int) -> None:
     row = report(1.0 + 0.1 * np.arange(rows))
     assert row.drift is None
-    assert row.verdict == ("exact" if rows == 1 else "bounded")
+    assert row.verdict == "unjudged"
+
+
+def test_what_runs_away_or_is_not_finite_is_not_called_bounded() -> None:
+    values = 1.0 + 1e9 * np.sin(TIMES)
+    assert report(values).verdict == "drifting"
+    values[500] = math.inf
+    assert report(values).verdict == "unjudged"
+
+
+@pytest.mark.parametrize("rows", [100, 129, 1000, 20_000])
+def test_the_slope_does_not_need_the_planned_length(rows: int) -> None:
+    """Blocks join in pairs as a run grows: a run stopped anywhere has its slope."""
+    noise = 1e-3 * np.random.default_rng(rows).normal(size=rows)
+    row = report(1.0 + 3e-3 * TIMES[:rows] * (20_000 / rows) + noise, pieces=13)
+    assert row.drift == pytest.approx(3e-3 * 20_000 / rows, rel=0.05)
 
 
 def test_a_first_value_of_zero_has_no_relative_figures() -> None:

@@ -159,7 +159,7 @@ def test_one_failure_does_not_stop_the_rest(cli, in_tmp: Path) -> None:
     said = cli("run", "nonsense.yaml", HK, "--set", "N=50")
     assert said.code == 3
     assert (in_tmp / "results" / "kowalevski_hk").is_dir()
-    assert "1 of 2 configs run, 1 failed" in said.err
+    assert "1 of 2 configs fine, 1 not" in said.err
     said = cli("run", "nonsense.yaml", HYBRID, "--set", "N=50", "--fail-fast")
     assert said.code == 2
     assert not (in_tmp / "results" / "kowalevski_hybrid").exists()
@@ -202,7 +202,7 @@ def test_lists_come_from_the_registries(cli) -> None:
     names = {item["name"] for item in cli("list", "schemes", "--json").json()["schemes"]}
     assert names == {scheme.name for scheme in all_schemes()}
     assert {"hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid"} <= names
-    assert [item["name"] for item in cli("list", "tops", "--json").json()["tops"]] == list(TOPS)
+    assert [item["form"] for item in cli("list", "tops", "--json").json()["tops"]] == list(TOPS)
     assert [item["name"] for item in cli("list", "figures", "--json").json()["figures"]] == list(FIGURES)
     assert cli("list", "runs", "--json").json()["runs"] == []
     cli("run", HK, "--set", "N=20", "--quiet")
@@ -241,6 +241,10 @@ def test_schema_is_json_schema(cli) -> None:
         (("list", "schemes", "--top", "kovalevski"), ("kowalevski",)),
         (("run", HK, "--scheme-file", "nowhere.py"), ("nowhere.py", "no such file")),
         (("init", "x.ini"), ("x.ini", ".yaml")),
+        (("run", HK, "--set", "name=figures"), ("figures", "pictures")),
+        (("compare", "hk", "--set", "scheme=hybrid"), ("scheme=hybrid", "command line")),
+        (("compare", "hk", "hybrid", "--set", "scheme.brunch=sign"), ("brunch", "branch")),
+        (("plot", "fig1", "--all"), ("one of the two",)),
     ],
 )
 def test_mistakes_are_told_in_a_line_or_three(
@@ -310,6 +314,57 @@ def test_shell_completion(tmp_path: Path, words: str, expected: str) -> None:
         check=False,
     )
     assert expected in done.stdout.split()
+
+
+def test_dry_run_refuses_what_run_refuses(cli) -> None:
+    cli("run", HK, "--set", "N=50", "--quiet")
+    assert "up to date" in cli("run", HK, "--set", "N=50", "--dry-run").out
+    said = cli("run", HK, "--dry-run")
+    assert said.code == 2
+    assert "holds a different experiment" in said.err
+    assert "aside" in cli("run", HK, "--dry-run", "--force").out
+
+
+def test_options_reach_every_scheme_that_has_them(cli) -> None:
+    said = cli("compare", "hk", "hybrid", "bohlin-a", "--set", "scheme.branch=sign", "--set", "N=100", "--json")
+    changed = {scheme["scheme"]: scheme["changed"] for scheme in said.json()["schemes"]}
+    assert changed == {"hk": {}, "hybrid": {"branch": "sign"}, "bohlin-a": {"branch": "sign"}}
+
+
+def test_an_unwritable_folder_is_told_before_anything_is_computed(cli, in_tmp: Path) -> None:
+    (in_tmp / "file").write_text("")
+    for arguments in (("compare", "hk", "--plot"), ("plot", "fig1")):
+        said = cli(*arguments, "--out", "file")
+        assert said.code == 2
+        assert "--out" in said.err
+    assert [path.name for path in in_tmp.iterdir()] == ["file"]
+
+
+def test_init_does_not_overwrite_a_file_of_the_users(cli, in_tmp: Path) -> None:
+    (in_tmp / "topcli.schema.json").write_text("mine")
+    assert cli("init", "first.yaml").code == 2
+    assert (in_tmp / "topcli.schema.json").read_text() == "mine"
+    assert not (in_tmp / "first.yaml").exists()
+
+
+def test_several_tables_are_told_apart(cli) -> None:
+    out = cli("run", HK, HYBRID, "--set", "N=100").out
+    assert out.splitlines()[0] == "kowalevski_hk"
+    assert "kowalevski_hybrid" in out.splitlines()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_or_foreign_stdout_is_no_bug_of_ours(tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "topcli", "show", HK], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert "standard output cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = process("run", HK, "--set", "N=50", cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
 
 
 def test_broken_pipe_is_no_traceback(tmp_path: Path) -> None:

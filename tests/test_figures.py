@@ -86,19 +86,23 @@ def test_nothing_is_done_twice(made: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert again.status == "up to date"
 
 
-def test_a_changed_config_is_drawn_anew_and_the_earlier_run_kept(made: Path, tmp_path: Path) -> None:
+def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_path: Path) -> None:
     configs, results = tmp_path / "configs", tmp_path / "results"
     configs.mkdir()
     text = (ROOT / "configs" / "kowalevski_hk.yaml").read_text()
     talk: list[str] = []
 
-    def draw(step: str) -> str:
-        (configs / "kowalevski_hk.yaml").write_text(re.sub(r"(?m)^N: .*$", f"N: {step}", text))
-        return make_figure(
-            FIGURES["fig1"], out=tmp_path, results=results, configs=configs, formats=["png"], told=talk.append
-        ).status
+    def drawn(N: int, force: bool = False) -> str:
+        (configs / "kowalevski_hk.yaml").write_text(re.sub(r"(?m)^N: .*$", f"N: {N}", text))
+        spec = FIGURES["fig1"]
+        options = {"configs": configs, "formats": ["png"], "told": talk.append, "force": force}
+        return make_figure(spec, out=tmp_path, results=results, **options).status
 
-    assert [draw("400"), draw("400"), draw("500")] == ["drawn", "up to date", "drawn"]
+    assert [drawn(400), drawn(400)] == ["drawn", "up to date"]
+    with pytest.raises(UsageError, match="holds a different experiment"):
+        drawn(500)
+    assert pq.read_metadata(tmp_path / "fig1.parquet").num_rows == 401
+    assert drawn(500, force=True) == "drawn"
     assert pq.read_metadata(tmp_path / "fig1.parquet").num_rows == 501
     assert len(talk) == 1
     assert "kept the earlier" in talk[0]
@@ -131,7 +135,8 @@ def test_a_run_that_blew_up_is_not_drawn(tmp_path: Path) -> None:
 def test_every_figure_reads_columns_that_its_scene_records() -> None:
     for spec in FIGURES.values():
         experiment = load_experiment(ROOT / "configs" / f"{spec.scene}.yaml")
-        known = {"n", "t", *experiment.top.components, *(i.name for i in experiment.top.invariants())}
+        integrals = (*experiment.top.invariants(), *experiment.modified)
+        known = {"n", "t", *experiment.top.components, *(integral.name for integral in integrals)}
         assert set(spec.columns) <= known
     assert figure_spec("FIG1").name == "fig1"
 

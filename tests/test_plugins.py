@@ -151,3 +151,14 @@ def test_a_file_without_a_scheme_is_refused(tmp_path: Path) -> None:
     done = topcli("run", HK, "--scheme-file", "empty.py", cwd=tmp_path)
     assert done.returncode == 2
     assert "registers no scheme" in done.stderr
+
+
+@pytest.mark.parametrize("body", ["return s[0]", "return (s[0], s[1])", "return open('x')", "return (*s, 1.0)"])
+def test_a_step_that_cannot_be_compiled_is_named(tmp_path: Path, body: str) -> None:
+    text = SCHEME.format(name="odd", top="kowalevski", doc="Odd.").replace("return s\n", f"{body}\n", 1)
+    (tmp_path / "odd.py").write_text(text)
+    done = topcli("run", HK, "--scheme-file", "odd.py", "--set", "scheme=odd", "--set", "N=50", cwd=tmp_path)
+    assert done.returncode in (1, 2), done.stderr
+    assert "Traceback" not in done.stderr
+    assert "odd.py:" in done.stderr
+    assert len(done.stderr.strip().splitlines()) <= 3

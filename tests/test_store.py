@@ -196,7 +196,7 @@ def test_killed_before_the_manifest_leaves_nothing_that_looks_whole(tmp_path: Pa
     """What a killed process leaves is no result, hinders nothing, and is swept away by the next run."""
     code = (
         "import os, sys; from pathlib import Path; from topcli.store.run_folder import RunWriter\n"
-        "with RunWriter(Path(sys.argv[1]), 'kowalevski_hk', keep_earlier=False) as writer:\n"
+        "with RunWriter(Path(sys.argv[1]), 'kowalevski_hk') as writer:\n"
         "    writer.write('report.json', '{}')\n"
         "    os._exit(9)\n"
     )
@@ -208,7 +208,7 @@ def test_killed_before_the_manifest_leaves_nothing_that_looks_whole(tmp_path: Pa
 
 
 def test_a_living_writer_is_not_swept_away(tmp_path: Path) -> None:
-    with RunWriter(tmp_path, "kowalevski_hk", keep_earlier=False) as writer:
+    with RunWriter(tmp_path, "kowalevski_hk") as writer:
         run_experiment(small(), tmp_path)
         assert writer.folder.is_dir()
 
@@ -251,3 +251,38 @@ def test_nothing_is_integrated_for_a_refusal(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(UsageError):
         run_experiment(small("N=301"), tmp_path)
     assert run_experiment(small(), tmp_path).status == "up to date"
+
+
+def test_concurrent_different_experiments_are_both_kept(tmp_path: Path) -> None:
+    """Both start on an empty folder; the one that ends second sets the other aside."""
+    command = [sys.executable, "-m", "topcli", "run", str(HK), "--out", str(tmp_path), "--quiet"]
+    running = [subprocess.Popen([*command, "--set", f"N={N}"]) for N in (400_000, 400_001)]
+    assert {process.wait(timeout=120) for process in running} <= {0, 2}
+    kept = {run.manifest["config"]["N"] for run in stored_runs(tmp_path)}
+    refused = sum(process.returncode == 2 for process in running)
+    assert len(kept) + refused == 2
+
+
+def test_whoever_came_meanwhile_is_set_aside(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, "kowalevski_hk") as writer:
+        other = run_experiment(small(), tmp_path)
+        writer.write("series.csv", "x")
+        writer.commit({"digest": "f" * 64, "code": "c", "series": "series.csv"})
+    assert writer.set_aside is not None
+    assert stored_run(writer.set_aside).manifest["digest"] == other.stored.manifest["digest"]
+
+
+def test_files_of_the_users_in_a_run_folder_are_not_lost(tmp_path: Path) -> None:
+    first = run_experiment(small(), tmp_path)
+    (first.stored.folder / "notes.txt").write_text("remember")
+    again = run_experiment(small(), tmp_path, force=True)
+    assert again.set_aside is not None
+    assert (again.set_aside / "notes.txt").read_text() == "remember"
+
+
+def test_a_damaged_series_is_not_up_to_date_and_not_read(tmp_path: Path) -> None:
+    result = run_experiment(small(), tmp_path)
+    result.stored.series.write_text("junk")
+    with pytest.raises(RunError, match="cannot be read"):
+        read_series(result.stored.series)
+    assert run_experiment(small(), tmp_path).status == "ran"

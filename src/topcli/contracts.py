@@ -86,6 +86,21 @@ class Top(BaseModel):
         """The same top as a case of the general Euler-Poisson equations."""
         raise NotImplementedError
 
+    def warnings(self) -> tuple[str, ...]:
+        """What is unusual about the parameters though it can be computed, a line each.
+
+        By default: moments of inertia that break the triangle inequality, which no rigid body has.
+        """
+        moments = self.euler_poisson().moments
+        small, middle, large = sorted(moments)
+        if large <= (small + middle) * (1.0 + 1e-12):  # decimals such as 0.3, 0.1, 0.2 are rounded
+            return ()
+        told = ", ".join(f"{moment:g}" for moment in moments)
+        return (
+            f"the moments ({told}) break the triangle inequality: {large:g} > {small:g} + {middle:g}; "
+            "no rigid body has them",
+        )
+
     @classmethod
     def new(cls) -> Self:
         """The top with its default parameters."""
@@ -107,6 +122,8 @@ class Stepper:
     ``leave`` gives the physical state back, and only what ``leave`` gives is recorded.
     ``width`` is the length of the working state. ``counters`` names its trailing slots that count events;
     they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter.
+    The slot before the counters of an ``iterative`` step is its status: 0.0, or nan when the iteration did not
+    converge. The run then ends there as ``no_convergence``.
     """
 
     step: StepFunction
@@ -115,6 +132,7 @@ class Stepper:
     leave: StepFunction | None = None
     counters: tuple[str, ...] = ()
     plain: bool = False
+    iterative: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,7 +156,8 @@ class Scheme:
     name: str
     top: str
     title: str
-    order: int
+    order: int | None
+    """None for the exact solution, which has no error to have an order."""
     explicit: bool
     self_adjoint: bool
     conserves: tuple[str, ...]
@@ -150,6 +169,9 @@ class Scheme:
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None
     """``modified(top, h, options)``: integrals of the scheme itself, which depend on h; conserved exactly."""
     options: type[BaseModel] = NoOptions
+    adaptive: bool = False
+    """Takes as many steps of its own within each h as a tolerance asks for. ``order`` is then that of the formula: it
+    is observed where the tolerance is so loose that one step is taken, and at a given tolerance h tells nothing."""
     doc: str = ""
     origin: str = "topcli"
     """The distribution or file that registered the scheme."""
@@ -178,7 +200,7 @@ class Ending:
         """One line that says how the run ended."""
         where = f"at step {self.step} (t = {self.t:.6g})"
         return {
-            Outcome.COMPLETED: f"completed {self.step} steps (t = {self.t:.6g})",
+            Outcome.COMPLETED: f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})",
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
             Outcome.NO_CONVERGENCE: f"did not converge {where}",
             Outcome.INTERRUPTED: f"interrupted {where}",

@@ -11,6 +11,7 @@ code  meaning
 2     wrong usage or wrong configuration
 3     part of a sweep failed
 4     a stated tolerance or claim was violated
+70    a bug of topcli, told with a traceback
 130   interrupted
 ====  =========================================================
 """
@@ -39,6 +40,10 @@ class ConfigError(UsageError):
 
 class UnknownNameError(UsageError):
     """A scheme, top or figure that does not exist; the message offers the nearest names (exit code 2)."""
+
+
+class SchemeCodeError(UsageError):
+    """A scheme's step that cannot be compiled (exit code 2)."""
 
 
 class RunError(TopcliError):

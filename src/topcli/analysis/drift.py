@@ -5,12 +5,16 @@ Everything is accumulated chunk by chunk in fixed memory. The verdicts:
 *exact*     no deviation beyond the round-off bound ``ROUND_OFF_ULPS * eps * sqrt(steps) * scale``, where scale is
             the largest sum of magnitudes of the terms that make up the invariant (Brouwer's law: independent
             rounding errors add up as sqrt(steps)).
-*drifting*  the slope of the deviation in time stands out from its noise by more than ``SIGNIFICANCE`` standard
-            errors, and over the run it carries the deviation further than the scatter about it.
+*drifting*  the deviation has grown beyond ``RUNAWAY`` times the size of the invariant's terms at the start; or the
+            slope of the deviation in time stands out from its noise by more than ``SIGNIFICANCE`` standard errors,
+            and over the run it carries the deviation further than twice the scatter about it.
 *bounded*   deviations beyond round-off, but no significant slope over this run.
 
-The slope is fitted to ``BLOCKS`` block means with Hann weights: an oscillation of period P in a run of length T
-leaks into the slope only as (P/T)^3. Its standard error allows for correlated residuals (Newey and West 1987).
+*unjudged*  deviations beyond round-off, but too few rows for a slope, or numbers that are not finite.
+
+The slope is fitted to block means, ``BLOCKS`` or up to twice as many, with Hann weights: an oscillation of period P
+in a run of length T leaks into the slope only as (P/T)^3. Its standard error allows for correlated residuals (Newey
+and West 1987).
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ from topcli.contracts import Array, Invariant
 
 ROUND_OFF_ULPS = 20.0
 SIGNIFICANCE = 5.0
+RUNAWAY = 1e3
 BLOCKS = 64
 LAGS = 8
 
@@ -102,28 +107,34 @@ class _Tally:
     def __init__(self, invariant: Invariant, first: float) -> None:
         self.invariant, self.first = invariant, first
         self.low = self.high = first
-        self.scale = 0.0
+        self.scale = self.first_scale = 0.0
         self.squares = 0.0
-        self.sums = np.zeros(BLOCKS)
+        self.sums = np.zeros(2 * BLOCKS)
 
     def add(self, states: Array, block: NDArray[np.int64]) -> None:
         values = self.invariant.value(states)
         deviation = values - self.first
         self.low = float(np.minimum(self.low, values.min()))  # unlike min() it keeps a nan
         self.high = float(np.maximum(self.high, values.max()))
-        self.scale = max(self.scale, float(self.invariant.scale(states).max()))
+        scales = self.invariant.scale(states)
+        self.first_scale = self.first_scale or float(scales[0])
+        self.scale = float(np.maximum(self.scale, scales.max()))
         self.squares += float(deviation @ deviation)
-        self.sums += np.bincount(block, weights=deviation, minlength=BLOCKS)
+        self.sums += np.bincount(block, weights=deviation, minlength=2 * BLOCKS)
 
 
 class InvariantTally:
-    """The report on ``invariants`` over a run of N steps of size h, fed with chunks of rows."""
+    """The report on ``invariants`` over a run of steps of size h, fed with chunks of rows.
 
-    def __init__(self, invariants: Sequence[Invariant], h: float, N: int) -> None:
-        self._invariants, self._h, self._N = invariants, h, N
+    The run's length need not be known: blocks that fill up are joined in pairs.
+    """
+
+    def __init__(self, invariants: Sequence[Invariant], h: float) -> None:
+        self._invariants, self._h = invariants, h
+        self._width = 1
         self._tallies: list[_Tally] = []
-        self._counts = np.zeros(BLOCKS)
-        self._steps_in = np.zeros(BLOCKS)
+        self._counts = np.zeros(2 * BLOCKS)
+        self._steps_in = np.zeros(2 * BLOCKS)
         self._last = 0
 
     def add(self, n: NDArray[np.int64], states: Array) -> None:
@@ -134,9 +145,13 @@ class InvariantTally:
             with np.errstate(over="ignore", invalid="ignore"):
                 firsts = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
             self._tallies = list(map(_Tally, self._invariants, firsts))
-        block = n * BLOCKS // (self._N + 1)
-        self._counts += np.bincount(block, minlength=BLOCKS)
-        self._steps_in += np.bincount(block, weights=n, minlength=BLOCKS)
+        while int(n[-1]) // self._width >= 2 * BLOCKS:
+            self._width *= 2
+            for sums in (self._counts, self._steps_in, *(tally.sums for tally in self._tallies)):
+                sums[:] = np.concatenate([sums[0::2] + sums[1::2], np.zeros(BLOCKS)])
+        block = n // self._width
+        self._counts += np.bincount(block, minlength=2 * BLOCKS)
+        self._steps_in += np.bincount(block, weights=n, minlength=2 * BLOCKS)
         self._last = int(n[-1])
         with np.errstate(over="ignore", invalid="ignore"):  # huge states: the report says that it is not finite
             for tally in self._tallies:
@@ -144,7 +159,7 @@ class InvariantTally:
 
     def rows(self) -> list[InvariantRow]:
         """The report, one row an invariant in their order."""
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             return [self._row(tally) for tally in self._tallies]
 
     def _row(self, tally: _Tally) -> InvariantRow:
@@ -154,8 +169,8 @@ class InvariantTally:
         deviation = float(np.maximum(tally.high - tally.first, tally.first - tally.low))
         rms = math.sqrt(tally.squares / float(counts.sum()))
         bound = ROUND_OFF_ULPS * _EPS * math.sqrt(max(self._last, 1)) * tally.scale
-        span = abs(self._last * self._h)
-        verdict, reason = _verdict(deviation, bound, fit, span)
+        span = self._last * self._h
+        verdict, reason = _verdict(deviation, bound, RUNAWAY * tally.first_scale, fit, span)
         size = abs(tally.first)
         return InvariantRow(
             name=tally.invariant.name,
@@ -177,26 +192,29 @@ class InvariantTally:
         )
 
 
-def _verdict(deviation: float, bound: float, fit: Trend | None, span: float) -> tuple[str, str]:
-    if not math.isfinite(deviation):
-        return "drifting", "the deviation is not finite"
+def _verdict(deviation: float, bound: float, runaway: float, fit: Trend | None, span: float) -> tuple[str, str]:
+    if not (math.isfinite(deviation) and math.isfinite(bound)):
+        return "unjudged", "the invariant or its terms are not finite"
+    if deviation > runaway:
+        return "drifting", f"max deviation {deviation:.1e} exceeds {RUNAWAY:g} times the terms at the start"
     if deviation <= bound:
+        if span == 0.0:
+            return "unjudged", "there is no step to judge by"
         return "exact", f"max deviation {deviation:.1e} is within the round-off bound {bound:.1e}"
     beyond = f"max deviation {deviation:.1e} exceeds the round-off bound {bound:.1e}"
     if fit is None:
-        return "bounded", f"{beyond}; too few rows for a slope"
-    moved = abs(fit.slope) * span
+        return "unjudged", f"{beyond}; too few rows for a slope"
+    moved = fit.slope * span
     ratio = abs(fit.slope) / fit.error if fit.error else math.inf
     told = f"slope {fit.slope:.1e} ± {fit.error:.1e} ({ratio:.1f} standard errors), {moved:.1e} over the run"
-    if ratio > SIGNIFICANCE and moved > 2.0 * fit.scatter:
-        return "drifting", f"{beyond}; {told}, scatter {fit.scatter:.1e}"
-    return "bounded", f"{beyond}; {told}, scatter {fit.scatter:.1e}"
+    drifting = ratio > SIGNIFICANCE and abs(moved) > 2.0 * fit.scatter
+    return "drifting" if drifting else "bounded", f"{beyond}; {told}, scatter {fit.scatter:.1e}"
 
 
 def invariant_report(
     invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array
 ) -> list[InvariantRow]:
     """The report on recorded rows that are all in memory: step numbers (m,), states (m, d)."""
-    tally = InvariantTally(invariants, h, int(n[-1]))
+    tally = InvariantTally(invariants, h)
     tally.add(n, states)
     return tally.rows()

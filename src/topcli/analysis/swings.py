@@ -45,4 +45,4 @@ def swing_spacing(t: Array, values: Array) -> float | None:
     The first spacing and not the mean: a scheme that drifts changes it from swing to swing.
     """
     times = minima_times(t, values)
-    return float(times[1] - times[0]) if len(times) > 1 else None
+    return abs(float(times[1] - times[0])) if len(times) > 1 else None

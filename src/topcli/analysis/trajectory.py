@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import invariant_report
-from topcli.contracts import Array, Ending, Invariant, Top
+from topcli.contracts import Array, Ending, Invariant, Outcome, Top
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectory:
     """Recorded states of one run.
 
@@ -39,6 +39,14 @@ class Trajectory:
     def t(self) -> Array:
         """Times of the recorded states, shape (m,)."""
         return self.n * self.h
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return self.ending.outcome
+
+    def __repr__(self) -> str:
+        return f"<Trajectory of {self.top.kind} under {self.scheme}: {len(self)} rows, {self.ending.message}>"
 
     def __len__(self) -> int:
         return len(self.n)

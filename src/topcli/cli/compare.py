@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
-from topcli.cli.talk import print_json, print_table, say
+from topcli.cli.talk import print_json, print_table, say, say_warnings
 
 PAPER_SCENE = "kowalevski_hk"
 
@@ -53,6 +53,29 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
     ]
 
 
+def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
+    """Options that ``--set scheme.KEY=VALUE`` gives to every scheme that has them, and the other overrides."""
+    from topcli.config.overrides import parse_override
+    from topcli.errors import UsageError
+
+    options, others = {}, []
+    for text in sets:
+        path, value = parse_override(text)
+        if path == ("scheme",):
+            raise UsageError(f"--set {text}: the schemes to compare are named on the command line")
+        if path[0] == "scheme" and len(path) == 2 and path[1] != "name":
+            options[path[1]] = value
+        else:
+            others.append(text)
+    return options, others
+
+
+def _header(scheme: dict[str, Any]) -> str:
+    """A scheme's name, with those of its options that are not the default."""
+    changed = [f"{key}={value}" for key, value in scheme["changed"].items()]
+    return scheme["scheme"] + (f" ({', '.join(changed)})" if changed else "")
+
+
 def compare(
     schemes: Annotated[
         list[str],
@@ -75,11 +98,16 @@ def compare(
 ) -> None:
     """Compare schemes on one experiment: errors, drifts, reversal, swings, speed."""
     from topcli.config.load import load_experiment
+    from topcli.store.run_folder import require_writable
     from topcli.studies.compare import compare_schemes
 
     load_scheme_files(scheme_files)
-    experiment = load_experiment(config, sets or [])
-    comparison = compare_schemes(experiment, schemes)
+    options, others = _scheme_options(sets or [])
+    experiment = load_experiment(config, others)
+    say_warnings(experiment)
+    if plot:
+        require_writable(out)
+    comparison = compare_schemes(experiment, schemes, options)
     files: list[str] = []
     if plot:
         from topcli.figures.comparison import draw_comparison
@@ -89,7 +117,7 @@ def compare(
         print_json("compare", {**comparison.figures, "files": files})
     else:
         title = f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}"
-        header = ["", *(scheme["scheme"] for scheme in comparison.figures["schemes"])]
+        header = ["", *map(_header, comparison.figures["schemes"])]
         print_table(header, _lines(comparison.figures), title)
         for file in files:
             say(f"wrote {file}")

@@ -35,6 +35,8 @@ def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_j
 
 
 def _cell(value: object) -> str:
+    if value is None:
+        return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):
@@ -169,6 +171,14 @@ def show(
         print(experiment.to_yaml(), end="")
 
 
+def _holds(path: Path, text: str) -> bool:
+    """Whether the file at ``path`` holds just ``text``."""
+    try:
+        return path.read_text(encoding="utf-8") == text
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
 def init(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="The config to write.")] = Path("experiment.yaml"),
     top: Annotated[str, typer.Option("--top", help="Which top.", autocompletion=complete_top)] = "kowalevski",
@@ -181,17 +191,20 @@ def init(
     from topcli.config.schema import config_schema
     from topcli.config.starter import starter_config
     from topcli.errors import UsageError
+    from topcli.store.run_folder import write_whole
 
     schema_path = path.with_name("topcli.schema.json")
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{path}: the starter config is YAML; give a name ending in .yaml")
-    if path.exists() and not force:
-        raise UsageError(f"{path}: exists already; choose another name, or --force to overwrite it")
     text = starter_config(top, scheme, schema_path.name)
+    schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
+    taken = [one for one, ours in ((path, ""), (schema_path, schema_text)) if one.exists() and not _holds(one, ours)]
+    if taken and not force:
+        raise UsageError(f"{taken[0]}: exists already; choose another name or folder, or --force to overwrite it")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        schema_path.write_text(json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        path.write_text(text, encoding="utf-8")
+        write_whole(schema_path, lambda temporary: temporary.write_text(schema_text, encoding="utf-8"))
+        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
     print(path)
@@ -209,10 +222,17 @@ def schema() -> None:
 
 def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
     """Report versions, CPU, threads, the cache of compiled code, and plugins with their errors."""
+    from topcli.errors import UsageError
     from topcli.studies.doctor import diagnosis
 
-    load_scheme_files(scheme_files)
+    broken = []
+    for path in scheme_files or ():
+        try:
+            load_scheme_files([path])
+        except UsageError as error:
+            broken.append(str(error))
     found = diagnosis()
+    found["problems"] += broken
     if as_json:
         print_json("doctor", found)
         return

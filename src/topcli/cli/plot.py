@@ -38,7 +38,7 @@ def plot(
     from topcli.figures.picture import IMAGE_FORMATS
 
     if bool(names) == every:
-        raise UsageError(f"name figures, or say --all; figures: {', '.join(FIGURES)}")
+        raise UsageError(f"name figures or say --all, one of the two; figures: {', '.join(FIGURES)}")
     wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
     if wrong:
         raise UsageError(f"--format {wrong[0]}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
-from topcli.cli.talk import ProgressTeller, print_json, print_table, say
-from topcli.errors import TopcliError
+from topcli.cli.talk import ProgressTeller, print_json, print_table, say, say_warnings
+from topcli.errors import TopcliError, UsageError
 
 if TYPE_CHECKING:
     from topcli.config.models import Experiment
@@ -45,32 +45,25 @@ def _experiment(config: str, sets: list[str], output_format: str | None) -> Expe
     return load_experiment(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
 
 
-def _tell(result: RunResult, quiet: bool) -> None:
-    if result.set_aside:
-        say(f"kept the earlier, different run as {result.set_aside}")
-    if quiet:
-        return
+def _tell(result: RunResult, labelled: bool) -> None:
     from topcli.studies.report import invariant_table
 
     report = result.report
+    if result.set_aside:
+        say(f"kept the earlier, different run as {result.set_aside}")
     say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({result.status})")
     header, *lines = invariant_table(report)
-    print_table(header, lines)
+    print_table(header, lines, report["name"] if labelled else "")
 
 
-def _dry_run(experiment: Experiment, out: Path) -> dict[str, Any]:
-    from topcli.store.run_folder import stored_run
+def _dry_run(experiment: Experiment, out: Path, force: bool) -> dict[str, Any]:
+    from topcli.studies.run import method_fingerprint, plan_run
 
-    earlier = stored_run(out / experiment.name)
-    standing = "nothing there yet"
-    if earlier is not None:
-        same = earlier.same_experiment(experiment.digest)
-        standing = f"holds {'this' if same else 'a different'} experiment already"
     return {
         "config": experiment.resolved(),
         "digest": experiment.digest,
         "folder": str(out / experiment.name),
-        "standing": standing,
+        "action": plan_run(experiment, out, method_fingerprint(experiment), force=force).action,
         "rows": experiment.N // experiment.output.every + 1,
     }
 
@@ -104,6 +97,8 @@ def run(
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Run experiments: time series and a report on the conservation laws, in one folder each."""
+    if output_format not in (None, "parquet", "csv"):
+        raise UsageError(f"--format {output_format}: not a format of a series; choose parquet or csv")
     load_scheme_files(scheme_files)
     told: list[dict[str, Any]] = []
     codes: list[int] = []
@@ -112,23 +107,26 @@ def run(
         for config in configs:
             try:
                 experiment = _experiment(config, sets or [], output_format)
+                if not quiet:
+                    say_warnings(experiment)
                 if dry_run:
-                    plan = _dry_run(experiment, out)
+                    plan = _dry_run(experiment, out, force)
                     told.append(plan)
                     codes.append(0)
                     if not (as_json or quiet):
-                        print(f"{experiment.name}: {plan['rows']} rows to {plan['folder']} ({plan['standing']})")
+                        print(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
                     continue
                 from topcli.studies.run import run_experiment
 
                 teller.begin(experiment.name)
                 result = run_experiment(experiment, out, force=force, progress=teller, stop=lambda: interruption.asked)
                 teller.close()
-                _tell(result, quiet or as_json)
+                if not (quiet or as_json):
+                    _tell(result, labelled=len(configs) > 1)
                 told.append({"folder": str(result.stored.folder), "status": result.status, **result.report})
                 codes.append({"completed": 0, "interrupted": 130}.get(result.outcome.value, 1))
                 if codes[-1]:
-                    say(f"error: {experiment.name}: {result.report['message']}; what came before is kept")
+                    say(f"error: {experiment.name}: {result.outcome.value}; what came before is kept")
             except TopcliError as error:
                 teller.close()
                 say(f"error: {error}")
@@ -139,7 +137,6 @@ def run(
     if as_json:
         print_json("run", {"runs": told})
     elif len(configs) > 1 and not quiet:
-        failed = sum(1 for code in codes if code)
-        say(f"{len(codes) - failed} of {len(configs)} configs {'fine' if dry_run else 'run'}, {failed} failed")
+        say(f"{codes.count(0)} of {len(configs)} configs fine, {len(configs) - codes.count(0)} not")
     if code := _exit_code(codes):
         raise typer.Exit(code)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
 
 
 def print_json(command: str, content: dict[str, Any]) -> None:
@@ -21,6 +25,12 @@ def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
+def say_warnings(experiment: Experiment) -> None:
+    """Say what is unusual about the parameters of the experiment's top."""
+    for line in experiment.top.warnings():
+        say(f"warning: {experiment.name}: {line}")
+
+
 def on_terminal() -> bool:
     """Whether stdout is a terminal that can show more than plain lines."""
     return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
@@ -31,7 +41,9 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str
 
     The first column is left-aligned, and so are the others unless they are ``numbers``.
     """
-    if on_terminal():
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+    fits = sum(widths) + 3 * len(widths) <= shutil.get_terminal_size().columns
+    if on_terminal() and (fits or not numbers):  # a number broken over two lines misleads
         from rich import box
         from rich.console import Console
         from rich.table import Table
@@ -45,7 +57,6 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str
         return
     if title:
         print(title)
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
     for row in [header, *rows]:
         cells = [
             row[0].ljust(widths[0]),

@@ -27,6 +27,10 @@ def name_fault(value: str) -> str:
         return f"must have at most {MAX_NAME} characters ({MAX_NAME_BYTES} bytes), not {len(value)}"
     if "/" in value or "\\" in value:
         return f"must not hold a path separator: {value!r}"
+    if odd := next((letter for letter in value if letter in '<>:"|?*'), None):
+        return f"must not hold {odd!r}, which not every system allows in a file's name: {value!r}"
+    if value.lower() == "figures":
+        return "must not be 'figures': the folder of that name holds the pictures"
     if value[0] in ".-":
         return f"must not start with a dot or a dash: {value!r}"
     if value != value.strip():

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array, Method, Sampler, Stepper
-from topcli.engine.native import native
+from topcli.engine.native import CompileError, native
+from topcli.errors import SchemeCodeError
 
 SIGNATURE = "pppdqqq"
 
@@ -27,7 +28,8 @@ def make(step, enter, leave):
         return 0
 
     def drive(work, out, params, h, steps, every, until_record):
-        # returns the number of steps done, or minus the number of the first step whose result is not finite
+        # returns the number of steps done, or minus the number of the first step whose result is not finite;
+        # that result is left in work
         {set_p}
         s = ({work_items})
         k = 0
@@ -35,6 +37,7 @@ def make(step, enter, leave):
         for i in range(steps):
             s = step(s, h, p)
             if not ({finite} == 0.0):
+                {store_failed}
                 return -(i + 1)
             left -= 1
             if left == 0:
@@ -62,6 +65,7 @@ def _template(width: int, d: int, constants: int) -> Callable[..., tuple[Any, An
         y_items="".join(f"y[{i}], " for i in range(d)),
         work_items="".join(f"work[{i}], " for i in range(width)),
         store_s=newline.join(f"work[{i}] = s[{i}]" for i in range(width)),
+        store_failed=(newline + " " * 8).join(f"work[{i}] = s[{i}]" for i in range(width)),
         finite=" + ".join(f"(s[{i}] - s[{i}])" for i in range(width)),
         record=(newline + " " * 8).join(f"out[k + {i}] = y[{i}]" for i in range(d)),
         d=d,
@@ -104,8 +108,9 @@ def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callabl
 class Loop:
     """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
 
-    ``work`` has ``width`` slots, the last ones counting the events named in ``counters``. ``seconds`` is what
-    compiling or loading took, ``cached`` whether the machine code was known.
+    ``work`` has ``width`` slots, the last ones counting the events named in ``counters``; with ``iterative`` the one
+    before them is nan after a step that did not converge. ``seconds`` is what compiling or loading took, ``cached``
+    whether the machine code was known, ``compiled`` whether there is any.
     """
 
     enter: Callable[..., int]
@@ -114,18 +119,26 @@ class Loop:
     counters: tuple[str, ...] = ()
     seconds: float = 0.0
     cached: bool = True
+    iterative: bool = False
+    compiled: bool = True
 
 
 def loop_of(method: Method, d: int, constants: int) -> Loop:
     """The loop of a method for states of length ``d``: machine code, except where a method cannot be compiled.
 
-    ``enter`` runs once and stays plain Python.
+    ``enter`` runs once and stays plain Python. Raises SchemeCodeError for a step that cannot be compiled.
     """
     if isinstance(method, Sampler):
         enter, sample = _sampled_loop(method, d)
         return Loop(enter, sample, d + 1)
     enter, drive = plain_loop(method, d, constants)
     if method.plain:
-        return Loop(enter, drive, method.width, method.counters)
-    code = native(drive, SIGNATURE)
-    return Loop(enter, code, method.width, method.counters, code.seconds, code.cached)
+        return Loop(enter, drive, method.width, method.counters, iterative=method.iterative, compiled=False)
+    try:
+        code = native(drive, SIGNATURE)
+    except CompileError as error:
+        where = f"{method.step.__code__.co_filename}:{method.step.__code__.co_firstlineno}"
+        raise SchemeCodeError(
+            f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
+        ) from None
+    return Loop(enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)

@@ -18,6 +18,8 @@ from topcli.engine.driver import loop_of
 CHUNK_ROWS = 8192
 CHUNK_STEPS = 1 << 19
 """Steps between two looks at the clock and the keyboard: some tens of milliseconds."""
+PLAIN_STEPS = 1 << 9
+"""The same for steps that run in the interpreter."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,11 @@ class Run:
         counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
         self.ending = Ending(outcome, step, step * self.h, counts)
 
+    def _failure(self, work: Array) -> Outcome:
+        """Why the step that ``work`` is the result of failed."""
+        status = work[len(work) - len(self._loop.counters) - 1]
+        return Outcome.NO_CONVERGENCE if self._loop.iterative and np.isnan(status) else Outcome.BLEW_UP
+
     def __iter__(self) -> Iterator[Chunk]:
         """Chunks of recorded rows; the last one is followed by ``ending`` being set."""
         d, every = len(self._y0), self.every
@@ -72,19 +79,20 @@ class Run:
         self._loop.enter(self._y0, work, self._p, self.h)
         yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
         done = 0
+        chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
         outcome = Outcome.COMPLETED
         while done < self.N and outcome is Outcome.COMPLETED:
             if self._stop():
                 outcome = Outcome.INTERRUPTED
                 break
             to_record = every - done % every
-            steps = min(self.N - done, CHUNK_STEPS, to_record + (CHUNK_ROWS - 1) * every)
+            steps = min(self.N - done, chunk_steps, to_record + (CHUNK_ROWS - 1) * every)
             start = time.perf_counter()
             taken = self._loop.drive(work, out, self._p, self.h, steps, every, to_record)
             self.run_seconds += time.perf_counter() - start
             before = done
             if taken < 0:
-                outcome, done = Outcome.BLEW_UP, done - taken
+                outcome, done = self._failure(work), done - taken
                 last_good = done - 1
             else:
                 done = last_good = done + taken
@@ -102,7 +110,8 @@ def nanoseconds_per_step(
     """Median warm time of one step, in nanoseconds, for each (top, method, y0, h), measured in turn.
 
     Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the
-    machine's speed hits all alike. A trajectory that blows up is timed as far as it goes.
+    machine's speed hits all alike. A trajectory that blows up is timed as far as it goes; what runs in the
+    interpreter is timed over fewer steps.
     """
     prepared = []
     for top, method, y0, h in runs:
@@ -114,7 +123,8 @@ def nanoseconds_per_step(
         for i, (loop, y0, p, h, work) in enumerate(prepared):
             loop.enter(y0, work, p, h)
             start = clock()
-            taken = loop.drive(work, work, p, h, steps, steps + 1, steps + 1)
+            count = steps if loop.compiled else min(steps, PLAIN_STEPS)
+            taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
             elapsed = clock() - start
             if repetition:
                 times[i].append(elapsed / max(1, abs(taken)))

@@ -37,6 +37,10 @@ CACHE_ENTRIES = 256
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
 
 
+class CompileError(Exception):
+    """The compiler refuses a function; the message is its reason in one line."""
+
+
 @dataclass(frozen=True)
 class Native:
     """A compiled function; call it with numpy arrays, floats and ints as its signature says.
@@ -197,13 +201,20 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
 
     ``signature`` has a letter an argument: ``p`` pointer to float64, ``d`` float64, ``q`` int64. ``inline``
     forces every kernel into its caller, which is right for a step of a hundred operations and wrong for loops.
+    Raises CompileError when the compiler refuses.
     """
+    _machine()  # the back end's own start-up is no part of compiling or loading this function
     start = time.perf_counter()
     path = cache_folder() / f"{content_key(function, signature, inline)}.o"
     stored = _read(path, signature)
     if stored is not None:
         return Native(stored[0], signature, time.perf_counter() - start, True, stored[1])
-    compiled = _compile(function, signature, inline)
+    try:
+        compiled = _compile(function, signature, inline)
+    except Exception as error:  # numba raises its own kinds and plain ones
+        lines = [line.strip() for line in str(error).splitlines()]
+        telling = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
+        raise CompileError((telling or [type(error).__name__])[0]) from error
     llvm, _ = _machine()
     ir = compiled.inspect_llvm()
     needs = _outside(ir)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from topcli.errors import UnknownNameError, nearest
-from topcli.figures.picture import Line, Panel
+from topcli.figures.picture import Drawable, Line, Panel
+from topcli.figures.polhodes import Polhodes
 
 
 @dataclass(frozen=True)
@@ -18,35 +19,74 @@ class FigureSpec:
     name: str
     title: str
     scene: str
-    panels: tuple[Panel, ...]
+    panels: tuple[Drawable, ...]
 
     @property
     def columns(self) -> list[str]:
         """The columns of the run that the panels use, in the order of first use."""
-        used = [name for panel in self.panels for name in (panel.x, *(line.column for line in panel.lines))]
+        used = [name for panel in self.panels for name in panel.columns]
         return list(dict.fromkeys(used))
 
 
-_GAMMA = Panel(
-    tuple(Line(f"gamma{i}", rf"$\gamma_{i}$") for i in (1, 2, 3)), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1)
-)
-_OMEGA = Panel(tuple(Line(f"omega{i}", rf"$\omega_{i}$") for i in (1, 2, 3)), r"$\boldsymbol{\omega}$")
+def _motion(scheme: str) -> tuple[Panel, Panel]:
+    """Gamma on the left, omega on the right."""
+
+    def lines(vector: str) -> tuple[Line, ...]:
+        return tuple(Line(f"{vector}{i}", rf"$\{vector}_{i}$") for i in (1, 2, 3))
+
+    return (
+        Panel(lines("gamma"), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title=f"(a) {scheme}"),
+        Panel(lines("omega"), r"$\boldsymbol{\omega}$", title=f"(b) {scheme}"),
+    )
+
+
+_M_SQ = r"$\boldsymbol{m}^2$"
 
 FIGURES: dict[str, FigureSpec] = {
     spec.name: spec
     for spec in (
-        FigureSpec("fig1", "Kowalevski top, HK scheme: gamma and omega", "kowalevski_hk", (_GAMMA, _OMEGA)),
-        FigureSpec("fig2", "Kowalevski top, Bohlin A: gamma and omega", "kowalevski_bohlin_a", (_GAMMA, _OMEGA)),
+        FigureSpec("fig1", "Kowalevski top, HK scheme: gamma and omega", "kowalevski_hk", _motion("HK")),
+        FigureSpec("fig2", "Kowalevski top, Bohlin A: gamma and omega", "kowalevski_bohlin_a", _motion("Bohlin A")),
         FigureSpec(
             "fig3",
             "Kowalevski top, Bohlin A: 2l and E, and E enlarged",
             "kowalevski_bohlin_a",
             (
-                Panel((Line("energy", "$E$"), Line("two_l", r"$2\ell$")), r"$E,\ 2\ell$", ylim=(0.0, 6.0)),
-                Panel((Line("energy", "$E$"),), "$E$"),
+                Panel(
+                    (Line("energy", "$E$"), Line("two_l", r"$2\ell$")),
+                    r"$E,\ 2\ell$",
+                    ylim=(0.0, 6.0),
+                    title="(a) Bohlin A",
+                ),
+                Panel((Line("energy", "$E$"),), "$E$", title="(b) Bohlin A"),
             ),
         ),
-        FigureSpec("fig4", "Kowalevski top, hybrid scheme: gamma and omega", "kowalevski_hybrid", (_GAMMA, _OMEGA)),
+        FigureSpec("fig4", "Kowalevski top, hybrid scheme: gamma and omega", "kowalevski_hybrid", _motion("hybrid")),
+        FigureSpec(
+            "polhodes",
+            "Euler top: polhodes on the energy ellipsoid, and the tennis racket's",
+            "euler_tennis_racket",
+            (Polhodes((3.0, 2.0, 1.0)),),
+        ),
+        FigureSpec(
+            "modified",
+            "Euler top, HK scheme: physical and modified integrals",
+            "euler_modified",
+            (
+                Panel((Line("m_sq", _M_SQ), Line("modified_m_sq", rf"{_M_SQ[:-1]}/K$")), _M_SQ),
+                Panel(
+                    (
+                        Line("m_sq", _M_SQ),
+                        Line("modified_m_sq", rf"{_M_SQ[:-1]}/K$"),
+                        Line("modified_k12", r"$\kappa_{12}$"),
+                    ),
+                    "relative deviation",
+                    log=True,
+                    deviation=True,
+                    ylim=(1e-17, 1.0),
+                ),
+            ),
+        ),
     )
 }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,8 @@ from topcli.contracts import Outcome
 from topcli.engine.source import fingerprint
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FigureSpec
-from topcli.figures.picture import IMAGE_FORMATS, STYLE, Panel, draw, save
-from topcli.store.run_folder import io_failure
+from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, draw, save
+from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, read_series, write_parquet
 from topcli.studies.run import Progress, RunResult, run_experiment
 
@@ -46,7 +45,7 @@ def _source(spec: FigureSpec, run: RunResult) -> str:
     """What the figure was made from and with; an equal text means equal pictures."""
     return json.dumps(
         {
-            "figure": fingerprint(draw),
+            "figure": fingerprint(draw, *(type(panel).paint for panel in spec.panels)),
             "style": STYLE.read_text(encoding="utf-8"),
             "panels": repr(spec.panels),
             "digest": run.stored.manifest["digest"],
@@ -56,19 +55,9 @@ def _source(spec: FigureSpec, run: RunResult) -> str:
     )
 
 
-def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file under a temporary name of the same suffix, then put it in place."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        write(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def write_figure(
     name: str,
-    panels: Sequence[Panel],
+    panels: Sequence[Drawable],
     data: Mapping[str, np.ndarray],
     out: Path,
     formats: Sequence[str] = IMAGE_FORMATS,
@@ -85,10 +74,10 @@ def write_figure(
         data_path.unlink(missing_ok=True)  # written last: it vouches for the pictures
         figure = draw(panels, data)
         for path in pictures:
-            _write_whole(path, lambda temporary: save(figure, temporary))
-        _write_whole(data_path, lambda temporary: write_parquet(temporary, data, metadata or {}))
+            write_whole(path, lambda temporary: save(figure, temporary))
+        write_whole(data_path, lambda temporary: write_parquet(temporary, data, metadata or {}))
     except OSError as error:
-        raise io_failure(error, out) from error
+        raise io_failure(error, out, "the figure was not drawn") from error
     return (*pictures, data_path)
 
 
@@ -105,15 +94,16 @@ def make_figure(
 ) -> MadeFigure:
     """Make one figure into the folder ``out``: ``<name>.png``, ``.pdf`` and the plotted data as ``.parquet``.
 
-    Its run is read from ``results``, and made there when it is missing or differs from the config; nothing is
-    drawn again when data, drawing code and style are what they were. ``told`` receives lines of talk.
-    Raises UsageError and RunError.
+    Its run is read from ``results``, and made there when it is missing; a different run that stands there is refused
+    unless ``force``. Nothing is drawn again when data, drawing code and style are what they were.
+    ``told`` receives lines of talk. Raises UsageError and RunError.
     """
+    require_writable(out)
     experiment = load_experiment(scene_config(spec.scene, configs))
     missing = [name for name in spec.columns if experiment.output.columns and name not in experiment.output.columns]
     if missing:
         raise UsageError(f"{spec.name}: the config of {spec.scene} does not record {', '.join(missing)}")
-    run = run_experiment(experiment, results, force=force, displace=True, progress=progress)
+    run = run_experiment(experiment, results, force=force, progress=progress)
     if run.set_aside:
         told(f"kept the earlier, different run as {run.set_aside}")
     if run.outcome is not Outcome.COMPLETED:

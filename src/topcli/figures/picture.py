@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -15,6 +15,23 @@ if TYPE_CHECKING:
 
 STYLE = Path(__file__).parent / "print.mplstyle"
 IMAGE_FORMATS = ("png", "pdf")
+
+
+Styles = Mapping[str, dict[str, Any]]
+"""The line style of each label of a figure."""
+
+
+class Drawable(Protocol):
+    """What fills one pair of axes from the columns of a table; a ``figsize`` of its own is heeded."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that it needs."""
+        ...
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw into matplotlib's ``axes``."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -27,7 +44,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes. ``ylim`` fixes the vertical range; ``log`` makes the vertical axis logarithmic."""
+    """One pair of axes. ``ylim`` fixes the vertical range; ``log`` makes the vertical axis logarithmic.
+
+    ``title`` stands above the axes on the left. ``deviation`` draws by how much a column differs from its first value,
+    relative to it and without the sign.
+    """
 
     lines: tuple[Line, ...]
     ylabel: str
@@ -35,63 +56,74 @@ class Panel:
     x: str = "t"
     ylim: tuple[float, float] | None = None
     log: bool = False
+    title: str = ""
+    deviation: bool = False
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that the panel draws."""
+        return (self.x, *(line.column for line in self.lines))
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the lines into ``axes``."""
+        x = data[self.x]
+        for line in self.lines:
+            values = data[line.column]
+            if self.deviation:
+                values = np.abs(values / values[0] - 1.0)
+                values = np.where(values > 0.0, values, np.nan)  # a logarithmic axis has no zero
+            axes.plot(x, values, label=line.label, **styles[line.label])
+        axes.set_xlabel(self.xlabel)
+        axes.set_ylabel(self.ylabel)
+        axes.set_title(self.title, loc="left")
+        finite = x[np.isfinite(x)]
+        axes.set_xlim(float(finite.min()), float(finite.max()))
+        if self.log:
+            axes.set_yscale("log")
+        if self.ylim:
+            axes.set_ylim(*self.ylim)
 
 
 REFERENCE = "reference"
 """The label of a line that others are compared with: drawn broad and grey, behind them."""
 
 
-def _styles(panels: Sequence[Panel]) -> dict[str, dict[str, Any]]:
+def _styles(labels: Sequence[str]) -> Styles:
     """A line style for each label: the same label looks the same in every panel, another label never does."""
     import matplotlib as mpl
 
-    labels = dict.fromkeys(line.label for panel in panels for line in panel.lines if line.label != REFERENCE)
-    styles = dict(zip(labels, itertools.cycle(mpl.rcParams["axes.prop_cycle"]), strict=False))
+    different = dict.fromkeys(label for label in labels if label != REFERENCE)
+    styles = dict(zip(different, itertools.cycle(mpl.rcParams["axes.prop_cycle"]), strict=False))
     return {**styles, REFERENCE: {"color": "0.75", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}}
 
 
-def _draw_panel(axes: Any, panel: Panel, data: Mapping[str, np.ndarray], styles: Mapping[str, dict[str, Any]]) -> None:
-    x = data[panel.x]
-    for line in panel.lines:
-        axes.plot(x, data[line.column], label=line.label, **styles[line.label])
-    axes.set_xlabel(panel.xlabel)
-    axes.set_ylabel(panel.ylabel)
-    finite = x[np.isfinite(x)]
-    axes.set_xlim(float(finite.min()), float(finite.max()))
-    if panel.log:
-        axes.set_yscale("log")
-    if panel.ylim:
-        axes.set_ylim(*panel.ylim)
-
-
-def draw(panels: Sequence[Panel], data: Mapping[str, np.ndarray]) -> Figure:
+def draw(panels: Sequence[Drawable], data: Mapping[str, np.ndarray]) -> Figure:
     """A matplotlib figure with ``panels`` side by side, drawn from the columns of ``data`` (each (m,)).
 
-    Legends stand above the axes, where no trajectory can run through them: one for each panel, or one for all
-    where there are many lines or a reference.
+    Legends of lines stand above the axes, where no trajectory can run through them: one for each panel, or one for
+    all where there are many lines or a reference.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    labels = [line.label for panel in panels for line in panel.lines]
-    shared = REFERENCE in labels or any(len(panel.lines) > 4 for panel in panels)
+    lines = [panel.lines for panel in panels if isinstance(panel, Panel)]
+    labels = [line.label for one in lines for line in one]
+    shared = REFERENCE in labels or any(len(one) > 4 for one in lines)
     with mpl.rc_context(fname=STYLE):
-        figure = Figure()
+        figure = Figure(figsize=getattr(panels[0], "figsize", None))
         FigureCanvasAgg(figure)
-        styles = _styles(panels)
-        every_axes = figure.subplots(1, len(panels), squeeze=False)[0]
-        for axes, panel in zip(every_axes, panels, strict=True):
-            _draw_panel(axes, panel, data, styles)
-            if not shared:
-                axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.2)
+        styles = _styles(labels)
+        handles: dict[str, Any] = {}
+        for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+            panel.paint(axes, data, styles)
+            if isinstance(panel, Panel):
+                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                    handles.setdefault(label, handle)
+                if not shared:
+                    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.2)
         if shared:
-            handles = {
-                label: handle
-                for axes in every_axes
-                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-            }
-            figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(set(labels))))
+            figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(handles)))
     return figure
 
 

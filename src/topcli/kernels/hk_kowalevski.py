@@ -23,7 +23,12 @@ from topcli.contracts import Floats
 
 
 def hk_kowalevski(state: Floats, h: float, p: Floats) -> Floats:
-    """The HK step from (omega, gamma); singular, hence not finite, only for steps far beyond any use."""
+    """The HK step from (omega, gamma).
+
+    Exact up to round-off for steps of any use. The determinant vanishes for some h of the order of 1/|omega| and
+    beyond, where the step is singular; and for h |omega| above 1e5 or so the terms of the closed form differ by more
+    than a double can hold, and the result, though finite, has no correct digit left.
+    """
     w1, w2, w3, g1, g2, g3 = state
     d = 0.5 * h
     f = d * p[0]

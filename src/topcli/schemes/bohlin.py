@@ -167,7 +167,8 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
 
     Then omega3 follows by the trapezoidal rule, and omega1 + i omega2 is the square root of e^{-i chi} xi + c gamma',
     where xi = omega² - c gamma turns by chi = h/2 (omega3' + omega3). |gamma| and |xi| = k are conserved. The order
-    is lost where omega1 + i omega2 passes 0, where the square root is singular.
+    is lost where omega1 + i omega2 passes 0, where the square root is singular. From rest with gamma along the third
+    axis, where xi = 0, the true top falls but no scheme of this family ever moves: it is a fixed point of the map.
     """
     return Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6)
 

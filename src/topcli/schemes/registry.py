@@ -21,7 +21,16 @@ from topcli.errors import UnknownNameError, UsageError, nearest
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
-BUILT_IN = ("topcli.schemes.hk", "topcli.schemes.bohlin", "topcli.schemes.hybrid")
+BUILT_IN = (
+    "topcli.schemes.hk",
+    "topcli.schemes.bohlin",
+    "topcli.schemes.hybrid",
+    "topcli.schemes.hk_heavy",
+    "topcli.schemes.midpoint",
+    "topcli.schemes.baselines",
+    "topcli.schemes.euler",
+    "topcli.schemes.euler_exact",
+)
 
 Build = Callable[[Any, Any], Method]
 
@@ -42,7 +51,7 @@ def scheme(
     *,
     top: str | Iterable[str] | None,
     title: str,
-    order: int,
+    order: int | None,
     explicit: bool,
     self_adjoint: bool,
     citation: str,
@@ -50,6 +59,7 @@ def scheme(
     conserves: Iterable[str] | Callable[[Top], Iterable[str]] = (),
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
+    adaptive: bool = False,
 ) -> Callable[[Build], Build]:
     """Register ``build(top, options) -> Stepper | Sampler`` as the scheme ``name`` of ``top``.
 
@@ -83,6 +93,7 @@ def scheme(
                 build=build,
                 options=options,
                 modified=modified,
+                adaptive=adaptive,
                 doc=inspect.cleandoc(build.__doc__),
                 origin=_origin,
             )

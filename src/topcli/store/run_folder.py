@@ -11,6 +11,7 @@ import json
 import os
 import secrets
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,16 @@ class StoredRun:
             self.same_experiment(digest)
             and self.manifest.get("code") == code
             and self.manifest.get("outcome") != "interrupted"
-            and all((self.folder / name).is_file() for name in self.manifest.get("files", ["missing"]))
+            and all(_size(self.folder / name) == size for name, size in self.manifest.get("files", {"": 0}).items())
+        )
+
+    def replaceable(self, digest: str, code: str) -> bool:
+        """Whether a new run by the same code of the same experiment may take this one's place and nothing be lost."""
+        own = {MANIFEST, *self.manifest.get("files", {})}
+        return (
+            self.same_experiment(digest)
+            and self.manifest.get("code") == code
+            and all(entry.name in own for entry in self.folder.iterdir())
         )
 
 
@@ -75,13 +85,44 @@ def stored_runs(out: Path) -> list[StoredRun]:
     return [run for run in map(stored_run, folders) if run]
 
 
-def io_failure(error: OSError, path: Path) -> RunError:
-    """What to tell the user of a failed write."""
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file under a temporary name of the same suffix, then put it in place. Raises OSError."""
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this run") -> RunError:
+    """What to tell the user of a failed write, and of what was ``kept`` of it."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return RunError(f"{path}: no space left on the device; nothing was kept of this run")
+        return RunError(f"{path}: no space left on the device; {kept}")
     if error.errno == errno.EFBIG:
-        return RunError(f"{path}: the file would exceed the size limit; nothing was kept of this run")
-    return RunError(f"{path}: cannot be written ({error.strerror or error}); nothing was kept of this run")
+        return RunError(f"{path}: the file would exceed the size limit; {kept}")
+    return RunError(f"{path}: cannot be written ({error.strerror or error}); {kept}")
+
+
+def _size(path: Path) -> int:
+    """The size of a file; -1 when there is none."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return -1
+
+
+def require_writable(out: Path) -> None:
+    """Make the folder ``out`` if need be. Raises UsageError when it cannot be written to."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / f".probe-{os.getpid()}-{secrets.token_hex(4)}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UsageError(
+            f"output folder {out}: cannot be written to ({error.strerror}); choose another with --out"
+        ) from None
 
 
 def _sync(path: Path) -> None:
@@ -105,29 +146,27 @@ def _alive(pid: int) -> bool:
 class RunWriter:
     """A run folder in the making: fill ``folder``, then ``commit``; left without a commit it vanishes.
 
-    ``keep_earlier`` says that a run of something else stands at the target and is to be set aside under
-    ``<name>.<its digest>`` instead of being replaced.
+    What stands at the target by then is replaced when it is the same experiment by the same code, and otherwise set
+    aside under ``<name>.<its digest>``, whoever put it there meanwhile.
     Raises UsageError when the output folder cannot be written to.
     """
 
-    def __init__(self, out: Path, name: str, *, keep_earlier: bool) -> None:
-        self.out, self.target, self._keep = out, out / name, keep_earlier
+    def __init__(self, out: Path, name: str) -> None:
+        self.out, self.target = out, out / name
         self.set_aside: Path | None = None
         self._prefix = f".{name}.part-"
         self.folder = out / f"{self._prefix}{os.getpid()}-{secrets.token_hex(4)}"
 
     def __enter__(self) -> RunWriter:
+        require_writable(self.out)
         try:
-            self.out.mkdir(parents=True, exist_ok=True)
             for left in self.out.glob(f"{self._prefix}*"):
                 pid = left.name[len(self._prefix) :].partition("-")[0]
                 if pid.isdigit() and not _alive(int(pid)):
                     shutil.rmtree(left, ignore_errors=True)
             self.folder.mkdir()
         except OSError as error:
-            raise UsageError(
-                f"output folder {self.out}: cannot be written to ({error.strerror}); choose another with --out"
-            ) from None
+            raise io_failure(error, self.out) from None
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -140,31 +179,42 @@ class RunWriter:
     def commit(self, manifest: dict[str, Any]) -> StoredRun:
         """Write the manifest, flush everything to the disk and put the folder in its place. Raises OSError."""
         files = sorted(entry.name for entry in self.folder.iterdir())
-        complete = {"manifest_version": MANIFEST_VERSION, **manifest, "files": [*files, MANIFEST]}
+        complete = {
+            "manifest_version": MANIFEST_VERSION,
+            **manifest,
+            "files": {name: _size(self.folder / name) for name in files},
+        }
         for name in files:
             _sync(self.folder / name)
         self.write(MANIFEST, json.dumps(complete, indent=1, ensure_ascii=False) + "\n")
         _sync(self.folder / MANIFEST)
         _sync(self.folder)
-        self._put_in_place()
+        self._put_in_place(complete["digest"], complete["code"])
         _sync(self.out)
         return StoredRun(self.target, complete)
 
-    def _put_in_place(self) -> None:
-        """Rename into place. What stood there is moved aside first: at no moment is there no complete result."""
-        try:
-            os.rename(self.folder, self.target)
-            return
-        except OSError as error:
-            if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
-                raise
-        aside = self._free_name()
-        os.rename(self.target, aside)
-        os.rename(self.folder, self.target)
-        if self._keep:
-            self.set_aside = aside
-        else:
-            shutil.rmtree(aside, ignore_errors=True)
+    def _put_in_place(self, digest: str, code: str) -> None:
+        """Rename into place; first move aside, whole, what stands there. Every rename is atomic, so nothing is lost."""
+        superseded: list[Path] = []
+        while True:
+            try:
+                os.rename(self.folder, self.target)
+                break
+            except OSError as error:
+                if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+                    raise
+            aside = self._free_name()
+            try:
+                os.rename(self.target, aside)
+            except FileNotFoundError:
+                continue  # another process moved it first
+            earlier = stored_run(aside)
+            if earlier is not None and earlier.replaceable(digest, code):
+                superseded.append(aside)
+            else:
+                self.set_aside = aside
+        for old in superseded:
+            shutil.rmtree(old, ignore_errors=True)
 
     def _free_name(self) -> Path:
         earlier = stored_run(self.target)

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from topcli.errors import RunError
+
 ROW_GROUP = 131_072
 """Rows a Parquet row group: what is held in memory until written."""
 
@@ -110,7 +112,20 @@ class SeriesWriter:
 
 
 def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """Columns of a series written here, each (m,); all of them when ``names`` is None. Raises OSError, KeyError."""
+    """Columns of a series written here, each (m,); all of them when ``names`` is None.
+
+    Raises RunError when the file is missing or damaged.
+    """
+    import pyarrow as pa
+
+    try:
+        return _read_columns(path, names)
+    except (OSError, KeyError, pa.ArrowException) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RunError(f"{path}: cannot be read ({reason[:120]}); run again with --force") from None
+
+
+def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarray]:
     if path.suffix == ".csv":
         import pyarrow.csv as csv
 

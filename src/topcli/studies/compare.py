@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,8 @@ from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method
 from topcli.engine.loop import nanoseconds_per_step
-from topcli.errors import UsageError
+from topcli.errors import UsageError, nearest
+from topcli.schemes.registry import find_scheme
 from topcli.studies.report import finite
 from topcli.studies.simulate import trajectory_of
 
@@ -37,11 +38,16 @@ class Comparison:
     series: dict[str, Array]
 
 
-def under_scheme(experiment: Experiment, name: str) -> Experiment:
-    """``experiment`` with another scheme; its options are kept when it is the experiment's own, composed or not."""
+def under_scheme(experiment: Experiment, name: str, options: Mapping[str, Any] | None = None) -> Experiment:
+    """``experiment`` with another scheme; its options are kept when it is the experiment's own, composed or not.
+
+    Those of ``options`` that the scheme has are set.
+    """
     resolved = experiment.resolved()
-    same = name.lower().partition("+")[0] == experiment.scheme.name.partition("+")[0]
-    resolved["scheme"] = resolved["scheme"] | {"name": name} if same else name
+    own = name.lower().partition("+")[0] == experiment.scheme.name.partition("+")[0]
+    resolved["scheme"] = (resolved["scheme"] if own else {}) | {"name": name}
+    known = find_scheme(name, experiment.top.form).options.model_fields
+    resolved["scheme"] |= {key: value for key, value in (options or {}).items() if key in known}
     return experiment_from(resolved)
 
 
@@ -62,7 +68,8 @@ def _figures(
     ended_well = trajectory.ending.step == experiment.N and trajectory.ending.outcome.value == "completed"
     return {
         "scheme": experiment.scheme.name,
-        "options": experiment.resolved()["scheme"],
+        "options": experiment.options.model_dump(mode="json"),
+        "changed": experiment.options.model_dump(mode="json", exclude_defaults=True),
         "outcome": trajectory.ending.outcome.value,
         "message": trajectory.ending.message,
         "counters": dict(trajectory.ending.counters),
@@ -86,14 +93,22 @@ def _figures(
     }
 
 
-def compare_schemes(experiment: Experiment, names: Sequence[str]) -> Comparison:
+def compare_schemes(
+    experiment: Experiment, names: Sequence[str], options: Mapping[str, Any] | None = None
+) -> Comparison:
     """Run ``experiment`` under each of the schemes ``names`` and measure them.
+
+    Each of the ``options`` is set for the schemes that have it; one of them must.
 
     Errors are Euclidean norms of the difference of states from the Taylor reference at the recorded times. The
     reversal defect is the largest over states spread along the reference. Raises UsageError for a repeated or
     unknown scheme, or for more rows than fit in memory.
     """
-    experiments = [under_scheme(experiment, name) for name in names]
+    experiments = [under_scheme(experiment, name, options) for name in names]
+    for key in options or ():
+        if not any(key in one.scheme.options.model_fields for one in experiments):
+            known = {key for one in experiments for key in one.scheme.options.model_fields}
+            raise UsageError(f"--set scheme.{key}: none of the schemes has this option; {nearest(key, known)}")
     used = [one.scheme.name for one in experiments]
     repeated = sorted({name for name in used if used.count(name) > 1})
     if repeated:
@@ -102,7 +117,7 @@ def compare_schemes(experiment: Experiment, names: Sequence[str]) -> Comparison:
     if rows > MAX_ROWS:
         raise UsageError(
             f"output.every: {rows} rows to compare in memory; "
-            f"record every {experiment.N // MAX_ROWS + 1}th step or more with --set output.every=..."
+            f"record fewer with --set output.every={experiment.N // MAX_ROWS + 1} or more"
         )
     top = experiment.top
     methods = [one.method() for one in experiments]

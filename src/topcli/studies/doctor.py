@@ -37,6 +37,9 @@ def diagnosis() -> dict[str, Any]:
         origin = entry.dist.name if entry.dist else entry.name
         names = sorted({scheme.name for scheme in all_schemes() if scheme.origin == origin})
         state = f"failed: {failures[entry.name]}" if entry.name in failures else f"registers {', '.join(names)}"
+        if not names and entry.name not in failures:
+            state = "registers no scheme"
+            problems.append(f"plugin {entry.name} registers no scheme")
         plugins.append({"name": entry.name, "state": state})
     problems += [f"plugin {name} failed: {reason}" for name, reason in failures.items()]
     return {

@@ -120,7 +120,7 @@ def report_markdown(report: dict[str, Any]) -> str:
         "",
         f"Deviations are from the first value. *exact*: no deviation beyond {ROUND_OFF_ULPS:g} ulp × √steps of the "
         f"invariant's terms. *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
-        "further than twice the scatter about it. *bounded*: neither.",
+        "further than twice the scatter about it. *bounded*: neither. *unjudged*: too little to judge by.",
         "",
         f"Compiled or loaded in {report['seconds']['compile']:.3g} s, ran in {report['seconds']['run']:.3g} s.",
         "",

@@ -42,23 +42,47 @@ class RunResult:
         return Outcome(self.report["outcome"])
 
 
-def _standing(target: Path, digest: str, displace: bool) -> StoredRun | None:
-    """The finished run at ``target``. Raises UsageError when something else there would be overwritten."""
-    earlier = stored_run(target)
-    if earlier is None:
+@dataclass(frozen=True)
+class Plan:
+    """What a call of ``run_experiment`` will do: ``standing`` is the run that is there, ``action`` says it in words."""
+
+    standing: StoredRun | None
+    up_to_date: bool
+    action: str
+
+
+def method_fingerprint(experiment: Experiment) -> str:
+    """A digest of the code of the experiment's scheme."""
+    method = experiment.method()
+    if isinstance(method, Sampler):
+        return fingerprint(method.states)
+    return fingerprint(method.step, method.enter, method.leave)
+
+
+def plan_run(experiment: Experiment, out: Path, code: str, *, force: bool = False) -> Plan:
+    """What running ``experiment`` into ``out`` will do. Raises UsageError for what would be refused."""
+    target, digest = out / experiment.name, experiment.digest
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"output folder {out}: is not a folder; choose another with --out")
+    standing = stored_run(target)
+    if standing is None:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise UsageError(
                 f"{target}: exists and is no finished run; nothing was written\n"
                 "move it away, or choose another folder with --out or another name with --set name=..."
             )
-        return None
-    if not earlier.same_experiment(digest) and not displace:
-        raise UsageError(
-            f"{target}: holds a different experiment (digest {str(earlier.manifest['digest'])[:8]}, this one "
-            f"{digest[:8]}); nothing was written\nchoose --set name=... or --out, or --force to keep the earlier run "
-            "aside and put this one in its place"
-        )
-    return earlier
+        return Plan(None, False, "will run")
+    if not standing.same_experiment(digest):
+        if not force:
+            raise UsageError(
+                f"{target}: holds a different experiment (digest {str(standing.manifest['digest'])[:8]}, this one "
+                f"{digest[:8]}); nothing was written\nchoose --set name=... or --out, or --force to keep the earlier "
+                "run aside and put this one in its place"
+            )
+        return Plan(standing, False, "will run, and keep the different run that is there aside")
+    if not force and standing.up_to_date(digest, code):
+        return Plan(standing, True, "up to date")
+    return Plan(standing, False, "will run again")
 
 
 def _write_series(
@@ -107,32 +131,25 @@ def run_experiment(
     out: Path,
     *,
     force: bool = False,
-    displace: bool = False,
     progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> RunResult:
     """Run ``experiment`` into ``out/<name>/``, or find it there already.
 
     A run of the same experiment by the same code that ended by itself is not repeated unless ``force``. A
-    different experiment standing there is refused, unless ``force`` or ``displace``: then it is set aside under
-    another name. ``stop`` is asked between chunks; what was written until then is kept, marked ``interrupted``.
+    different experiment standing there is refused, unless ``force``: then it is set aside under another name.
+    ``stop`` is asked between chunks; what was written until then is kept, marked ``interrupted``.
 
     Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
     """
-    method = experiment.method()
-    digest = experiment.digest
-    if isinstance(method, Sampler):
-        code = fingerprint(method.states)
-    else:
-        code = fingerprint(method.step, method.enter, method.leave)
-    earlier = _standing(out / experiment.name, digest, force or displace)
-    if earlier is not None and not force and earlier.up_to_date(digest, code):
-        return RunResult(earlier, earlier.report(), "up to date")
+    method, digest, code = experiment.method(), experiment.digest, method_fingerprint(experiment)
+    plan = plan_run(experiment, out, code, force=force)
+    if plan.up_to_date and plan.standing is not None:
+        return RunResult(plan.standing, plan.standing.report(), "up to date")
     started = now()
     modified = experiment.modified
-    tally = InvariantTally((*experiment.top.invariants(), *modified), experiment.h, experiment.N)
-    keep = earlier is not None and not (earlier.same_experiment(digest) and earlier.manifest.get("code") == code)
-    with Commit() as commit, RunWriter(out, experiment.name, keep_earlier=keep) as writer:
+    tally = InvariantTally((*experiment.top.invariants(), *modified), experiment.h)
+    with Commit() as commit, RunWriter(out, experiment.name) as writer:
         series = writer.folder / f"series.{experiment.output.format}"
         try:
             resolved = experiment.resolved()

@@ -10,9 +10,11 @@ from collections.abc import Collection
 
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, nearest
+from topcli.tops.euler import Euler, EulerGamma
+from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 
-TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski,)}
+TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski, Euler, EulerGamma, Heavy)}
 
 
 def kinds() -> list[str]:

@@ -1,0 +1,191 @@
+"""The energy ellipsoid of the Euler top in the space of omega, with polhodes: curves of constant m².
+
+Drawn without matplotlib's three-dimensional axes, which cannot tell what of a curve on a surface is hidden: the
+ellipsoid is shaded pixel by pixel in parallel projection, and every curve is cut where it goes behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from topcli.errors import RunError
+from topcli.figures.picture import Styles
+
+Curve = np.ndarray
+"""Points (m, 3)."""
+
+
+@dataclass(frozen=True)
+class Polhodes:
+    """The ellipsoid for moments (A, B, C), all different, at the energy of the run; the run's own curve stands out.
+
+    ``levels`` are the places of the thin polhodes between the separatrix (0) and the axes (1), on either side.
+    ``view`` is the azimuth and the elevation of the eye, in degrees, with omega3 upright.
+    """
+
+    moments: tuple[float, float, float]
+    omega: tuple[str, str, str] = ("omega1", "omega2", "omega3")
+    levels: tuple[float, ...] = (0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
+    view: tuple[float, float] = (52.0, 24.0)
+    figsize: tuple[float, float] = (6.0, 6.6)
+    pixels: int = 900
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that it needs: the components of omega."""
+        return self.omega
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw into ``axes``. Raises RunError for data that do not lie on the ellipsoid of the moments."""
+        moments = np.array(self.moments)
+        path = np.column_stack([data[name] for name in self.omega])
+        energies = path**2 @ moments
+        if np.ptp(energies) > 0.05 * energies[0]:
+            raise RunError(
+                f"polhodes: the run does not keep the energy of a top with the moments {self.moments}; draw it from a "
+                "config with these moments, or give the figure those of the config"
+            )
+        path = path / np.sqrt(energies[0])
+        camera = _camera(*self.view)
+        _shade(axes, moments, camera, self.pixels)
+        for curve, steady in _curves(moments, self.levels):
+            _trace(axes, curve, moments, camera, color="0.15", width=0.9 if steady else 0.6)
+            if not steady:
+                _arrow(axes, curve, moments, camera)
+        _trace(axes, path, moments, camera, color="#B2182B", width=1.8)
+        _landmarks(axes, moments, camera)
+        reach = 1.06 * np.sqrt(camera[:2] ** 2 @ (1.0 / moments))
+        axes.set(xlim=(-reach[0], reach[0]), ylim=(-reach[1], 1.3 * reach[1]), aspect="equal")
+        axes.set_axis_off()
+
+
+def _camera(azimuth: float, elevation: float) -> np.ndarray:
+    """Rows: the directions to the right, up, and towards the eye."""
+    a, e = np.radians([azimuth, elevation])
+    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    return np.array([right, np.cross(eye, right), eye])
+
+
+def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> None:
+    """The ellipsoid x.Ix = 1 in soft light, tinted by m²/2E: blue towards the largest moment, ochre the smallest."""
+    reach = 1.02 * np.sqrt(camera[:2] ** 2 @ (1.0 / moments)).max()
+    x, y = np.meshgrid(*(np.linspace(-reach, reach, pixels),) * 2)
+    base = x[..., None] * camera[0] + y[..., None] * camera[1]
+    a, b, c = camera[2] ** 2 @ moments, (base * moments) @ camera[2], (base**2) @ moments - 1.0
+    inside = b * b - a * c
+    depth = (-b + np.sqrt(np.maximum(inside, 0.0))) / a
+    point = base + depth[..., None] * camera[2]
+    normal = point * moments
+    size = np.linalg.norm(normal, axis=-1)
+    normal /= size[..., None]
+    small, middle, large = np.sort(moments)
+    level = np.where(size**2 > middle, (size**2 - middle) / (large - middle), (size**2 - middle) / (middle - small))
+    level = np.clip(level, -1.0, 1.0)[..., None]
+    white, blue, ochre = (np.array(rgb) for rgb in ((0.985, 0.975, 0.955), (0.44, 0.63, 0.80), (0.93, 0.72, 0.42)))
+    colour = white + np.where(level > 0.0, level * (blue - white), -level * (ochre - white))
+    light = np.array([-0.45, 0.55, 0.75]) @ camera
+    light /= np.linalg.norm(light)
+    glint = light + camera[2]
+    glint /= np.linalg.norm(glint)
+    diffuse = np.maximum(normal @ light, 0.0)
+    shine = np.maximum(normal @ glint, 0.0) ** 24
+    lit = colour * (0.70 + 0.31 * diffuse)[..., None] + 0.07 * shine[..., None]
+    slope = np.maximum((normal @ camera[2]), 0.0)
+    edge = np.clip(slope * pixels / 60.0, 0.0, 1.0)  # the outline fades within some pixels
+    image = np.dstack([np.clip(lit, 0.0, 1.0), np.where(inside > 0.0, edge, 0.0)])
+    axes.imshow(image, extent=(-reach, reach, -reach, reach), origin="lower", interpolation="bicubic", zorder=1)
+
+
+def _curves(moments: np.ndarray, levels: tuple[float, ...]) -> list[tuple[Curve, bool]]:
+    """The polhodes on x.Ix = 1, each closed and once around in the sense of the motion; True for the separatrix.
+
+    About the axis i the curve of m² = q is I_j (I_j - I_i) x_j² + I_k (I_k - I_i) x_k² = q - I_i.
+    """
+    small, middle, large = (int(i) for i in np.argsort(moments))
+    angle = np.linspace(0.0, 2.0 * np.pi, 721)
+    found: list[tuple[Curve, bool]] = []
+    for i in (small, large):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for level in (0.0, *levels):
+            # squared, so that the curves are evenly spaced
+            rest = (moments[middle] - moments[i]) * (1.0 - level) ** 2
+            for side in (1.0, -1.0):
+                x = np.empty((len(angle), 3))
+                x[:, j] = np.cos(angle) * np.sqrt(rest / (moments[j] * (moments[j] - moments[i])))
+                x[:, k] = np.sin(angle) * np.sqrt(rest / (moments[k] * (moments[k] - moments[i])))
+                others = moments[j] * x[:, j] ** 2 + moments[k] * x[:, k] ** 2
+                x[:, i] = side * np.sqrt(np.maximum(1.0 - others, 0.0) / moments[i])
+                # the motion: x_j' = (I_k - I_i)/I_j x_k x_i
+                forwards = -side * (moments[k] - moments[i]) > 0.0
+                found.append((x if forwards else x[::-1], level == 0.0))
+    return found
+
+
+def _trace(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray, color: str, width: float) -> None:
+    """A curve on the ellipsoid: solid in front, faint and thin behind."""
+    towards = (curve * moments) @ camera[2]
+    flat = curve @ camera[:2].T
+    for seen, style in (
+        (towards >= 0.0, {"lw": width, "zorder": 3}),
+        (towards < 0.0, {"lw": 0.45 * width, "alpha": 0.22, "zorder": 2}),
+    ):
+        axes.plot(*np.where(seen[:, None], flat, np.nan).T, color=color, ls="-", solid_capstyle="round", **style)
+
+
+def _arrow(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray) -> None:
+    """An arrowhead where the curve faces the eye most, if it does."""
+    facing = (curve * moments) @ camera[2] / np.linalg.norm(curve * moments, axis=1)
+    at = int(np.argmax(facing[:-8]))
+    if facing[at] < 0.25:
+        return
+    start, end = (curve[[at, at + 6]]) @ camera[:2].T
+    arrow = {
+        "arrowstyle": "-|>,head_width=0.17,head_length=0.34",
+        "color": "0.15",
+        "lw": 0.6,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
+    axes.annotate("", xy=end, xytext=start, arrowprops=arrow, zorder=3)
+
+
+def _landmarks(axes: Any, moments: np.ndarray, camera: np.ndarray) -> None:
+    """The axes, and the steady rotations: filled where stable, open where not."""
+    from matplotlib.patheffects import withStroke
+
+    middle = int(np.argsort(moments)[1])
+    for i in range(3):
+        tip = np.zeros(3)
+        tip[i] = 1.0 / np.sqrt(moments[i])
+        for sign in (1.0, -1.0):
+            if sign * camera[2][i] > 0.0:
+                stable = i != middle
+                axes.plot(
+                    *(sign * tip @ camera[:2].T),
+                    "o",
+                    ms=5.0,
+                    mew=1.0,
+                    mec="0.1",
+                    mfc="0.1" if stable else "white",
+                    zorder=5,
+                )
+        if camera[2][i] > 0.0:
+            start = tip @ camera[:2].T
+            along = start / np.hypot(*start) * np.sqrt(1.0 / moments.min())
+            arrow = {
+                "arrowstyle": "-|>,head_width=0.2,head_length=0.4",
+                "color": "0.25",
+                "lw": 0.9,
+                "shrinkA": 3,
+                "shrinkB": 0,
+            }
+            axes.annotate("", xy=start + 0.2 * along, xytext=start, arrowprops=arrow, zorder=4)
+            label = axes.text(
+                *(start + 0.26 * along), rf"$\omega_{i + 1}$", ha="center", va="center", fontsize=14, zorder=6
+            )
+            label.set_path_effects([withStroke(linewidth=3.0, foreground="white")])

@@ -1,0 +1,116 @@
+"""The Euler top: the free rigid body, any moments of inertia (Sogo, section 1.2), without and with the vertical."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
+
+
+def field(y: Floats, p: Floats) -> Floats:
+    """Sogo's (Euler) without gravity: omega_i' = alpha_i omega_j omega_k."""
+    w1, w2, w3 = y
+    return (p[3] * w2 * w3, p[4] * w3 * w1, p[5] * w1 * w2)
+
+
+def field_with_gamma(y: Floats, p: Floats) -> Floats:
+    """Sogo's (Euler) without gravity and (Poisson)."""
+    w1, w2, w3, g1, g2, g3 = y
+    return (
+        p[3] * w2 * w3,
+        p[4] * w3 * w1,
+        p[5] * w1 * w2,
+        g2 * w3 - g3 * w2,
+        g3 * w1 - g1 * w3,
+        g1 * w2 - g2 * w1,
+    )
+
+
+class Euler(Top):
+    """Euler top with moments (A, B, C) and no torque; dimensionless. The state is omega in the body frame.
+
+    Moments that break the triangle inequality are no rigid body's, but the equations mean something for them too:
+    a warning, not an error.
+    """
+
+    kind: ClassVar[str] = "euler"
+    form: ClassVar[str] = "euler"
+    title: ClassVar[str] = "Euler top (free rigid body)"
+    citation: ClassVar[str] = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.2"
+    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3")
+    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3)}
+    swing: ClassVar[str] = "omega2"
+    field: ClassVar = staticmethod(field)
+
+    A: float = Field(default=3.0, gt=0.0, description="first moment of inertia; positive")
+    B: float = Field(default=2.0, gt=0.0, description="second moment of inertia; positive")
+    C: float = Field(default=1.0, gt=0.0, description="third moment of inertia; positive")
+
+    def constants(self) -> Floats:
+        """``(A, B, C, alpha1, alpha2, alpha3)`` with alpha1 = (B - C)/A and so on in turn."""
+        A, B, C = self.A, self.B, self.C
+        return (A, B, C, (B - C) / A, (C - A) / B, (A - B) / C)
+
+    def euler_poisson(self) -> EulerPoisson:
+        """The same top in the general Euler-Poisson equations."""
+        return EulerPoisson((self.A, self.B, self.C), (0.0, 0.0, 0.0))
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        """m² and m·omega (twice the energy), Sogo section 1.2."""
+        moments = np.array((self.A, self.B, self.C))
+
+        def m_sq(y: Array) -> Array:
+            return (moments * y[:, :3]) ** 2 @ np.ones(3)
+
+        def m_omega(y: Array) -> Array:
+            return y[:, :3] ** 2 @ moments
+
+        return (
+            Invariant("m_sq", "m²", r"\boldsymbol{m}^2", "angular momentum, squared", m_sq, m_sq),
+            Invariant(
+                "m_omega", "m·ω", r"\boldsymbol{m}\cdot\boldsymbol{\omega}", "twice the energy", m_omega, m_omega
+            ),
+        )
+
+
+class EulerGamma(Euler):
+    """Euler top that carries the vertical gamma, a direction at rest in space, seen from the body."""
+
+    form: ClassVar[str] = "euler+gamma"
+    title: ClassVar[str] = "Euler top (free rigid body) with the vertical"
+    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
+    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
+    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
+    field: ClassVar = staticmethod(field_with_gamma)
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        """m², m·omega, gamma² and m·gamma."""
+        moments = np.array((self.A, self.B, self.C))
+
+        def gamma_sq(y: Array) -> Array:
+            return y[:, 3:] ** 2 @ np.ones(3)
+
+        def m_gamma(y: Array) -> Array:
+            return (y[:, :3] * y[:, 3:]) @ moments
+
+        def m_gamma_scale(y: Array) -> Array:
+            return m_gamma(np.abs(y))
+
+        return (
+            *super().invariants(),
+            Invariant(
+                "gamma_sq", "γ²", r"\boldsymbol{\gamma}^2", "length of the vertical, squared", gamma_sq, gamma_sq
+            ),
+            Invariant(
+                "m_gamma",
+                "m·γ",
+                r"\boldsymbol{m}\cdot\boldsymbol{\gamma}",
+                "angular momentum about the vertical",
+                m_gamma,
+                m_gamma_scale,
+            ),
+        )

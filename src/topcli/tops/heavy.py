@@ -1,0 +1,95 @@
+"""The heavy top in general: any moments of inertia, any centre of gravity (Sogo, section 1.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
+
+
+def field(s: Floats, p: Floats) -> Floats:
+    """Right-hand side of Sogo's (Euler), (Poisson); ``p`` is (A, B, C, mg x0, mg y0, mg z0)."""
+    w1, w2, w3, g1, g2, g3 = s
+    A, B, C, x, y, z = p
+    return (
+        ((B - C) * w2 * w3 + (g2 * z - g3 * y)) / A,
+        ((C - A) * w3 * w1 + (g3 * x - g1 * z)) / B,
+        ((A - B) * w1 * w2 + (g1 * y - g2 * x)) / C,
+        g2 * w3 - g3 * w2,
+        g3 * w1 - g1 * w3,
+        g1 * w2 - g2 * w1,
+    )
+
+
+class Heavy(Top):
+    """Heavy top with moments (A, B, C) and mg(x0, y0, z0); dimensionless.
+
+    Its three integrals do not make it integrable: the motion is chaotic unless the top is Euler's, Lagrange's or
+    Kowalevski's (or a special orbit). The default top is chaotic.
+    """
+
+    kind: ClassVar[str] = "heavy"
+    form: ClassVar[str] = "heavy"
+    title: ClassVar[str] = "heavy top (any moments of inertia and centre of gravity)"
+    citation: ClassVar[str] = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.1, EulerPoisson"
+    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
+    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
+    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
+    swing: ClassVar[str] = "gamma1"
+    field: ClassVar = staticmethod(field)
+
+    A: float = Field(default=2.0, gt=0.0, description="first moment of inertia")
+    B: float = Field(default=1.5, gt=0.0, description="second moment of inertia")
+    C: float = Field(default=1.0, gt=0.0, description="third moment of inertia")
+    x0: float = Field(default=1.0, description="mg x0, the centre of gravity on the first axis times the weight")
+    y0: float = Field(default=0.5, description="mg y0, the centre of gravity on the second axis times the weight")
+    z0: float = Field(default=0.8, description="mg z0, the centre of gravity on the third axis times the weight")
+
+    def constants(self) -> Floats:
+        """``(A, B, C, mg x0, mg y0, mg z0)``."""
+        return (self.A, self.B, self.C, self.x0, self.y0, self.z0)
+
+    def euler_poisson(self) -> EulerPoisson:
+        """The same numbers."""
+        return EulerPoisson((self.A, self.B, self.C), (self.x0, self.y0, self.z0))
+
+    def warnings(self) -> tuple[str, ...]:
+        """A line when the moments break the triangle inequality: no rigid body has such moments."""
+        moments = sorted(zip((self.A, self.B, self.C), "ABC", strict=True))
+        (small, first), (middle, second), (large, third) = moments
+        if large <= small + middle:
+            return ()
+        return (
+            f"top: no rigid body has moments with {third} = {large:g} > {first} + {second} = {small + middle:g} "
+            "(triangle inequality); the equations are integrated all the same",
+        )
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        """gamma², m·gamma and E, Sogo section 1.1, eq. (constant)."""
+        moments = np.array((self.A, self.B, self.C))
+        gravity = np.array((self.x0, self.y0, self.z0))
+
+        def gamma_sq(y: Array) -> Array:
+            return (y[:, 3:] ** 2).sum(axis=1)
+
+        def m_gamma(y: Array) -> Array:
+            return (moments * y[:, :3] * y[:, 3:]).sum(axis=1)
+
+        def m_gamma_scale(y: Array) -> Array:
+            return m_gamma(np.abs(y))
+
+        def energy(y: Array) -> Array:
+            return (0.5 * moments * y[:, :3] ** 2 + gravity * y[:, 3:]).sum(axis=1)
+
+        def energy_scale(y: Array) -> Array:
+            return (0.5 * moments * y[:, :3] ** 2 + np.abs(gravity * y[:, 3:])).sum(axis=1)
+
+        return (
+            Invariant("gamma_sq", "γ²", r"\gamma^2", "length of the vertical, squared", gamma_sq, gamma_sq),
+            Invariant("m_gamma", "m·γ", r"m\cdot\gamma", "angular momentum about the vertical", m_gamma, m_gamma_scale),
+            Invariant("energy", "E", r"E", "energy", energy, energy_scale),
+        )
