@@ -41,6 +41,7 @@ bench: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/steps_lagrange.py
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/store.py
+	$(BIN)/python benchmarks/compose.py
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist

@@ -19,7 +19,9 @@ from topcli.cli.options import (
 )
 from topcli.cli.talk import print_json, print_table, say
 
-list_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, figures or runs.")
+list_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, compositions, figures or runs."
+)
 
 
 def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_json: bool) -> None:
@@ -97,6 +99,25 @@ def list_schemes(
     for failure in plugin_failures():
         say(f"plugin {failure.name} failed: {failure.reason}")
     _print_list("schemes", items, ["name", "top", "order", "self_adjoint", "conserves", "origin"], as_json)
+
+
+@list_app.command("compositions")
+def list_compositions(as_json: Json = False) -> None:
+    """The compositions that raise the order of a self-adjoint scheme: write scheme+composition, such as hk+suzuki4."""
+    from topcli.schemes.compose import COMPOSITIONS
+
+    items: list[dict[str, Any]] = [
+        {
+            "name": found.name,
+            "title": found.title,
+            "order": found.order,
+            "stages": found.stages,
+            "weights": list(found.weights),
+            "citation": found.citation,
+        }
+        for found in COMPOSITIONS.values()
+    ]
+    _print_list("compositions", items, ["name", "order", "stages", "title", "citation"], as_json)
 
 
 @list_app.command("figures")

@@ -9,10 +9,17 @@ import typer
 
 
 def complete_scheme(incomplete: str) -> list[str]:
-    """Names of schemes that begin with ``incomplete``."""
+    """Names of schemes that begin with ``incomplete``; after a +, of compositions of the scheme before it."""
     from topcli.schemes.registry import all_schemes
 
-    names = sorted({scheme.name for scheme in all_schemes()})
+    base, plus, _ = incomplete.lower().partition("+")
+    if plus:
+        from topcli.schemes.compose import COMPOSITIONS, obstacle
+
+        fits = any(scheme.name == base and not obstacle(scheme) for scheme in all_schemes())
+        names = [f"{base}+{name}" for name in COMPOSITIONS if fits]
+    else:
+        names = sorted({scheme.name for scheme in all_schemes()})
     return [name for name in names if name.startswith(incomplete.lower())]
 
 

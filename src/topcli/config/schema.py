@@ -7,6 +7,7 @@ from typing import Any
 from topcli.config.models import Config
 from topcli.config.sections import AUTO
 from topcli.contracts import Scheme, Top
+from topcli.schemes.compose import COMPOSITIONS, obstacle
 from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS, forms, kinds
 
@@ -82,9 +83,15 @@ def _for_top(cls: type[Top]) -> Schema:
 
 
 def _scheme(scheme: Scheme) -> Schema:
-    """A scheme by its bare name or as a section with its options."""
+    """A scheme by its bare name or as a section with its options, and composed where it can be."""
     name = {"const": scheme.name, "description": scheme.title}
-    return {"anyOf": [name, _section(scheme.options, "name", name)], "description": scheme.title}
+    forms = [name, _section(scheme.options, "name", name)]
+    if not obstacle(scheme):
+        compose = {"enum": list(COMPOSITIONS), "description": "the symmetric composition of its steps"}
+        forms[1]["properties"]["compose"] = compose
+        composed = {"enum": [f"{scheme.name}+{other}" for other in COMPOSITIONS], "description": scheme.title}
+        forms += [composed, _section(scheme.options, "name", composed)]
+    return {"anyOf": forms, "description": scheme.title}
 
 
 def _section(model: Any, key: str, value: Schema) -> Schema:
@@ -100,7 +107,8 @@ def _section(model: Any, key: str, value: Schema) -> Schema:
     }
     if "$defs" in schema:
         # "#/$defs/..." of an embedded schema resolves inside it only when it has an identity of its own
-        section |= {"$id": f"topcli:{key}:{value['const']}", "$defs": schema["$defs"]}
+        named = value.get("const") or value["enum"][0]
+        section |= {"$id": f"topcli:{key}:{named}", "$defs": schema["$defs"]}
     return section
 
 

@@ -11,6 +11,7 @@ from topcli.config.document import KeyPath, describe
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.contracts import Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.schemes.compose import COMPOSITIONS, compose
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.tops import kinds, top_class
 
@@ -36,17 +37,24 @@ def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top
 
 
 def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme, BaseModel] | None:
-    """The scheme for tops of class ``cls`` with its options."""
+    """The scheme for tops of class ``cls``, composed where ``compose`` says so, with its options."""
     section = _named_section(raw, "scheme", "name", names_for(cls.form), problems)
     if section is None:
         return None
     name, where, given = section
+    composition = given.get("compose", "")
+    if "compose" in given and not isinstance(composition, str):
+        problems.add(("scheme", "compose"), f"must be a name ({', '.join(COMPOSITIONS)}), not {describe(composition)}")
+        return None
     try:
         scheme = find_scheme(name, cls.form)
+        if "compose" in given:
+            where = ("scheme", "compose")
+            scheme = compose(scheme, composition)
     except UsageError as error:
         problems.add(where, str(error), unknown_name=isinstance(error, UnknownNameError))
         return None
-    options = validate(scheme.options, given, ("scheme",), problems, beside=("name",))
+    options = validate(scheme.options, given, ("scheme",), problems, beside=("name", "compose"))
     return None if options is None else (scheme, options)
 
 

@@ -66,13 +66,15 @@ def scheme(
 
     ``top`` is a form of a top, several of them, or None for every one; one name may also serve several tops with a
     decorated function each. ``conserves`` names invariants, or gives them for a top. The docstring of the function
-    documents the scheme. Raises ValueError for a name already taken for a top or a missing docstring.
+    documents the scheme. Raises ValueError for a name already taken for a top or with a +, or a missing docstring.
     """
     forms = TOPS if top is None else (top,) if isinstance(top, str) else tuple(top)
 
     def register(build: Build) -> Build:
         if not build.__doc__:
             raise ValueError(f"scheme {name!r} has no docstring")
+        if "+" in name or "compose" in options.model_fields:
+            raise ValueError(f"scheme {name!r}: a + in a name and an option 'compose' stand for compositions")
         for form in forms:
             key = (name.lower(), form)
             if key in _schemes:
@@ -167,9 +169,16 @@ def all_schemes() -> tuple[Scheme, ...]:
 def find_scheme(name: str, top: str) -> Scheme:
     """The scheme called ``name`` (matched without case) for the form ``top`` of a top.
 
-    Raises UnknownNameError with the nearest names, or SchemeMisfitError naming the tops that the scheme fits.
+    ``base+composition``, such as ``hk+kahan-li8``, is the scheme ``base`` composed (see ``topcli.schemes.compose``).
+    Raises UnknownNameError with the nearest names, SchemeMisfitError naming the tops that the scheme fits, or
+    UsageError for a scheme that cannot be composed.
     """
     plugin_failures()
+    base, plus, composition = name.rpartition("+")
+    if plus:
+        from topcli.schemes.compose import compose
+
+        return compose(find_scheme(base, top), composition)
     found = _schemes.get((name.lower(), top))
     if found:
         return found

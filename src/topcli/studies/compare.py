@@ -39,13 +39,13 @@ class Comparison:
 
 
 def under_scheme(experiment: Experiment, name: str, options: Mapping[str, Any] | None = None) -> Experiment:
-    """``experiment`` with another scheme; its options are kept when it is the experiment's own scheme.
+    """``experiment`` with another scheme; its options are kept when it is the experiment's own, composed or not.
 
     Those of ``options`` that the scheme has are set.
     """
     resolved = experiment.resolved()
-    if name.lower() != experiment.scheme.name:
-        resolved["scheme"] = {"name": name}
+    own = name.lower().partition("+")[0] == experiment.scheme.name.partition("+")[0]
+    resolved["scheme"] = (resolved["scheme"] if own else {}) | {"name": name}
     known = find_scheme(name, experiment.top.form).options.model_fields
     resolved["scheme"] |= {key: value for key, value in (options or {}).items() if key in known}
     return experiment_from(resolved)
