@@ -105,7 +105,10 @@ def test_order_of_an_adaptive_formula(scheme: Scheme) -> None:
     order = observed_order([duration / N for N in counts], errors, 1e-13)
     assert order is not None
     assert order > scheme.order - 0.1
-    if not free:  # the free top, of three components, happens to be solved with an order more
+    if top.form in (
+        "heavy",
+        "kowalevski",
+    ):  # the others, integrable by quadratures, are often solved with an order more
         assert order == pytest.approx(scheme.order, abs=0.1)
     counted = []
     for N in (20, 40):

@@ -20,6 +20,7 @@ from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 SCHEMES = all_schemes()
 TRIALS: dict[str, list[Top]] = {
@@ -27,6 +28,8 @@ TRIALS: dict[str, list[Top]] = {
     "euler": [Euler(), Euler(A=1.3, B=2.0, C=0.9), Euler(A=2.0, B=2.0, C=3.0)],
     "euler+gamma": [EulerGamma(), EulerGamma(A=1.3, B=2.0, C=0.9), EulerGamma(A=1.0, B=1.0, C=1.0)],
     "heavy": [Heavy(), Heavy(A=0.7, B=1.1, C=1.6, x0=-0.4, y0=1.2, z0=0.3), Heavy(A=3.0, B=1.0, C=2.5, y0=0.0)],
+    "lagrange": [Lagrange(), Lagrange(A=1.4, C=2.1, mu=-0.8), Lagrange(mu=0.0), Lagrange(A=1.0, C=1.0)],
+    "lagrange/inertial": [LagrangeInertial()],
 }
 """Tops to try the schemes of each form on; the first two are generic."""
 

@@ -14,7 +14,7 @@ from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FIGURES, figure_spec
-from topcli.figures.make import make_figure
+from topcli.figures.make import make_figure, scene_config
 from topcli.studies.run import run_experiment
 
 
@@ -134,14 +134,14 @@ def test_a_run_that_blew_up_is_not_drawn(tmp_path: Path) -> None:
 
 def test_every_figure_reads_columns_that_its_scene_records() -> None:
     for spec in FIGURES.values():
-        experiment = load_experiment(ROOT / "configs" / f"{spec.scene}.yaml")
-        integrals = (*experiment.top.invariants(), *experiment.modified)
-        known = {"n", "t", *experiment.top.components, *(integral.name for integral in integrals)}
-        assert set(spec.columns) <= known
+        for scene, columns in spec.sources.items():
+            experiment = load_experiment(scene_config(scene, ROOT / "configs"))
+            integrals = (*experiment.top.invariants(), *experiment.modified)
+            assert set(columns) <= {"n", "t", *experiment.top.components, *(integral.name for integral in integrals)}
     assert figure_spec("FIG1").name == "fig1"
 
 
 def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
     run = run_experiment(load_experiment(ROOT / "configs" / "kowalevski_hk.yaml"), made)
     source = json.loads(pq.read_schema(made / "figures" / "fig1.parquet").metadata[b"topcli.figure.source"])
-    assert source["digest"] == run.stored.manifest["digest"]
+    assert source["runs"] == [[run.stored.manifest["digest"], run.stored.manifest["code"]]]

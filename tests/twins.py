@@ -42,6 +42,9 @@ class Exact:
     def __rtruediv__(self, other: Any) -> Exact:
         return Exact(Exact(other).value / self.value)
 
+    def __pow__(self, n: int) -> Exact:
+        return Exact(self.value**n)
+
     def __neg__(self) -> Exact:
         return Exact(-self.value)
 
@@ -52,7 +55,7 @@ class Exact:
 def exactly(function: Callable[..., Any], *arguments: Any) -> list[Fraction]:
     """The values of a kernel of + - * / in exact arithmetic; tuples among the arguments are taken item by item."""
     made = [tuple(map(Exact, a)) if isinstance(a, (tuple, list)) else Exact(a) for a in arguments]
-    return [x.value for x in function(*made)]
+    return [Exact(x).value for x in function(*made)]
 
 
 def solve(matrix: Sequence[Vector], right: Vector) -> list[Any]:

@@ -50,6 +50,8 @@ class EulerPoisson:
 
     moments: tuple[float, float, float]
     gravity: tuple[float, float, float]
+    omega_sign: float = 1.0
+    """The state's first three components are omega times this sign (+1 or -1), the others are gamma."""
 
 
 class Top(BaseModel):

@@ -75,7 +75,8 @@ def _units(coef: Array, y: Array) -> tuple[int, int]:
 
 def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]:
     """The initial state as omega, gamma (6,), and the times (m,)."""
-    if tuple(top.components) not in (BODY, BODY[:3]):
+    sign = top.euler_poisson().omega_sign
+    if sign == 1.0 and tuple(top.components) not in (BODY, BODY[:3]):
         raise RunError(
             f"reference: top {top.kind!r} has the state ({', '.join(top.components)}); expected omega and gamma"
         )
@@ -83,6 +84,7 @@ def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]
         raise ValueError(f"reference: the state has {len(y0)} components; expected {len(top.components)}")
     y = np.zeros(6)
     y[: len(y0)] = y0
+    y[:3] *= sign
     t = np.ascontiguousarray(times, dtype=np.float64)
     if t.ndim != 1 or not np.isfinite(t).all() or not np.isfinite(y).all():
         raise ValueError("reference: initial state and times must be finite, times of one dimension")
@@ -102,7 +104,8 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
     time, or the span is too long to follow; ValueError for times that are not as said.
     """
     y, t = _checked(top, y0, times)
-    coef = coefficients(top.euler_poisson())
+    equations = top.euler_poisson()
+    coef = coefficients(equations)
     k, m = _units(coef, y)
     unit = np.repeat((-k, m), 3)
     state, out, work = np.zeros(15), np.zeros((t.size, 6)), np.zeros(12 * (ORDER + 1))
@@ -119,6 +122,7 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
     _follow(coef, state, tau, out.reshape(-1), work, lambda at: math.ldexp(at, k))
     with np.errstate(all="ignore"):
         states = np.ldexp(out, unit)[:, : len(top.components)]
+    states[:, :3] *= equations.omega_sign
     if not np.isfinite(states).all():
         raise RunError("reference: the motion leaves the range of double precision")
     return np.ascontiguousarray(states)

@@ -10,11 +10,15 @@ from dataclasses import dataclass
 from topcli.errors import UnknownNameError, nearest
 from topcli.figures.picture import Drawable, Line, Panel
 from topcli.figures.polhodes import Polhodes
+from topcli.figures.sphere import Sphere
 
 
 @dataclass(frozen=True)
 class FigureSpec:
-    """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels."""
+    """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels.
+
+    A column written as ``scene:column`` is read from the run of another scene.
+    """
 
     name: str
     title: str
@@ -26,6 +30,15 @@ class FigureSpec:
         """The columns of the run that the panels use, in the order of first use."""
         used = [name for panel in self.panels for name in panel.columns]
         return list(dict.fromkeys(used))
+
+    @property
+    def sources(self) -> dict[str, dict[str, str]]:
+        """The scenes read, each with the columns taken from its run and the names they get in the figure's data."""
+        found: dict[str, dict[str, str]] = {}
+        for name in self.columns:
+            scene, _, column = name.rpartition(":")
+            found.setdefault(scene or self.scene, {})[column] = name
+        return found
 
 
 def _motion(scheme: str) -> tuple[Panel, Panel]:
@@ -40,6 +53,7 @@ def _motion(scheme: str) -> tuple[Panel, Panel]:
     )
 
 
+_GAMMA = ("gamma1", "gamma2", "gamma3")
 _M_SQ = r"$\boldsymbol{m}^2$"
 
 FIGURES: dict[str, FigureSpec] = {
@@ -85,6 +99,32 @@ FIGURES: dict[str, FigureSpec] = {
                     deviation=True,
                     ylim=(1e-17, 1.0),
                 ),
+            ),
+        ),
+        FigureSpec(
+            "sphere",
+            "Kowalevski top: the vertical seen from the body, near the homoclinic orbit and on a generic one",
+            "kowalevski_hybrid",
+            (
+                Sphere("near the homoclinic orbit", _GAMMA, elevation=48.0, azimuth=-35.0, axis="e_3", band=False),
+                Sphere(
+                    "generic",
+                    ("kowalevski_generic_hk:gamma1", "kowalevski_generic_hk:gamma2", "kowalevski_generic_hk:gamma3"),
+                    elevation=48.0,
+                    azimuth=-35.0,
+                    axis="e_3",
+                    band=False,
+                    width=0.5,
+                ),
+            ),
+        ),
+        FigureSpec(
+            "nutation",
+            "Lagrange top: the trace of its axis with cusps, loops and waves",
+            "lagrange_cusps",
+            tuple(
+                Sphere(name, (f"lagrange_{name}:a1", f"lagrange_{name}:a2", f"lagrange_{name}:a3"))
+                for name in ("cusps", "loops", "waves")
             ),
         ),
     )

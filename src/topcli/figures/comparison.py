@@ -18,7 +18,8 @@ def draw_comparison(comparison: Comparison, name: str, out: Path) -> tuple[Path,
     """
     schemes = [scheme["scheme"] for scheme in comparison.figures["schemes"]]
     component = comparison.figures["reference"]["swing"]
-    symbol = rf"$\{component[:-1]}_{component[-1]}$"
+    letter = component[:-1]
+    symbol = rf"$\{letter}_{component[-1]}$" if len(letter) > 1 else f"${letter}_{component[-1]}$"
     data = dict(comparison.series)
     for scheme in schemes:
         error = data[f"error:{scheme}"]

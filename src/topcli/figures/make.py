@@ -41,15 +41,14 @@ def scene_config(scene: str, configs: Path) -> Path | str:
     return scene
 
 
-def _source(spec: FigureSpec, run: RunResult) -> str:
+def _source(spec: FigureSpec, runs: Sequence[RunResult]) -> str:
     """What the figure was made from and with; an equal text means equal pictures."""
     return json.dumps(
         {
             "figure": fingerprint(draw, *(type(panel).paint for panel in spec.panels)),
             "style": STYLE.read_text(encoding="utf-8"),
             "panels": repr(spec.panels),
-            "digest": run.stored.manifest["digest"],
-            "code": run.stored.manifest["code"],
+            "runs": [[run.stored.manifest[key] for key in ("digest", "code")] for run in runs],
             "topcli": __version__,
         }
     )
@@ -81,6 +80,29 @@ def write_figure(
     return (*pictures, data_path)
 
 
+def _run(
+    spec: FigureSpec,
+    scene: str,
+    columns: list[str],
+    results: Path,
+    configs: Path,
+    force: bool,
+    progress: Progress,
+    told: Callable[[str], None],
+) -> RunResult:
+    """The finished run of ``scene`` with the ``columns``, made where it is missing. Raises UsageError and RunError."""
+    experiment = load_experiment(scene_config(scene, configs))
+    missing = [name for name in columns if experiment.output.columns and name not in experiment.output.columns]
+    if missing:
+        raise UsageError(f"{spec.name}: the config of {scene} does not record {', '.join(missing)}")
+    run = run_experiment(experiment, results, force=force, progress=progress)
+    if run.set_aside:
+        told(f"kept the earlier, different run as {run.set_aside}")
+    if run.outcome is not Outcome.COMPLETED:
+        raise RunError(f"{spec.name}: the run {run.stored.folder} {run.report['message']}")
+    return run
+
+
 def make_figure(
     spec: FigureSpec,
     *,
@@ -94,25 +116,25 @@ def make_figure(
 ) -> MadeFigure:
     """Make one figure into the folder ``out``: ``<name>.png``, ``.pdf`` and the plotted data as ``.parquet``.
 
-    Its run is read from ``results``, and made there when it is missing; a different run that stands there is refused
+    Its runs are read from ``results``, and made there when missing; a different run that stands there is refused
     unless ``force``. Nothing is drawn again when data, drawing code and style are what they were.
     ``told`` receives lines of talk. Raises UsageError and RunError.
     """
     require_writable(out)
-    experiment = load_experiment(scene_config(spec.scene, configs))
-    missing = [name for name in spec.columns if experiment.output.columns and name not in experiment.output.columns]
-    if missing:
-        raise UsageError(f"{spec.name}: the config of {spec.scene} does not record {', '.join(missing)}")
-    run = run_experiment(experiment, results, force=force, progress=progress)
-    if run.set_aside:
-        told(f"kept the earlier, different run as {run.set_aside}")
-    if run.outcome is not Outcome.COMPLETED:
-        raise RunError(f"{spec.name}: the run {run.stored.folder} {run.report['message']}")
+    runs = [
+        _run(spec, scene, list(columns), results, configs, force, progress, told)
+        for scene, columns in spec.sources.items()
+    ]
     data_path = out / f"{spec.name}.parquet"
     pictures = [out / f"{spec.name}.{suffix}" for suffix in formats]
-    source = _source(spec, run)
+    source = _source(spec, runs)
     if not force and all(path.is_file() for path in pictures) and read_metadata(data_path).get(SOURCE) == source:
         return MadeFigure(spec.name, (*pictures, data_path), "up to date")
-    data = read_series(run.stored.series, spec.columns)
+    data: dict[str, np.ndarray] = {}
+    for run, columns in zip(runs, spec.sources.values(), strict=True):
+        series = read_series(run.stored.series, list(columns))
+        data |= {name: series[column] for column, name in columns.items()}
+    rows = max(map(len, data.values()))
+    data = {name: np.append(values, np.full(rows - len(values), np.nan)) for name, values in data.items()}
     files = write_figure(spec.name, spec.panels, data, out, formats, {SOURCE: source})
     return MadeFigure(spec.name, files, "drawn")

@@ -89,7 +89,7 @@ REFERENCE = "reference"
 
 
 def _styles(labels: Sequence[str]) -> Styles:
-    """A line style for each label: the same label looks the same in every panel, another label never does."""
+    """A line style for each label: equal labels look alike, different ones never."""
     import matplotlib as mpl
 
     different = dict.fromkeys(label for label in labels if label != REFERENCE)
@@ -113,15 +113,15 @@ def draw(panels: Sequence[Drawable], data: Mapping[str, np.ndarray]) -> Figure:
     with mpl.rc_context(fname=STYLE):
         figure = Figure(figsize=getattr(panels[0], "figsize", None))
         FigureCanvasAgg(figure)
-        styles = _styles(labels)
         handles: dict[str, Any] = {}
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-            panel.paint(axes, data, styles)
-            if isinstance(panel, Panel):
+            own = [line.label for line in panel.lines] if isinstance(panel, Panel) else []
+            panel.paint(axes, data, _styles(labels if shared else own))
+            if own:
                 for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                     handles.setdefault(label, handle)
                 if not shared:
-                    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.2)
+                    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
         if shared:
             figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(handles)))
     return figure

@@ -30,6 +30,7 @@ BUILT_IN = (
     "topcli.schemes.baselines",
     "topcli.schemes.euler",
     "topcli.schemes.euler_exact",
+    "topcli.schemes.lagrange",
 )
 
 Build = Callable[[Any, Any], Method]

@@ -13,8 +13,11 @@ from topcli.errors import UnknownNameError, nearest
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
-TOPS: dict[str, type[Top]] = {top.form: top for top in (Kowalevski, Euler, EulerGamma, Heavy)}
+TOPS: dict[str, type[Top]] = {
+    top.form: top for top in (Kowalevski, Euler, EulerGamma, Lagrange, LagrangeInertial, Heavy)
+}
 
 
 def kinds() -> list[str]:

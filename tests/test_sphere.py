@@ -1,0 +1,37 @@
+"""The panel of a trace on the sphere, and figures that read several scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topcli.figures.catalogue import figure_spec
+from topcli.figures.picture import draw
+from topcli.figures.sphere import TRACE, TRACE_FAR, Sphere, projection
+
+
+def test_projection_is_a_rotation_that_looks_from_where_it_says() -> None:
+    view = projection(30.0, 70.0)
+    assert view @ view.T == pytest.approx(np.eye(3), abs=1e-15)
+    assert np.linalg.det(view) == pytest.approx(1.0)
+    e, a = np.radians(30.0), np.radians(70.0)
+    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    assert view @ eye == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
+    assert (view @ [0.0, 0.0, 1.0])[1] > 0.0
+
+
+def test_what_lies_behind_is_drawn_lighter() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 400)
+    circle = {"x": np.cos(angle), "y": np.sin(angle), "z": 0.0 * angle}
+    axes = draw([Sphere("equator", ("x", "y", "z"), elevation=40.0)], circle).axes[0]
+    lines = {line.get_color(): np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_xdata()) == 400}
+    assert np.nanmax(lines[TRACE]) < 1e-12  # seen from above, the near half of the equator lies below the centre
+    assert np.nanmin(lines[TRACE_FAR]) > -1e-12
+    assert (np.isnan(lines[TRACE]) != np.isnan(lines[TRACE_FAR])).all()
+
+
+def test_a_figure_reads_the_scenes_that_its_columns_name() -> None:
+    sources = figure_spec("nutation").sources
+    assert list(sources) == ["lagrange_cusps", "lagrange_loops", "lagrange_waves"]
+    assert sources["lagrange_loops"] == {f"a{i}": f"lagrange_loops:a{i}" for i in (1, 2, 3)}
+    assert figure_spec("fig3").sources == {"kowalevski_bohlin_a": {"t": "t", "energy": "energy", "two_l": "two_l"}}
