@@ -33,7 +33,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	PYTHONPATH=src $(BIN)/lint-imports
-	$(BIN)/python -m pytest -n auto
+	@$(MAKE) --no-print-directory test
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/steps.py
