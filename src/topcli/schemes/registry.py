@@ -25,6 +25,7 @@ BUILT_IN = (
     "topcli.schemes.hk",
     "topcli.schemes.bohlin",
     "topcli.schemes.hybrid",
+    "topcli.schemes.projected",
     "topcli.schemes.hk_heavy",
     "topcli.schemes.midpoint",
     "topcli.schemes.baselines",
