@@ -1,0 +1,100 @@
+"""``topcli lax``: the Lax forms of a top, checked along runs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from topcli.cli.options import (
+    Json,
+    SchemeFiles,
+    Sets,
+    complete_config,
+    complete_scheme,
+    complete_top,
+    load_scheme_files,
+)
+from topcli.cli.talk import print_json, print_table, say
+
+
+def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
+    from topcli.studies.report import number
+
+    def line(label: str, cell: Any) -> list[str]:
+        return [label, *(cell(form) for form in forms)]
+
+    def order(form: dict[str, Any]) -> str:
+        found = form["midpoint"]["order"]
+        if form["midpoint"]["conjugation_defect"] is None:
+            return "did not converge"
+        return "round-off" if found is None else f"{found:.2f}"
+
+    return [
+        line("size", lambda f: f"{f['size']}x{f['size']}"),
+        line("dL/dt - [M,L] by the equations", lambda f: number(f["residual_by_field"])),
+        line("dL/dt - [M,L] by differences", lambda f: number(f["residual_by_differences"])),
+        line("independent integrals in it", lambda f: str(f["independent_integrals"])),
+        line("it carries", lambda f: ", ".join(f["carries"]) or "–"),
+        line("Lax pair", lambda f: "yes" if f["lax_pair"] else "no"),
+        line("midpoint rule: L' - U L U^-1", lambda f: number(f["midpoint"]["conjugation_defect"])),
+        line("  its order in h", order),
+    ]
+
+
+def _print(found: dict[str, Any], title: str) -> None:
+    from topcli.studies.report import number
+
+    forms, runs = found["forms"], found["runs"]
+    names = [form["form"] for form in forms]
+    print_table(["", *names], _form_lines(forms), title)
+    print()
+    header = ["", *(f"{name}: {what}" for name in names for what in ("tr L^k", "eigenvalues"))]
+    lines = [
+        [run["scheme"], *(number(form[key]) for form in run["forms"] for key in ("drift", "eigenvalue_shift"))]
+        for run in runs
+    ]
+    print_table(header, lines, "largest relative drift of the spectrum of L")
+    for form in forms:
+        if form["why_not"]:
+            say(f"{form['form']}: no Lax pair: {form['why_not']}")
+
+
+def lax(
+    top: Annotated[str, typer.Argument(metavar="TOP", help="Which top.", autocompletion=complete_top)],
+    schemes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCHEME...]",
+            help="Schemes to follow the spectrum under; all but adaptive ones by default.",
+            autocompletion=complete_scheme,
+        ),
+    ] = None,
+    config: Annotated[
+        str | None,
+        typer.Option(
+            "--config",
+            metavar="CONFIG",
+            help="The experiment; a state in general position by default.",
+            autocompletion=complete_config,
+        ),
+    ] = None,
+    sets: Sets = None,
+    as_json: Json = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Check the Lax forms of a top: dL/dt = [M, L], the spectrum of L and its drift under each scheme."""
+    from topcli.studies.lax import default_schemes, lax_experiment, lax_study
+
+    load_scheme_files(scheme_files)
+    experiment = lax_experiment(top, config, sets or [])
+    found = lax_study(experiment, schemes or default_schemes(experiment))
+    if as_json:
+        print_json("lax", found)
+    else:
+        _print(found, f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}")
+    failed = [run for run in found["runs"] if run["outcome"] != "completed"]
+    for run in failed:
+        say(f"error: {run['scheme']}: {run['message']}")
+    if failed:
+        raise typer.Exit(1)

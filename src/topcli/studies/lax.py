@@ -1,0 +1,213 @@
+"""The Lax forms of a top, checked along the motion and along runs of its schemes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.isospectral import (
+    LAMBDAS,
+    commutator_residual,
+    conjugation_defect,
+    difference_slopes,
+    eigenvalue_shift,
+    spectral_content,
+    spectral_drift,
+)
+from topcli.analysis.lax import LaxForm, lax_forms, rates
+from topcli.analysis.reference import BODY, reference_states
+from topcli.analysis.trajectory import Trajectory
+from topcli.config.load import experiment_from, load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array
+from topcli.errors import UsageError
+from topcli.kernels.euler_poisson import midpoint
+from topcli.schemes.registry import find_scheme, names_for
+from topcli.studies.compare import under_scheme
+from topcli.studies.report import finite
+from topcli.studies.simulate import trajectory_of
+from topcli.tops import forms
+
+ROWS = 1000
+"""At most so many states of a run are looked at."""
+DIFFERENCES = 40
+"""Times at which dL/dt is taken by differences on the reference."""
+MIDPOINT_STEPS = 200
+ROUND_OFF = 1e-13
+"""A conjugation defect below this is a rounding error, and has no order in h."""
+INITIAL = {"omega": (0.7, -0.4, 1.3), "gamma": (0.6, 0.48, 0.64)}
+"""The state in general position that is taken without a config."""
+
+NO_PAIR = (
+    "dL/dt = [M, L] holds for every top, integrable or not: it is a rewriting of the Euler-Poisson equations, and what "
+    "conjugation keeps are γ² and m·γ alone, neither the energy nor a fourth integral"
+)
+
+
+def lax_experiment(kind: str, config: str | None, sets: Sequence[str]) -> Experiment:
+    """The experiment to check: that of ``config``, which must be of the top ``kind``, or a state in general position.
+
+    Raises UsageError for a config of another top or a state that is not omega, gamma.
+    """
+    top = forms(kind)[0]
+    if config is not None:
+        experiment = load_experiment(config, sets)
+        if experiment.top.kind != top.kind:
+            raise UsageError(f"lax: {config} is of the top {experiment.top.kind!r}, not {top.kind!r}")
+    else:
+        if not set(top.vectors) <= set(INITIAL):
+            raise UsageError(f"lax: give the initial state of the top {top.kind!r} by --config")
+        names = names_for(top.form)
+        experiment = experiment_from(
+            {
+                "top": top.kind,
+                "initial": {name: INITIAL[name] for name in top.vectors},
+                "scheme": "hk" if "hk" in names else names[0],
+                "h": 0.01,
+                "N": 5000,
+            },
+            sets,
+        )
+    components = tuple(experiment.top.components)
+    if components not in (BODY, BODY[:3]):
+        raise UsageError(
+            f"lax: the matrices are written for omega and gamma, not for ({', '.join(components)}); "
+            "give a config with the state in the body frame"
+        )
+    return experiment
+
+
+def default_schemes(experiment: Experiment) -> list[str]:
+    """Every scheme of the experiment's top, except the adaptive ones, which take long."""
+    form = experiment.top.form
+    return [name for name in names_for(form) if not find_scheme(name, form).adaptive]
+
+
+def _body(states: Array) -> Array:
+    """States as omega and gamma (n, 6); without gravity gamma may be missing and is then zero."""
+    return np.hstack([states, np.zeros((len(states), 6 - states.shape[1]))])
+
+
+def _each(measure: Any, form: LaxForm) -> list[float]:
+    """``measure(lambda)`` at every lambda, at one where the form has none."""
+    return [measure(lam) for lam in (LAMBDAS if form.spectral else LAMBDAS[:1])]
+
+
+def _windows(experiment: Experiment) -> tuple[Array, float]:
+    """States (m, 9, 6) of the motion at 9 times around each of m times, and the spacing of the 9."""
+    top, y0 = experiment.top, np.array(experiment.y0)
+    speed = float(np.abs(rates(top.euler_poisson(), _body(y0[None, :]))).max() + np.abs(y0).max())
+    step = math.copysign(0.01 / max(1.0, speed), experiment.h)
+    starts = np.linspace(0.0, experiment.duration, DIFFERENCES)
+    times = (starts[:, None] + step * np.arange(9)).ravel()
+    order = np.argsort(np.abs(times), kind="stable")
+    states = np.empty((len(times), len(y0)))
+    states[order] = reference_states(top, experiment.y0, times[order])
+    return _body(states).reshape(DIFFERENCES, 9, 6), step
+
+
+def _midpoint_states(experiment: Experiment, h: float, steps: int) -> Array:
+    """States (n, 6) of the midpoint rule: all the ``steps``, or those before the first that does not converge."""
+    equations = experiment.top.euler_poisson()
+    p = (*equations.moments, *equations.gravity)
+    states = [tuple(_body(np.array([experiment.y0]))[0].tolist())]
+    for _ in range(steps):
+        *state, status, _ = midpoint(states[-1], h, p)
+        if status != 0.0:
+            break
+        states.append(tuple(state))
+    return np.array(states)
+
+
+def _pairs(numbers: Array) -> list[list[float]]:
+    return [[float(z.real), float(z.imag)] for z in sorted(numbers, key=lambda z: (round(z.real, 9), z.imag))]
+
+
+def _form_figures(
+    form: LaxForm, experiment: Experiment, reference: Array, windows: Array, step: float
+) -> dict[str, Any]:
+    top = experiment.top
+    slopes = rates(top.euler_poisson(), reference)
+    middle, by_differences = windows[:, 4], difference_slopes(windows, step)
+    content = spectral_content(form, top.invariants(), len(top.components))
+    defects = []
+    for h, steps in ((experiment.h, MIDPOINT_STEPS), (0.5 * experiment.h, 2 * MIDPOINT_STEPS)):
+        states = _midpoint_states(experiment, h, steps)
+        if len(states) == steps + 1:
+            defects.append(max(_each(lambda lam, s=states, h=h: conjugation_defect(form, s, h, lam), form)))
+    first = reference[:1]
+    return {
+        "form": form.name,
+        "title": form.title,
+        "citation": form.citation,
+        "size": form.size,
+        "lax_pair": form.lax_pair,
+        "why_not": None if form.lax_pair else NO_PAIR,
+        "residual_by_field": max(_each(lambda lam: commutator_residual(form, reference, slopes, lam), form)),
+        "residual_by_differences": max(_each(lambda lam: commutator_residual(form, middle, by_differences, lam), form)),
+        "independent_integrals": content.independent,
+        "carries": list(content.carries),
+        "spectrum": [
+            {"lambda": [lam.real, lam.imag], "eigenvalues": _pairs(np.linalg.eigvals(form.L(first, lam))[0])}
+            for lam in map(complex, LAMBDAS if form.spectral else LAMBDAS[:1])
+        ],
+        "midpoint": {
+            "steps": MIDPOINT_STEPS,
+            "conjugation_defect": defects[0] if len(defects) == 2 else None,
+            "order": math.log2(defects[0] / defects[1]) if len(defects) == 2 and defects[1] > ROUND_OFF else None,
+        },
+    }
+
+
+def _drift(name: str, label: str, found: Sequence[LaxForm], states: Array) -> dict[str, Any]:
+    return {
+        "scheme": name,
+        "outcome": label,
+        "forms": [
+            {
+                "form": form.name,
+                "drift": max(_each(lambda lam, form=form: spectral_drift(form, states, lam), form)),
+                "eigenvalue_shift": max(_each(lambda lam, form=form: eigenvalue_shift(form, states, lam), form)),
+            }
+            for form in found
+        ],
+    }
+
+
+def _thinned(trajectory: Trajectory) -> Array:
+    rows = np.unique(np.linspace(0, len(trajectory) - 1, ROWS).astype(int))
+    return _body(trajectory.states[rows])
+
+
+def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
+    """Check every Lax form of the experiment's top; plain data, ready for JSON.
+
+    For each form: dL/dt - [M, L] along the motion, with dL/dt from the equations and from differences on the
+    reference; which integrals the spectrum carries; the spectrum at the start; how far a step of the midpoint rule
+    is from L' = U L U^-1. Then the drift of the spectrum along the exact flow and along a run of each scheme:
+    deviations of tr L^k relative to ||L||^k, and of the eigenvalues relative to ||L||, the largest over lambda.
+    """
+    top = experiment.top
+    found = lax_forms(top.euler_poisson())
+    every = max(1, experiment.N // ROWS)
+    n = np.arange(0, experiment.N + 1, every)
+    reference = _body(reference_states(top, experiment.y0, n * experiment.h))
+    windows, step = _windows(experiment)
+    runs = [_drift("exact flow", "completed", found, reference)]
+    for name in dict.fromkeys(schemes):
+        one = under_scheme(experiment, name)
+        trajectory = trajectory_of(one.model_copy(update={"output": one.output.model_copy(update={"every": every})}))
+        with np.errstate(all="ignore"):  # a run on its way to blow up
+            runs.append(_drift(one.scheme.name, trajectory.ending.outcome.value, found, _thinned(trajectory)))
+        runs[-1]["message"] = trajectory.ending.message
+    return finite(
+        {
+            "config": experiment.resolved(),
+            "lambdas": [[lam.real, lam.imag] for lam in map(complex, LAMBDAS)],
+            "forms": [_form_figures(form, experiment, reference, windows, step) for form in found],
+            "runs": runs,
+        }
+    )
