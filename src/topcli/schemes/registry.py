@@ -25,6 +25,8 @@ BUILT_IN = (
     "topcli.schemes.hk",
     "topcli.schemes.bohlin",
     "topcli.schemes.hybrid",
+    "topcli.schemes.hybrid_sym",
+    "topcli.schemes.hybrid_xi",
     "topcli.schemes.projected",
     "topcli.schemes.hk_heavy",
     "topcli.schemes.midpoint",
