@@ -171,10 +171,3 @@ def targets_with_k(y: Floats, p: Floats) -> Four:
     xi, eta = xi_of(y[0], y[1], y[3], y[4], p[0])
     i1, i2, i3 = first_three((y[0], y[1], y[2], y[3], y[4], y[5]), p[0])
     return (i1, i2, i3, math.hypot(xi, eta))
-
-
-def targets_with_k_sq(y: Floats, p: Floats) -> Four:
-    """gamma²/2, 2l, E and k²/2 of the state."""
-    xi, eta = xi_of(y[0], y[1], y[3], y[4], p[0])
-    i1, i2, i3 = first_three((y[0], y[1], y[2], y[3], y[4], y[5]), p[0])
-    return (i1, i2, i3, 0.5 * (xi * xi + eta * eta))

@@ -27,6 +27,7 @@ BUILT_IN = (
     "topcli.schemes.hybrid",
     "topcli.schemes.hybrid_sym",
     "topcli.schemes.hybrid_xi",
+    "topcli.schemes.dg4",
     "topcli.schemes.projected",
     "topcli.schemes.hk_heavy",
     "topcli.schemes.midpoint",
