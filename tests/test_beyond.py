@@ -19,11 +19,12 @@ from topcli.kernels.four_integrals import (
     first_three,
     fourth_column,
     gram,
+    mean_column,
     solved,
     xi_of,
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
-from topcli.schemes.dg4 import mean_column, wanted_change
+from topcli.schemes.dg4 import wanted_change
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski, field
 
@@ -133,8 +134,8 @@ def test_projection_is_the_shortest_way_back() -> None:
         np.testing.assert_allclose(first_three(new[:6], 1.0), first_three(y, 1.0), rtol=0, atol=4e-15)
 
 
-ALL_FOUR = ("hk-projected", "dg4")
-SYMMETRIC = ("dg4",)
+ALL_FOUR = ("hk-projected", "hk-symproj", "dg4")
+SYMMETRIC = ("hk-symproj", "dg4")
 
 
 @pytest.mark.parametrize("name", ALL_FOUR)

@@ -53,6 +53,26 @@ def fourth_column(w1: float, w2: float, u1: float, u2: float, c: float) -> Four:
     return (2.0 * (u1 * w1 + u2 * w2), 2.0 * (u2 * w1 - u1 * w2), -c * u1, -c * u2)
 
 
+def mean_column(y: Floats, e: Floats, c: float) -> Four:
+    """``(a1, a2, b1, b2)`` of the mean gradient of k²/2 between y and y + e: Simpson's rule on a cubic."""
+    w1, w2, g1, g2 = y[0], y[1], y[3], y[4]
+    m1, m2 = w1 + 0.5 * e[0], w2 + 0.5 * e[1]
+    n1, n2 = w1 + e[0], w2 + e[1]
+    x1, x2 = xi_of(w1, w2, g1, g2, c)
+    p1, p2, r1, r2 = fourth_column(w1, w2, x1, x2, c)
+    x1, x2 = xi_of(m1, m2, g1 + 0.5 * e[3], g2 + 0.5 * e[4], c)
+    q1, q2, s1, s2 = fourth_column(m1, m2, x1, x2, c)
+    x1, x2 = xi_of(n1, n2, g1 + e[3], g2 + e[4], c)
+    u1, u2, t1, t2 = fourth_column(n1, n2, x1, x2, c)
+    k = 1.0 / 6.0
+    return (
+        k * ((p1 + u1) + 4.0 * q1),
+        k * ((p2 + u2) + 4.0 * q2),
+        k * ((r1 + t1) + 4.0 * s1),
+        k * ((r2 + t2) + 4.0 * s2),
+    )
+
+
 def combination(y: Floats, c: float, column: Four, x: Four) -> Six:
     """D x, the gradients at ``y`` added up with the weights ``x``."""
     w1, w2, w3, g1, g2, g3 = y

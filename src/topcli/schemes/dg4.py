@@ -27,15 +27,15 @@ from topcli.kernels.four_integrals import (
     components,
     factorized,
     first_three,
-    fourth_column,
     gram,
     length_sq,
+    mean_column,
     solved,
     targets_with_k,
     xi_of,
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
-from topcli.schemes.projected import REACH, leave
+from topcli.schemes.projected import REACH, VANISHING, leave
 from topcli.schemes.registry import scheme
 from topcli.tops.kowalevski import field
 
@@ -45,30 +45,8 @@ MIDPOINT = 40
 """Iterations for that before the step is given up."""
 FLOOR = 2.0**10
 """How far above ``SETTLED`` an iteration may stall."""
-VANISHING = 2.0**-26
-"""k in units of its terms below which k² is round-off, and its gradient, which vanishes at xi = 0, too."""
 SETTLED = 4.0 * EPS
 """Change of the step, in units of the state, that ends the iteration: the last bits of the new state."""
-
-
-def mean_column(y: Floats, e: Floats, c: float) -> Four:
-    """``(a1, a2, b1, b2)`` of the mean gradient of k²/2 between y and y + e: Simpson's rule on a cubic."""
-    w1, w2, g1, g2 = y[0], y[1], y[3], y[4]
-    m1, m2 = w1 + 0.5 * e[0], w2 + 0.5 * e[1]
-    n1, n2 = w1 + e[0], w2 + e[1]
-    x1, x2 = xi_of(w1, w2, g1, g2, c)
-    p1, p2, r1, r2 = fourth_column(w1, w2, x1, x2, c)
-    x1, x2 = xi_of(m1, m2, g1 + 0.5 * e[3], g2 + 0.5 * e[4], c)
-    q1, q2, s1, s2 = fourth_column(m1, m2, x1, x2, c)
-    x1, x2 = xi_of(n1, n2, g1 + e[3], g2 + e[4], c)
-    u1, u2, t1, t2 = fourth_column(n1, n2, x1, x2, c)
-    k = 1.0 / 6.0
-    return (
-        k * ((p1 + u1) + 4.0 * q1),
-        k * ((p2 + u2) + 4.0 * q2),
-        k * ((r1 + t1) + 4.0 * s1),
-        k * ((r2 + t2) + 4.0 * s2),
-    )
 
 
 def wanted_change(y: Floats, e: Floats, excess: Four, reach: float, four: bool, h: float, p: Floats) -> Six:

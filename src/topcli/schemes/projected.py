@@ -1,4 +1,4 @@
-"""HK for the Kowalevski top, projected onto the surface of its four integrals.
+"""HK for the Kowalevski top, projected onto the surface of its four integrals, plainly or symmetrically.
 
 What makes it fast:
 - D^T D is formed from a handful of sums and factorized in scalars; no array, no LAPACK;
@@ -20,11 +20,13 @@ from topcli.kernels.four_integrals import (
     Four,
     Six,
     combination,
+    components,
     factorized,
     first_three,
     fourth_column,
     gram,
     length_sq,
+    mean_column,
     sizes,
     solved,
     targets_with_k,
@@ -37,8 +39,14 @@ ROUNDS = 3
 """Factorizations before k is given up; one is the rule."""
 ROUNDS_WITHOUT_K = 2
 """Factorizations for the other three after that."""
+SYMMETRIC_ROUNDS = 12
+"""Rounds of the symmetric projection's iteration at most; three or four are the rule."""
+VANISHING = 2.0**-26
+"""k in units of its terms below which k² is round-off, and its gradient, which vanishes at xi = 0, too."""
 SETTLED = EPS
 """Largest deviation from the values aimed at, in units of ``sizes``: about the round-off of evaluating them."""
+CLOSE = EPS / 4.0
+"""The same for the changes of the integrals over a step, which are known better than the integrals."""
 MET = 8.0 * EPS
 """Deviations that still count as met."""
 TINY = 1e-300
@@ -71,15 +79,11 @@ def moved(y: Floats, v: Floats) -> Six:
     return (y[0] - v[0], y[1] - v[1], y[2] - v[2], y[3] - v[3], y[4] - v[4], y[5] - v[5])
 
 
-def projected_step(s: Floats, h: float, p: Floats) -> Floats:
-    """omega, gamma; the four values aimed at; the counters."""
-    w1, w2, w3, g1, g2, g3, t1, t2, t3, t4, corrections, short, unmet = s
-    c = p[0]
-    t = (t1, t2, t3, t4)
-    y: Floats = hk_kowalevski((w1, w2, w3, g1, g2, g3), h, p)
+def onto(start: Floats, limit: float, c: float, t: Four) -> tuple[Floats, float, float, float]:
+    """The projection of ``start`` onto the values ``t``, and how much to add to each of the counters."""
+    y: Floats = start
     size = sizes(y, c)
-    reach = min(1.0, REACH * (h * h) * size[2])
-    limit = (reach * reach) * length_sq(moved(y, (w1, w2, w3, g1, g2, g3)))
+    corrections, unmet = 0.0, 0.0
     r1, r2, r3, r4, u1, u2 = with_k(y, c, t)
     off = worst(r1, r2, r3, r4, size)
     going = not off <= SETTLED
@@ -112,7 +116,19 @@ def projected_step(s: Floats, h: float, p: Floats) -> Floats:
             going = not off <= SETTLED
             if not going:
                 break
-    return (y[0], y[1], y[2], y[3], y[4], y[5], t1, t2, t3, t4, corrections, short + min(cut, 1.0), unmet)
+    return (y, corrections, min(cut, 1.0), unmet)
+
+
+def projected_step(s: Floats, h: float, p: Floats) -> Floats:
+    """omega, gamma; the four values aimed at; the counters."""
+    w1, w2, w3, g1, g2, g3, t1, t2, t3, t4, corrections, short, unmet = s
+    c = p[0]
+    old = (w1, w2, w3, g1, g2, g3)
+    z: Floats = hk_kowalevski(old, h, p)
+    reach = min(1.0, REACH * (h * h) * sizes(z, c)[2])
+    limit = (reach * reach) * length_sq(moved(z, old))
+    y, more, cut, missed = onto(z, limit, c, (t1, t2, t3, t4))
+    return (y[0], y[1], y[2], y[3], y[4], y[5], t1, t2, t3, t4, corrections + more, short + cut, unmet + missed)
 
 
 def enter_projected(y: Floats, h: float, p: Floats) -> Floats:
@@ -144,3 +160,114 @@ def build(top: Top, options: NoOptions) -> Stepper:
     reports the corrections made, and the steps whose integrals were not all met.
     """
     return Stepper(projected_step, 13, enter_projected, leave, COUNTERS)
+
+
+def added(y: Floats, v: Floats) -> Six:
+    """y + v."""
+    return (y[0] + v[0], y[1] + v[1], y[2] + v[2], y[3] + v[3], y[4] + v[4], y[5] + v[5])
+
+
+def halved(v: Floats) -> Six:
+    """v/2."""
+    return (0.5 * v[0], 0.5 * v[1], 0.5 * v[2], 0.5 * v[3], 0.5 * v[4], 0.5 * v[5])
+
+
+def column_of_k_sq(y: Floats, c: float) -> Four:
+    """The fourth column for k²/2, smooth everywhere, unlike that for k."""
+    x1, x2 = xi_of(y[0], y[1], y[3], y[4], c)
+    return fourth_column(y[0], y[1], x1, x2, c)
+
+
+def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
+    """omega, gamma; the four values aimed at; the counters.
+
+    The multipliers x are found by a simplified Newton iteration: with D of the old and of the new state, the integrals
+    of the new one change by (D^T D + D'^T D') x + O(h³).
+    """
+    w1, w2, w3, g1, g2, g3, t1, t2, t3, t4, corrections, short, unmet, plain = s
+    c = p[0]
+    old = (w1, w2, w3, g1, g2, g3)
+    size = sizes(old, c)
+    o1, o2, o3, o4, _, _ = with_k(old, c, (t1, t2, t3, t4))
+    four = t4 > VANISHING * size[2]
+    column = column_of_k_sq(old, c)
+    m11, m12, m13, m14, m22, m23, m24, m33, m34, m44 = gram(old, c, column)
+    reach = min(1.0, REACH * (h * h) * size[2])
+    x1, x2, x3, x4 = 0.0, 0.0, 0.0, 0.0
+    z: Floats = hk_kowalevski(old, h, p)
+    first: Floats = z
+    limit = (reach * reach) * length_sq(moved(z, old))
+    new_column = column_of_k_sq(z, c)
+    n11, n12, n13, n14, n22, n23, n24, n33, n34, n44 = gram(z, c, new_column)
+    factors = factorized(
+        (
+            m11 + n11,
+            m12 + n12,
+            m13 + n13,
+            m14 + n14,
+            m22 + n22,
+            m23 + n23,
+            m24 + n24,
+            m33 + n33,
+            m34 + n34,
+            m44 + n44,
+        ),
+        four,
+    )
+    y: Floats = z
+    new: Floats = z
+    off = 2.0**1000
+    cut = 0.0
+    for i in range(SYMMETRIC_ROUNDS):
+        if i > 0:
+            z = hk_kowalevski(added(old, combination(old, c, column, (x1, x2, x3, x4))), h, p)
+            # the new state's own gradients: each round makes what is left of them smaller by the size of x, O(h³)
+            new = added(z, combination(new, c, column_of_k_sq(new, c), (x1, x2, x3, x4)))
+            new = added(z, combination(new, c, column_of_k_sq(new, c), (x1, x2, x3, x4)))
+        # the integrals' changes by discrete gradients: their own round-off would be magnified near degenerate tori
+        e: Floats = moved(new, old)
+        r1, r2, r3, r4 = components(added(old, halved(e)), c, mean_column(old, e, c), e)
+        r1, r2, r3, r4 = r1 + o1, r2 + o2, r3 + o3, r4 + (t4 + 0.5 * o4) * o4
+        now = worst(r1, r2, r3, r4 / t4 if four else 0.0, size)
+        if not now < off:
+            break
+        y, off = new, now
+        if off <= CLOSE:
+            break
+        e1, e2, e3, e4, out = solved(factors, (r1, r2, r3, r4), limit)
+        cut = max(cut, out)
+        corrections += 1.0
+        x1, x2, x3, x4 = x1 - e1, x2 - e2, x3 - e3, x4 - e4
+    cut = min(cut, 1.0)
+    if not four or not off <= MET:
+        y, more, cut, missed = onto(first, limit, c, (t1, t2, t3, t4))
+        corrections += more
+        unmet += missed
+        plain += 1.0
+    return (y[0], y[1], y[2], y[3], y[4], y[5], t1, t2, t3, t4, corrections, short + cut, unmet, plain)
+
+
+def enter_symmetric(y: Floats, h: float, p: Floats) -> Floats:
+    """The physical state with the values of its integrals, and the counters at zero."""
+    return (*enter_projected(y, h, p), 0.0)
+
+
+@scheme(
+    "hk-symproj",
+    top="kowalevski",
+    title="HK symmetrically projected onto all four integrals",
+    order=2,
+    explicit=False,
+    self_adjoint=True,
+    conserves=CONSERVES,
+    citation="Hairer 2000 (symmetric projection methods)",
+    equations="y' = HK(y + D(y) x) + D(y') x, D the gradients of gamma², 2l, E, k², and x such that all four are kept",
+)
+def build_symmetric(top: Top, options: NoOptions) -> Stepper:
+    """HK between two shifts along the gradients of gamma², 2l, E and k², off their surface and back onto it.
+
+    Its own inverse under h -> -h, because HK is. For k = 0 (Delone's motion), and where the iteration does not meet the
+    four values, the step is hk-projected's. The run reports the corrections made, the steps that did not meet all four
+    values, and the plain projections.
+    """
+    return Stepper(symmetric_step, 14, enter_symmetric, leave, (*COUNTERS, "plain_projections"))
