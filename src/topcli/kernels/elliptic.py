@@ -36,17 +36,18 @@ def to_dd(x: Decimal) -> DD:
 
 
 def carlson_rf(x: Decimal, y: Decimal, z: Decimal) -> Decimal:
-    """R_F(x, y, z) for arguments >= 0 of which at most one is 0."""
+    """R_F(x, y, z) for arguments >= 0 of which at most one is 0 (Carlson 1995, eq. 2.1 and 4.1)."""
     mean = (x + y + z) / 3
-    while max(abs(mean - x), abs(mean - y), abs(mean - z)) > DUPLICATION_LIMIT * mean:
-        rx, ry, rz = x.sqrt(), y.sqrt(), z.sqrt()
-        step = rx * ry + ry * rz + rz * rx
+    while max(abs(mean - x), abs(mean - y), abs(mean - z)) >= mean * Decimal("1e-11"):
+        sx, sy, sz = x.sqrt(), y.sqrt(), z.sqrt()
+        step = sx * sy + sy * sz + sz * sx
         x, y, z = (x + step) / 4, (y + step) / 4, (z + step) / 4
         mean = (x + y + z) / 3
-    dx, dy = 1 - x / mean, 1 - y / mean
-    dz = -dx - dy
-    e2, e3 = dx * dy - dz * dz, dx * dy * dz
-    return (1 - e2 / 10 + e3 / 14 + e2 * e2 / 24 - 3 * e2 * e3 / 44) / mean.sqrt()
+    X, Y = 1 - x / mean, 1 - y / mean
+    Z = -X - Y
+    e2, e3 = X * Y - Z * Z, X * Y * Z
+    series = 1 - e2 / 10 + e3 / 14 + e2 * e2 / 24 - 3 * e2 * e3 / 44 - 5 * e2**3 / 208 + 3 * e3 * e3 / 104
+    return series / mean.sqrt()
 
 
 def carlson_rc(x: Decimal, y: Decimal) -> Decimal:

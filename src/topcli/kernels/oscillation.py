@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array
+from topcli.kernels.elliptic import DIGITS, carlson_rf
 
-DIGITS = 80
 TURN = 1 << 64
 """Phases are whole numbers of 2^-64 turns, a turn being the period 4K of sn, two periods of x: they wrap exactly."""
 
@@ -36,21 +36,6 @@ def horner(q: Sequence[Decimal], x: Decimal) -> Decimal:
 def derivative(q: Sequence[Decimal]) -> list[Decimal]:
     """The coefficients of the derivative."""
     return [c * (len(q) - 1 - i) for i, c in enumerate(q[:-1])]
-
-
-def carlson_rf(x: Decimal, y: Decimal, z: Decimal) -> Decimal:
-    """Carlson's R_F(x, y, z), at most one argument zero (Carlson, Numer. Algorithms 10, 1995, eq. 2.1 and 4.1)."""
-    mean = (x + y + z) / 3
-    while max(abs(mean - x), abs(mean - y), abs(mean - z)) >= mean * Decimal("1e-11"):
-        sx, sy, sz = x.sqrt(), y.sqrt(), z.sqrt()
-        step = sx * sy + sy * sz + sz * sx
-        x, y, z = (x + step) / 4, (y + step) / 4, (z + step) / 4
-        mean = (x + y + z) / 3
-    X, Y = 1 - x / mean, 1 - y / mean
-    Z = -X - Y
-    e2, e3 = X * Y - Z * Z, X * Y * Z
-    series = 1 - e2 / 10 + e3 / 14 + e2 * e2 / 24 - 3 * e2 * e3 / 44 - 5 * e2**3 / 208 + 3 * e3 * e3 / 104
-    return series / mean.sqrt()
 
 
 def cubic_roots(g2: Decimal, g3: Decimal) -> tuple[Decimal, Decimal, Decimal]:
