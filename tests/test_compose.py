@@ -104,10 +104,14 @@ def deviation(values: np.ndarray, scale: np.ndarray, steps: int) -> float:
 @pytest.mark.parametrize("base", [base for base in BASES if base.conserves], ids=lambda s: f"{s.name}/{s.top}")
 @by_composition
 def test_what_the_base_conserves_survives(base: Scheme, name: str) -> None:
-    """To round-off, while another integral of the same run deviates visibly (unless the base conserves them all)."""
+    """To round-off, while another integral of the same run deviates visibly (unless the base conserves them all).
+
+    The longest stage is no longer than what the iterations of the implicit bases settle for.
+    """
     scheme, top = compose(base, name), TOPS[base.top].new()
     assert scheme.conserves == base.conserves
-    for h in (0.5, 0.03):
+    longest = max(map(abs, COMPOSITIONS[name].weights))
+    for h in (0.5 if base is SPLIT else 0.2 / longest, 0.03):
         states = states_of(Run(top, scheme.build(top, base.options()), GEN[: len(top.components)], h, 4000, 10))
         steps = 4000 * COMPOSITIONS[name].stages
         found = {i.name: deviation(i.value(states), i.scale(states), steps) for i in top.invariants()}
@@ -169,15 +173,20 @@ def test_integrals_that_depend_on_h_do_not_survive(name: str) -> None:
 @by_base
 @by_composition
 def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
-    """Compiled, ten steps are bit for bit so many runs of one compiled base step each."""
+    """Compiled, ten steps are bit for bit so many runs of one compiled base step each.
+
+    Where the base carries more than the state from step to step (the place where its iteration starts), to round-off.
+    """
     top, h = TOPS[base.top].new(), 0.05
     method = base.build(top, base.options())
     y0 = state = np.array(GEN[: len(top.components)])
+    carried = method.width - len(y0) - len(method.counters)
     for _ in range(10):
         for c in COMPOSITIONS[name].weights:
             state = states_of(Run(top, method, state, c * h, 1))[-1]
     run = Run(top, compose(base, name).build(top, base.options()), y0, h, 10)
-    assert np.array_equal(states_of(run)[-1], state)
+    composed = states_of(run)[-1]
+    assert np.array_equal(composed, state) or (carried and np.abs(composed - state).max() < 1e-13)
     assert run.ending is not None
     assert run.ending.outcome is Outcome.COMPLETED
     if base is SPLIT:
@@ -240,7 +249,8 @@ def rescaled(s, h, p):
 def test_bases_that_do_not_serve(change: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says) as told:
         compose(replace(SPLIT, **change), "suzuki4")
-    assert "schemes for kowalevski that can: hk" in str(told.value)
+    assert "schemes for kowalevski that can: " in str(told.value)
+    assert " hk," in str(told.value)
     assert len(str(told.value).splitlines()) == 1
 
 
