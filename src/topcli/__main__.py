@@ -56,9 +56,18 @@ def main() -> None:
         traceback.print_exc()
         print("\ninternal error: this is a bug in topcli, please report it with the lines above", file=sys.stderr)
         code = 70
-    gc.freeze()  # leave without walking through every object again
     sys.exit(code)
 
 
+def entry() -> None:
+    """What the installed command calls: ``main``, then leave at once, without taking the interpreter apart."""
+    try:
+        main()
+    except SystemExit as leaving:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None))
+
+
 if __name__ == "__main__":
-    main()
+    entry()

@@ -8,6 +8,7 @@ import platform
 import subprocess
 import sys
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from topcli import __version__
 PACKAGES = ("numpy", "numba", "llvmlite", "pyarrow", "pydantic")
 
 
+@cache
 def installed(package: str) -> str | None:
     """The installed version of a package, found without importing it; None when it is not there."""
     try:
@@ -87,12 +89,17 @@ class Commit:
         return told
 
 
+@cache
+def _platform() -> str:
+    return platform.platform()
+
+
 def environment() -> dict[str, Any]:
     """Versions, platform and CPU of this process."""
     return {
         "topcli": __version__,
         "python": sys.version.split()[0],
-        "platform": platform.platform(),
+        "platform": _platform(),
         "cpu": cpu_name(),
         **{package: installed(package) for package in PACKAGES},
     }
