@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from pydantic import BaseModel
@@ -24,7 +25,7 @@ def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top
 
     The vectors named in ``initial`` choose among the forms of a top.
     """
-    section = _named_section(raw, "top", "kind", kinds(), problems)
+    section = _named_section(raw, "top", "kind", kinds, problems)
     if section is None:
         return None, None
     kind, where, parameters = section
@@ -38,7 +39,7 @@ def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top
 
 def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme, BaseModel] | None:
     """The scheme for tops of class ``cls``, composed where ``compose`` says so, with its options."""
-    section = _named_section(raw, "scheme", "name", names_for(cls.form), problems)
+    section = _named_section(raw, "scheme", "name", lambda: names_for(cls.form), problems)
     if section is None:
         return None
     name, where, given = section
@@ -59,22 +60,25 @@ def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme
 
 
 def _named_section(
-    raw: object, section: str, key: str, names: list[str], problems: Problems
+    raw: object, section: str, key: str, names: Callable[[], list[str]], problems: Problems
 ) -> tuple[str, KeyPath, dict[str, Any]] | None:
-    """Name, the path where it stands, and the whole section, of a bare name or of a section with ``key``."""
-    known = ", ".join(names)
+    """Name, the path where it stands, and the whole section, of a bare name or of a section with ``key``.
+
+    The known ``names`` are asked for only where a message needs them.
+    """
     if isinstance(raw, str):
         return raw, (section,), {key: raw}
+    if isinstance(raw, dict) and isinstance(raw.get(key), str):
+        return raw[key], (section, key), raw
+    known = ", ".join(names())
     if not isinstance(raw, dict):
         problems.add((section,), f"must be a name ({known}) or a section with {key!r}, not {describe(raw)}")
     elif key not in raw:
         near = [other for other in raw if other.lower() == key]
         missing = f"{key!r} is missing; known: {known}"
         problems.add((section,), f"{near[0]!r} should be {key!r}" if near else missing)
-    elif not isinstance(raw[key], str):
-        problems.add((section, key), f"must be a name ({known}), not {describe(raw[key])}")
     else:
-        return raw[key], (section, key), raw
+        problems.add((section, key), f"must be a name ({known}), not {describe(raw[key])}")
     return None
 
 

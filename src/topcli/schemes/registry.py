@@ -177,15 +177,20 @@ def find_scheme(name: str, top: str) -> Scheme:
     Raises UnknownNameError with the nearest names, SchemeMisfitError naming the tops that the scheme fits, or
     UsageError for a scheme that cannot be composed.
     """
-    plugin_failures()
     base, plus, composition = name.rpartition("+")
     if plus:
         from topcli.schemes.compose import compose
 
         return compose(find_scheme(base, top), composition)
-    found = _schemes.get((name.lower(), top))
-    if found:
-        return found
+    key = (name.lower(), top)
+    # names are unique, so the first module that registers this one settles it: the others need not be imported
+    for module in BUILT_IN:
+        import_module(module)
+        if key in _schemes:
+            return _schemes[key]
+    plugin_failures()
+    if key in _schemes:
+        return _schemes[key]
     fits = sorted(kind for known, kind in _schemes if known == name.lower())
     if fits:
         raise SchemeMisfitError(
