@@ -63,7 +63,7 @@ def _dry_run(experiment: Experiment, out: Path, force: bool) -> dict[str, Any]:
         "config": experiment.resolved(),
         "digest": experiment.digest,
         "folder": str(out / experiment.name),
-        "action": plan_run(experiment, out, method_fingerprint(experiment), force=force).action,
+        "action": plan_run(experiment, out, method_fingerprint(experiment.method()), force=force).action,
         "rows": experiment.N // experiment.output.every + 1,
     }
 

@@ -11,7 +11,7 @@ from typing import Any
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
-from topcli.contracts import Invariant, Outcome, Sampler
+from topcli.contracts import Invariant, Method, Outcome, Sampler
 from topcli.engine.loop import Run
 from topcli.engine.source import fingerprint
 from topcli.errors import UsageError
@@ -51,9 +51,8 @@ class Plan:
     action: str
 
 
-def method_fingerprint(experiment: Experiment) -> str:
-    """A digest of the code of the experiment's scheme."""
-    method = experiment.method()
+def method_fingerprint(method: Method) -> str:
+    """A digest of the code of a scheme made ready for a top."""
     if isinstance(method, Sampler):
         return fingerprint(method.states)
     return fingerprint(method.step, method.enter, method.leave)
@@ -142,7 +141,8 @@ def run_experiment(
 
     Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
     """
-    method, digest, code = experiment.method(), experiment.digest, method_fingerprint(experiment)
+    method, digest = experiment.method(), experiment.digest
+    code = method_fingerprint(method)
     plan = plan_run(experiment, out, code, force=force)
     if plan.up_to_date and plan.standing is not None:
         return RunResult(plan.standing, plan.standing.report(), "up to date")
@@ -152,11 +152,11 @@ def run_experiment(
     with Commit() as commit, RunWriter(out, experiment.name) as writer:
         series = writer.folder / f"series.{experiment.output.format}"
         try:
-            resolved = experiment.resolved()
+            resolved, provenance = experiment.resolved(), environment()
             about = {
                 "topcli.config": json.dumps(resolved),
                 "topcli.digest": digest,
-                "topcli.environment": json.dumps(environment()),
+                "topcli.environment": json.dumps(provenance),
             }
             run = Run(
                 experiment.top,
@@ -185,7 +185,7 @@ def run_experiment(
                     "started": started,
                     "ended": now(),
                     "seconds": report["seconds"],
-                    "environment": environment(),
+                    "environment": provenance,
                     **commit.read(),
                 }
             )
