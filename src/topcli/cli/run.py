@@ -66,13 +66,12 @@ def _dry_run(experiment: Experiment, out: Path, force: bool, resume: bool) -> di
     from topcli.studies.run import method_fingerprint, plan_run
 
     code = method_fingerprint(experiment.method())
-    plan = plan_run(experiment, out, code, force=force)
-    source = find_source(experiment, out, code) if resume and not plan.up_to_date else None
+    source = find_source(experiment, out, code) if resume else None
     return {
         "config": experiment.resolved(),
         "digest": experiment.digest,
         "folder": str(out / experiment.name),
-        "action": f"will continue from step {source.done}" if source else plan.action,
+        "action": plan_run(experiment, out, code, force=force, source=source).action,
         "rows": experiment.N // experiment.output.every + 1,
     }
 

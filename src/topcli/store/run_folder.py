@@ -18,12 +18,9 @@ from typing import Any
 
 from topcli.errors import RunError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, sync
-from topcli.store.parts import LOCK, MANIFEST, Lock, Part, lock_left, lock_new, new_part, parts_of
+from topcli.store.parts import LOCK, MANIFEST, Lock, Part, lock_new, new_part, parts_of, release_reserve, take_lock
 
 MANIFEST_VERSION = 1
-RESERVE = "reserve"
-RESERVED = 1 << 18
-"""Bytes: room for the reports, a footer and a checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +198,7 @@ class RunWriter:
         return self
 
     def _take_over(self, part: Part) -> None:
-        self._lock = lock_left(part.folder, self._about)
+        self._lock = take_lock(part.folder, self._about)
         if self._lock is None:
             raise UsageError(f"{self.target}: another process has just begun to continue this run")
         os.rename(part.folder, self.folder)
@@ -232,22 +229,12 @@ class RunWriter:
             error.filename = error.filename or str(path)
             raise
 
-    def reserve(self) -> None:
-        """Set some space aside, once, so that a full disk leaves enough to close what was written. Raises OSError."""
-        path = self.folder / RESERVE
-        if not path.exists():
-            path.write_bytes(bytes(RESERVED))
-
-    def release_reserve(self) -> None:
-        """Give the space back."""
-        (self.folder / RESERVE).unlink(missing_ok=True)
-
     def commit(self, manifest: dict[str, Any]) -> StoredRun:
         """Write the manifest, flush everything to the disk and put the folder in its place. Raises OSError.
 
         Until the manifest is there the checkpoint is; a checkpoint is kept where there is something to go on from.
         """
-        self.release_reserve()
+        release_reserve(self.folder)
         aside = {LOCK, MANIFEST} if manifest.get("outcome") == "interrupted" else {LOCK, MANIFEST, CHECKPOINT}
         files = sorted(entry.name for entry in self.folder.iterdir() if entry.name not in aside)
         complete = {

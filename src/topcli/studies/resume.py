@@ -13,7 +13,7 @@ from topcli.config.models import Experiment
 from topcli.engine.loop import Position, Run
 from topcli.errors import UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, write_checkpoint
-from topcli.store.parts import Part, parts_of
+from topcli.store.parts import Part, parts_of, release_reserve, reserve
 from topcli.store.provenance import environment, now
 from topcli.store.run_folder import RunWriter, StoredRun, stored_run
 from topcli.store.series import SeriesWriter
@@ -78,12 +78,15 @@ def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
-    """The unfinished run of ``experiment`` by this ``code`` in ``out`` that got furthest; None when there is none.
+    """The unfinished run of ``experiment`` by this ``code`` in ``out`` that got furthest; None for none, or no need.
 
     Raises UsageError when another process is running it, or when what is there belongs to a different experiment or
     other code.
     """
     name, digest = experiment.name, experiment.digest
+    standing = stored_run(out / name)
+    if standing is not None and standing.up_to_date(digest, code):
+        return None
     found = list(_sources(out, name))
     fitting = [s for s in found if s.about.get("digest") == digest and s.about.get("code") == code]
     if running := running_process(experiment, out):
@@ -152,7 +155,7 @@ class Checkpoints:
     def consider(self, run: Run, tally: InvariantTally, series: SeriesWriter) -> None:
         """Between two chunks: write a checkpoint when it is time. Raises OSError."""
         if self.clock() >= self._due:
-            self.writer.reserve()
+            reserve(self.writer.folder)
             self.save(run, tally, series)
         elif series.length != self._length:
             self._length = series.length
@@ -187,7 +190,7 @@ class Checkpoints:
 
         None from before what the disk already goes on from: writing it would cut the series off too early.
         """
-        self.writer.release_reserve()
+        release_reserve(self.writer.folder)
         known = [state for state in (self.last, self._earlier) if state is not None]
         return [state for state in known if state.done >= (self.kept or 0)]
 

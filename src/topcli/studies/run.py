@@ -25,6 +25,7 @@ from topcli.studies.report import report_data, report_markdown
 from topcli.studies.resume import (
     CHECKPOINT_SECONDS,
     Checkpoints,
+    Source,
     begun,
     checked_start,
     find_source,
@@ -73,8 +74,13 @@ def method_fingerprint(method: Method) -> str:
     return fingerprint(method.step, method.enter, method.leave)
 
 
-def plan_run(experiment: Experiment, out: Path, code: str, *, force: bool = False) -> Plan:
-    """What running ``experiment`` into ``out`` will do. Raises UsageError for what would be refused."""
+def plan_run(
+    experiment: Experiment, out: Path, code: str, *, force: bool = False, source: Source | None = None
+) -> Plan:
+    """What running ``experiment`` into ``out``, or going on from ``source``, will do.
+
+    Raises UsageError for what would be refused.
+    """
     target, digest = out / experiment.name, experiment.digest
     if out.exists() and not out.is_dir():
         raise UsageError(f"output folder {out}: is not a folder; choose another with --out")
@@ -85,18 +91,19 @@ def plan_run(experiment: Experiment, out: Path, code: str, *, force: bool = Fals
                 f"{target}: exists and is no finished run; nothing was written\n"
                 "move it away, or choose another folder with --out or another name with --set name=..."
             )
-        return Plan(None, False, "will run")
+        return Plan(None, False, f"will continue from step {source.done}" if source else "will run")
     if not standing.same_experiment(digest):
-        if not force:
+        if not force and source is None:
             raise UsageError(
                 f"{target}: holds a different experiment (digest {str(standing.manifest['digest'])[:8]}, this one "
                 f"{digest[:8]}); nothing was written\nchoose --set name=... or --out, or --force to keep the earlier "
                 "run aside and put this one in its place"
             )
-        return Plan(standing, False, "will run, and keep the different run that is there aside")
+        action = f"will continue from step {source.done}" if source else "will run"
+        return Plan(standing, False, f"{action}, and keep the different run that is there aside")
     if not force and standing.up_to_date(digest, code):
         return Plan(standing, True, "up to date")
-    return Plan(standing, False, "will run again")
+    return Plan(standing, False, f"will continue from step {source.done}" if source else "will run again")
 
 
 def _write_series(
@@ -231,10 +238,10 @@ def run_experiment(
     """
     method, digest = experiment.method(), experiment.digest
     code = method_fingerprint(method)
-    plan = plan_run(experiment, out, code, force=force)
+    source = find_source(experiment, out, code) if resume else None
+    plan = plan_run(experiment, out, code, force=force, source=source)
     if plan.up_to_date and plan.standing is not None:
         return RunResult(plan.standing, plan.standing.report(), "up to date")
-    source = find_source(experiment, out, code) if resume else None
     if not resume:
         say_what_could_be_resumed(experiment, out, code, tell)
     identity = {"digest": digest, "code": code}
