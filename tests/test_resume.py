@@ -49,6 +49,7 @@ def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("CHUNK_STEPS", 23), ("PLAIN_STEPS", 23), ("CHUNK_ROWS", 16)):
         monkeypatch.setattr(f"topcli.engine.loop.{name}", value)
     monkeypatch.setattr(series, "ROW_GROUP", 40)
+    monkeypatch.setattr("topcli.studies.resume.BATCH", 20)
 
 
 def small(*overrides: str) -> Experiment:
@@ -285,7 +286,7 @@ def test_a_full_disk_leaves_what_was_written_readable(
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
     data = read_series(tmp_path / "whole" / NAME / f"series.{suffix}")
     with monkeypatch.context() as patched:
-        full_after(patched, 25_000, forever=False)
+        full_after(patched, 16_000, forever=False)
         with pytest.raises(RunError, match=rf"series.{suffix}: no space left .* kept, marked interrupted") as caught:
             run_experiment(experiment, tmp_path / "out")
     assert caught.value.exit_code == 1
@@ -304,7 +305,7 @@ def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
     out = tmp_path / "out"
     with monkeypatch.context() as patched:
-        full_after(patched, 25_000)
+        full_after(patched, 16_000)
         with pytest.raises(RunError, match=r"no space left .* last checkpoint holds is kept.*\(up to step \d+\)"):
             run_experiment(small(), out, checkpoint_every=0.0)
     assert stored_runs(out) == []

@@ -28,13 +28,15 @@ class Checkpoint:
     """A run stopped between two chunks after ``done`` steps.
 
     ``work`` is the engine's whole working state, ``tally`` the sums of the invariant report, ``series`` how far the
-    series reaches. ``about`` is plain data: what experiment and code it belongs to, and what the report tells.
+    series reaches, ``rows`` what is in neither of them yet: step numbers (m,) and states (m, d). ``about`` is plain
+    data: what experiment and code it belongs to, and what the report tells.
     """
 
     done: int
     work: NDArray[Any]
     tally: dict[str, NDArray[Any]]
     series: SeriesMark
+    rows: tuple[NDArray[Any], NDArray[Any]]
     about: dict[str, Any]
 
     def belongs_to(self, digest: str, code: str) -> bool:
@@ -64,6 +66,8 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     arrays = {
         "head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8),
         "work": checkpoint.work,
+        "rows_n": checkpoint.rows[0],
+        "rows_states": checkpoint.rows[1],
         **{f"tally_{name}": values for name, values in checkpoint.tally.items()},
         **{f"held_{i}": values for i, values in enumerate(checkpoint.series.held.values())},
     }
@@ -93,6 +97,7 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
             return None
         held = {name: arrays[f"held_{i}"] for i, name in enumerate(head["columns"])}
         tally = {name.removeprefix("tally_"): values for name, values in arrays.items() if name.startswith("tally_")}
-        return Checkpoint(head["done"], arrays["work"], tally, SeriesMark(head["length"], held), head["about"])
+        mark, rows = SeriesMark(head["length"], held), (arrays["rows_n"], arrays["rows_states"])
+        return Checkpoint(head["done"], arrays["work"], tally, mark, rows, head["about"])
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile):
         return None

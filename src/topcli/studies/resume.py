@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
 from topcli.engine.loop import Position, Run
@@ -22,6 +25,44 @@ CHECKPOINT_SECONDS = 10.0
 """Between two checkpoints; the first comes after half of it."""
 COST = 100.0
 """A checkpoint is not written before this many times the seconds that the last one took: at most 1% of the run."""
+
+
+BATCH = 256
+"""Rows that are gathered before they are tallied and written: a row alone costs as much as some thousand steps."""
+
+
+class Batch:
+    """Rows not yet tallied and written: step numbers and states; a checkpoint holds them, too."""
+
+    def __init__(self, start: Checkpoint | None = None) -> None:
+        self._pieces: list[tuple[NDArray[Any], NDArray[Any]]] = []
+        self._rows = 0
+        if start is not None and len(start.rows[0]):
+            self.add(*start.rows)
+
+    def add(self, n: NDArray[Any], states: NDArray[Any]) -> None:
+        """Gather rows: step numbers (m,) and states (m, d); copied unless they are enough by themselves."""
+        self._pieces.append((n.copy(), states.copy()) if len(n) < BATCH else (n, states))
+        self._rows += len(n)
+
+    @property
+    def enough(self) -> bool:
+        """Whether it is time to take them."""
+        return self._rows >= BATCH
+
+    def rows(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """All that is gathered."""
+        if len(self._pieces) == 1:
+            return self._pieces[0]
+        if not self._pieces:
+            return np.empty(0, dtype=np.int64), np.empty((0, 0))
+        return np.concatenate([n for n, _ in self._pieces]), np.concatenate([states for _, states in self._pieces])
+
+    def take(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The same, which are then no longer held."""
+        rows = self.rows()
+        self._pieces, self._rows = [], 0
+        return rows
 
 
 @dataclass(frozen=True)
@@ -152,16 +193,18 @@ class Checkpoints:
         if self.last:
             self.kept = self.last.done
 
-    def consider(self, run: Run, tally: InvariantTally, series: SeriesWriter) -> None:
+    def consider(self, run: Run, tally: InvariantTally, series: SeriesWriter, batch: Batch) -> None:
         """Between two chunks: write a checkpoint when it is time. Raises OSError."""
         if self.clock() >= self._due:
             reserve(self.writer.folder)
-            self.save(run, tally, series)
+            self.save(run, tally, series, batch)
         elif series.length != self._length:
             self._length = series.length
-            self._remember(run, tally, series, flush=False)
+            self._remember(run, tally, series, batch, flush=False)
 
-    def _remember(self, run: Run, tally: InvariantTally, series: SeriesWriter, flush: bool) -> Checkpoint | None:
+    def _remember(
+        self, run: Run, tally: InvariantTally, series: SeriesWriter, batch: Batch, flush: bool
+    ) -> Checkpoint | None:
         position = run.position()
         if position is None:
             return None
@@ -171,13 +214,15 @@ class Checkpoints:
             "chunks": [position.chunk_rows, position.chunk_steps],
         }
         self._earlier = self.last
-        self.last = Checkpoint(position.done, position.work, tally.state(), series.mark(flush=flush), about)
+        self.last = Checkpoint(
+            position.done, position.work, tally.state(), series.mark(flush=flush), batch.rows(), about
+        )
         return self.last
 
-    def save(self, run: Run, tally: InvariantTally, series: SeriesWriter) -> None:
+    def save(self, run: Run, tally: InvariantTally, series: SeriesWriter, batch: Batch) -> None:
         """Write a checkpoint now; none after a failed step, which is the run's end. Raises OSError."""
         began = self.clock()
-        checkpoint = self._remember(run, tally, series, flush=True)
+        checkpoint = self._remember(run, tally, series, batch, flush=True)
         if checkpoint is None:
             return
         write_checkpoint(self.writer.folder, checkpoint)

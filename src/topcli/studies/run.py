@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
@@ -24,6 +26,7 @@ from topcli.store.series import SeriesWriter
 from topcli.studies.report import report_data, report_markdown
 from topcli.studies.resume import (
     CHECKPOINT_SECONDS,
+    Batch,
     Checkpoints,
     Source,
     begun,
@@ -119,16 +122,25 @@ def _write_series(
 ) -> None:
     top, h = experiment.top, experiment.h
     names = list(experiment.output.columns or column_names(top))
+    batch = Batch(start)
     with SeriesWriter(path, names, about, start.series if start else None) as writer:
+
+        def take_in(n: NDArray[Any], states: NDArray[Any]) -> None:
+            tally.add(n, states)
+            writer.write(columns(top, n, h, states, names, modified))
+
         for chunk in run:
             if len(chunk.n):
-                tally.add(chunk.n, chunk.states)
-                writer.write(columns(top, chunk.n, h, chunk.states, names, modified))
-            checkpoints.consider(run, tally, writer)
+                batch.add(chunk.n, chunk.states)
+            if batch.enough:
+                take_in(*batch.take())
+            checkpoints.consider(run, tally, writer, batch)
             progress(chunk.done, experiment.N)
         assert run.ending is not None
         if run.ending.outcome is Outcome.INTERRUPTED:
-            checkpoints.save(run, tally, writer)
+            checkpoints.save(run, tally, writer, batch)
+        if len(batch.rows()[0]):
+            take_in(*batch.take())
         writer.finish({"topcli.outcome": run.ending.outcome.value, "topcli.message": run.ending.message})
 
 
