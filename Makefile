@@ -41,6 +41,7 @@ bench: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/steps_lagrange.py
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/store.py
+	$(BIN)/python benchmarks/long_runs.py
 	$(BIN)/python benchmarks/compose.py
 	$(BIN)/python benchmarks/beyond.py
 

@@ -147,10 +147,10 @@ def test_a_full_disk_leaves_nothing_and_loses_nothing(
     earlier = run_experiment(small(), tmp_path)
     before = (earlier.stored.folder / "series.parquet").read_bytes()
 
-    def full(self: SeriesWriter) -> None:
+    def full(self: SeriesWriter, data: bytes) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(SeriesWriter, "_flush", full)
+    monkeypatch.setattr(SeriesWriter, "_append", full)
     with pytest.raises(RunError, match="no space left") as caught:
         run_experiment(small("h=0.002", f"output.format={suffix}"), tmp_path, force=True)
     assert caught.value.exit_code == 1
@@ -234,7 +234,7 @@ def test_renaming_is_the_last_step(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def fail(path: Path) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(run_folder, "_sync", fail)
+    monkeypatch.setattr(run_folder, "sync", fail)
     with pytest.raises(RunError, match="Input/output error"):
         run_experiment(small(), tmp_path, force=True)
     assert stored_run(first.stored.folder) is not None

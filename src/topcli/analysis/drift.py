@@ -20,7 +20,7 @@ and West 1987).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -122,6 +122,16 @@ class _Tally:
         self.squares += float(deviation @ deviation)
         self.sums += np.bincount(block, weights=deviation, minlength=2 * BLOCKS)
 
+    def numbers(self) -> Array:
+        """Everything that rows have changed, (6 + 2 * BLOCKS,)."""
+        six = [self.first, self.low, self.high, self.scale, self.first_scale, self.squares]
+        return np.concatenate([np.array(six), self.sums])
+
+    def restore(self, numbers: Array) -> None:
+        """Be as one was when these were the ``numbers()``."""
+        self.first, self.low, self.high, self.scale, self.first_scale, self.squares = numbers[:6].tolist()
+        self.sums = np.array(numbers[6:])
+
 
 class InvariantTally:
     """The report on ``invariants`` over a run of steps of size h, fed with chunks of rows.
@@ -156,6 +166,27 @@ class InvariantTally:
         with np.errstate(over="ignore", invalid="ignore"):  # huge states: the report says that it is not finite
             for tally in self._tallies:
                 tally.add(states, block)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Everything taken in so far, in arrays of a fixed size: what ``restore`` goes on from, bit for bit."""
+        return {
+            "steps": np.array([self._width, self._last], dtype=np.int64),
+            "blocks": np.array([self._counts, self._steps_in]),
+            "invariants": np.array([tally.numbers() for tally in self._tallies]),
+        }
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from a ``state()``. Raises ValueError when it is of other invariants or another form."""
+        numbers = state["invariants"]
+        known = numbers.shape in ((0,), (len(self._invariants), 6 + 2 * BLOCKS))
+        if not known or state["blocks"].shape != (2, 2 * BLOCKS):
+            raise ValueError("the sums of the invariant report are of another form")
+        self._width, self._last = state["steps"].tolist()
+        self._counts, self._steps_in = np.array(state["blocks"])
+        self._tallies = []
+        for invariant, one in zip(self._invariants, numbers, strict=False):
+            self._tallies.append(_Tally(invariant, math.nan))
+            self._tallies[-1].restore(one)
 
     def rows(self) -> list[InvariantRow]:
         """The report, one row an invariant in their order."""

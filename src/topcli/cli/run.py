@@ -18,14 +18,19 @@ if TYPE_CHECKING:
 
 
 class Interruption:
-    """Turns the first Ctrl-C or SIGTERM into a request to stop between chunks; the second one is immediate."""
+    """Turns the first Ctrl-C, SIGTERM or hang-up into a request to stop between chunks; the second one is immediate.
+
+    A hang-up that is ignored, as under ``nohup``, stays so.
+    """
 
     def __init__(self) -> None:
         self.asked = False
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        hang_up = getattr(signal, "SIGHUP", None)
+        hung_up = [] if hang_up is None or signal.getsignal(hang_up) == signal.SIG_IGN else [hang_up]
+        for number in (signal.SIGINT, signal.SIGTERM, *hung_up):
             self._previous[number] = signal.signal(number, self._ask)
         return self
 
@@ -56,14 +61,17 @@ def _tell(result: RunResult, labelled: bool) -> None:
     print_table(header, lines, report["name"] if labelled else "")
 
 
-def _dry_run(experiment: Experiment, out: Path, force: bool) -> dict[str, Any]:
+def _dry_run(experiment: Experiment, out: Path, force: bool, resume: bool) -> dict[str, Any]:
+    from topcli.studies.resume import find_source
     from topcli.studies.run import method_fingerprint, plan_run
 
+    code = method_fingerprint(experiment.method())
+    source = find_source(experiment, out, code) if resume else None
     return {
         "config": experiment.resolved(),
         "digest": experiment.digest,
         "folder": str(out / experiment.name),
-        "action": plan_run(experiment, out, method_fingerprint(experiment.method()), force=force).action,
+        "action": plan_run(experiment, out, code, force=force, source=source).action,
         "rows": experiment.N // experiment.output.every + 1,
     }
 
@@ -90,15 +98,33 @@ def run(
     out: Out = Path("results"),
     output_format: Annotated[str | None, typer.Option("--format", help="parquet or csv.")] = None,
     force: Force = False,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint, bit for bit."),
+    ] = False,
+    checkpoint_every: Annotated[
+        float,
+        typer.Option(
+            "--checkpoint-every", metavar="SECONDS", help="Seconds between checkpoints; 0: as often as can be."
+        ),
+    ] = 10.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the configs and say what would be done.")] = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")] = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Run experiments: time series and a report on the conservation laws, in one folder each."""
+    """Run experiments: time series and a report on the conservation laws, in one folder each.
+
+    A long run writes checkpoints. Ctrl-C or SIGTERM ends it as interrupted (exit code 130), with what was recorded in
+    its folder; --resume continues it, and also a run that was killed, and ends as if it had never been stopped.
+    """
     if output_format not in (None, "parquet", "csv"):
         raise UsageError(f"--format {output_format}: not a format of a series; choose parquet or csv")
+    if resume and force:
+        raise UsageError("--resume continues a run and --force repeats it: give one of them")
+    if not checkpoint_every >= 0.0:
+        raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds from 0 on")
     load_scheme_files(scheme_files)
     told: list[dict[str, Any]] = []
     codes: list[int] = []
@@ -110,7 +136,7 @@ def run(
                 if not quiet:
                     say_warnings(experiment)
                 if dry_run:
-                    plan = _dry_run(experiment, out, force)
+                    plan = _dry_run(experiment, out, force, resume)
                     told.append(plan)
                     codes.append(0)
                     if not (as_json or quiet):
@@ -119,14 +145,24 @@ def run(
                 from topcli.studies.run import run_experiment
 
                 teller.begin(experiment.name)
-                result = run_experiment(experiment, out, force=force, progress=teller, stop=lambda: interruption.asked)
+                result = run_experiment(
+                    experiment,
+                    out,
+                    force=force,
+                    resume=resume,
+                    checkpoint_every=checkpoint_every,
+                    progress=teller,
+                    stop=lambda: interruption.asked,
+                    tell=(lambda line: None) if quiet else say,
+                )
                 teller.close()
                 if not (quiet or as_json):
                     _tell(result, labelled=len(configs) > 1)
                 told.append({"folder": str(result.stored.folder), "status": result.status, **result.report})
                 codes.append({"completed": 0, "interrupted": 130}.get(result.outcome.value, 1))
                 if codes[-1]:
-                    say(f"error: {experiment.name}: {result.outcome.value}; what came before is kept")
+                    more = "; --resume continues it" if codes[-1] == 130 else ""
+                    say(f"error: {experiment.name}: {result.outcome.value}; what came before is kept{more}")
             except TopcliError as error:
                 teller.close()
                 say(f"error: {error}")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +34,25 @@ class Chunk:
     done: int
 
 
+@dataclass(frozen=True)
+class Position:
+    """Where a run stands between two chunks: ``done`` steps and the whole working state; it can go on from there.
+
+    The chunks to come are cut as they would have been, because sums over rows depend in their last bits on the cut.
+    """
+
+    done: int
+    work: Array
+    chunk_rows: int
+    chunk_steps: int
+
+
 class Run:
     """One run of a compiled scheme: iterate it for chunks, then read ``ending`` and the seconds.
 
     ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
     ``every``-th recorded. ``stop()`` is asked between chunks; when it says so the run ends as ``interrupted``.
+    With ``start``, the ``position()`` of an earlier run of the same, it goes on from there, bit for bit.
     """
 
     def __init__(
@@ -50,6 +64,7 @@ class Run:
         N: int,
         every: int = 1,
         stop: Callable[[], bool] = lambda: False,
+        start: Position | None = None,
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
@@ -60,6 +75,17 @@ class Run:
         self.cached = self._loop.cached
         self.run_seconds = 0.0
         self.ending: Ending | None = None
+        chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
+        self._position = start or Position(-1, np.zeros(self._loop.width), CHUNK_ROWS, chunk_steps)
+        if len(self._position.work) != self._loop.width:
+            raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
+        self._failed = False
+
+    def position(self) -> Position | None:
+        """Where the run stands, copied; None where it cannot go on from: after a failure and before its first row."""
+        if self._failed or self._position.done < 0:
+            return None
+        return replace(self._position, work=self._position.work.copy())
 
     def _end(self, outcome: Outcome, step: int, work: Array) -> None:
         names = self._loop.counters
@@ -73,20 +99,25 @@ class Run:
 
     def __iter__(self) -> Iterator[Chunk]:
         """Chunks of recorded rows; the last one is followed by ``ending`` being set."""
-        d, every = len(self._y0), self.every
-        work = np.zeros(self._loop.width)
-        out = np.empty(CHUNK_ROWS * d)
-        self._loop.enter(self._y0, work, self._p, self.h)
-        yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
-        done = 0
-        chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
+        d, every, N = len(self._y0), self.every, self.N
+        work, chunk_rows, chunk_steps = (
+            self._position.work.copy(),
+            self._position.chunk_rows,
+            self._position.chunk_steps,
+        )
+        out = np.empty(chunk_rows * d)
+        if self._position.done < 0:
+            self._loop.enter(self._y0, work, self._p, self.h)
+            self._position = Position(0, work, chunk_rows, chunk_steps)
+            yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
+        done = self._position.done
         outcome = Outcome.COMPLETED
-        while done < self.N and outcome is Outcome.COMPLETED:
+        while done < N and outcome is Outcome.COMPLETED:
             if self._stop():
                 outcome = Outcome.INTERRUPTED
                 break
             to_record = every - done % every
-            steps = min(self.N - done, chunk_steps, to_record + (CHUNK_ROWS - 1) * every)
+            steps = min(N - done, chunk_steps, to_record + (chunk_rows - 1) * every)
             start = time.perf_counter()
             taken = self._loop.drive(work, out, self._p, self.h, steps, every, to_record)
             self.run_seconds += time.perf_counter() - start
@@ -94,8 +125,10 @@ class Run:
             if taken < 0:
                 outcome, done = self._failure(work), done - taken
                 last_good = done - 1
+                self._failed = True
             else:
                 done = last_good = done + taken
+                self._position = Position(done, work, chunk_rows, chunk_steps)
             n = np.arange(before + to_record, last_good + 1, every, dtype=np.int64)
             yield Chunk(n, out[: len(n) * d].reshape(len(n), d), last_good)
         self._end(outcome, done, work)

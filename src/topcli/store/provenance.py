@@ -52,6 +52,7 @@ class Commit:
     def __init__(self) -> None:
         root = Path(__file__).resolve().parents[3]
         self._process: subprocess.Popen[str] | None = None
+        self._told: dict[str, Any] | None = None
         if not (root / ".git").exists():
             return
         with contextlib.suppress(OSError):
@@ -74,7 +75,10 @@ class Commit:
 
     def read(self) -> dict[str, Any]:
         """``{"commit": hash or None, "dirty": bool or None}``; waits two seconds at most."""
+        if self._told is not None:
+            return self._told
         told: dict[str, Any] = {"commit": None, "dirty": None}
+        self._told = told
         if self._process is None:
             return told
         try:

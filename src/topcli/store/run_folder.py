@@ -11,14 +11,15 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, UsageError
+from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, sync
+from topcli.store.parts import LOCK, MANIFEST, Lock, Part, lock_new, new_part, parts_of, release_reserve, take_lock
 
-MANIFEST = "manifest.json"
 MANIFEST_VERSION = 1
 
 
@@ -51,16 +52,28 @@ class StoredRun:
         return (
             self.same_experiment(digest)
             and self.manifest.get("code") == code
-            and self.manifest.get("outcome") != "interrupted"
+            and not self.interrupted
             and all(_size(self.folder / name) == size for name, size in self.manifest.get("files", {"": 0}).items())
         )
 
-    def replaceable(self, digest: str, code: str) -> bool:
-        """Whether a new run by the same code of the same experiment may take this one's place and nothing be lost."""
-        own = {MANIFEST, *self.manifest.get("files", {})}
+    @property
+    def interrupted(self) -> bool:
+        """Whether the run was stopped before its end."""
+        return self.manifest.get("outcome") == "interrupted"
+
+    def replaceable(self, new: Mapping[str, Any]) -> bool:
+        """Whether a run with the manifest ``new`` may take this one's place and nothing be lost.
+
+        It must be of the same experiment by the same code; an interrupted one does not replace one that got further.
+        """
+        own = {MANIFEST, CHECKPOINT, LOCK, *self.manifest.get("files", {})}
+        further = new.get("outcome") == "interrupted" and not (
+            self.interrupted and self.manifest.get("step", 0) <= new.get("step", 0)
+        )
         return (
-            self.same_experiment(digest)
-            and self.manifest.get("code") == code
+            self.same_experiment(new["digest"])
+            and self.manifest.get("code") == new.get("code")
+            and not further
             and all(entry.name in own for entry in self.folder.iterdir())
         )
 
@@ -96,7 +109,13 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this run") -> RunError:
-    """What to tell the user of a failed write, and of what was ``kept`` of it."""
+    """What to tell the user of a failed write, and of what was ``kept`` of it.
+
+    ``path`` is what was written; where the error names a file, that file in ``path``'s folder is told.
+    """
+    named = Path(error.filename).name if isinstance(error.filename, str) else ""
+    if named and not named.startswith(".") and named != path.name:
+        path = path / named
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return RunError(f"{path}: no space left on the device; {kept}")
     if error.errno == errno.EFBIG:
@@ -112,6 +131,16 @@ def _size(path: Path) -> int:
         return -1
 
 
+def _superseded(part: Part, manifest: Mapping[str, Any]) -> bool:
+    """Whether the run with this ``manifest`` has got at least as far as what a killed process left in ``part``."""
+    left = read_checkpoint(part.folder)
+    if left is None:
+        stored = stored_run(part.folder)
+        return stored is not None and stored.replaceable(manifest)
+    reached = manifest.get("outcome") != "interrupted" or left.done <= manifest.get("step", 0)
+    return left.belongs_to(manifest["digest"], manifest["code"]) and reached
+
+
 def require_writable(out: Path) -> None:
     """Make the folder ``out`` if need be. Raises UsageError when it cannot be written to."""
     try:
@@ -125,75 +154,116 @@ def require_writable(out: Path) -> None:
         ) from None
 
 
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True
-    return True
-
-
 class RunWriter:
-    """A run folder in the making: fill ``folder``, then ``commit``; left without a commit it vanishes.
+    """A run folder in the making: fill ``folder``, then ``commit``.
 
-    What stands at the target by then is replaced when it is the same experiment by the same code, and otherwise set
-    aside under ``<name>.<its digest>``, whoever put it there meanwhile.
-    Raises UsageError when the output folder cannot be written to.
+    Left without a commit it vanishes, unless it holds a checkpoint to go on from. What stands at the target by then is
+    replaced when it is the same experiment by the same code and nothing is lost by it, and otherwise set aside under
+    ``<name>.<its digest>``, whoever put it there meanwhile.
+
+    ``source`` is a folder to go on from: one that a killed process left, which is taken over, or an interrupted run,
+    which is copied and stays what it is until the commit. ``checkpoint`` is then where to go on from, or ``complete``
+    the run that lacked nothing but its place.
+    ``about`` is what others are told of this run: its ``digest`` and ``code``.
+    Raises UsageError when the output folder cannot be written to or another process works in ``source``.
     """
 
-    def __init__(self, out: Path, name: str) -> None:
-        self.out, self.target = out, out / name
+    def __init__(
+        self, out: Path, name: str, about: dict[str, Any] | None = None, source: StoredRun | Part | None = None
+    ) -> None:
+        self.out, self.name, self.target = out, name, out / name
         self.set_aside: Path | None = None
-        self._prefix = f".{name}.part-"
-        self.folder = out / f"{self._prefix}{os.getpid()}-{secrets.token_hex(4)}"
+        self.folder = new_part(out, name)
+        self.checkpoint: Checkpoint | None = None
+        self.complete: StoredRun | None = None
+        self._about, self._source = about or {}, source
+        self._lock: Lock | None = None
 
     def __enter__(self) -> RunWriter:
         require_writable(self.out)
         try:
-            for left in self.out.glob(f"{self._prefix}*"):
-                pid = left.name[len(self._prefix) :].partition("-")[0]
-                if pid.isdigit() and not _alive(int(pid)):
-                    shutil.rmtree(left, ignore_errors=True)
-            self.folder.mkdir()
+            parts_of(self.out, self.name)
+            if isinstance(self._source, Part):
+                self._take_over(self._source)
+            else:
+                self.folder.mkdir()
+                self._lock = lock_new(self.folder, self._about)
+                if self._source is not None:
+                    self._copy(self._source)
         except OSError as error:
+            shutil.rmtree(self.folder, ignore_errors=True)
             raise io_failure(error, self.out) from None
+        if self._source is not None:
+            self.checkpoint = read_checkpoint(self.folder)
         return self
 
+    def _take_over(self, part: Part) -> None:
+        self._lock = take_lock(part.folder, self._about)
+        if self._lock is None:
+            raise UsageError(f"{self.target}: another process has just begun to continue this run")
+        os.rename(part.folder, self.folder)
+        for unnamed in self.folder.glob(".*"):  # what was being written when the process ended
+            unnamed.unlink()
+        self.complete = stored_run(self.folder)
+        if self.complete is not None and self.complete.interrupted:
+            (self.folder / MANIFEST).unlink()
+            self.complete = None
+
+    def _copy(self, run: StoredRun) -> None:
+        for path in (run.series, run.folder / CHECKPOINT):  # the checkpoint last: it vouches for the series
+            shutil.copyfile(path, self.folder / path.name)
+            sync(self.folder / path.name)
+
     def __exit__(self, *exception: object) -> None:
-        shutil.rmtree(self.folder, ignore_errors=True)
+        if not (self.folder / CHECKPOINT).exists() and not (self.folder / MANIFEST).exists():
+            shutil.rmtree(self.folder, ignore_errors=True)
+        if self._lock is not None:
+            self._lock.release()
 
     def write(self, name: str, text: str) -> None:
-        """Write one text file of the folder. Raises OSError."""
-        (self.folder / name).write_text(text, encoding="utf-8")
+        """Write one text file of the folder. Raises OSError that names it."""
+        path = self.folder / name
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            error.filename = error.filename or str(path)
+            raise
 
     def commit(self, manifest: dict[str, Any]) -> StoredRun:
-        """Write the manifest, flush everything to the disk and put the folder in its place. Raises OSError."""
-        files = sorted(entry.name for entry in self.folder.iterdir())
+        """Write the manifest, flush everything to the disk and put the folder in its place. Raises OSError.
+
+        Until the manifest is there the checkpoint is; a checkpoint is kept where there is something to go on from.
+        """
+        release_reserve(self.folder)
+        aside = {LOCK, MANIFEST} if manifest.get("outcome") == "interrupted" else {LOCK, MANIFEST, CHECKPOINT}
+        files = sorted(entry.name for entry in self.folder.iterdir() if entry.name not in aside)
         complete = {
             "manifest_version": MANIFEST_VERSION,
             **manifest,
             "files": {name: _size(self.folder / name) for name in files},
         }
         for name in files:
-            _sync(self.folder / name)
-        self.write(MANIFEST, json.dumps(complete, indent=1, ensure_ascii=False) + "\n")
-        _sync(self.folder / MANIFEST)
-        _sync(self.folder)
-        self._put_in_place(complete["digest"], complete["code"])
-        _sync(self.out)
-        return StoredRun(self.target, complete)
+            sync(self.folder / name)
+        write_whole(
+            self.folder / MANIFEST,
+            lambda path: path.write_text(json.dumps(complete, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"),
+        )
+        sync(self.folder / MANIFEST)
+        sync(self.folder)
+        return self.put_in_place(complete)
 
-    def _put_in_place(self, digest: str, code: str) -> None:
+    def put_in_place(self, manifest: dict[str, Any]) -> StoredRun:
+        """Put the folder, which holds this ``manifest``, in its place. Raises OSError."""
+        for name in {LOCK, CHECKPOINT} - set(manifest["files"]):
+            (self.folder / name).unlink(missing_ok=True)
+        self._rename(manifest)
+        sync(self.out)
+        for part in parts_of(self.out, self.name):
+            if not part.alive and _superseded(part, manifest):
+                shutil.rmtree(part.folder, ignore_errors=True)
+        return StoredRun(self.target, manifest)
+
+    def _rename(self, manifest: dict[str, Any]) -> None:
         """Rename into place; first move aside, whole, what stands there. Every rename is atomic, so nothing is lost."""
         superseded: list[Path] = []
         while True:
@@ -209,7 +279,7 @@ class RunWriter:
             except FileNotFoundError:
                 continue  # another process moved it first
             earlier = stored_run(aside)
-            if earlier is not None and earlier.replaceable(digest, code):
+            if earlier is not None and earlier.replaceable(manifest):
                 superseded.append(aside)
             else:
                 self.set_aside = aside

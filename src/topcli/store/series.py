@@ -7,13 +7,17 @@ CSV numbers are the shortest that read back to the same bits.
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from topcli.errors import RunError
+from topcli.store.footer import merged_footer
 
 ROW_GROUP = 131_072
 """Rows a Parquet row group: what is held in memory until written."""
@@ -59,56 +63,144 @@ def write_parquet(path: Path, data: Mapping[str, np.ndarray], metadata: Mapping[
     pq.write_table(arrow_table(data, metadata), path, **_parquet_options(data))
 
 
-class SeriesWriter:
-    """Write a series of the columns ``names`` in pieces to ``path``; a context manager. Raises OSError."""
+@dataclass(frozen=True)
+class SeriesMark:
+    """How far a series has been written: bytes in the file, and the rows (m,) of each column that are still held."""
 
-    def __init__(self, path: Path, names: Sequence[str], metadata: Mapping[str, str]) -> None:
+    length: int
+    held: dict[str, np.ndarray]
+
+
+class _Held:
+    """Rows not yet written: one growing array a column, so that many small pieces cost no more than their numbers."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.rows = 0
+        self._columns = {name: np.empty(0, dtype=np.int64 if name == "n" else np.float64) for name in names}
+
+    def add(self, data: Mapping[str, np.ndarray]) -> None:
+        count = len(next(iter(data.values())))
+        for name, column in self._columns.items():
+            if self.rows + count > len(column):
+                grown = np.empty(max(2 * len(column), self.rows + count), dtype=column.dtype)
+                grown[: self.rows] = column[: self.rows]
+                self._columns[name] = column = grown
+            column[self.rows : self.rows + count] = data[name]
+        self.rows += count
+
+    def all(self) -> dict[str, np.ndarray]:
+        """Views of the columns."""
+        return {name: column[: self.rows] for name, column in self._columns.items()}
+
+    def drop(self) -> None:
+        self.rows = 0
+
+
+class SeriesWriter:
+    """Write a series of the columns ``names`` in pieces to ``path``; a context manager. Raises OSError.
+
+    Rows are held until they fill a row group. ``mark()`` tells how far the file reaches; a later writer that is given
+    it as ``start`` cuts the file off there and goes on, and ends with the same file as if it had never been left.
+    """
+
+    def __init__(
+        self, path: Path, names: Sequence[str], metadata: Mapping[str, str], start: SeriesMark | None = None
+    ) -> None:
         self._path, self._names, self._metadata = path, list(names), dict(metadata)
-        self._pieces: list[dict[str, np.ndarray]] = []
-        self._held = 0
-        self._writer: Any = None
+        self._csv = path.suffix == ".csv"
+        self._held = _Held(self._names)
+        self._start = start
+        self.length = self._synced = start.length if start else 0
+        self._file: BinaryIO | None = None
 
     def __enter__(self) -> SeriesWriter:
-        import pyarrow as pa
-
-        schema = pa.schema(
-            [pa.field(name, _arrow_type(name), nullable=False) for name in self._names],
-            metadata=self._metadata,
-        )
-        if self._path.suffix == ".csv":
-            import pyarrow.csv as csv
-
-            bare = csv.WriteOptions(quoting_style="none", quoting_header="none")
-            self._writer = csv.CSVWriter(str(self._path), schema, write_options=bare)
-        else:
-            import pyarrow.parquet as pq
-
-            self._writer = pq.ParquetWriter(str(self._path), schema, **_parquet_options(self._names))
+        try:
+            self._file = self._path.open("r+b" if self._start else "w+b", buffering=0)
+            self._file.truncate(self.length)
+        except OSError as error:
+            raise self._named(error) from None
+        if self._start:
+            self._held.add(self._start.held)
         return self
+
+    def _named(self, error: OSError) -> OSError:
+        """The same error, told of the file."""
+        error.filename = error.filename or str(self._path)
+        return error
 
     def write(self, data: Mapping[str, np.ndarray]) -> None:
         """Append rows: an array (m,) for every column. The arrays may be views; they are copied."""
-        self._pieces.append({name: np.array(data[name]) for name in self._names})
-        self._held += len(next(iter(data.values())))
-        if self._held >= ROW_GROUP:
+        self._held.add(data)
+        if self._held.rows >= ROW_GROUP:
             self._flush()
 
     def _flush(self) -> None:
-        if not self._held:
-            return
-        joined = {name: np.concatenate([piece[name] for piece in self._pieces]) for name in self._names}
-        self._pieces, self._held = [], 0
-        self._writer.write_table(arrow_table(joined, self._metadata))
+        """Write what is held."""
+        if self._held.rows:
+            self._append(self._encoded(self._held.all()))
+            self._held.drop()
+
+    def _append(self, data: bytes | memoryview) -> None:
+        """Append to the file, wholly or not at all."""
+        assert self._file is not None
+        try:
+            self._file.seek(self.length)
+            rest = memoryview(data)
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self.length)
+            raise self._named(error) from None
+        self.length += len(data)
+
+    def _encoded(self, rows: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None) -> memoryview:
+        """The rows as text, or as a Parquet file of their own; the last one has the ``metadata`` of all."""
+        import pyarrow as pa
+
+        sink = pa.BufferOutputStream()
+        if self._csv:
+            import pyarrow.csv as csv
+
+            bare = csv.WriteOptions(include_header=self.length == 0, quoting_style="none", quoting_header="none")
+            csv.write_csv(arrow_table(rows), sink, bare)
+            return memoryview(sink.getvalue())
+        import pyarrow.parquet as pq
+
+        table = arrow_table(rows, self._metadata if metadata is not None else None)
+        options = _parquet_options(self._names)
+        with pq.ParquetWriter(sink, table.schema, store_schema=metadata is not None, **options) as writer:
+            if table.num_rows:
+                writer.write_table(table)
+            if metadata is not None:
+                writer.add_key_value_metadata(dict(metadata))
+        return memoryview(sink.getvalue())
+
+    def mark(self, flush: bool = True) -> SeriesMark:
+        """How far the series reaches now; with ``flush`` the file lies safely on the disk first. Raises OSError."""
+        assert self._file is not None
+        if flush and self._synced != self.length:
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                raise self._named(error) from None
+            self._synced = self.length
+        return SeriesMark(self.length, {name: column.copy() for name, column in self._held.all().items()})
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write what is held and, in Parquet, the ``metadata`` that is known only at the end."""
+        if self._csv or self.length == 0:
+            self._append(self._encoded(self._held.all(), metadata))
+            self._held.drop()
+            return
         self._flush()
-        if hasattr(self._writer, "add_key_value_metadata"):
-            self._writer.add_key_value_metadata(dict(metadata))
+        self._held.drop()
+        assert self._file is not None
+        self._append(merged_footer(self._file, self.length, bytes(self._encoded(self._held.all(), metadata))))
 
     def __exit__(self, *exception: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
+        if self._file is not None:
+            self._file.close()
 
 
 def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import NDArray
 
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
@@ -14,11 +18,25 @@ from topcli.config.models import Experiment
 from topcli.contracts import Invariant, Method, Outcome, Sampler
 from topcli.engine.loop import Run
 from topcli.engine.source import fingerprint
-from topcli.errors import UsageError
+from topcli.errors import RunError, UsageError
+from topcli.store.checkpoint import Checkpoint
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter, StoredRun, io_failure, stored_run
 from topcli.store.series import SeriesWriter
 from topcli.studies.report import report_data, report_markdown
+from topcli.studies.resume import (
+    CHECKPOINT_SECONDS,
+    Batch,
+    Checkpoints,
+    Source,
+    begun,
+    checked_start,
+    find_source,
+    position_of,
+    say_what_could_be_resumed,
+)
+
+KEPT = "what its last checkpoint holds is kept, and --resume continues it once there is space"
 
 Progress = Callable[[int, int], None]
 """Told (steps done, N) between chunks."""
@@ -28,7 +46,8 @@ Progress = Callable[[int, int], None]
 class RunResult:
     """A run folder, its report, and what became of the call.
 
-    ``status`` is ``"ran"`` or ``"up to date"``; ``set_aside`` is where a different earlier run was moved.
+    ``status`` is ``"ran"``, ``"resumed"`` or ``"up to date"``; ``set_aside`` is where a different earlier run was
+    moved.
     """
 
     stored: StoredRun
@@ -58,8 +77,13 @@ def method_fingerprint(method: Method) -> str:
     return fingerprint(method.step, method.enter, method.leave)
 
 
-def plan_run(experiment: Experiment, out: Path, code: str, *, force: bool = False) -> Plan:
-    """What running ``experiment`` into ``out`` will do. Raises UsageError for what would be refused."""
+def plan_run(
+    experiment: Experiment, out: Path, code: str, *, force: bool = False, source: Source | None = None
+) -> Plan:
+    """What running ``experiment`` into ``out``, or going on from ``source``, will do.
+
+    Raises UsageError for what would be refused.
+    """
     target, digest = out / experiment.name, experiment.digest
     if out.exists() and not out.is_dir():
         raise UsageError(f"output folder {out}: is not a folder; choose another with --out")
@@ -70,18 +94,19 @@ def plan_run(experiment: Experiment, out: Path, code: str, *, force: bool = Fals
                 f"{target}: exists and is no finished run; nothing was written\n"
                 "move it away, or choose another folder with --out or another name with --set name=..."
             )
-        return Plan(None, False, "will run")
+        return Plan(None, False, f"will continue from step {source.done}" if source else "will run")
     if not standing.same_experiment(digest):
-        if not force:
+        if not force and source is None:
             raise UsageError(
                 f"{target}: holds a different experiment (digest {str(standing.manifest['digest'])[:8]}, this one "
                 f"{digest[:8]}); nothing was written\nchoose --set name=... or --out, or --force to keep the earlier "
                 "run aside and put this one in its place"
             )
-        return Plan(standing, False, "will run, and keep the different run that is there aside")
+        action = f"will continue from step {source.done}" if source else "will run"
+        return Plan(standing, False, f"{action}, and keep the different run that is there aside")
     if not force and standing.up_to_date(digest, code):
         return Plan(standing, True, "up to date")
-    return Plan(standing, False, "will run again")
+    return Plan(standing, False, f"will continue from step {source.done}" if source else "will run again")
 
 
 def _write_series(
@@ -92,15 +117,30 @@ def _write_series(
     modified: tuple[Invariant, ...],
     about: dict[str, str],
     progress: Progress,
+    checkpoints: Checkpoints,
+    start: Checkpoint | None,
 ) -> None:
     top, h = experiment.top, experiment.h
     names = list(experiment.output.columns or column_names(top))
-    with SeriesWriter(path, names, about) as writer:
+    batch = Batch(start)
+    with SeriesWriter(path, names, about, start.series if start else None) as writer:
+
+        def take_in(n: NDArray[Any], states: NDArray[Any]) -> None:
+            tally.add(n, states)
+            writer.write(columns(top, n, h, states, names, modified))
+
         for chunk in run:
-            tally.add(chunk.n, chunk.states)
-            writer.write(columns(top, chunk.n, h, chunk.states, names, modified))
+            if len(chunk.n):
+                batch.add(chunk.n, chunk.states)
+            if batch.enough:
+                take_in(*batch.take())
+            checkpoints.consider(run, tally, writer, batch)
             progress(chunk.done, experiment.N)
         assert run.ending is not None
+        if run.ending.outcome is Outcome.INTERRUPTED:
+            checkpoints.save(run, tally, writer, batch)
+        if len(batch.rows()[0]):
+            take_in(*batch.take())
         writer.finish({"topcli.outcome": run.ending.outcome.value, "topcli.message": run.ending.message})
 
 
@@ -125,70 +165,125 @@ def _summary(experiment: Experiment, run: Run, digest: str) -> dict[str, Any]:
     }
 
 
+def _carry_out(
+    experiment: Experiment,
+    method: Method,
+    writer: RunWriter,
+    commit: Commit,
+    checkpoints: Checkpoints,
+    start: Checkpoint | None,
+    progress: Progress,
+    stop: Callable[[], bool],
+) -> tuple[StoredRun, dict[str, Any]]:
+    """Run, from ``start`` if there is one, to the end or until ``stop``, and put the folder in its place.
+
+    Raises OSError.
+    """
+    top, h, modified = experiment.top, experiment.h, experiment.modified
+    resolved, provenance = experiment.resolved(), environment()
+    about = {
+        "topcli.config": json.dumps(resolved),
+        "topcli.digest": checkpoints.about["digest"],
+        "topcli.environment": json.dumps(provenance),
+    }
+    tally = InvariantTally((*top.invariants(), *modified), h)
+    try:
+        if start is not None:
+            tally.restore(start.tally)
+        position = position_of(start) if start else None
+        run = Run(top, method, experiment.y0, h, experiment.N, experiment.output.every, stop, position)
+    except (KeyError, ValueError) as error:
+        if start is None:
+            raise
+        raise UsageError(f"{writer.folder}: its checkpoint is none of this version of topcli ({error})") from None
+    run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
+    series = writer.folder / f"series.{experiment.output.format}"
+    _write_series(series, experiment, run, tally, modified, about, progress, checkpoints, start)
+    report = report_data(_summary(experiment, run, checkpoints.about["digest"]), tally.rows())
+    writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+    writer.write("report.md", report_markdown(report))
+    writer.write("config.yaml", experiment.to_yaml())
+    resumed = checkpoints.about["resumed"]
+    stored = writer.commit(
+        {
+            "name": experiment.name,
+            "digest": checkpoints.about["digest"],
+            "code": checkpoints.about["code"],
+            "outcome": report["outcome"],
+            "message": report["message"],
+            "step": report["step"],
+            "series": series.name,
+            "config": resolved,
+            "scheme_origin": experiment.scheme.origin,
+            "started": checkpoints.about["started"],
+            "ended": now(),
+            **({"resumed": resumed} if resumed else {}),
+            "seconds": report["seconds"],
+            "environment": provenance,
+            **commit.read(),
+        }
+    )
+    return stored, report
+
+
 def run_experiment(
     experiment: Experiment,
     out: Path,
     *,
     force: bool = False,
+    resume: bool = False,
+    checkpoint_every: float = CHECKPOINT_SECONDS,
     progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> RunResult:
     """Run ``experiment`` into ``out/<name>/``, or find it there already.
 
     A run of the same experiment by the same code that ended by itself is not repeated unless ``force``. A
     different experiment standing there is refused, unless ``force``: then it is set aside under another name.
     ``stop`` is asked between chunks; what was written until then is kept, marked ``interrupted``.
+    With ``resume`` an interrupted or killed run goes on from its last checkpoint and ends, bit for bit, as if it had
+    never been stopped; checkpoints are written every ``checkpoint_every`` seconds. ``tell`` receives lines of talk.
 
-    Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
+    Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind but what
+    can be read or resumed.
     """
     method, digest = experiment.method(), experiment.digest
     code = method_fingerprint(method)
-    plan = plan_run(experiment, out, code, force=force)
+    source = find_source(experiment, out, code) if resume else None
+    plan = plan_run(experiment, out, code, force=force, source=source)
     if plan.up_to_date and plan.standing is not None:
         return RunResult(plan.standing, plan.standing.report(), "up to date")
-    started = now()
-    modified = experiment.modified
-    tally = InvariantTally((*experiment.top.invariants(), *modified), experiment.h)
-    with Commit() as commit, RunWriter(out, experiment.name) as writer:
-        series = writer.folder / f"series.{experiment.output.format}"
+    if not resume:
+        say_what_could_be_resumed(experiment, out, code, tell)
+    identity = {"digest": digest, "code": code}
+    with Commit() as commit, RunWriter(out, experiment.name, identity, source and source.where) as writer:
+        if writer.complete is not None:
+            try:
+                stored = writer.put_in_place(writer.complete.manifest)
+            except OSError as error:
+                raise io_failure(error, out / experiment.name, KEPT) from error
+            tell(f"{experiment.name}: the run had ended before it was killed; it is in its place now")
+            return RunResult(stored, stored.report(), "resumed", writer.set_aside)
+        start = checked_start(experiment, writer, source, identity, tell) if resume else None
+        checkpoints = Checkpoints(writer, begun(experiment, identity, start), checkpoint_every, last=start)
+        carry_out = partial(_carry_out, experiment, method, writer, commit, checkpoints)
         try:
-            resolved, provenance = experiment.resolved(), environment()
-            about = {
-                "topcli.config": json.dumps(resolved),
-                "topcli.digest": digest,
-                "topcli.environment": json.dumps(provenance),
-            }
-            run = Run(
-                experiment.top,
-                method,
-                experiment.y0,
-                experiment.h,
-                experiment.N,
-                experiment.output.every,
-                stop,
-            )
-            _write_series(series, experiment, run, tally, modified, about, progress)
-            report = report_data(_summary(experiment, run, digest), tally.rows())
-            writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-            writer.write("report.md", report_markdown(report))
-            writer.write("config.yaml", experiment.to_yaml())
-            stored = writer.commit(
-                {
-                    "name": experiment.name,
-                    "digest": digest,
-                    "code": code,
-                    "outcome": report["outcome"],
-                    "message": report["message"],
-                    "series": series.name,
-                    "config": resolved,
-                    "scheme_origin": experiment.scheme.origin,
-                    "started": started,
-                    "ended": now(),
-                    "seconds": report["seconds"],
-                    "environment": provenance,
-                    **commit.read(),
-                }
-            )
+            stored, report = carry_out(start, progress, stop)
         except OSError as error:
-            raise io_failure(error, out / experiment.name) from error
-    return RunResult(stored, report, "ran", writer.set_aside)
+            raise _saved(carry_out, checkpoints, error, out / experiment.name) from error
+    return RunResult(stored, report, "ran" if start is None else "resumed", writer.set_aside)
+
+
+def _saved(
+    carry_out: Callable[..., tuple[StoredRun, dict[str, Any]]], checkpoints: Checkpoints, error: OSError, target: Path
+) -> RunError:
+    """What to tell of a write that failed, after saving what can be saved: as a run interrupted where it could be."""
+    for last in checkpoints.to_save():
+        with contextlib.suppress(OSError):
+            carry_out(last, lambda done, total: None, lambda: True)
+            kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
+            return io_failure(error, target, kept)
+    if checkpoints.kept is not None:
+        return io_failure(error, target, f"{KEPT} (up to step {checkpoints.kept})")
+    return io_failure(error, target)

@@ -1,0 +1,103 @@
+"""Checkpoints: what an unfinished run goes on from, as named arrays and plain data in one file, exact to the bit.
+
+``checkpoint.npz`` is written whole or not at all; zip's check sums tell a damaged one.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.store.series import SeriesMark
+
+CHECKPOINT = "checkpoint.npz"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A run stopped between two chunks after ``done`` steps.
+
+    ``work`` is the engine's whole working state, ``tally`` the sums of the invariant report, ``series`` how far the
+    series reaches, ``rows`` what is in neither of them yet: step numbers (m,) and states (m, d). ``about`` is plain
+    data: what experiment and code it belongs to, and what the report tells.
+    """
+
+    done: int
+    work: NDArray[Any]
+    tally: dict[str, NDArray[Any]]
+    series: SeriesMark
+    rows: tuple[NDArray[Any], NDArray[Any]]
+    about: dict[str, Any]
+
+    def belongs_to(self, digest: str, code: str) -> bool:
+        """Whether the same experiment under the same code can go on from here."""
+        return self.about.get("digest") == digest and self.about.get("code") == code
+
+
+def sync(path: Path) -> None:
+    """Flush a file, or the entries of a folder, to the disk. Raises OSError."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
+    """Put ``checkpoint`` into ``folder`` in one atomic step, flushed to the disk. Raises OSError naming the file."""
+    path = folder / CHECKPOINT
+    head = {
+        "version": VERSION,
+        "done": checkpoint.done,
+        "length": checkpoint.series.length,
+        "columns": list(checkpoint.series.held),
+        "about": checkpoint.about,
+    }
+    arrays = {
+        "head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8),
+        "work": checkpoint.work,
+        "rows_n": checkpoint.rows[0],
+        "rows_states": checkpoint.rows[1],
+        **{f"tally_{name}": values for name, values in checkpoint.tally.items()},
+        **{f"held_{i}": values for i, values in enumerate(checkpoint.series.held.values())},
+    }
+    made = io.BytesIO()
+    np.savez(made, **arrays)
+    temporary = folder / f".{CHECKPOINT}"
+    try:
+        with temporary.open("wb") as file:
+            file.write(made.getbuffer())
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        sync(folder)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        error.filename = str(path)
+        raise
+
+
+def read_checkpoint(folder: Path) -> Checkpoint | None:
+    """The checkpoint in ``folder``; None when there is none, or a damaged one, or one of another version."""
+    try:
+        with np.load(folder / CHECKPOINT, allow_pickle=False) as file:
+            arrays: Mapping[str, NDArray[Any]] = {name: file[name] for name in file.files}
+        head = json.loads(arrays["head"].tobytes())
+        if head["version"] != VERSION:
+            return None
+        held = {name: arrays[f"held_{i}"] for i, name in enumerate(head["columns"])}
+        tally = {name.removeprefix("tally_"): values for name, values in arrays.items() if name.startswith("tally_")}
+        mark, rows = SeriesMark(head["length"], held), (arrays["rows_n"], arrays["rows_states"])
+        return Checkpoint(head["done"], arrays["work"], tally, mark, rows, head["about"])
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile):
+        return None
