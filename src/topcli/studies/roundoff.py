@@ -8,6 +8,7 @@ of the exact map, the more exact the better its sums are; by what the copies dif
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -94,12 +95,14 @@ def roundoff_experiment(scheme: str, config: str | Path | None, overrides: Seque
     """
     if config is not None:
         return under_scheme(load_experiment(config, overrides), scheme)
+    if not any(text.partition("=")[0].strip() == "h" for text in overrides):
+        overrides = [f"h={DEFAULT_H}", *overrides]
     base = scheme.lower().partition("+")[0]
     forms = {one.top for one in all_schemes() if one.name == base}
     form = next((form for form in SCENES if form in forms), "kowalevski")
-    found = under_scheme(load_experiment(SCENES[form], [f"h={DEFAULT_H}", *overrides]), scheme)
+    found = under_scheme(load_experiment(SCENES[form], overrides), scheme)
     if form == "kowalevski" and not found.scheme.conserves and not found.modified:
-        return under_scheme(load_experiment(GENERIC, [f"h={DEFAULT_H}", *overrides]), scheme)
+        return under_scheme(load_experiment(GENERIC, overrides), scheme)
     return found
 
 
@@ -211,11 +214,14 @@ def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str,
         raise UsageError(f"--copies {copies}: must be at least {least}")
     sampling = _sampling(steps, experiment.h, exact)
     variants = forms_of(experiment)
+    methods = [one.method() for one in variants.values()]
+    # before the runs, which heat the processor, and in time of this thread, which others cannot lengthen
+    timed = nanoseconds_per_step(
+        [(experiment.top, method, experiment.y0, experiment.h) for method in methods], clock=time.thread_time_ns
+    )
     runs = {name: _runs(one, watched, sampling, copies) for name, one in variants.items()}
     finest = list(runs.values())[-1]
     common = np.zeros_like(finest.means[:, 0]) if exact else finest.means.mean(axis=1)
-    methods = [one.method() for one in variants.values()]
-    timed = nanoseconds_per_step([(experiment.top, method, experiment.y0, experiment.h) for method in methods])
     forms = []
     for (name, one), nanoseconds in zip(variants.items(), timed, strict=True):
         found = runs[name]
