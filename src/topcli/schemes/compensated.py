@@ -38,5 +38,5 @@ def increment_stepper(change: Change, d: int, options: object) -> Stepper:
     if not compensation_wanted(options):
         return Stepper(plain3(change) if d == 3 else plain6(change), d)
     if d == 3:
-        return Stepper(compensated3(change), 6, enter_compensated, first3)
-    return Stepper(compensated6(change), 12, enter_compensated, first6)
+        return Stepper(compensated3(change), 6, enter_compensated, first3, checked=3)
+    return Stepper(compensated6(change), 12, enter_compensated, first6, checked=6)

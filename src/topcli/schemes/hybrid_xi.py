@@ -93,5 +93,6 @@ def build(top: Top, options: HybridOptions) -> Stepper:
     at its length. Like the hybrid it is not self-adjoint, and 2l and E drift.
     """
     if options.compensated:
-        return Stepper(compensated_step(ROOTS[options.branch]), 16, enter_compensated, leave_carried)
-    return Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried)
+        step = compensated_step(ROOTS[options.branch])
+        return Stepper(step, 16, enter_compensated, leave_carried, checked=6)
+    return Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried, checked=6)

@@ -109,7 +109,7 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     itself: the modified integrals, exact at every h. The map is integrable.
     """
     if compensation_wanted(options):
-        return Stepper(hk_lagrange_compensated, 11, enter_compensated, first6)
+        return Stepper(hk_lagrange_compensated, 11, enter_compensated, first6, checked=6)
     return Stepper(hk_lagrange, 6)
 
 
