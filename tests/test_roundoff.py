@@ -14,6 +14,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, StepFunction, Stepper
 from topcli.errors import UsageError
 from topcli.figures.roundoff import growth_data
+from topcli.studies.growth import growth_columns
 from topcli.studies.roundoff import forms_of, roundoff_experiment, roundoff_study
 
 SIZE = 1e-16
@@ -215,3 +216,25 @@ def test_picture_leaves_out_what_never_changed() -> None:
     assert {"steps", "m_axis:plain", "modified_energy:compensated"} <= set(data)
     assert "m_axis:plain" not in [column for column, _ in lines]
     assert len(lines) == 6
+
+
+def test_the_figures_curves() -> None:
+    """A biased algebra, a random walk, a smaller one, and nothing that grows: the picture shows what it says."""
+    columns = growth_columns()
+
+    def exponent(name: str) -> float:
+        return float(np.polyfit(np.log(columns["steps"]), np.log(columns[name]), 1)[0])
+
+    assert exponent("a_sq:matrix") > 0.9
+    assert 0.35 < exponent("a_sq:plain") < 0.65
+    assert exponent("a_sq:compensated") < 0.65
+    assert columns["a_sq:compensated"][-1] < 0.2 * columns["a_sq:plain"][-1]
+    assert columns["a_sq:plain"][-1] < 0.1 * columns["a_sq:matrix"][-1]
+    assert exponent("k_sq:hybrid") > 0.35
+    assert abs(exponent("k_sq:hybrid-xi")) < 0.1
+
+
+def test_the_figure_is_drawn_once(cli, tmp_path: Path) -> None:  # noqa: F811
+    told = [cli("plot", "roundoff", "--format", "png", "--json").json()["figures"][0] for _ in range(2)]
+    assert [one["status"] for one in told] == ["drawn", "up to date"]
+    assert all((tmp_path / file).is_file() for file in told[0]["files"])

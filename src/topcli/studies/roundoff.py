@@ -53,7 +53,7 @@ SHIFT = 1e-14
 
 
 @dataclass(frozen=True)
-class _Sampling:
+class Sampling:
     """``blocks`` of ``rows`` rows, one every ``stride`` steps."""
 
     blocks: int
@@ -62,21 +62,23 @@ class _Sampling:
 
     @property
     def block_steps(self) -> int:
+        """Steps from one block to the next."""
         return self.rows * self.stride
 
     @property
     def steps(self) -> int:
+        """Steps in all."""
         return self.blocks * self.block_steps
 
 
-def _sampling(steps: int, h: float, exact: bool) -> _Sampling:
+def sampling_of(steps: int, h: float, exact: bool) -> Sampling:
     """How to record so many steps. Raises UsageError for too few."""
     if exact:
         least = MIN_BLOCKS * ROWS
         if steps < least:
             raise UsageError(f"--steps {steps}: too few for a fit of the growth; take at least {least}")
         blocks = min(BLOCKS, steps // ROWS)
-        return _Sampling(blocks, ROWS, steps // (blocks * ROWS))
+        return Sampling(blocks, ROWS, steps // (blocks * ROWS))
     stride = max(1, int(SAMPLING / abs(h)))
     rows = int(WINDOW / (abs(h) * stride))
     blocks = min(BLOCKS, steps // (rows * stride))
@@ -85,7 +87,7 @@ def _sampling(steps: int, h: float, exact: bool) -> _Sampling:
             f"--steps {steps}: the scheme conserves nothing exactly, and the means over windows of length {WINDOW:g} "
             f"that take its oscillations out need at least {MIN_BLOCKS * rows * stride} steps at h = {h:g}"
         )
-    return _Sampling(blocks, steps // (blocks * stride), stride)
+    return Sampling(blocks, steps // (blocks * stride), stride)
 
 
 def roundoff_experiment(scheme: str, config: str | Path | None, overrides: Sequence[str] = ()) -> Experiment:
@@ -121,7 +123,7 @@ def _copies(experiment: Experiment, count: int) -> list[Array]:
 
 
 def _followed(
-    experiment: Experiment, watched: Sequence[Invariant], sampling: _Sampling, y0: Array, stop: Event
+    experiment: Experiment, watched: Sequence[Invariant], sampling: Sampling, y0: Array, stop: Event
 ) -> tuple[BlockMeans, Ending]:
     tally = BlockMeans(watched, sampling.blocks, sampling.rows)
     run = Run(
@@ -135,7 +137,7 @@ def _followed(
 
 
 @dataclass(frozen=True)
-class _Runs:
+class Copies:
     """The copies of one form: block means (invariants, copies, blocks), and a figure for each invariant."""
 
     ending: Ending
@@ -144,7 +146,7 @@ class _Runs:
     scale: Array
 
 
-def _runs(experiment: Experiment, watched: Sequence[Invariant], sampling: _Sampling, copies: int) -> _Runs:
+def copies_followed(experiment: Experiment, watched: Sequence[Invariant], sampling: Sampling, copies: int) -> Copies:
     """All copies of one form, as many at a time as there are processors."""
     stop = Event()
     with ThreadPoolExecutor(max_workers=min(copies, os.cpu_count() or 1)) as pool:
@@ -157,7 +159,7 @@ def _runs(experiment: Experiment, watched: Sequence[Invariant], sampling: _Sampl
             stop.set()
             pool.shutdown(cancel_futures=True)
     failed = [ending for _, ending in done if ending.outcome is not Outcome.COMPLETED]
-    return _Runs(
+    return Copies(
         failed[0] if failed else done[0][1],
         np.stack([tally.means for tally, _ in done], axis=1),
         np.max([tally.largest for tally, _ in done], axis=0),
@@ -166,7 +168,7 @@ def _runs(experiment: Experiment, watched: Sequence[Invariant], sampling: _Sampl
 
 
 def _rows(
-    watched: Sequence[Invariant], exact: bool, sampling: _Sampling, runs: _Runs, common: Array
+    watched: Sequence[Invariant], exact: bool, sampling: Sampling, runs: Copies, common: Array
 ) -> list[dict[str, Any]]:
     """The growth of each invariant; ``common`` (invariants, blocks) is what the exact map does."""
     rows = []
@@ -212,14 +214,14 @@ def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str,
     least = 1 if exact else 2
     if copies < least:
         raise UsageError(f"--copies {copies}: must be at least {least}")
-    sampling = _sampling(steps, experiment.h, exact)
+    sampling = sampling_of(steps, experiment.h, exact)
     variants = forms_of(experiment)
     methods = [one.method() for one in variants.values()]
     # before the runs, which heat the processor, and in time of this thread, which others cannot lengthen
     timed = nanoseconds_per_step(
         [(experiment.top, method, experiment.y0, experiment.h) for method in methods], clock=time.thread_time_ns
     )
-    runs = {name: _runs(one, watched, sampling, copies) for name, one in variants.items()}
+    runs = {name: copies_followed(one, watched, sampling, copies) for name, one in variants.items()}
     finest = list(runs.values())[-1]
     common = np.zeros_like(finest.means[:, 0]) if exact else finest.means.mean(axis=1)
     forms = []
