@@ -58,13 +58,18 @@ def implicit_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
 
 
 def midpoint_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vector:
-    """omega' - omega = h f((omega' + omega)/2), solved from HK's change."""
+    """omega' - omega = h f((omega' + omega)/2), solved from HK's change.
+
+    At the end the change is computed afresh from the equation: what the iteration leaves is always of the same sign,
+    and would drift by 4e-20 a step.
+    """
     c1 = d * p[3]
     c2 = d * p[4]
     c3 = d * p[5]
     s1, s2, s3 = hk_increment(w1, w2, w3, c1, c2, c3)
     z1, z2, z3 = midpoint_half((w1, w2, w3), (c1, c2, c3), (0.5 * s1, 0.5 * s2, 0.5 * s3))
-    return (2.0 * z1, 2.0 * z2, 2.0 * z3)
+    y1, y2, y3 = w1 + z1, w2 + z2, w3 + z3
+    return (2.0 * (c1 * (y2 * y3)), 2.0 * (c2 * (y3 * y1)), 2.0 * (c3 * (y1 * y2)))
 
 
 def old(w: Vector, x: Vector) -> Vector:
