@@ -12,6 +12,11 @@ Exchanging old and new with h -> -h changes the sign of v and of the equations, 
 
 xi = k u with a unit number u, k and gamma² are carried (``kernels/carried.py``), so that round-off does not accumulate
 in them; where xi is used, what omega and gamma say of it has its own rounding error taken off.
+
+What makes it fast:
+- HK's step is so close a start that Newton's method on three unknowns takes one iteration at h = 0.001, two at 0.1;
+- their 3x3 systems are solved by Cramer's rule, and gamma is eliminated by Cayley's rotation in closed form;
+- the rotation and xi's turn are polynomials: no angle is formed, libm is not called.
 """
 
 from __future__ import annotations
