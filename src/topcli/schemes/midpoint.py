@@ -5,7 +5,7 @@ the working state, so that one piece of machine code serves all tops. Bobenko an
 top, m' = p x a, a' = m x a, is the same equations with omega = -m, gamma = a, equal moments and g = p.
 
 What makes it fast:
-- given the mean omega Poisson's equation is Cayley's rotation in closed form, so that Newton has three unknowns, not six;
+- given the mean omega Poisson's equation is Cayley's rotation in closed form: Newton has three unknowns, not six;
 - its 3x3 systems are solved by Cramer's rule, the columns of the matrix from one reciprocal of 1 + |h omega/2|²;
 - two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would leave errors of one sign above round-off.
 """
