@@ -34,7 +34,7 @@ def _cells(form: dict[str, Any], row: dict[str, Any]) -> list[str]:
         number(row["max_drift"], 2),
         exponent,
         row["verdict"],
-        f"{number(row['bias'], 2)} ± {number(row['bias_error'], 2)}",
+        "–" if row["bias"] is None else f"{number(row['bias'], 2)} ± {number(row['bias_error'], 2)}",
         f"{form['nanoseconds_per_step']:.1f}",
         f"{form['cost']:.2f}",
     ]

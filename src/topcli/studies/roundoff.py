@@ -174,8 +174,14 @@ def _rows(
     rows = []
     for i, invariant in enumerate(watched):
         drift = runs.means[i] - common[i]
+        own = not exact and np.array_equal(common[i], runs.means[i].mean(axis=0))
         if not exact:
             drift = drift - drift[:, :1]
+        if own:  # the copies' own mean takes its part of their scatter, and all of a bias
+            drift = drift * np.sqrt(len(drift) / (len(drift) - 1.0))
+        fitted = growth(drift, sampling.block_steps, float(runs.scale[i])).as_dict()
+        if own:
+            fitted |= {"bias": None, "bias_error": None}
         scale = float(runs.scale[i])
         rows.append(
             {
@@ -186,7 +192,7 @@ def _rows(
                 "max_drift": float(np.abs(drift).max()),
                 "max_deviation": float(runs.largest[i]),
                 "scale": scale,
-                **growth(drift, sampling.block_steps, scale).as_dict(),
+                **fitted,
             }
         )
     return rows
