@@ -39,6 +39,7 @@ bench: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/steps.py
 	$(BIN)/python benchmarks/steps_euler.py
 	$(BIN)/python benchmarks/steps_lagrange.py
+	$(BIN)/python benchmarks/steps_more.py
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/store.py
 	$(BIN)/python benchmarks/long_runs.py

@@ -14,12 +14,9 @@ what is left is the drift, whose root mean square over a lag of N steps is fitte
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import os
-import shutil
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -28,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from c_peer import compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "src")]
@@ -41,7 +39,6 @@ from twins import hk_block, hybrid_cmath, hybrid_polar  # noqa: E402
 
 GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
 H, STEPS = 0.01, 100_000
-FLAGS = {"gcc": [], "gcc -ffp-contract=off": ["-ffp-contract=off"]}
 
 Run = Callable[[np.ndarray, float, int], None]
 """Advances a state in place by a number of steps of size h, with c = 1."""
@@ -77,23 +74,8 @@ def without_check(stepper: Stepper) -> Run:
 
 def in_c(folder: Path) -> tuple[dict[tuple[str, str], Run], str | None]:
     """The forms of steps.c by (scheme, compiler), or the reason why there are none."""
-    gcc = shutil.which("gcc")
-    if gcc is None:
-        return {}, "gcc: not found; the comparisons with C are left out"
-    made: dict[tuple[str, str], Run] = {}
-    for name, flags in FLAGS.items():
-        library = folder / f"steps{len(made)}.so"
-        command = [gcc, "-O3", "-march=native", *flags, "-shared", "-fPIC", str(ROOT / "benchmarks" / "steps.c")]
-        told = subprocess.run([*command, "-o", str(library), "-lm"], capture_output=True, text=True, check=False)
-        if told.returncode:
-            return {}, f"gcc: {told.stderr.strip().splitlines()[-1]}; the comparisons with C are left out"
-        loaded = ctypes.CDLL(str(library))
-        for scheme in ("hk", "hybrid"):
-            function = getattr(loaded, scheme)
-            function.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_longlong]
-            function.restype = None
-            made[scheme, name] = lambda y, h, n, call=function: call(y.ctypes.data, h, 1.0, n)
-    return made, None
+    calls, reason = compiled("steps.c", ("hk", "hybrid"), "pddq", folder)
+    return {key: lambda y, h, n, call=call: call(y.ctypes.data, h, 1.0, n) for key, call in calls.items()}, reason
 
 
 def last(run: Run, h: float, n: int) -> np.ndarray:

@@ -9,12 +9,9 @@ repetition, with the quartiles. The bar is 1.2.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import os
-import shutil
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from c_peer import compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
@@ -32,7 +30,6 @@ from topcli.tops.euler import Euler  # noqa: E402
 
 START = (0.7, -0.4, 1.3)
 H, STEPS = 0.01, 200_000
-FLAGS = {"gcc": [], "gcc -ffp-contract=off": ["-ffp-contract=off"]}
 TOP = Euler(A=1.3, B=2.0, C=0.9)
 
 Run = Callable[[np.ndarray, int], None]
@@ -54,18 +51,9 @@ def in_engine() -> Run:
 
 def in_c(folder: Path) -> dict[str, Run]:
     """The loop of steps_euler.c by compiler flags; none where there is no gcc."""
-    gcc = shutil.which("gcc")
     p = np.array(TOP.constants())
-    made: dict[str, Run] = {}
-    for name, flags in FLAGS.items() if gcc else ():
-        library = folder / f"steps{len(made)}.so"
-        command = [gcc, "-O3", "-march=native", *flags, "-shared", "-fPIC", str(ROOT / "benchmarks/steps_euler.c")]
-        subprocess.run([*command, "-o", str(library)], check=True)
-        call = ctypes.CDLL(str(library)).hk
-        call.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_longlong]
-        call.restype = None
-        made[name] = lambda y, n, call=call: call(y.ctypes.data, p.ctypes.data, H, n)
-    return made
+    calls, _ = compiled("steps_euler.c", ("hk",), "ppdq", folder)
+    return {way: lambda y, n, call=call: call(y.ctypes.data, p.ctypes.data, H, n) for (_, way), call in calls.items()}
 
 
 def main() -> None:

@@ -8,18 +8,16 @@ As in ``steps.py``: through the engine's own loop and compiler, interleaved repe
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import os
-import shutil
 import statistics
-import subprocess
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from steps import FLAGS, ROOT, Run, in_engine, last, timed, without_check
+from c_peer import compiled
+from steps import Run, in_engine, last, timed, without_check
 
 from topcli.schemes.registry import find_scheme
 from topcli.tops.lagrange import LagrangeInertial
@@ -29,22 +27,8 @@ BAR = 1.2
 
 def in_c(folder: Path) -> tuple[dict[str, Run], str | None]:
     """The forms of steps_lagrange.c by compiler, or the reason why there are none."""
-    gcc = shutil.which("gcc")
-    if gcc is None:
-        return {}, "gcc: not found; the comparisons with C are left out"
-    made: dict[str, Run] = {}
-    for name, flags in FLAGS.items():
-        library = folder / f"steps_lagrange{len(made)}.so"
-        source = ROOT / "benchmarks" / "steps_lagrange.c"
-        command = [gcc, "-O3", "-march=native", *flags, "-shared", "-fPIC", str(source), "-o", str(library)]
-        told = subprocess.run(command, capture_output=True, text=True, check=False)
-        if told.returncode:
-            return {}, f"gcc: {told.stderr.strip().splitlines()[-1]}; the comparisons with C are left out"
-        function = ctypes.CDLL(str(library)).bs
-        function.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_longlong]
-        function.restype = None
-        made[name] = lambda y, h, n, call=function: call(y.ctypes.data, h, n)
-    return made, None
+    calls, reason = compiled("steps_lagrange.c", ("bs",), "pdq", folder)
+    return {way: lambda y, h, n, call=call: call(y.ctypes.data, h, n) for (_, way), call in calls.items()}, reason
 
 
 def compare(c_forms: dict[str, Run], repetitions: int) -> list[dict[str, Any]]:

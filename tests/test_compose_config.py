@@ -76,7 +76,7 @@ def test_both_spellings_mean_the_same(tmp_path: Path) -> None:
     assert all(one == found[0] for one in found)
     assert {one.digest for one in found} == {found[0].digest}
     assert found[0].digest != base.digest
-    assert found[0].resolved()["scheme"] == {"name": "hk+kahan-li8"}
+    assert found[0].resolved()["scheme"] == {"name": "hk+kahan-li8", "compensated": False}
     again = load_experiment(write(tmp_path, found[0].to_yaml(), "again.yaml"))
     assert again == found[0]
     assert experiment_from(again.resolved()).digest == found[0].digest
@@ -102,7 +102,7 @@ def test_default_name_serves(tmp_path: Path) -> None:
         ("{name: hk, compose: null}", "scheme.compose", "must be a name"),
         ("{name: hk+suzuki4, compose: suzuki4}", "scheme.compose", "has order 4"),
         ("{name: hybrid, compose: suzuki4}", "scheme.compose", "schemes for kowalevski that can: "),
-        ("{name: hk, composed: suzuki4}", "scheme.composed", "did you mean 'compose'?"),
+        ("{name: hk, composed: suzuki4}", "scheme.composed", "did you mean 'compose' or 'compensated'?"),
         ("{name: hk, Compose: suzuki4}", "scheme.Compose", "did you mean 'compose'?"),
     ],
 )

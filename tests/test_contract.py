@@ -49,10 +49,11 @@ by_step = pytest.mark.parametrize("scheme", [s for s in SCHEMES if not s.adaptiv
 
 
 def every_option(scheme: Scheme) -> list:
-    """The default options and, one at a time, every other choice of an enumerated option."""
+    """The default options and, one at a time, every other choice of an enumerated option or a switch."""
     made = [scheme.options()]
     for name, schema in scheme.options.model_json_schema().get("properties", {}).items():
-        made += [scheme.options(**{name: v}) for v in schema.get("enum", []) if v != schema.get("default")]
+        choices = [False, True] if schema.get("type") == "boolean" else schema.get("enum", [])
+        made += [scheme.options(**{name: v}) for v in choices if v != schema.get("default")]
     return made
 
 

@@ -126,6 +126,8 @@ class Stepper:
     they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter.
     The slot before the counters of an ``iterative`` step is its status: 0.0, or nan when the iteration did not
     converge. The run then ends there as ``no_convergence``.
+    A run ends as ``blew_up`` where one of the first ``checked`` slots is not finite; 0 stands for all of them. Others
+    need no looking at when they cannot but spoil these.
     """
 
     step: StepFunction
@@ -135,6 +137,7 @@ class Stepper:
     counters: tuple[str, ...] = ()
     plain: bool = False
     iterative: bool = False
+    checked: int = 0
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def _same(state: Any, h: float, p: Any) -> Any:
 
 
 @cache
-def _template(width: int, d: int, constants: int) -> Callable[..., tuple[Any, Any]]:
+def _template(width: int, d: int, constants: int, checked: int) -> Callable[..., tuple[Any, Any]]:
     newline = "\n        "
     text = _TEMPLATE.format(
         set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
@@ -66,7 +66,7 @@ def _template(width: int, d: int, constants: int) -> Callable[..., tuple[Any, An
         work_items="".join(f"work[{i}], " for i in range(width)),
         store_s=newline.join(f"work[{i}] = s[{i}]" for i in range(width)),
         store_failed=(newline + " " * 8).join(f"work[{i}] = s[{i}]" for i in range(width)),
-        finite=" + ".join(f"(s[{i}] - s[{i}])" for i in range(width)),
+        finite=" + ".join(f"(s[{i}] - s[{i}])" for i in range(checked)),
         record=(newline + " " * 8).join(f"out[k + {i}] = y[{i}]" for i in range(d)),
         d=d,
     )
@@ -77,7 +77,7 @@ def _template(width: int, d: int, constants: int) -> Callable[..., tuple[Any, An
 
 def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Callable[..., int]]:
     """``(enter, drive)`` as plain Python functions over indexable buffers: what gets compiled, and its twin."""
-    make = _template(stepper.width, d, constants)
+    make = _template(stepper.width, d, constants, stepper.checked or stepper.width)
     return make(stepper.step, stepper.enter or _same, stepper.leave or _same)
 
 

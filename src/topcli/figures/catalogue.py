@@ -5,25 +5,38 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from topcli.contracts import Array
 from topcli.errors import UnknownNameError, nearest
+from topcli.figures.growth import GrowthPanel
 from topcli.figures.picture import Drawable, Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.sphere import Sphere
 
 
 @dataclass(frozen=True)
+class Study:
+    """Where a figure's columns come from when not from runs: ``columns()`` makes them, ``code()`` tells by what."""
+
+    columns: Callable[[], Mapping[str, Array]]
+    code: Callable[[], str]
+
+
+@dataclass(frozen=True)
 class FigureSpec:
     """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels.
 
-    A column written as ``scene:column`` is read from the run of another scene.
+    A column written as ``scene:column`` is read from the run of another scene. A figure with a ``study`` reads none:
+    the study makes its columns.
     """
 
     name: str
     title: str
     scene: str
     panels: tuple[Drawable, ...]
+    study: Study | None = None
 
     @property
     def columns(self) -> list[str]:
@@ -35,10 +48,22 @@ class FigureSpec:
     def sources(self) -> dict[str, dict[str, str]]:
         """The scenes read, each with the columns taken from its run and the names they get in the figure's data."""
         found: dict[str, dict[str, str]] = {}
-        for name in self.columns:
+        for name in () if self.study else self.columns:
             scene, _, column = name.rpartition(":")
             found.setdefault(scene or self.scene, {})[column] = name
         return found
+
+
+def _growth_columns() -> Mapping[str, Array]:
+    from topcli.studies.growth import growth_columns
+
+    return growth_columns()
+
+
+def _growth_code() -> str:
+    from topcli.studies.growth import growth_code
+
+    return growth_code()
 
 
 def _motion(scheme: str) -> tuple[Panel, Panel]:
@@ -126,6 +151,27 @@ FIGURES: dict[str, FigureSpec] = {
                 Sphere(name, (f"lagrange_{name}:a1", f"lagrange_{name}:a2", f"lagrange_{name}:a3"))
                 for name in ("cusps", "loops", "waves")
             ),
+        ),
+        FigureSpec(
+            "roundoff",
+            "Growth of round-off: biased, a random walk, compensated, and not at all",
+            "lagrange_bs",
+            (
+                GrowthPanel(
+                    (
+                        ("a_sq:matrix", "matrix"),
+                        ("a_sq:plain", "old + change"),
+                        ("a_sq:compensated", "compensated"),
+                    ),
+                    r"(a) $\boldsymbol{a}^2$, Lagrange top, BS",
+                    figsize=(8.2, 3.2),
+                ),
+                GrowthPanel(
+                    (("k_sq:hybrid", r"$\xi$ recomputed"), ("k_sq:hybrid-xi", r"$\xi$ carried")),
+                    "(b) $k^2$, Kowalevski top, hybrid",
+                ),
+            ),
+            Study(_growth_columns, _growth_code),
         ),
     )
 }

@@ -14,7 +14,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Outcome
 from topcli.engine.source import fingerprint
 from topcli.errors import RunError, UsageError
-from topcli.figures.catalogue import FigureSpec
+from topcli.figures.catalogue import FigureSpec, Study
 from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, draw, save
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, read_series, write_parquet
@@ -103,6 +103,17 @@ def _run(
     return run
 
 
+def _make_studied(spec: FigureSpec, study: Study, out: Path, formats: Sequence[str], force: bool) -> MadeFigure:
+    """Make a figure whose columns are a study's."""
+    pictures = [out / f"{spec.name}.{suffix}" for suffix in formats]
+    data_path = out / f"{spec.name}.parquet"
+    source = _source(spec, []) + study.code()
+    if not force and all(path.is_file() for path in pictures) and read_metadata(data_path).get(SOURCE) == source:
+        return MadeFigure(spec.name, (*pictures, data_path), "up to date")
+    files = write_figure(spec.name, spec.panels, study.columns(), out, formats, {SOURCE: source})
+    return MadeFigure(spec.name, files, "drawn")
+
+
 def make_figure(
     spec: FigureSpec,
     *,
@@ -121,6 +132,8 @@ def make_figure(
     ``told`` receives lines of talk. Raises UsageError and RunError.
     """
     require_writable(out)
+    if spec.study:
+        return _make_studied(spec, spec.study, out, formats, force)
     runs = [
         _run(spec, scene, list(columns), results, configs, force, progress, told)
         for scene, columns in spec.sources.items()

@@ -16,6 +16,7 @@ import math
 
 from topcli.contracts import Floats
 from topcli.kernels.dd import two_sum
+from topcli.kernels.increments import plain6
 from topcli.kernels.so3 import Vector, cayley_increment
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
@@ -93,8 +94,8 @@ def angular_acceleration(o1: float, o2: float, o3: float, q1: float, q2: float, 
     )
 
 
-def hk_heavy(state: Floats, h: float, p: Floats) -> Floats:
-    """One HK step (Sogo, dEulerPoisson, last sign corrected); ``p`` is (A, B, C, mg x0, mg y0, mg z0).
+def hk_heavy_change(state: Floats, h: float, p: Floats) -> Floats:
+    """The change in one HK step (Sogo, dEulerPoisson, last sign corrected); ``p`` is (A, B, C, mg x0, mg y0, mg z0).
 
     The change of gamma is that of the BS step (omega kept) plus a part linear in the change of omega. Singular,
     hence not finite, only for steps far beyond any use.
@@ -112,13 +113,19 @@ def hk_heavy(state: Floats, h: float, p: Floats) -> Floats:
         (h / C) * ((A - B) * w1 * w2 + (t1 * y - t2 * x)),
     )
     z1, z2, z3 = resolvent(a1, a2, a3, d * (g2 * u3 - g3 * u2), d * (g3 * u1 - g1 * u3), d * (g1 * u2 - g2 * u1))
-    return (w1 + u1, w2 + u2, w3 + u3, g1 + (b1 + z1), g2 + (b2 + z2), g3 + (b3 + z3))
+    return (u1, u2, u3, b1 + z1, b2 + z2, b3 + z3)
 
 
-def midpoint(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float, float, float, float]:
-    """One step of the implicit midpoint rule; ``p`` is (A, B, C, mg x0, mg y0, mg z0).
+hk_heavy = plain6(hk_heavy_change)
+"""The HK step from (omega, gamma)."""
 
-    Returns the new state, then 0.0 or, when Newton's iteration did not settle, nan, then the number of iterations.
+
+def midpoint_change(
+    state: Floats, h: float, p: Floats
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """The change in one step of the implicit midpoint rule; ``p`` is (A, B, C, mg x0, mg y0, mg z0).
+
+    Returns the change, then 0.0 or, when Newton's iteration did not settle, nan, then the number of iterations.
 
     Given the mean omega, Poisson's equation is Cayley's rotation of gamma; Newton's iteration finds the half change
     v of omega. At its end omega's change is computed afresh from the equations, so that what is left of the
@@ -147,4 +154,11 @@ def midpoint(state: Floats, h: float, p: Floats) -> tuple[float, float, float, f
     o1, o2, o3 = w1 + v1, w2 + v2, w3 + v3
     b1, b2, b3 = cayley_increment(d * o1, d * o2, d * o3, g1, g2, g3)
     f1, f2, f3 = angular_acceleration(o1, o2, o3, g1 + 0.5 * b1, g2 + 0.5 * b2, g3 + 0.5 * b3, p)
-    return (w1 + h * f1, w2 + h * f2, w3 + h * f3, g1 + b1, g2 + b2, g3 + b3, status, iterations)
+    return (h * f1, h * f2, h * f3, b1, b2, b3, status, iterations)
+
+
+def midpoint(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float, float, float, float]:
+    """One step of the implicit midpoint rule: the new state, then status and iterations of ``midpoint_change``."""
+    w1, w2, w3, g1, g2, g3 = state
+    x1, x2, x3, y1, y2, y3, status, iterations = midpoint_change(state, h, p)
+    return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, status, iterations)

@@ -20,10 +20,11 @@ G = d**2 c gamma, a = W3/2, q = 1 + a**2, s = W3 - G2, u = W2 - a W1, v = W1 + a
 from __future__ import annotations
 
 from topcli.contracts import Floats
+from topcli.kernels.increments import plain6
 
 
-def hk_kowalevski(state: Floats, h: float, p: Floats) -> Floats:
-    """The HK step from (omega, gamma).
+def hk_kowalevski_change(state: Floats, h: float, p: Floats) -> Floats:
+    """The change of (omega, gamma) in one HK step.
 
     Exact up to round-off for steps of any use. The determinant vanishes for some h of the order of 1/|omega| and
     beyond, where the step is singular; and for h |omega| above 1e5 or so the terms of the closed form differ by more
@@ -64,15 +65,19 @@ def hk_kowalevski(state: Floats, h: float, p: Floats) -> Floats:
     n2 = b1 * m22 + b2 * m12  # r n2 = 2 y2
     n3 = b2 * m11 - b1 * m21  # r n3 = 2 y3
 
-    # Each component as old + (what does not wait for the determinant + r * the rest): the increments.
+    # Each as (what does not wait for the determinant) + r * the rest.
     F = (0.5 * f) * rq
     fg = f * g3
     two_r1 = 2.0 * (g2 * s - g3 * W2) + rq * (g3 * (v * s - e * g3))
     return (
-        w1 + (rq * ((w2 - a * w1) * s + a * fg) + r * (F * (a * n3 - u * n2))),
-        w2 + (rq * (fg - (w1 + a * w2) * s) + r * (F * (n3 + v * n2))),
-        w3 - (2.0 * (f * g2) + r * (f * n2)),
-        g1 + (two_r1 + r * ((s - (H * rq) * v) * n2 - (W2 + H * rq) * n3)),
-        g2 + r * n2,
-        g3 + r * n3,
+        rq * ((w2 - a * w1) * s + a * fg) + r * (F * (a * n3 - u * n2)),
+        rq * (fg - (w1 + a * w2) * s) + r * (F * (n3 + v * n2)),
+        -(2.0 * (f * g2) + r * (f * n2)),
+        two_r1 + r * ((s - (H * rq) * v) * n2 - (W2 + H * rq) * n3),
+        r * n2,
+        r * n3,
     )
+
+
+hk_kowalevski = plain6(hk_kowalevski_change)
+"""The HK step from (omega, gamma)."""

@@ -24,10 +24,14 @@ from __future__ import annotations
 
 from topcli.contracts import Floats
 from topcli.kernels.dd import two_prod, two_sum
+from topcli.kernels.increments import carried_sum
 
 
-def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:
-    """The HK step from (omega, gamma); singular, hence not finite, only for steps far beyond any use."""
+def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float]:
+    """The change of omega1, omega2 and gamma in one HK step; omega3 has none.
+
+    Singular, hence not finite, only for steps far beyond any use.
+    """
     w1, w2, s, g1, g2, g3 = state
     d = 0.5 * h
     f = d * p[1]
@@ -75,11 +79,28 @@ def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:
     N2 = P2 + y * Q2
     Y1 = r * (N1 * D1 + N2 * D2)
     Y2 = r * (N2 * D1 - N1 * D2)
-    return (
-        w1 + (X1 + F * (Y2 - K * Y1)),
-        w2 + (X2 - F * (Y1 + K * Y2)),
-        s,
-        g1 + Y1,
-        g2 + Y2,
-        g3 + y,
-    )
+    return (X1 + F * (Y2 - K * Y1), X2 - F * (Y1 + K * Y2), Y1, Y2, y)
+
+
+def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:
+    """The HK step from (omega, gamma)."""
+    w1, w2, w3, g1, g2, g3 = state
+    x1, x2, y1, y2, y3 = hk_lagrange_change(state, h, p)
+    return (w1 + x1, w2 + x2, w3, g1 + y1, g2 + y2, g3 + y3)
+
+
+def hk_lagrange_compensated(s: Floats, h: float, p: Floats) -> Floats:
+    """The HK step with what the sums have lost: of omega1, omega2 and gamma, for omega3 is handed on as it is."""
+    w1, w2, w3, g1, g2, g3, e1, e2, e4, e5, e6 = s
+    x1, x2, y1, y2, y3 = hk_lagrange_change((w1, w2, w3, g1, g2, g3), h, p)
+    w1, e1 = carried_sum(w1, e1, x1)
+    w2, e2 = carried_sum(w2, e2, x2)
+    g1, e4 = carried_sum(g1, e4, y1)
+    g2, e5 = carried_sum(g2, e5, y2)
+    g3, e6 = carried_sum(g3, e6, y3)
+    return (w1, w2, w3, g1, g2, g3, e1, e2, e4, e5, e6)
+
+
+def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
+    """The physical state, nothing lost yet."""
+    return (*y, 0.0, 0.0, 0.0, 0.0, 0.0)

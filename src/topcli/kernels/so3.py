@@ -36,6 +36,22 @@ def cayley_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: 
     )
 
 
+def cayley_turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """The turned vector g + ``cayley_increment`` as a product of matrix and vector, which drifts: for comparison only.
+
+    ((1 - a.a) g + 2 a (a.g) + 2 g x a)/(1 + a.a), written as one would: 1 - a.a and 1 + a.a are rounded apart from each
+    other, and where a.a hardly changes from step to step so do their errors.
+    """
+    r = 1.0 / (1.0 + a1 * a1 + a2 * a2 + a3 * a3)
+    t = 1.0 - a1 * a1 - a2 * a2 - a3 * a3
+    k = 2.0 * (a1 * g1 + a2 * g2 + a3 * g3)
+    return (
+        r * (t * g1 + (k * a1 + 2.0 * (g2 * a3 - g3 * a2))),
+        r * (t * g2 + (k * a2 + 2.0 * (g3 * a1 - g1 * a3))),
+        r * (t * g3 + (k * a3 + 2.0 * (g1 * a2 - g2 * a1))),
+    )
+
+
 def sinc_of_square(t: float) -> float:
     """sin(x)/x as a function of t = x*x >= 0; exactly 1 at 0 (fdlibm's polynomial, then libm)."""
     if t <= SMALL_ANGLE_SQ:

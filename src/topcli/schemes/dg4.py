@@ -9,6 +9,9 @@ are their gradients at m, that of k² is the mean of its gradient on the way fro
 exact. Everything is symmetric in y and y', so the step is self-adjoint. The values aimed at are carried from the
 initial state, which keeps round-off from adding up.
 
+What makes it fast: gamma is eliminated as in HK, the 3x3 and 4x4 systems are solved in scalars without a call or an
+array, and one matrix serves all iterations of a step.
+
 Solved by a simplified Newton iteration with the matrix 1 - h/2 f' of HK's midpoint: the derivative of D x differs from
 zero by O(h²) only, because f is normal to every gradient.
 """

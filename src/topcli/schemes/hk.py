@@ -2,14 +2,15 @@
 
 What makes it fast:
 - the 6x6 system shrinks to one 2x2 system in closed form: two divisions, of which one is waited for;
-- every component is old + increment, with all that the determinant does not decide ready before it is known;
+- every component is old + change, with all that the determinant does not decide ready before it is known;
 - scaled by h/2 inside the step only: the state stays physical, resumes bit for bit, and c = 0 is no special case.
 """
 
 from __future__ import annotations
 
-from topcli.contracts import NoOptions, Stepper, Top
-from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.contracts import Stepper, Top
+from topcli.kernels.hk_kowalevski import hk_kowalevski_change
+from topcli.schemes.compensated import CompensatedOption, increment_stepper
 from topcli.schemes.registry import scheme
 
 
@@ -22,11 +23,12 @@ from topcli.schemes.registry import scheme
     self_adjoint=True,
     citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
+    options=CompensatedOption,
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form.
 
     Every quadratic term y z of the field becomes (y' z + y z')/2, every linear term its mean. The step is its own
     inverse under h -> -h. It conserves none of the four integrals exactly; their deviations stay bounded, of size h².
     """
-    return Stepper(hk_kowalevski, 6)
+    return increment_stepper(hk_kowalevski_change, 6, options)

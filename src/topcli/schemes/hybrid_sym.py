@@ -12,18 +12,25 @@ Exchanging old and new with h -> -h changes the sign of v and of the equations, 
 
 xi = k u with a unit number u, k and gamma² are carried (``kernels/carried.py``), so that round-off does not accumulate
 in them; where xi is used, what omega and gamma say of it has its own rounding error taken off.
+
+What makes it fast:
+- HK's step is so close a start that Newton's method on three unknowns takes one iteration at h = 0.001, two at 0.1;
+- their 3x3 systems are solved by Cramer's rule, and gamma is eliminated by Cayley's rotation in closed form;
+- the rotation and xi's turn are polynomials: no angle is formed, libm is not called.
 """
 
 from __future__ import annotations
 
 import math
 
-from topcli.contracts import Floats, NoOptions, Stepper, Top
+from topcli.contracts import Floats, Stepper, Top
 from topcli.kernels.carried import enter_carried, leave_carried, to_length_sq
 from topcli.kernels.euler_poisson import resolvent, solve3
 from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.kernels.increments import carried_sum
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import Vector, cayley_increment
+from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.registry import scheme
 
 NEWTON = 30
@@ -36,6 +43,7 @@ SETTLED = 4.0 * 2.0**-52
 TINY = 1e-300
 
 Seven = tuple[float, float, float, float, float, float, float]
+Ten = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
 def residuals(y: Floats, xi: Floats, h: float, c: float, v1: float, v2: float, v3: float) -> Seven:
@@ -92,11 +100,12 @@ def newton_change(y: Floats, x1: float, x2: float, h: float, c: float, v: Floats
     )
 
 
-def hybrid_sym_step(s: Floats, h: float, p: Floats) -> Floats:
-    """Omega, gamma; u, k, gamma²; whether the iteration settled; the iterations so far."""
-    w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, _, iterations = s
+def hybrid_sym_change(s: Ten, h: float, p: Floats) -> Ten:
+    """The change of omega, gamma and u, whether the iteration settled (0.0 or nan), and its iterations."""
+    w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq = s
     c = p[0]
     y = (w1, w2, w3, g1, g2, g3)
+    iterations = 0.0
     x1, x2 = k * u1, k * u2
     z1 = ((w1 - w2) * (w1 + w2) - c * g1) - x1
     z2 = (2.0 * w1 * w2 - c * g2) - x2
@@ -123,25 +132,45 @@ def hybrid_sym_step(s: Floats, h: float, p: Floats) -> Floats:
             f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, n1, n2, n3)
         v1, v2, v3 = n1, n2, n3
     d1, d2 = turn_increment(h * (w3 + v3), u1, u2)
-    return (
-        w1 + 2.0 * v1,
-        w2 + 2.0 * v2,
-        w3 + 2.0 * v3,
-        g1 + b1,
-        g2 + b2,
-        g3 + b3,
-        u1 + (d1 + to_u * u1),
-        u2 + (d2 + to_u * u2),
-        k,
-        g_sq,
-        status,
-        iterations,
-    )
+    to_u1, to_u2 = d1 + to_u * u1, d2 + to_u * u2
+    return (2.0 * v1, 2.0 * v2, 2.0 * v3, b1, b2, b3, to_u1, to_u2, status, iterations)
+
+
+def hybrid_sym_step(s: Floats, h: float, p: Floats) -> Floats:
+    """Omega, gamma; u, k, gamma²; whether the iteration settled; the iterations so far."""
+    w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, _, iterations = s
+    old = (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq)
+    x1, x2, x3, y1, y2, y3, z1, z2, status, more = hybrid_sym_change(old, h, p)
+    u1, u2 = u1 + z1, u2 + z2
+    return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, u1, u2, k, g_sq, status, iterations + more)
+
+
+def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
+    """The same with what the sums of omega3, gamma and u have lost, before the status.
+
+    Omega1 and omega2 need nothing: in every step they are brought back to what u and gamma say of them.
+    """
+    w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8, _, iterations = s
+    old = (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq)
+    x1, x2, x3, y1, y2, y3, z1, z2, status, more = hybrid_sym_change(old, h, p)
+    w1, w2 = w1 + x1, w2 + x2
+    w3, e3 = carried_sum(w3, e3, x3)
+    g1, e4 = carried_sum(g1, e4, y1)
+    g2, e5 = carried_sum(g2, e5, y2)
+    g3, e6 = carried_sum(g3, e6, y3)
+    u1, e7 = carried_sum(u1, e7, z1)
+    u2, e8 = carried_sum(u2, e8, z2)
+    return (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8, status, iterations + more)
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:
     """The physical state with what is carried; nothing iterated yet."""
     return (*enter_carried(y, h, p), 0.0, 0.0)
+
+
+def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
+    """The same with nothing lost yet."""
+    return (*enter_carried(y, h, p), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @scheme(
@@ -154,12 +183,15 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     conserves=("gamma_sq", "k_sq"),
     citation="after Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="modified BS scheme, Kxi, with the new omega instead of HK's",
+    options=CompensatedOption,
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build(top: Top, options: CompensatedOption) -> Stepper:
     """The hybrid's relations between old and new state, solved together by Newton's iteration from HK's step.
 
     Its own inverse under h -> -h. |gamma| and k = |omega² - c gamma| are conserved; 2l and E stay close without drift.
     A step whose iteration does not settle ends the run as `no_convergence`; it can happen where omega1 + i omega2
     comes so close to 0 within a step that the two square roots merge.
     """
+    if options.compensated:
+        return Stepper(compensated_step, 18, enter_compensated, leave_carried, ("iterations",), iterative=True)
     return Stepper(hybrid_sym_step, 12, enter, leave_carried, ("iterations",), iterative=True)

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.kernels.carried import enter_carried, leave_carried, to_length_sq
-from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.kernels.hk_kowalevski import hk_kowalevski, hk_kowalevski_change
+from topcli.kernels.increments import carried_sum
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
+from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.registry import scheme
 
 
@@ -37,6 +39,41 @@ def hybrid_xi_step(root: Root) -> StepFunction:
     return step
 
 
+def compensated_step(root: Root) -> StepFunction:
+    """The same with what the sums of omega3, gamma and u have lost; omega1 and omega2 are no sums but a root."""
+
+    def step(s: Floats, h: float, p: Floats) -> Floats:
+        w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8 = s
+        c = p[0]
+        x1, x2, x3, _, _, _ = hk_kowalevski_change((w1, w2, w3, g1, g2, g3), h, p)
+        m = 0.25 * h
+        o3 = 2.0 * w3 + x3
+        d1, d2, d3 = cayley_increment(m * (2.0 * w1 + x1), m * (2.0 * w2 + x2), m * o3, g1, g2, g3)
+        to_g = to_length_sq(g1 * g1 + (g2 * g2 + g3 * g3), g_sq)
+        t1, t2 = turn_increment((0.5 * h) * o3, u1, u2)
+        to_u = to_length_sq(u1 * u1 + u2 * u2, 1.0)
+        q1, q2 = w1 + x1, w2 + x2
+        w3, e3 = carried_sum(w3, e3, x3)
+        g1, e4 = carried_sum(g1, e4, d1 + to_g * g1)
+        g2, e5 = carried_sum(g2, e5, d2 + to_g * g2)
+        g3, e6 = carried_sum(g3, e6, d3 + to_g * g3)
+        u1, e7 = carried_sum(u1, e7, t1 + to_u * u1)
+        u2, e8 = carried_sum(u2, e8, t2 + to_u * u2)
+        w1, w2 = root(k * u1 + c * g1, k * u2 + c * g2, q1, q2)
+        return (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8)
+
+    return step
+
+
+def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
+    """The physical state with what is carried; nothing lost yet."""
+    return (*enter_carried(y, h, p), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class HybridOptions(BranchOptions, CompensatedOption):
+    """The branch of the root, and the compensation."""
+
+
 @scheme(
     "hybrid-xi",
     top="kowalevski",
@@ -47,12 +84,15 @@ def hybrid_xi_step(root: Root) -> StepFunction:
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="dEulerPoisson, modified BS scheme, Kxi",
-    options=BranchOptions,
+    options=HybridOptions,
 )
-def build(top: Top, options: BranchOptions) -> Stepper:
+def build(top: Top, options: HybridOptions) -> Stepper:
     """The paper's hybrid, the same trajectory up to round-off, without round-off's drift of gamma² and k².
 
     k and gamma² keep the values of the initial state: xi = k u is carried as a unit number u that turns, gamma is kept
     at its length. Like the hybrid it is not self-adjoint, and 2l and E drift.
     """
-    return Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried)
+    if options.compensated:
+        step = compensated_step(ROOTS[options.branch])
+        return Stepper(step, 16, enter_compensated, leave_carried, checked=6)
+    return Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried, checked=6)

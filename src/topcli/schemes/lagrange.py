@@ -13,8 +13,10 @@ import numpy as np
 
 from topcli.contracts import Array, Floats, Invariant, NoOptions, Sampler, Stepper, Top
 from topcli.kernels.fused import fma
-from topcli.kernels.hk_lagrange import hk_lagrange
+from topcli.kernels.hk_lagrange import enter_compensated, hk_lagrange, hk_lagrange_compensated
+from topcli.kernels.increments import first6
 from topcli.kernels.so3 import cayley_increment
+from topcli.schemes.compensated import CompensatedOption, compensation_wanted
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
 from topcli.tops.lagrange_exact import body_states, inertial_states
@@ -72,7 +74,7 @@ def hk_corrections(top: Lagrange, h: float, y: Array) -> tuple[Array, Array, Arr
     return gamma_sq, m_gamma, energy
 
 
-def hk_modified(top: Lagrange, h: float, options: NoOptions) -> tuple[Invariant, ...]:
+def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[Invariant, ...]:
     """gamma², m·gamma and E with HK's own corrections, conserved exactly by the map at this h."""
 
     def made(index: int, plain: Invariant) -> Invariant:
@@ -99,13 +101,16 @@ def hk_modified(top: Lagrange, h: float, options: NoOptions) -> tuple[Invariant,
     modified=hk_modified,
     citation="Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
+    options=CompensatedOption,
 )
-def build_hk(top: Top, options: NoOptions) -> Stepper:
+def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form.
 
     omega3 is conserved bit for bit. gamma², m·gamma and E are not, but each is by O(h²) from an integral of the map
     itself: the modified integrals, exact at every h. The map is integrable.
     """
+    if compensation_wanted(options):
+        return Stepper(hk_lagrange_compensated, 11, enter_compensated, first6, checked=6)
     return Stepper(hk_lagrange, 6)
 
 

@@ -3,12 +3,19 @@
 The step is written for the general Euler-Poisson equations. The six coefficients of the top at hand are carried in
 the working state, so that one piece of machine code serves all tops. Bobenko and Suris' inertial form of Lagrange's
 top, m' = p x a, a' = m x a, is the same equations with omega = -m, gamma = a, equal moments and g = p.
+
+What makes it fast:
+- given the mean omega Poisson's equation is Cayley's rotation in closed form: Newton has three unknowns, not six;
+- its 3x3 systems are solved by Cramer's rule, the columns of the matrix from one reciprocal of 1 + |h omega/2|²;
+- two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would leave errors of one sign above round-off.
 """
 
 from __future__ import annotations
 
-from topcli.contracts import Floats, NoOptions, Stepper, Top
-from topcli.kernels.euler_poisson import midpoint
+from topcli.contracts import Floats, Stepper, Top
+from topcli.kernels.euler_poisson import midpoint_change
+from topcli.kernels.increments import carried_sum, first6
+from topcli.schemes.compensated import CompensatedOption, compensation_wanted
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 from topcli.tops import TOPS
@@ -23,13 +30,21 @@ WIDTH = 14
 def midpoint_step(s: Floats, h: float, p: Floats) -> Floats:
     """One step of the working state."""
     w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, _, iterations = s
-    v1, v2, v3, n1, n2, n3, status, more = midpoint((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
-    return (v1, v2, v3, n1, n2, n3, A, B, C, x, y, z, status, iterations + more)
+    x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
+    return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, A, B, C, x, y, z, status, iterations + more)
 
 
-def leave(s: Floats, h: float, p: Floats) -> Floats:
-    """Omega and gamma."""
-    return (s[0], s[1], s[2], s[3], s[4], s[5])
+def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
+    """One step of the working state with what the sums have lost, before the status."""
+    w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, e1, e2, e3, e4, e5, e6, _, iterations = s
+    x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
+    w1, e1 = carried_sum(w1, e1, x1)
+    w2, e2 = carried_sum(w2, e2, x2)
+    w3, e3 = carried_sum(w3, e3, x3)
+    g1, e4 = carried_sum(g1, e4, y1)
+    g2, e5 = carried_sum(g2, e5, y2)
+    g3, e6 = carried_sum(g3, e6, y3)
+    return (w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, e1, e2, e3, e4, e5, e6, status, iterations + more)
 
 
 def enter_inertial(y: Floats, h: float, p: Floats) -> Floats:
@@ -52,19 +67,27 @@ def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
     conserves=lambda top: polynomial_invariants(top, 2),
     citation="Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)",
     equations="y' - y = h f((y' + y)/2) for EulerPoisson",
+    options=CompensatedOption,
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build(top: Top, options: CompensatedOption) -> Stepper:
     """Solved by Newton's iteration to round-off; a step that does not settle ends the run as `no_convergence`.
 
     Its own inverse under h -> -h. Every quadratic integral is conserved exactly, for any top: gamma², m·gamma and the
     energy. Kowalevski's k² is of degree four and only stays close.
     """
-    if top.form == INERTIAL:
-        return Stepper(midpoint_step, WIDTH, enter_inertial, leave_inertial, ("iterations",), iterative=True)
     equations = top.euler_poisson()
     coefficients = (*equations.moments, *equations.gravity)
 
-    def enter(y: Floats, h: float, p: Floats) -> Floats:
+    def enter_body(y: Floats, h: float, p: Floats) -> Floats:
         return (*y, *coefficients, 0.0, 0.0)
 
-    return Stepper(midpoint_step, WIDTH, enter, leave, ("iterations",), iterative=True)
+    inertial = top.form == INERTIAL
+    enter, leave = (enter_inertial, leave_inertial) if inertial else (enter_body, first6)
+    if not compensation_wanted(options):
+        return Stepper(midpoint_step, WIDTH, enter, leave, ("iterations",), iterative=True)
+
+    def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
+        s = enter(y, h, p)
+        return (*s[:12], *(0.0,) * 6, *s[12:])
+
+    return Stepper(compensated_step, WIDTH + 6, enter_compensated, leave, ("iterations",), iterative=True)

@@ -1,0 +1,75 @@
+"""Panels of round-off's growth: drift against the number of steps, between the lines of sqrt(N) and N."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from topcli.figures.picture import Styles
+
+ULP = 2.0**-52
+STYLES = {"plain": "-", "compensated": "--"}
+
+
+@dataclass(frozen=True)
+class GrowthPanel:
+    """Drifts, columns named ``invariant:form`` with their labels, against the column ``steps``, logarithmically.
+
+    Invariants differ in colour, forms in the line's style, or in colour too where there is but one invariant; labels
+    stand at the right ends of the lines. Grey lines rise from the same point as the root of the number of steps, an ulp
+    for each, and as the number itself.
+    """
+
+    lines: tuple[tuple[str, str], ...]
+    title: str = ""
+    steps: str = "steps"
+    figsize: tuple[float, float] = (5.4, 3.6)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that it needs."""
+        return (self.steps, *(column for column, _ in self.lines))
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw into ``axes``."""
+        from matplotlib.ticker import NullFormatter
+
+        n = data[self.steps]
+        alone = len({column.partition(":")[0] for column, _ in self.lines}) == 1
+        colours: dict[str, str] = {}
+        ends = []
+        for column, label in self.lines:
+            name, _, form = column.partition(":")
+            colour = colours.setdefault(column if alone else name, f"C{len(colours)}")
+            drift = np.where(data[column] > 0.0, data[column], np.nan)  # a logarithmic axis has no zero
+            axes.plot(n, drift, color=colour, linestyle="-" if alone else STYLES[form], marker="o", markersize=2.5)
+            ends.append((float(drift[-1]), label, colour))
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlim(float(n[0]) / 1.3, float(n[-1]) * 1.3)
+        low, high = axes.get_ylim()
+        corner = ULP * float(np.sqrt(n[0]))
+        low, high = min(low, 0.3 * corner), max(high, 3.0 * ULP * float(np.sqrt(n[-1])))
+        axes.set_ylim(low, high)
+        for power, label in ((0.5, r"$\epsilon\sqrt{N}$"), (1.0, r"$\propto N$")):
+            axes.plot(n, corner * (n / n[0]) ** power, color="0.75", linestyle="-", linewidth=0.9, zorder=1.0)
+            last = min(float(n[-1]), float(n[0]) * (0.35 * high / corner) ** (1.0 / power))
+            at = (last, corner * (last / float(n[0])) ** power)
+            axes.annotate(label, at, xytext=(-2, 3), textcoords="offset points", ha="right", color="0.5")
+        self._label(axes, ends, float(axes.get_xlim()[1]))
+        axes.set_xlabel("number of steps $N$")
+        axes.set_ylabel("drift over $N$ steps (rms)")
+        axes.set_title(self.title, loc="left")
+
+    def _label(self, axes: Any, ends: list[tuple[float, str, str]], x: float) -> None:
+        """Label the lines right of the axes, moved apart where labels would overlap."""
+        low, high = np.log(axes.get_ylim())
+        gap = (high - low) / 16.0
+        y = -np.inf
+        for drift, label, colour in sorted(ends, key=lambda end: end[0]):
+            y = max(np.log(drift), y + gap)
+            axes.annotate(label, (x, np.exp(y)), xytext=(4, 0), textcoords="offset points", color=colour, va="center")

@@ -1,0 +1,81 @@
+"""The growth of round-off under several ways to write a step, side by side: what the figure ``roundoff`` shows.
+
+The BS scheme of Lagrange's top turns the axis by Cayley's rotation. Written as a product of matrix and vector it is
+biased; as axis + change its errors are a random walk; with the lost part of that sum carried along, a smaller one.
+Under the hybrid, xi is recomputed from the state in every step; carried as a unit number that turns, its errors do not
+add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from topcli.analysis.roundoff import block_weights, doubling_lags, structure
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Floats, Stepper
+from topcli.engine.source import fingerprint
+from topcli.kernels.increments import compensated6, first6
+from topcli.kernels.so3 import cayley_increment, cayley_turned
+from topcli.schemes.compensated import enter_compensated
+from topcli.studies.roundoff import copies_followed, sampling_of
+from topcli.studies.run import method_fingerprint
+
+STEPS = 1 << 19
+COPIES = 4
+H = 0.01
+
+
+def turned_step(s: Floats, h: float, p: Floats) -> Floats:
+    """The BS step with the axis turned by the matrix of Cayley's rotation: the biased form."""
+    m1, m2, m3, a1, a2, a3 = s
+    d = -0.5 * h
+    n1, n2 = m1 - h * a2, m2 + h * a1
+    b1, b2, b3 = cayley_turned(d * n1, d * n2, d * m3, a1, a2, a3)
+    return (n1, n2, m3, b1, b2, b3)
+
+
+def bs_change(s: Floats, h: float, p: Floats) -> Floats:
+    """The change in a BS step."""
+    m1, m2, m3, a1, a2, a3 = s
+    d = -0.5 * h
+    x1, x2 = -(h * a2), h * a1
+    y1, y2, y3 = cayley_increment(d * (m1 + x1), d * (m2 + x2), d * m3, a1, a2, a3)
+    return (x1, x2, 0.0, y1, y2, y3)
+
+
+def _under(experiment: Experiment, method: Stepper) -> Experiment:
+    """The experiment under a step that is no scheme."""
+    return experiment.model_copy(update={"scheme": replace(experiment.scheme, build=lambda top, options: method)})
+
+
+def _variants() -> dict[str, tuple[Experiment, str]]:
+    """Experiment and invariant of each curve, by the name of its column."""
+    lagrange = load_experiment("lagrange_bs", [f"h={H}"])
+    compensated = Stepper(compensated6(bs_change), 12, enter_compensated, first6, checked=6)
+    found = {
+        "a_sq:matrix": (_under(lagrange, Stepper(turned_step, 6)), "a_sq"),
+        "a_sq:plain": (lagrange, "a_sq"),
+        "a_sq:compensated": (_under(lagrange, compensated), "a_sq"),
+    }
+    for name in ("hybrid", "hybrid-xi"):
+        found[f"k_sq:{name}"] = (load_experiment("kowalevski_generic_hk", [f"h={H}", f"scheme={name}"]), "k_sq")
+    return found
+
+
+def growth_columns() -> Mapping[str, Array]:
+    """``steps``, and for each curve the root mean square of the drift over so many steps."""
+    sampling = sampling_of(STEPS, H, exact=True)
+    lags = doubling_lags(sampling.blocks)
+    columns: dict[str, Array] = {"steps": lags * float(sampling.block_steps)}
+    for name, (experiment, invariant) in _variants().items():
+        watched = [one for one in experiment.top.invariants() if one.name == invariant]
+        columns[name] = structure(copies_followed(experiment, watched, sampling, COPIES).means[0], lags)
+    return columns
+
+
+def growth_code() -> str:
+    """A digest of all that the columns are made by; an equal one means equal columns."""
+    digests = [method_fingerprint(experiment.method()) + experiment.digest for experiment, _ in _variants().values()]
+    return fingerprint(block_weights, structure) + "".join(digests) + f"{STEPS} {COPIES}"
