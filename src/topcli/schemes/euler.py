@@ -5,6 +5,7 @@ Every step adds increments to the state; gamma, where it is carried, never acts 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -18,7 +19,9 @@ from topcli.kernels.euler import (
     implicit_increment,
     midpoint_half,
 )
+from topcli.kernels.hk_determinant import euler_determinant
 from topcli.kernels.so3 import cayley_increment
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.registry import scheme
 from topcli.tops.euler import Euler
 
@@ -115,6 +118,26 @@ def _stepper(top: Top, change: Change, axis: Axis) -> Stepper:
     return Stepper(rotating_step(change, axis), 6)
 
 
+def leave_status(s: Floats, h: float, p: Floats) -> Floats:
+    """The physical state without the status."""
+    return s[:-1]
+
+
+def _iterative(stepper: Stepper) -> Stepper:
+    """``stepper`` with a status behind its state: nan where Newton's method, which then gives nan, did not converge."""
+    step = stepper.step
+
+    def stepped(s: Floats, h: float, p: Floats) -> Floats:
+        new = step(s[:-1], h, p)
+        status = math.nan if math.isnan(new[0]) else 0.0
+        return (*new, status)
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (*y, 0.0)
+
+    return Stepper(stepped, stepper.width + 1, enter, leave_status, iterative=True)
+
+
 def hk_integrals(top: Euler, h: float, options: NoOptions) -> tuple[Invariant, ...]:
     """The exact integrals of the HK map (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011).
 
@@ -179,7 +202,8 @@ def build_hk(top: Top, options: NoOptions) -> Stepper:
     m² and m·omega are not conserved, but m²/K and m·omega/K are, with K = 1 + O(h²): their errors are of size h² and
     return to zero. With gamma carried, gamma² and m·gamma are conserved no better.
     """
-    return Stepper(omega_step(hk_change), 3) if len(top.components) == 3 else Stepper(hk_gamma_step, 6)
+    plain = Stepper(omega_step(hk_change), 3) if len(top.components) == 3 else Stepper(hk_gamma_step, 6)
+    return counting(plain, NEAR_SINGULAR, small_determinant(euler_determinant))
 
 
 def _rotation_invariants(top: Top) -> tuple[str, ...]:
@@ -220,9 +244,10 @@ def build_bs_implicit(top: Top, options: NoOptions) -> Stepper:
     """The inverse of ``bs`` with -h: m and gamma turn by Cayley's rotation with the new omega.
 
     Newton's method with halved corrections as a safeguard finds omega to round-off. m², gamma² and m·gamma are
-    conserved; m·omega falls until the top turns about the axis of its largest moment.
+    conserved; m·omega falls until the top turns about the axis of its largest moment. A step that does not settle ends
+    the run as `no_convergence`.
     """
-    return _stepper(top, implicit_change, new)
+    return _iterative(_stepper(top, implicit_change, new))
 
 
 @scheme(
@@ -240,6 +265,6 @@ def build_midpoint(top: Top, options: NoOptions) -> Stepper:
     """m and gamma turn by Cayley's rotation with the mean omega: all integrals are conserved.
 
     Newton's method on three unknowns starts from HK's step, which misses by O(h³); two or three corrections reach
-    round-off.
+    round-off. A step that does not settle ends the run as `no_convergence`.
     """
-    return _stepper(top, midpoint_change, mean)
+    return _iterative(_stepper(top, midpoint_change, mean))

@@ -9,7 +9,9 @@ What makes it fast:
 from __future__ import annotations
 
 from topcli.contracts import NoOptions, Stepper, Top
+from topcli.kernels.hk_determinant import kowalevski_determinant
 from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.registry import scheme
 
 
@@ -29,4 +31,4 @@ def build(top: Top, options: NoOptions) -> Stepper:
     Every quadratic term y z of the field becomes (y' z + y z')/2, every linear term its mean. The step is its own
     inverse under h -> -h. It conserves none of the four integrals exactly; their deviations stay bounded, of size h².
     """
-    return Stepper(hk_kowalevski, 6)
+    return counting(Stepper(hk_kowalevski, 6), NEAR_SINGULAR, small_determinant(kowalevski_determinant))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from topcli.contracts import NoOptions, Stepper, Top
 from topcli.kernels.euler_poisson import hk_heavy
+from topcli.kernels.hk_determinant import heavy_determinant
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.registry import scheme
 
 
@@ -23,4 +25,4 @@ def build(top: Top, options: NoOptions) -> Stepper:
     It conserves none of the three integrals exactly; the deviations are of size h². Where a special top has a
     scheme `hk` of its own it is the same map, written faster.
     """
-    return Stepper(hk_heavy, 6)
+    return counting(Stepper(hk_heavy, 6), NEAR_SINGULAR, small_determinant(heavy_determinant))

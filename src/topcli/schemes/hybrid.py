@@ -13,6 +13,7 @@ from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
+from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
 from topcli.schemes.registry import scheme
 
 
@@ -36,6 +37,12 @@ def hybrid_step(root: Root) -> StepFunction:
     return step
 
 
+def hk_prediction(s: Floats, h: float, p: Floats) -> tuple[float, float]:
+    """HK's omega1, omega2, by which the root is chosen."""
+    q1, q2, _, _, _, _ = hk_kowalevski((s[0], s[1], s[2], s[3], s[4], s[5]), h, p)
+    return (q1, q2)
+
+
 @scheme(
     "hybrid",
     top="kowalevski",
@@ -54,4 +61,4 @@ def build(top: Top, options: BranchOptions) -> Stepper:
     omega3 is HK's. |gamma| and k = |omega² - c gamma| are conserved. The step is not self-adjoint, against what the
     paper says: a step forward and back misses by O(h⁴), and 2l and E drift.
     """
-    return Stepper(hybrid_step(ROOTS[options.branch]), 6)
+    return counting(Stepper(hybrid_step(ROOTS[options.branch]), 6), AMBIGUOUS, two_roots(hk_prediction))

@@ -12,6 +12,8 @@ from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
+from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
+from topcli.schemes.hybrid import hk_prediction
 from topcli.schemes.registry import scheme
 
 
@@ -55,4 +57,5 @@ def build(top: Top, options: BranchOptions) -> Stepper:
     k and gamma² keep the values of the initial state: xi = k u is carried as a unit number u that turns, gamma is kept
     at its length. Like the hybrid it is not self-adjoint, and 2l and E drift.
     """
-    return Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried)
+    plain = Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried)
+    return counting(plain, AMBIGUOUS, two_roots(hk_prediction))

@@ -12,8 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from topcli.contracts import Array, Floats, Invariant, NoOptions, Sampler, Stepper, Top
+from topcli.kernels.hk_determinant import lagrange_determinant
 from topcli.kernels.hk_lagrange import hk_lagrange
 from topcli.kernels.so3 import cayley_increment
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
 from topcli.tops.lagrange_exact import body_states, inertial_states
@@ -105,7 +107,7 @@ def build_hk(top: Top, options: NoOptions) -> Stepper:
     omega3 is conserved bit for bit. gamma², m·gamma and E are not, but each is by O(h²) from an integral of the map
     itself: the modified integrals, exact at every h. The map is integrable.
     """
-    return Stepper(hk_lagrange, 6)
+    return counting(Stepper(hk_lagrange, 6), NEAR_SINGULAR, small_determinant(lagrange_determinant))
 
 
 def bs_step(state: Floats, h: float, p: Floats) -> Floats:
