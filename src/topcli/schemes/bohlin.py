@@ -17,10 +17,18 @@ from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.kernels.roots import root_nearest, root_sign, turn_increment
 from topcli.kernels.so3 import cayley_increment, rodrigues_increment
 from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
+from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
 CONSERVES = ("gamma_sq", "k_sq")
+LIMITS = {
+    "homoclinic-spacing": "Of order 1 near a separatrix: its error acts as a larger distance from the homoclinic "
+    "orbit, and the swings follow each other after 15.3 instead of 28.17 (the paper's Figure 2).",
+    "rest-on-axis": "Rest with gamma along the third axis, where xi = 0, is a fixed point of the map: it never moves, "
+    "and counts an ambiguous root in every step.",
+    "huge": OVERFLOW,
+}
 
 SWITCH_BELOW = -0.8
 """Method B leaves the paper's chart where gamma3 is below this, |z| > 3 (the other chart then has |z| < 1/3).
@@ -170,6 +178,7 @@ def leave_counted(s: Floats, h: float, p: Floats) -> Floats:
     conserves=CONSERVES,
     citation=CITATION,
     equations="(A), Kxi, direct",
+    limits=LIMITS,
     options=BranchOptions,
 )
 def build_a(top: Top, options: BranchOptions) -> Stepper:
@@ -193,6 +202,7 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
     conserves=CONSERVES,
     citation=CITATION,
     equations="(B), Kxi, direct",
+    limits=LIMITS,
     options=ChartOptions,
 )
 def build_b(top: Top, options: ChartOptions) -> Stepper:
@@ -220,6 +230,7 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     conserves=CONSERVES,
     citation=CITATION,
     equations="(C), Kxi, direct",
+    limits=LIMITS,
     options=BranchOptions,
 )
 def build_c(top: Top, options: BranchOptions) -> Stepper:

@@ -22,11 +22,16 @@ from topcli.kernels.euler import (
 from topcli.kernels.hk_determinant import euler_determinant
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.limits import NEWTON_SINGULAR, NO_SOLUTION, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.euler import Euler
 
 FORMS = ("euler", "euler+gamma")
 CITATION = "Sogo, Discrete Spinning Tops, section 1.2"
+GAMMA_GROWS = (
+    "omega stays bounded, as the modified integrals have it, but gamma's linear map has nothing that holds its "
+    "length: with steps of about a turn it grows without bound."
+)
 
 Change = Callable[[float, float, float, float, Floats], Vector]
 """``change(w1, w2, w3, d, p)``: omega' - omega for d = h/2."""
@@ -195,6 +200,7 @@ def hk_integrals(top: Euler, h: float, options: NoOptions) -> tuple[Invariant, .
     modified=hk_integrals,
     citation="Hirota, Kimura 2000; " + CITATION,
     equations="the first difference equations of section 1.2; gamma as in dEulerPoisson, last term corrected",
+    limits=lambda top: {"singular-step": SINGULAR} | ({} if len(top.components) == 3 else {"resonance": GAMMA_GROWS}),
 )
 def build_hk(top: Top, options: NoOptions) -> Stepper:
     """Every product of two components y z becomes (y' z + y z')/2: linear in the new state, solved in closed form.
@@ -239,6 +245,7 @@ def build_bs(top: Top, options: NoOptions) -> Stepper:
     conserves=_rotation_invariants,
     citation=CITATION + ", after Bobenko, Suris 1999",
     equations="EulerBS with omega^{n+1}; gamma by (A) with omega^{n+1}",
+    limits={"singular-step": NEWTON_SINGULAR},
 )
 def build_bs_implicit(top: Top, options: NoOptions) -> Stepper:
     """The inverse of ``bs`` with -h: m and gamma turn by Cayley's rotation with the new omega.
@@ -260,6 +267,7 @@ def build_bs_implicit(top: Top, options: NoOptions) -> Stepper:
     conserves=lambda top: tuple(invariant.name for invariant in top.invariants()),
     citation=CITATION,
     equations="the last difference equations of section 1.2; gamma by the modified BS scheme of section 3.2.3",
+    limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR},
 )
 def build_midpoint(top: Top, options: NoOptions) -> Stepper:
     """m and gamma turn by Cayley's rotation with the mean omega: all integrals are conserved.

@@ -12,6 +12,7 @@ from topcli.contracts import NoOptions, Stepper, Top
 from topcli.kernels.hk_determinant import kowalevski_determinant
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
 
@@ -24,6 +25,7 @@ from topcli.schemes.registry import scheme
     self_adjoint=True,
     citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
+    limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """Linear in the new state, solved in closed form.

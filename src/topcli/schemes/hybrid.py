@@ -14,6 +14,7 @@ from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
+from topcli.schemes.limits import OVERFLOW, SINGULAR
 from topcli.schemes.registry import scheme
 
 
@@ -53,6 +54,7 @@ def hk_prediction(s: Floats, h: float, p: Floats) -> tuple[float, float]:
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="dEulerPoisson, modified BS scheme, Kxi",
+    limits={"singular-step": SINGULAR, "huge": OVERFLOW},
     options=BranchOptions,
 )
 def build(top: Top, options: BranchOptions) -> Stepper:

@@ -24,6 +24,7 @@ from topcli.kernels.euler_poisson import resolvent, solve3
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import Vector, cayley_increment
+from topcli.schemes.limits import FAR_OVERFLOW, NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.registry import scheme
 
 NEWTON = 30
@@ -154,6 +155,7 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     conserves=("gamma_sq", "k_sq"),
     citation="after Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="modified BS scheme, Kxi, with the new omega instead of HK's",
+    limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR, "huge": FAR_OVERFLOW},
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """The hybrid's relations between old and new state, solved together by Newton's iteration from HK's step.

@@ -14,6 +14,7 @@ from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
 from topcli.schemes.hybrid import hk_prediction
+from topcli.schemes.limits import OVERFLOW, SINGULAR
 from topcli.schemes.registry import scheme
 
 
@@ -49,6 +50,12 @@ def hybrid_xi_step(root: Root) -> StepFunction:
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="dEulerPoisson, modified BS scheme, Kxi",
+    limits={
+        "singular-step": SINGULAR,
+        "resonance": "What brings u and gamma back to their lengths is added along the old directions: where they "
+        "turn by more than a right angle in one step it drives the lengths away instead, and gamma² grows.",
+        "huge": OVERFLOW,
+    },
     options=BranchOptions,
 )
 def build(top: Top, options: BranchOptions) -> Stepper:

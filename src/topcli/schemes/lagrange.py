@@ -16,6 +16,7 @@ from topcli.kernels.hk_determinant import lagrange_determinant
 from topcli.kernels.hk_lagrange import hk_lagrange
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
 from topcli.tops.lagrange_exact import body_states, inertial_states
@@ -100,6 +101,7 @@ def hk_modified(top: Lagrange, h: float, options: NoOptions) -> tuple[Invariant,
     modified=hk_modified,
     citation="Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
+    limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build_hk(top: Top, options: NoOptions) -> Stepper:
     """Linear in the new state, solved in closed form.
@@ -165,6 +167,10 @@ def build_bs(top: Top, options: NoOptions) -> Stepper:
     conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
     citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
     equations="(Euler), (Poisson) with A = B, x0 = y0 = 0",
+    limits={
+        "sleeping-threshold": "Asymptotic to the upright top, or within 1e-6 of it at the edge of stability, the "
+        "period is infinite or too long to resolve; such motions are refused.",
+    },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
     """gamma3 by Jacobi functions, the angle by the Fourier series of its rate; to round-off at any time.

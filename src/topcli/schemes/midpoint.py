@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.kernels.euler_poisson import midpoint
+from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 from topcli.tops import TOPS
@@ -52,6 +53,7 @@ def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
     conserves=lambda top: polynomial_invariants(top, 2),
     citation="Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)",
     equations="y' - y = h f((y' + y)/2) for EulerPoisson",
+    limits=lambda top: {"singular-step": LONG_NEWTON} if top.form == "heavy" else {},
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """Solved by Newton's iteration to round-off; a step that does not settle ends the run as `no_convergence`.
