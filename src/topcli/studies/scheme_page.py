@@ -14,8 +14,8 @@ HEAD = """# Schemes
 
 <!-- Made from the registry by `topcli list schemes --markdown > docs/schemes.md`; a test holds it up to date. -->
 
-Every scheme with what it declares; what it declares is tested because it is declared. *Limits* say where it fails: those
-named `like-this` are hard cases of `topcli stress`, which holds them against what happens, both ways.
+Every scheme with what it declares; what it declares is tested because it is declared. *Limits* say where it fails:
+those named `like-this` are hard cases of `topcli stress`, which holds them against what happens, both ways.
 """
 
 
@@ -55,9 +55,8 @@ def _traits(scheme: Scheme) -> list[tuple[str, str]]:
     if scheme.modified:
         kept += (", and " if kept else "") + "modified integrals of its own"
     kind = "adaptive" if scheme.adaptive else "explicit" if scheme.explicit else "implicit"
-    options = "; ".join(
-        f"{key} = {field.default!r}: {field.description}" for key, field in scheme.options.model_fields.items()
-    )
+    fields = scheme.options.model_fields
+    options = "; ".join(f"{key} = {field.default!r}: {field.description}" for key, field in fields.items())
     found = [
         ("order", "exact" if scheme.order is None else str(scheme.order)),
         ("kind", f"{kind}, {'self-adjoint' if scheme.self_adjoint else 'not self-adjoint'}"),
@@ -75,21 +74,45 @@ def _limits(scheme: Scheme) -> list[tuple[str, str]]:
     return [*quoted, *((key, text) for key, text in scheme.limits.items() if key not in known)]
 
 
+def _shared(schemes: Sequence[Scheme], told: Sequence[Sequence[tuple[str, str]]]) -> list[str]:
+    """A bullet for each (label, text) that the schemes tell; with the tops that tell it where not all of them do."""
+    tellers: dict[tuple[str, str], list[str]] = {}
+    for scheme, items in zip(schemes, told, strict=True):
+        for item in items:
+            tellers.setdefault(item, []).append(scheme.top)
+    labels = list(dict.fromkeys(label for label, _ in tellers))
+    bullets = []
+    for label, text in sorted(tellers, key=lambda item: labels.index(item[0])):
+        tops = tellers[label, text]
+        where = "" if len(tops) == len(schemes) else f" ({', '.join(tops)})"
+        bullets.append(f"- {label}{where}: {text}")
+    return bullets
+
+
 def _section(schemes: Sequence[Scheme]) -> list[str]:
-    """The Markdown section on a scheme of one or several tops that declares the same of all but for what is listed."""
-    lines: list[str] = []
-    for scheme in schemes:
-        lines += [f"## {scheme.name} ({scheme.top})", "", f"{scheme.title}.", "", scheme.doc, ""]
-        lines += [f"- {label}: {text}" for label, text in _traits(scheme)]
-        limits = _limits(scheme)
-        lines += ["", "Limits:", "", *(f"- {key}: {text}" for key, text in limits), ""] if limits else [""]
-    return lines
+    """The Markdown section on one scheme of one or several tops."""
+    first = schemes[0]
+    tops = ", ".join(scheme.top for scheme in schemes)
+    limits = _shared(schemes, [_limits(scheme) for scheme in schemes])
+    return [
+        f"## {first.name} ({tops})",
+        "",
+        f"**{first.title[:1].upper()}{first.title[1:]}.** {first.doc.replace('``', '`')}",
+        "",
+        *_shared(schemes, [_traits(scheme) for scheme in schemes]),
+        "",
+        *(["Limits:", "", *limits, ""] if limits else []),
+    ]
 
 
 def schemes_page(schemes: Sequence[Scheme] | None = None) -> str:
-    """``docs/schemes.md``: every scheme that comes with topcli, by top and name."""
+    """``docs/schemes.md``: every scheme that comes with topcli, by name."""
     shown = [scheme for scheme in all_schemes() if scheme.origin == "topcli"] if schemes is None else list(schemes)
-    return "\n".join([HEAD, *_section(shown)]).rstrip() + "\n"
+    groups: dict[tuple[str, str], list[Scheme]] = {}
+    for scheme in sorted(shown, key=lambda scheme: scheme.name):
+        groups.setdefault((scheme.name, scheme.doc), []).append(scheme)
+    lines = [line for group in groups.values() for line in _section(group)]
+    return "\n".join([HEAD, *lines]).rstrip() + "\n"
 
 
 def scheme_text(scheme: Scheme) -> str:

@@ -127,7 +127,7 @@ class Trial:
         assert run.ending is not None
         if not self.counters:
             self.counters = dict(run.ending.counters)
-        n, states = (np.concatenate([piece[i] for piece in pieces]) for i in (0, 1))
+        n, states = np.concatenate([n for n, _ in pieces]), np.concatenate([states for _, states in pieces])
         return Motion(n, states, run.ending, h)
 
     def reference(self, times: Array) -> Array:
@@ -180,7 +180,7 @@ def fault(trial: Trial, motion: Motion) -> Finding | None:
 
 def lasting(top: Top, state: Floats, t: float) -> list[float]:
     """The state from which the motion of ``top`` reaches ``state`` after the time ``t``."""
-    return _lasting(top, tuple(state), t)
+    return _lasting(top, tuple(state), t)  # pyright: ignore[reportArgumentType] (frozen, hence hashable)
 
 
 @cache

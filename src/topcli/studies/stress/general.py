@@ -61,6 +61,9 @@ def general_cases(
     def made(state: Floats, h: float, N: int, of: Top = top) -> Callable[[], Mapping[str, Any]]:
         return lambda: config(of, state, h, N)
 
+    def step() -> float:
+        return singular_step(top, generic)  # pyright: ignore[reportArgumentType] (frozen, hence hashable)
+
     cases = [
         Case("backwards", form, "h < 0: is the order what it is for h > 0?", made(generic, -0.02, 200), keeps_order),
         Case(
@@ -112,7 +115,7 @@ def general_cases(
                 "singular-step",
                 form,
                 "h at which HK's determinant vanishes in the first step: does omega stay of the motion's size?",
-                lambda: config(top, generic, singular_step(top, generic), 50),
+                lambda: config(top, generic, step(), 50),
                 stays_bounded,
             )
         )
