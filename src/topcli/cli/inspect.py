@@ -146,6 +146,7 @@ def list_figures(as_json: Json = False) -> None:
     items: list[dict[str, Any]] = [
         {"name": spec.name, "title": spec.title, "scene": spec.scene} for spec in FIGURES.values()
     ]
+    items.append({"name": "stress", "title": "every scheme in the hard cases of its top", "scene": "topcli stress"})
     _print_list("figures", items, ["name", "scene", "title"], as_json)
 
 

@@ -11,8 +11,8 @@ from topcli.kernels.euler_poisson import implicit_matrix
 
 
 def kowalevski_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """That of ``hk_kowalevski``'s two equations, with the notation of that file."""
-    w1, w2, w3, g1, g2, g3 = state
+    """That of ``hk_kowalevski``'s two equations, with the notation of that file; more slots may follow the state."""
+    w1, w2, w3, g1, g2, g3 = state[0], state[1], state[2], state[3], state[4], state[5]
     d = 0.5 * h
     e = d * (d * p[0])
     k = 0.5 * e

@@ -12,8 +12,7 @@ from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
-from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
-from topcli.schemes.hybrid import hk_prediction
+from topcli.schemes.hybrid import with_hk_counted
 from topcli.schemes.limits import OVERFLOW, SINGULAR
 from topcli.schemes.registry import scheme
 
@@ -65,4 +64,4 @@ def build(top: Top, options: BranchOptions) -> Stepper:
     at its length. Like the hybrid it is not self-adjoint, and 2l and E drift.
     """
     plain = Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried)
-    return counting(plain, AMBIGUOUS, two_roots(hk_prediction))
+    return with_hk_counted(plain)
