@@ -89,12 +89,12 @@ def draw_stress(study: dict[str, Any]) -> Any:
         FigureCanvasAgg(figure)
         widths = [max(len({one["scheme"] for one in by_top[top]}) for top in column) for column in columns]
         grid = figure.add_gridspec(1, len(columns), width_ratios=widths)
-        for place, column in zip(grid, columns, strict=True):
+        for index, column in enumerate(columns):
             # the names of the schemes above each panel take about as much room as five cases
             heights = [len({one["case"] for one in by_top[top]}) + 5 for top in column]
-            inner = place.subgridspec(len(column), 1, height_ratios=heights)
-            for cell, top in zip(inner, column, strict=True):
-                _panel(figure.add_subplot(cell), by_top[top], top)
+            inner = grid[0, index].subgridspec(len(column), 1, height_ratios=heights)
+            for row, top in enumerate(column):
+                _panel(figure.add_subplot(inner[row, 0]), by_top[top], top)
         meanings = {
             "held": SHADES[1],
             "degraded: claims kept, accuracy lost": SHADES[2],
