@@ -26,6 +26,7 @@ from topcli.schemes.bohlin import bohlin_step, method_c
 from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.hybrid import hybrid_step
 from topcli.schemes.registry import find_scheme
+from topcli.studies.report import warning_of
 from topcli.studies.stress.general import singular_step
 from topcli.studies.stress.kowalevski import TORUS_E4
 from topcli.tops.euler import Euler, EulerGamma
@@ -148,3 +149,11 @@ def test_the_closed_form_reaches_denormal_omega() -> None:
     assert ending.outcome is Outcome.COMPLETED
     assert np.abs(states - np.array(y0)).max() < 1e-15
     assert math.isfinite(states.sum())
+
+
+def test_a_run_warns_of_what_it_counted() -> None:
+    """Iterations are the rule and no reason to warn."""
+    report = {"name": "x", "scheme": "dg4", "step": 9, "counters": {"iterations": 40, "midpoint_steps": 0}}
+    assert warning_of(report) == ""
+    report["counters"] = {"iterations": 40, "midpoint_steps": 3}
+    assert warning_of(report) == "3 midpoint steps in 9 steps; topcli show dg4 tells of limits"
