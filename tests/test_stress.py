@@ -155,6 +155,9 @@ def test_order_is_kept_lost_and_left() -> None:
     hybrid = finding("branch-point", "hybrid")
     assert hybrid.result is Result.DEGRADED
     assert hybrid.figures["order"] < 1.65
+    assert finding("real-axis", "bohlin-a").result is Result.HELD
+    flipped = finding("real-axis", "bohlin-a", options={"branch": "sign"})
+    assert (flipped.result, flipped.step) == (Result.BROKE, 50)
     assert finding("pole", "hk", order=3).result is Result.DEGRADED  # control: it has order 2
     still = finding("rest-on-axis", "bohlin-a")
     assert (still.result, "left the motion" in still.why) == (Result.BROKE, True)
