@@ -113,7 +113,7 @@ KOWALEVSKI: tuple[Case, ...] = (
     _from("rest-on-axis", "omega = 0 and gamma = e3 at the start, where xi = 0 too", (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)),
     _passing(
         "real-axis",
-        "omega1 + i omega2 crosses the negative real axis, where the angle has its cut and branch: sign takes the wrong root",
+        "omega1 + i omega2 crosses the negative real axis, where the angle has its cut; branch: sign errs there",
         (-0.8, 0.0, 0.5, 0.6, -0.48, -0.64),
     ),
     _from("delone", "k = 0, Delone's motion: k² has no gradient", DELONE),
