@@ -151,7 +151,8 @@ def test_compiled_and_interpreted_agree() -> None:
     scheme = x.build(Kowalevski(), x.options())
     assert isinstance(scheme, Stepper)
     step = scheme.step
-    plain, sym = (*s, 0.0), (*s, 0.0, 0.0)
+    assert scheme.enter is not None
+    plain, sym = scheme.enter(GEN, 0.05, (1.0,)), (*s, 0.0, 0.0)
     for _ in range(100):
         plain, sym = step(plain, 0.05, (1.0,)), hybrid_sym_step(sym, 0.05, (1.0,))
     assert tuple(ran(scheme, GEN, 0.05, 100)[0][-1]) == plain[:6]
