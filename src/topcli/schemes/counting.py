@@ -2,9 +2,11 @@
 
 A counter is one more slot at the end of the working state. What an event looks at is what the step computes anyway:
 once both are inlined the compiler merges the two, and what is left beside the step's chain of dependencies is a
-comparison and an addition. The state is what it was, bit for bit. Measured (ratio of times to the step without): HK 1.00
-(Kowalevski, Euler), 1.01 (Lagrange), 1.03 (heavy), 1.08 (Euler with gamma, 1 ns); hybrid 1.02, hybrid-xi 1.03, bohlin-c
-1.01, bohlin-a and -b 1.06. Where it shows, a seventh slot that counts nothing costs as much.
+comparison and an addition. The state is what it was, bit for bit.
+
+Measured (ratio of times to the step without): HK 1.00 (Kowalevski, Euler), 1.01 (Lagrange), 1.03 (heavy), 1.08 (Euler
+with gamma, 1 ns); hybrid 1.02, hybrid-xi 1.03, bohlin-c 1.01, bohlin-a and -b 1.06. Where it shows, a slot that counts
+nothing costs as much.
 """
 
 from __future__ import annotations
