@@ -65,11 +65,11 @@ static inline state hybrid_step(state y, double h, double c)
     const state p = hk_step(y, h, c);
     const double k = 0.25 * h;
     const double a1 = k * (p.w1 + w1), a2 = k * (p.w2 + w2), a3 = k * (p.w3 + w3);
-    const double b1 = g2 * a3 - g3 * a2, b2 = g3 * a1 - g1 * a3, b3 = g1 * a2 - g2 * a1;
-    const double r = 2.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3));
-    const double n1 = g1 + r * (b1 + (b2 * a3 - b3 * a2));
-    const double n2 = g2 + r * (b2 + (b3 * a1 - b1 * a3));
-    const double n3 = g3 + r * (b3 + (b1 * a2 - b2 * a1));
+    const double b1 = fma(g2, a3, -(g3 * a2)), b2 = fma(g3, a1, -(g1 * a3)), b3 = fma(g1, a2, -(g2 * a1));
+    const double r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3));
+    const double n1 = g1 + r * (b1 + fma(b2, a3, -(b3 * a2)));
+    const double n2 = g2 + r * (b2 + fma(b3, a1, -(b1 * a3)));
+    const double n3 = g3 + r * (b3 + fma(b1, a2, -(b2 * a1)));
     const double x = (w1 - w2) * (w1 + w2) - c * g1, im = 2.0 * w1 * w2 - c * g2;
     const double chi = (0.5 * h) * (p.w3 + w3), t = chi * chi;
     const double sn = chi * sinc_of_square(t), cs = t * cosc_of_square(t);

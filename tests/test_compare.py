@@ -159,3 +159,26 @@ def test_the_python_interface() -> None:
     assert trajectory.ending.message == "completed 1000 steps (t = 10)"
     shorter = topcli.simulate("kowalevski_hk", overrides=["h=0.01"], N=10)
     assert shorter.t[-1] == 10 * 0.01
+
+
+@pytest.mark.parametrize(
+    ("scene", "scheme", "power"), [("euler_hk", "hk", 2), ("lagrange_hk", "hk", 2), ("lagrange_bs", "bs", 1)]
+)
+def test_modified_integrals_differ_from_the_physical_by_a_term_of_the_order_of_the_scheme(scene, scheme, power) -> None:
+    """The coefficient of h^p hardly depends on h, while the integral itself stays at round-off: at h and at h/4."""
+    coefficients = []
+    for h in (0.02, 0.005):
+        comparison = compare_schemes(load_experiment(scene, [f"h={h}", "N=4000"]), [scheme])
+        rows = of(comparison, scheme)["modified"]
+        assert all(row["verdict"] == "exact" for row in rows)
+        told = [row["correction"] for row in rows if "correction" in row]
+        assert told
+        assert {one["power"] for one in told} == {power}
+        coefficients.append([one["coefficient"] for one in told])
+    assert coefficients[0] == pytest.approx(coefficients[1], rel=0.1)
+
+
+def test_a_scheme_without_integrals_of_its_own_has_none() -> None:
+    comparison = compare_schemes(load_experiment("euler_hk", ["N=100"]), ["hk", "bs"])
+    assert of(comparison, "hk")["modified"]
+    assert of(comparison, "bs")["modified"] == []

@@ -13,6 +13,27 @@ from topcli.cli.talk import print_json, print_table, say, say_warnings
 PAPER_SCENE = "kowalevski_hk"
 
 
+def _modified_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
+    """The integrals of the schemes themselves: a dash where a scheme has no such integral."""
+    from topcli.studies.report import number
+
+    def correction(row: dict[str, Any]) -> str:
+        told = row["correction"]
+        power = {1: "h", 2: "h²"}.get(told["power"], f"h^{told['power']}")
+        return f"{number(told['size'])} = {told['coefficient']:.3g} {power}"
+
+    each = [{row["name"]: row for row in scheme["modified"]} for scheme in schemes]
+    lines = []
+    for name, known in {name: row for rows in each for name, row in rows.items()}.items():
+        found = [rows.get(name) for rows in each]
+        cells = [(f"{known['symbol']} max deviation", lambda row: number(row["max_deviation"]))]
+        cells.append(("  verdict", lambda row: row["verdict"]))
+        if "correction" in known:
+            cells.append((f"  less {known['correction']['of']}, at most", correction))
+        lines += [[label, *("–" if row is None else cell(row) for row in found)] for label, cell in cells]
+    return lines
+
+
 def _lines(figures: dict[str, Any]) -> list[list[str]]:
     """The comparison as lines: a label, then a cell for each scheme."""
     from topcli.studies.report import number
@@ -42,6 +63,7 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
     h = schemes[0]["reversal"]["h"]
     return [
         *lines,
+        *_modified_lines(schemes),
         line(f"reversal defect at h = {h:g}", lambda s: number(s["reversal"]["defect"])),
         line(
             "  its order in h",

@@ -30,6 +30,7 @@ import numpy as np
 
 from topcli import __version__
 from topcli.engine.source import compilable_copy, fingerprint
+from topcli.kernels.fused import fma
 
 CACHE_ENTRIES = 256
 """The newest entries that the cache keeps; older ones are removed."""
@@ -179,6 +180,22 @@ def _write(path: Path, code: bytes, symbol: str, needs: list[str]) -> None:
         pass
 
 
+@cache
+def _fma_instruction() -> Any:
+    """``fma`` for numba: the processor's instruction, or the C library's function where there is none."""
+    from numba import types
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def fused(context: Any, a: Any, b: Any, c: Any) -> Any:
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.fma(*arguments)
+
+        return types.float64(types.float64, types.float64, types.float64), build
+
+    return fused
+
+
 def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     """Compile with numba; the numba cfunc."""
     from numba import cfunc, njit, types
@@ -187,7 +204,9 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     jit = njit(forceinline=inline, error_model="numpy")
     # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
     signature_type = types.int64(*(kinds[c] for c in signature))
-    return cfunc(signature_type, error_model="numpy", forceinline=True)(compilable_copy(function, jit))
+    return cfunc(signature_type, error_model="numpy", forceinline=True)(
+        compilable_copy(function, jit, {id(fma): _fma_instruction()})
+    )
 
 
 def content_key(function: Callable[..., Any], signature: str, inline: bool) -> str:

@@ -1,15 +1,14 @@
 """Double-double arithmetic on plain floats: a number is an unevaluated sum hi + lo with |lo| <= ulp(hi)/2.
 
-About 32 digits with the exponent range of a double. Without a fused multiply-add the exact product is Dekker's
-(Numer. Math. 18, 1971); the operations and their error bounds, in units of u² with u = 2^-53, are those of
-Joldes, Muller and Popescu, ACM Trans. Math. Softw. 44(2), 2017, and hold as long as nothing over- or
-underflows. Everything here depends on each operation being rounded by itself: no reassociation, no contraction.
+About 32 digits with the exponent range of a double. The operations and their error bounds, in units of u² with
+u = 2^-53, are those of Joldes, Muller and Popescu, ACM Trans. Math. Softw. 44(2), 2017, and hold as long as nothing
+over- or underflows. Everything here depends on each operation being rounded by itself: no reassociation, no
+contraction but the fused multiply-add that is asked for.
 """
 
 from __future__ import annotations
 
-SPLITTER = 134217729.0
-"""2^27 + 1: splits a 53-bit significand into two halves of at most 26 bits (Veltkamp)."""
+from topcli.kernels.fused import fma
 
 
 def two_sum(a: float, b: float) -> tuple[float, float]:
@@ -25,19 +24,10 @@ def quick_two_sum(a: float, b: float) -> tuple[float, float]:
     return s, b - (s - a)
 
 
-def split(a: float) -> tuple[float, float]:
-    """``(top, bottom)`` of at most 26 bits each with top + bottom = a exactly; |a| < 2^996."""
-    t = SPLITTER * a
-    top = t - (t - a)
-    return top, a - top
-
-
 def two_prod(a: float, b: float) -> tuple[float, float]:
-    """``(p, e)`` with p = fl(a b) and p + e = a b exactly; |a|, |b| < 2^996, |a b| > 2^-968 or 0."""
+    """``(p, e)`` with p = fl(a b) and p + e = a b exactly, unless it over- or underflows: |a b| > 2^-968 or 0."""
     p = a * b
-    a1, a2 = split(a)
-    b1, b2 = split(b)
-    return p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2
+    return p, fma(a, b, -p)
 
 
 def dd_add(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:

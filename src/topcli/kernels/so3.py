@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 
+from topcli.kernels.fused import fma
+
 Vector = tuple[float, float, float]
 
 SMALL_ANGLE_SQ = 0.6168502750680849
@@ -23,14 +25,14 @@ def cayley_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: 
     ``a`` is h/2 omega for the BS scheme and h/4 (omega' + omega) for the modified one. In closed form,
     because a is normal to b = g x a, d = 2 (b + b x a) / (1 + a.a).
     """
-    b1 = g2 * a3 - g3 * a2
-    b2 = g3 * a1 - g1 * a3
-    b3 = g1 * a2 - g2 * a1
-    r = 2.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3))
+    b1 = fma(g2, a3, -(g3 * a2))
+    b2 = fma(g3, a1, -(g1 * a3))
+    b3 = fma(g1, a2, -(g2 * a1))
+    r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
     return (
-        r * (b1 + (b2 * a3 - b3 * a2)),
-        r * (b2 + (b3 * a1 - b1 * a3)),
-        r * (b3 + (b1 * a2 - b2 * a1)),
+        r * (b1 + fma(b2, a3, -(b3 * a2))),
+        r * (b2 + fma(b3, a1, -(b1 * a3))),
+        r * (b3 + fma(b1, a2, -(b2 * a1))),
     )
 
 

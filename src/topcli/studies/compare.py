@@ -55,6 +55,30 @@ def _padded(values: Array, rows: int) -> Array:
     return np.concatenate([values, np.full(rows - len(values), np.nan)])
 
 
+def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[dict[str, Any]]:
+    """The integrals of the scheme itself, and the largest term that each adds to the top's own integral.
+
+    That term is of the order of the scheme in h; its coefficient is given with it.
+    """
+    plain = {f"modified_{invariant.name}": invariant for invariant in experiment.top.invariants()}
+    modified = experiment.modified
+    rows = invariant_report(modified, trajectory.n, trajectory.h, trajectory.states)
+    power = experiment.scheme.order or 0
+    figures = []
+    for invariant, row in zip(modified, rows, strict=True):
+        own = plain.get(invariant.name)
+        figures.append(row.as_dict())
+        if own is not None:
+            term = float(np.abs(invariant.value(trajectory.states) - own.value(trajectory.states)).max())
+            figures[-1]["correction"] = {
+                "of": own.symbol,
+                "size": term,
+                "power": power,
+                "coefficient": term / abs(trajectory.h) ** power,
+            }
+    return figures
+
+
 def _figures(
     experiment: Experiment,
     method: Method,
@@ -79,6 +103,7 @@ def _figures(
         "invariants": [
             row.as_dict() for row in invariant_report(top.invariants(), trajectory.n, trajectory.h, trajectory.states)
         ],
+        "modified": _modified_figures(experiment, trajectory),
         "reversal": {
             "h": back.h,
             "defect": back.defect,
