@@ -46,12 +46,14 @@ Run = Callable[[np.ndarray, float, int], None]
 
 def in_engine(stepper: Stepper) -> Run:
     """The engine's loop, nothing recorded."""
-    drive = loop_of(stepper, 6, 1).drive
-    out, params = np.empty(6), np.ones(1)
+    loop = loop_of(stepper, 6, 1)
+    work, out, params = np.zeros(loop.width), np.empty(6), np.ones(1)
 
     def run(y: np.ndarray, h: float, n: int) -> None:
-        if drive(y, out, params, h, n, n + 1, n + 1) != n:
+        loop.enter(y, work, params, h)
+        if loop.drive(work, out, params, h, n, n + 1, n + 1) != n:
             raise RuntimeError("blew up")
+        y[:] = work[:6]
 
     return run
 
@@ -61,11 +63,11 @@ def without_check(stepper: Stepper) -> Run:
     step = stepper.step
 
     def loop(y, params, h, n):
-        s = (y[0], y[1], y[2], y[3], y[4], y[5])
+        s = (y[0], y[1], y[2], y[3], y[4], y[5], 0.0)  # the last one counts
         p = (params[0],)
         for _ in range(n):
             s = step(s, h, p)
-        y[0], y[1], y[2], y[3], y[4], y[5] = s
+        y[0], y[1], y[2], y[3], y[4], y[5], _ = s
         return 0
 
     compiled, params = native(loop, "ppdq"), np.ones(1)

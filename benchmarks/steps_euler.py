@@ -40,11 +40,13 @@ def in_engine() -> Run:
     """The engine's loop with its finite check, nothing recorded."""
     p = np.array(TOP.constants())
     loop = loop_of(find_scheme("hk", "euler").build(TOP, None), 3, len(p))
-    out = np.empty(3)
+    work, out = np.zeros(loop.width), np.empty(3)
 
     def run(y: np.ndarray, n: int) -> None:
-        if loop.drive(y, out, p, H, n, n + 1, n + 1) != n:
+        loop.enter(y, work, p, H)
+        if loop.drive(work, out, p, H, n, n + 1, n + 1) != n:
             raise RuntimeError("blew up")
+        y[:] = work[:3]
 
     return run
 

@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
-from topcli.contracts import Floats, Stepper, Top
+from topcli.contracts import Floats, Method, StepFunction, Stepper, Top
 from topcli.tops.kowalevski import field
+
+
+def physical(made: Method) -> StepFunction:
+    """The step of a scheme on physical states: without what it carries, counts, or says of its iteration."""
+    assert isinstance(made, Stepper)
+    enter, leave, step = made.enter or _as_it_is, made.leave or _as_it_is, made.step
+    return lambda s, h, p: leave(step(enter(s, h, p), h, p), h, p)
+
+
+def _as_it_is(s: Floats, h: float, p: Floats) -> Floats:
+    return s
 
 
 def _moved(s: Floats, a: float, k: Floats) -> Floats:

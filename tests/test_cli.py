@@ -203,7 +203,7 @@ def test_lists_come_from_the_registries(cli) -> None:
     assert names == {scheme.name for scheme in all_schemes()}
     assert {"hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid"} <= names
     assert [item["form"] for item in cli("list", "tops", "--json").json()["tops"]] == list(TOPS)
-    assert [item["name"] for item in cli("list", "figures", "--json").json()["figures"]] == list(FIGURES)
+    assert [item["name"] for item in cli("list", "figures", "--json").json()["figures"]] == [*FIGURES, "stress"]
     assert cli("list", "runs", "--json").json()["runs"] == []
     cli("run", HK, "--set", "N=20", "--quiet")
     runs = cli("list", "runs", "--json").json()["runs"]

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import GEN
-from steppers import rk2
+from steppers import physical, rk2
 from topcli.cli.app import app
 from topcli.contracts import Invariant, Method, Outcome, Top
 from topcli.engine.loop import Run
@@ -100,7 +100,7 @@ def test_implicit_steps_solve_the_papers_equations_to_round_off(h: float) -> Non
     """The defect of each equation in exact arithmetic, in ulp of the change: Newton's method leaves nothing behind."""
     for name, axis in (("bs-implicit", (0.0, 1.0)), ("midpoint", (0.5, 0.5)), ("bs", (1.0, 0.0))):
         for top, y0 in random_tops(20, seed=21, cls=Euler):
-            step = find_scheme(name, "euler").build(top, None).step
+            step = physical(find_scheme(name, "euler").build(top, None))
             new = step(tuple(map(float, y0)), h, top.constants())
             moments = [Fraction(x) for x in (top.A, top.B, top.C)]
             w, v = ([Fraction(float(x)) for x in state] for state in (y0, new))
@@ -114,8 +114,8 @@ def test_implicit_steps_solve_the_papers_equations_to_round_off(h: float) -> Non
 
 def test_bs_implicit_is_the_inverse_of_bs() -> None:
     for top, y0 in random_tops(10, seed=22):
-        there = find_scheme("bs-implicit", top.form).build(top, None).step(tuple(y0), 0.2, top.constants())
-        back = find_scheme("bs", top.form).build(top, None).step(there, -0.2, top.constants())
+        there = physical(find_scheme("bs-implicit", top.form).build(top, None))(tuple(y0), 0.2, top.constants())
+        back = physical(find_scheme("bs", top.form).build(top, None))(there, -0.2, top.constants())
         assert back == pytest.approx(tuple(y0), abs=1e-14)
 
 
@@ -124,8 +124,8 @@ def test_omega_does_not_feel_gamma(name: str) -> None:
     """The six-component step moves omega as the three-component step does, bit for bit."""
     for top, y0 in random_tops(5, seed=23):
         free = Euler(A=top.A, B=top.B, C=top.C)
-        six = find_scheme(name, top.form).build(top, None).step(tuple(y0), 0.1, top.constants())
-        three = find_scheme(name, "euler").build(free, None).step(tuple(y0[:3]), 0.1, free.constants())
+        six = physical(find_scheme(name, top.form).build(top, None))(tuple(y0), 0.1, top.constants())
+        three = physical(find_scheme(name, "euler").build(free, None))(tuple(y0[:3]), 0.1, free.constants())
         assert six[:3] == three
 
 
@@ -135,7 +135,7 @@ def test_implicit_steps_are_solved_far_beyond_useful_step_sizes(name: str, h: fl
     """A solution always exists (a map of a sphere to itself homotopic to a constant); the iteration finds one."""
     found = 0
     for top, y0 in random_tops(100, seed=24, cls=Euler):
-        new = find_scheme(name, "euler").build(top, None).step(tuple(y0), h, top.constants())
+        new = physical(find_scheme(name, "euler").build(top, None))(tuple(y0), h, top.constants())
         if math.isfinite(sum(new)):
             found += 1
             m, m_new = ((np.array(top.constants()[:3]) * state) for state in (y0, new))

@@ -177,6 +177,9 @@ class Scheme:
     adaptive: bool = False
     """Takes as many steps of its own within each h as a tolerance asks for. ``order`` is then that of the formula: it
     is observed where the tolerance is so loose that one step is taken, and at a given tolerance h tells nothing."""
+    limits: Mapping[str, str] = field(default_factory=dict, hash=False)
+    """Where the scheme fails, and why: a sentence for each. A key that is the name of a hard case (``topcli stress``)
+    is held against what happens there, both ways; any other key is a condition in words."""
     doc: str = ""
     origin: str = "topcli"
     """The distribution or file that registered the scheme."""

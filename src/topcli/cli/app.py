@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from topcli.cli import compare, inspect, lax, plot, roundoff, run
+from topcli.cli import compare, inspect, lax, plot, roundoff, run, stress
 
 app = typer.Typer(
     name="topcli",
@@ -42,6 +42,7 @@ app.command("compare")(compare.compare)
 app.command("plot")(plot.plot)
 app.command("lax")(lax.lax)
 app.command("roundoff")(roundoff.roundoff)
+app.command("stress")(stress.stress)
 app.add_typer(inspect.list_app, name="list")
 app.command("show")(inspect.show)
 app.command("init")(inspect.init)

@@ -71,6 +71,9 @@ def list_schemes(
         str | None, typer.Option("--top", help="Only those for this top.", autocompletion=complete_top)
     ] = None,
     as_json: Json = False,
+    as_markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the documentation page of the schemes.")
+    ] = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
     """The registered schemes with their declared traits; plugins that failed are named on stderr."""
@@ -79,6 +82,11 @@ def list_schemes(
 
     load_scheme_files(scheme_files)
     wanted = [form.form for form in forms(top)] if top else None
+    if as_markdown:
+        from topcli.studies.scheme_page import schemes_page
+
+        print(schemes_page(), end="")
+        return
     items = [
         {
             "name": scheme.name,
@@ -91,6 +99,7 @@ def list_schemes(
             "options": {name: str(field.default) for name, field in scheme.options.model_fields.items()},
             "equations": scheme.equations,
             "citation": scheme.citation,
+            "limits": dict(scheme.limits),
             "origin": scheme.origin,
         }
         for scheme in all_schemes()
@@ -120,6 +129,15 @@ def list_compositions(as_json: Json = False) -> None:
     _print_list("compositions", items, ["name", "order", "stages", "title", "citation"], as_json)
 
 
+@list_app.command("cases")
+def list_cases(as_json: Json = False) -> None:
+    """The hard cases of ``topcli stress``, each with its question."""
+    from topcli.studies.stress import CASES
+
+    items: list[dict[str, Any]] = [{"name": case.name, "top": case.form, "question": case.question} for case in CASES]
+    _print_list("cases", items, ["name", "top", "question"], as_json)
+
+
 @list_app.command("figures")
 def list_figures(as_json: Json = False) -> None:
     """The figures that ``topcli plot`` draws."""
@@ -128,6 +146,7 @@ def list_figures(as_json: Json = False) -> None:
     items: list[dict[str, Any]] = [
         {"name": spec.name, "title": spec.title, "scene": spec.scene} for spec in FIGURES.values()
     ]
+    items.append({"name": "stress", "title": "every scheme in the hard cases of its top", "scene": "topcli stress"})
     _print_list("figures", items, ["name", "scene", "title"], as_json)
 
 
@@ -151,19 +170,42 @@ def list_runs(out: Out = Path("results"), as_json: Json = False) -> None:
     _print_list("runs", items, ["name", "outcome", "scheme", "h", "N", "digest", "ended"], as_json)
 
 
+def _show_scheme(name: str, as_json: bool) -> bool:
+    """Show the scheme called ``name``; whether there is one."""
+    from topcli.studies.scheme_page import scheme_data, scheme_forms, scheme_text
+
+    found = scheme_forms(name)
+    if as_json and found:
+        print_json("show", {"schemes": [scheme_data(scheme) for scheme in found]})
+    elif found:
+        print("\n\n".join(map(scheme_text, found)))
+    return bool(found)
+
+
+def complete_config_or_scheme(incomplete: str) -> list[str]:
+    """Configs, scenes and schemes that begin with ``incomplete``."""
+    return [*complete_config(incomplete), *complete_scheme(incomplete)]
+
+
 def show(
     config: Annotated[
         str,
-        typer.Argument(metavar="CONFIG", help="A config file or a packaged scene.", autocompletion=complete_config),
+        typer.Argument(
+            metavar="CONFIG|SCHEME",
+            help="A config file, a packaged scene, or a scheme.",
+            autocompletion=complete_config_or_scheme,
+        ),
     ],
     sets: Sets = None,
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Show a config as it will run: completed, with every default filled in."""
+    """Show a config as it will run, with every default; or a scheme: what it is, claims, and where it fails."""
     from topcli.config.load import load_experiment
 
     load_scheme_files(scheme_files)
+    if not sets and not Path(config).suffix and _show_scheme(config, as_json):
+        return
     experiment = load_experiment(config, sets or [])
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})

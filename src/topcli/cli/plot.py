@@ -10,13 +10,16 @@ import typer
 from topcli.cli.options import Force, Json, complete_figure
 from topcli.cli.talk import ProgressTeller, print_json, say
 
+STRESS = "stress"
+"""The figure that is made from a study of its own and not from run folders."""
+
 
 def plot(
     names: Annotated[
         list[str] | None,
         typer.Argument(metavar="FIGURE...", help="Names of figures.", autocompletion=complete_figure),
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="All figures.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="All figures but stress, which takes long.")] = False,
     formats: Annotated[
         list[str] | None, typer.Option("--format", help="png or pdf; may be given twice. Default: both.")
     ] = None,
@@ -38,13 +41,25 @@ def plot(
     from topcli.figures.picture import IMAGE_FORMATS
 
     if bool(names) == every:
-        raise UsageError(f"name figures or say --all, one of the two; figures: {', '.join(FIGURES)}")
+        raise UsageError(f"name figures or say --all, one of the two; figures: {', '.join(FIGURES)}, {STRESS}")
     wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
     if wrong:
         raise UsageError(f"--format {wrong[0]}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}")
-    specs = list(FIGURES.values()) if every else [figure_spec(name) for name in names or ()]
-    teller = ProgressTeller(len(specs), as_json)
+    wanted = [name.lower() for name in names or ()]
+    with_stress = STRESS in wanted
+    specs = list(FIGURES.values()) if every else [figure_spec(name) for name in wanted if name != STRESS]
+    teller = ProgressTeller(len(specs) + with_stress, as_json)
     made = []
+    if with_stress:
+        from topcli.figures.stress import make_stress
+
+        teller.begin(STRESS)
+        chosen = tuple(dict.fromkeys(formats or IMAGE_FORMATS))
+        one = make_stress(out=out, results=results, formats=chosen, force=force, progress=teller)
+        teller.close()
+        made.append(one)
+        if not as_json:
+            print(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
     for spec in specs:
         teller.begin(spec.scene)
         one = make_figure(

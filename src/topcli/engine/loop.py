@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Ending, Method, Outcome, Top
-from topcli.engine.driver import loop_of
+from topcli.engine.driver import Loop, loop_of
 
 CHUNK_ROWS = 8192
 CHUNK_STEPS = 1 << 19
@@ -53,6 +53,7 @@ class Run:
     ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
     ``every``-th recorded. ``stop()`` is asked between chunks; when it says so the run ends as ``interrupted``.
     With ``start``, the ``position()`` of an earlier run of the same, it goes on from there, bit for bit.
+    ``loop`` is that of the method where it is at hand already.
     """
 
     def __init__(
@@ -65,12 +66,13 @@ class Run:
         every: int = 1,
         stop: Callable[[], bool] = lambda: False,
         start: Position | None = None,
+        loop: Loop | None = None,
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
         self._y0 = np.array(y0, dtype=np.float64)
         self._p = np.array(top.constants(), dtype=np.float64)
-        self._loop = loop_of(method, len(self._y0), len(self._p))
+        self._loop = loop or loop_of(method, len(self._y0), len(self._p))
         self.compile_seconds = self._loop.seconds
         self.cached = self._loop.cached
         self.run_seconds = 0.0

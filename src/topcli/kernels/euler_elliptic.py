@@ -61,6 +61,8 @@ def omega_at(elliptic: Elliptic, n: Array) -> tuple[Array, Array, tuple[Array, A
 
 def _frame(m: Array, axis: int) -> tuple[Array, Array, Array]:
     """m/|m| and two unit vectors normal to it, the first in the plane of m and the body's ``axis``; each (m, 3)."""
+    exponent = np.frexp(np.abs(m).max(axis=1, keepdims=True))[1]
+    m = np.ldexp(m, -exponent)  # exact, and no square leaves the range
     along = m / np.linalg.norm(m, axis=1, keepdims=True)
     second, third = (axis + 1) % 3, (axis + 2) % 3
     normal = np.zeros_like(along)

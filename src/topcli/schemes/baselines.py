@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Array, Floats, NoOptions, StepFunction, Stepper, Top
+from topcli.schemes.limits import explicit_limits, rk2_limits
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 
@@ -99,6 +100,7 @@ def rk4_step(field: Field_, moved: Moved, mean: Mean) -> StepFunction:
     conserves=lambda top: polynomial_invariants(top, 1),
     citation="Runge 1895",
     equations="y' = y + h f(y + h/2 f(y))",
+    limits=rk2_limits,
 )
 def build_rk2(top: Top, options: NoOptions) -> Stepper:
     """A general-purpose baseline of order two: irreversible, conserves linear integrals only."""
@@ -115,6 +117,7 @@ def build_rk2(top: Top, options: NoOptions) -> Stepper:
     conserves=lambda top: polynomial_invariants(top, 1),
     citation="Kutta 1901",
     equations="y' = y + h/6 (k1 + 2 k2 + 2 k3 + k4)",
+    limits=explicit_limits,
 )
 def build_rk4(top: Top, options: NoOptions) -> Stepper:
     """A general-purpose baseline of order four: irreversible, conserves linear integrals only."""

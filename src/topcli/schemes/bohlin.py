@@ -16,10 +16,19 @@ from pydantic import BaseModel, ConfigDict, Field
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.kernels.roots import root_nearest, root_sign, turn_increment
 from topcli.kernels.so3 import cayley_increment, rodrigues_increment
+from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
+from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
 CONSERVES = ("gamma_sq", "k_sq")
+LIMITS = {
+    "homoclinic-spacing": "Of order 1 near a separatrix: its error acts as a larger distance from the homoclinic "
+    "orbit, and the swings follow each other after 15.3 instead of 28.17 (the paper's Figure 2).",
+    "rest-on-axis": "Rest with gamma along the third axis, where xi = 0, is a fixed point of the map: it never moves, "
+    "and counts an ambiguous root in every step.",
+    "huge": OVERFLOW,
+}
 
 SWITCH_BELOW = -0.8
 """Method B leaves the paper's chart where gamma3 is below this, |z| > 3 (the other chart then has |z| < 1/3).
@@ -118,13 +127,22 @@ def bohlin_step(method: Method, root: Root) -> StepFunction:
         x = (w1 - w2) * (w1 + w2) - c * g1
         y = 2.0 * w1 * w2 - c * g2
         dx, dy = turn_increment(d * (v3 + w3), x, y)
-        # the prediction (direct)
-        q1 = w1 + d * (w3 * w2)
-        q2 = w2 - d * (w3 * w1 - c * g3)
+        q1, q2 = direct(s, h, p)
         v1, v2 = root((x + dx) + c * n1, (y + dy) + c * n2, q1, q2)
         return (v1, v2, v3, n1, n2, n3)
 
     return step
+
+
+def direct(s: Floats, h: float, p: Floats) -> tuple[float, float]:
+    """Euler's rule for omega1, omega2, by which the root is chosen (direct)."""
+    d = 0.5 * h
+    return (s[0] + d * (s[2] * s[1]), s[1] - d * (s[2] * s[0] - p[0] * s[5]))
+
+
+def with_roots_counted(stepper: Stepper) -> Stepper:
+    """``stepper`` with a counter of the steps in which the two roots were hardly told apart."""
+    return counting(stepper, AMBIGUOUS, two_roots(direct))
 
 
 def counting_step(step: StepFunction) -> StepFunction:
@@ -160,6 +178,7 @@ def leave_counted(s: Floats, h: float, p: Floats) -> Floats:
     conserves=CONSERVES,
     citation=CITATION,
     equations="(A), Kxi, direct",
+    limits=LIMITS,
     options=BranchOptions,
 )
 def build_a(top: Top, options: BranchOptions) -> Stepper:
@@ -170,7 +189,7 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
     is lost where omega1 + i omega2 passes 0, where the square root is singular. From rest with gamma along the third
     axis, where xi = 0, the true top falls but no scheme of this family ever moves: it is a fixed point of the map.
     """
-    return Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6)
+    return with_roots_counted(Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6))
 
 
 @scheme(
@@ -183,6 +202,7 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
     conserves=CONSERVES,
     citation=CITATION,
     equations="(B), Kxi, direct",
+    limits=LIMITS,
     options=ChartOptions,
 )
 def build_b(top: Top, options: ChartOptions) -> Stepper:
@@ -195,9 +215,9 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     """
     root = ROOTS[options.branch]
     if options.chart == "single":
-        return Stepper(bohlin_step(method_b_single, root), 6)
+        return with_roots_counted(Stepper(bohlin_step(method_b_single, root), 6))
     step = counting_step(bohlin_step(method_b_switch, root))
-    return Stepper(step, 7, enter_counted, leave_counted, counters=("chart_switches",))
+    return with_roots_counted(Stepper(step, 7, enter_counted, leave_counted, counters=("chart_switches",)))
 
 
 @scheme(
@@ -210,6 +230,7 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     conserves=CONSERVES,
     citation=CITATION,
     equations="(C), Kxi, direct",
+    limits=LIMITS,
     options=BranchOptions,
 )
 def build_c(top: Top, options: BranchOptions) -> Stepper:
@@ -217,4 +238,4 @@ def build_c(top: Top, options: BranchOptions) -> Stepper:
 
     The rotation needs no axis, so omega = 0 is an ordinary point.
     """
-    return Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6)
+    return with_roots_counted(Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6))

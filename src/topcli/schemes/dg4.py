@@ -38,6 +38,7 @@ from topcli.kernels.four_integrals import (
     xi_of,
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.schemes.limits import NEWTON_SINGULAR, NO_GRADIENT
 from topcli.schemes.projected import REACH, VANISHING, leave
 from topcli.schemes.registry import scheme
 from topcli.tops.kowalevski import field
@@ -46,6 +47,10 @@ FOUR = 16
 """Iterations before a step by the midpoint rule is made instead; three to five are the rule."""
 MIDPOINT = 40
 """Iterations for that before the step is given up."""
+COUNTERS = ("iterations", "midpoint_steps", "short_corrections")
+"""Iterations made; steps by the midpoint rule instead; steps that left an integral out or short, the gradients being
+nearly dependent."""
+Seven = tuple[float, float, float, float, float, float, float]
 FLOOR = 2.0**10
 """How far above ``SETTLED`` an iteration may stall."""
 SETTLED = 4.0 * EPS
@@ -57,6 +62,12 @@ def wanted_change(y: Floats, e: Floats, excess: Four, reach: float, four: bool, 
 
     With ``four`` false it is h f(m) alone: the implicit midpoint rule, which keeps the three quadratic integrals.
     """
+    b1, b2, b3, b4, b5, b6, _ = wanted_and_short(y, e, excess, reach, four, h, p)
+    return (b1, b2, b3, b4, b5, b6)
+
+
+def wanted_and_short(y: Floats, e: Floats, excess: Four, reach: float, four: bool, h: float, p: Floats) -> Seven:
+    """``wanted_change``, and how many integrals are not met in full because the Gram matrix is near singular."""
     c = p[0]
     m: Floats = (
         y[0] + 0.5 * e[0],
@@ -69,13 +80,13 @@ def wanted_change(y: Floats, e: Floats, excess: Four, reach: float, four: bool, 
     f = field(m, p)
     v = (h * f[0], h * f[1], h * f[2], h * f[3], h * f[4], h * f[5])
     if not four:
-        return v
+        return (v[0], v[1], v[2], v[3], v[4], v[5], 0.0)
     column = mean_column(y, e, c)
     r1, r2, r3, r4 = components(m, c, column, v)
     residual = (r1 + excess[0], r2 + excess[1], r3 + excess[2], r4 + excess[3])
-    x1, x2, x3, x4, _ = solved(factorized(gram(m, c, column), True), residual, reach * length_sq(v))
+    x1, x2, x3, x4, short = solved(factorized(gram(m, c, column), True), residual, reach * length_sq(v))
     b = combination(m, c, column, (x1, x2, x3, x4))
-    return (v[0] - b[0], v[1] - b[1], v[2] - b[2], v[3] - b[3], v[4] - b[4], v[5] - b[5])
+    return (v[0] - b[0], v[1] - b[1], v[2] - b[2], v[3] - b[3], v[4] - b[4], v[5] - b[5], short)
 
 
 def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r: Six) -> Six:
@@ -92,8 +103,8 @@ def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r:
 
 
 def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
-    """Omega, gamma; the four values aimed at; whether the iteration settled; iterations and midpoint steps so far."""
-    w1, w2, w3, g1, g2, g3, i1, i2, i3, k, _, iterations, midpoint_steps = s
+    """Omega, gamma; the four values aimed at; whether the iteration settled; the counters."""
+    w1, w2, w3, g1, g2, g3, i1, i2, i3, k, _, iterations, midpoint_steps, short_corrections = s
     c = p[0]
     d = 0.5 * h
     y = (w1, w2, w3, g1, g2, g3)
@@ -113,13 +124,13 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     four = k > VANISHING * (w * w + abs(c) * g)
     start = (z1, z2, z3, z4, z5, z6)
     status = math.nan
-    off = 0.0
+    off, short = 0.0, 0.0
     for i in range(FOUR + MIDPOINT):
         if i == FOUR:
             four = False
             z1, z2, z3, z4, z5, z6 = start
         iterations += 1.0
-        f1, f2, f3, f4, f5, f6 = wanted_change(y, (z1, z2, z3, z4, z5, z6), excess, reach * reach, four, h, p)
+        f1, f2, f3, f4, f5, f6, short = wanted_and_short(y, (z1, z2, z3, z4, z5, z6), excess, reach * reach, four, h, p)
         r = (f1 - z1, f2 - z2, f3 - z3, f4 - z4, f5 - z5, f6 - z6)
         before = off
         off = abs(r[0]) + abs(r[1]) + abs(r[2]) + abs(r[3]) + abs(r[4]) + abs(r[5])
@@ -132,6 +143,8 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         z1, z2, z3, z4, z5, z6 = z1 + b1, z2 + b2, z3 + b3, z4 + b4, z5 + b5, z6 + b6
     if not four:
         midpoint_steps += 1.0
+    if short > 0.0:
+        short_corrections += 1.0
     return (
         w1 + z1,
         w2 + z2,
@@ -146,12 +159,13 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         status,
         iterations,
         midpoint_steps,
+        short_corrections,
     )
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:
     """The physical state with the values of its integrals; nothing iterated yet."""
-    return (y[0], y[1], y[2], y[3], y[4], y[5], *targets_with_k(y, p), 0.0, 0.0, 0.0)
+    return (y[0], y[1], y[2], y[3], y[4], y[5], *targets_with_k(y, p), 0.0, 0.0, 0.0, 0.0)
 
 
 @scheme(
@@ -164,6 +178,17 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="McLachlan, Quispel, Robidoux 1999; Dahlby, Owren, Yaguchi 2011 (several integrals)",
     equations="y' = y + h (1 - D (D^T D)^-1 D^T) f((y + y')/2), D the discrete gradients of gamma², 2l, E, k²",
+    limits={
+        "delone": NO_GRADIENT,
+        "torus-e4": "Where the torus has shrunk to a closed orbit the gradients are dependent and the iteration with "
+        "k² does not settle: the step is the midpoint rule's, k² moves by about 1e-12, and the steps are counted.",
+        "resonance": "With steps of about a turn the iteration with k² does not settle: the step is the midpoint "
+        "rule's, which keeps gamma², 2l and E only; counted.",
+        "singular-step": NEWTON_SINGULAR,
+        "huge": "The iteration ends at the round-off of the whole state: where omega is larger than gamma by many "
+        "powers of ten, gamma's last digits are not settled, and gamma² moves by 1e-12. Beyond |omega| of about 1e77 "
+        "|xi|² leaves the range and the step is the midpoint rule's.",
+    },
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """The implicit midpoint rule without its part along the discrete gradients of gamma², 2l, E and k².
@@ -173,4 +198,4 @@ def build(top: Top, options: NoOptions) -> Stepper:
     not settle, the step is the midpoint rule's, which keeps gamma², 2l and E; the run reports how often. A step that
     does not settle either ends the run as `no_convergence`.
     """
-    return Stepper(dg4_step, 13, enter, leave, ("iterations", "midpoint_steps"), iterative=True)
+    return Stepper(dg4_step, 14, enter, leave, COUNTERS, iterative=True)

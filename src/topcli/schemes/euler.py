@@ -10,7 +10,9 @@ What makes them fast:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,14 +25,21 @@ from topcli.kernels.euler import (
     implicit_increment,
     midpoint_half,
 )
-from topcli.kernels.increments import Change
+from topcli.kernels.hk_determinant import euler_determinant
+from topcli.kernels.increments import Change, first3, first6
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.compensated import CompensatedOption, increment_stepper
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.limits import NEWTON_SINGULAR, NO_SOLUTION, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.euler import Euler
 
 FORMS = ("euler", "euler+gamma")
 CITATION = "Sogo, Discrete Spinning Tops, section 1.2"
+GAMMA_GROWS = (
+    "omega stays bounded, as the modified integrals have it, but gamma's linear map has nothing that holds its "
+    "length: with steps of about a turn it grows without bound."
+)
 
 OmegaChange = Callable[[float, float, float, float, Floats], Vector]
 """``change(w1, w2, w3, d, p)``: omega' - omega for d = h/2."""
@@ -126,6 +135,28 @@ def _stepper(top: Top, change: OmegaChange, axis: Axis, options: CompensatedOpti
     return increment_stepper(rotating_change(change, axis), 6, options)
 
 
+def _iterative(stepper: Stepper, d: int) -> Stepper:
+    """``stepper`` with a status behind its state: nan where Newton's method, which then gives nan, did not converge."""
+    step, inner_enter = stepper.step, stepper.enter
+
+    def stepped(s: Floats, h: float, p: Floats) -> Floats:
+        new = step(s[:-1], h, p)
+        status = math.nan if math.isnan(new[0]) else 0.0
+        return (*new, status)
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (*(inner_enter(y, h, p) if inner_enter else y), 0.0)
+
+    return replace(
+        stepper,
+        step=stepped,
+        width=stepper.width + 1,
+        enter=enter,
+        leave=first3 if d == 3 else first6,
+        iterative=True,
+    )
+
+
 def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Invariant, ...]:
     """The exact integrals of the HK map (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011).
 
@@ -184,6 +215,7 @@ def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Inva
     citation="Hirota, Kimura 2000; " + CITATION,
     equations="the first difference equations of section 1.2; gamma as in dEulerPoisson, last term corrected",
     options=CompensatedOption,
+    limits=lambda top: {"singular-step": SINGULAR} | ({} if len(top.components) == 3 else {"resonance": GAMMA_GROWS}),
 )
 def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     """Every product of two components y z becomes (y' z + y z')/2: linear in the new state, solved in closed form.
@@ -191,9 +223,9 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     m² and m·omega are not conserved, but m²/K and m·omega/K are, with K = 1 + O(h²): their errors are of size h² and
     return to zero. With gamma carried, gamma² and m·gamma are conserved no better.
     """
-    if len(top.components) == 3:
-        return increment_stepper(omega_change(hk_change), 3, options)
-    return increment_stepper(hk_gamma_change, 6, options)
+    d = len(top.components)
+    made = increment_stepper(omega_change(hk_change) if d == 3 else hk_gamma_change, d, options)
+    return counting(made, NEAR_SINGULAR, small_determinant(euler_determinant))
 
 
 def _rotation_invariants(top: Top) -> tuple[str, ...]:
@@ -231,14 +263,16 @@ def build_bs(top: Top, options: CompensatedOption) -> Stepper:
     citation=CITATION + ", after Bobenko, Suris 1999",
     equations="EulerBS with omega^{n+1}; gamma by (A) with omega^{n+1}",
     options=CompensatedOption,
+    limits={"singular-step": NEWTON_SINGULAR},
 )
 def build_bs_implicit(top: Top, options: CompensatedOption) -> Stepper:
     """The inverse of ``bs`` with -h: m and gamma turn by Cayley's rotation with the new omega.
 
     Newton's method with halved corrections as a safeguard finds omega to round-off. m², gamma² and m·gamma are
-    conserved; m·omega falls until the top turns about the axis of its largest moment.
+    conserved; m·omega falls until the top turns about the axis of its largest moment. A step that does not settle ends
+    the run as `no_convergence`.
     """
-    return _stepper(top, implicit_change, new, options)
+    return _iterative(_stepper(top, implicit_change, new, options), len(top.components))
 
 
 @scheme(
@@ -252,11 +286,12 @@ def build_bs_implicit(top: Top, options: CompensatedOption) -> Stepper:
     citation=CITATION,
     equations="the last difference equations of section 1.2; gamma by the modified BS scheme of section 3.2.3",
     options=CompensatedOption,
+    limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR},
 )
 def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
     """m and gamma turn by Cayley's rotation with the mean omega: all integrals are conserved.
 
     Newton's method on three unknowns starts from HK's step, which misses by O(h³); two or three corrections reach
-    round-off.
+    round-off. A step that does not settle ends the run as `no_convergence`.
     """
-    return _stepper(top, midpoint_change, mean, options)
+    return _iterative(_stepper(top, midpoint_change, mean, options), len(top.components))

@@ -214,6 +214,10 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     modified=hk_integrals,
     citation="Hirota, Kimura 2000; Petrera, Suris 2010",
     equations="the first difference equations of section 1.2, solved by Jacobi's functions",
+    limits={
+        "singular-step": "Where K_S <= 0 the phase of the map is no longer real; such steps, of the order of "
+        "2/|omega| and beyond, are refused with the longest that is not.",
+    },
 )
 def build_hk_exact(top: Top, options: NoOptions) -> Sampler:
     """The states of ``hk`` without its round-off: Jacobi's functions at a phase that grows by 2 v a step.

@@ -9,8 +9,11 @@ What makes it fast:
 from __future__ import annotations
 
 from topcli.contracts import Stepper, Top
+from topcli.kernels.hk_determinant import kowalevski_determinant
 from topcli.kernels.hk_kowalevski import hk_kowalevski_change
 from topcli.schemes.compensated import CompensatedOption, increment_stepper
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
 
@@ -24,6 +27,7 @@ from topcli.schemes.registry import scheme
     citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
+    limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form.
@@ -31,4 +35,6 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     Every quadratic term y z of the field becomes (y' z + y z')/2, every linear term its mean. The step is its own
     inverse under h -> -h. It conserves none of the four integrals exactly; their deviations stay bounded, of size h².
     """
-    return increment_stepper(hk_kowalevski_change, 6, options)
+    return counting(
+        increment_stepper(hk_kowalevski_change, 6, options), NEAR_SINGULAR, small_determinant(kowalevski_determinant)
+    )

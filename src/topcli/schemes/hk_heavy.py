@@ -10,7 +10,10 @@ from __future__ import annotations
 
 from topcli.contracts import Stepper, Top
 from topcli.kernels.euler_poisson import hk_heavy_change
+from topcli.kernels.hk_determinant import heavy_determinant
 from topcli.schemes.compensated import CompensatedOption, increment_stepper
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
 
@@ -24,6 +27,7 @@ from topcli.schemes.registry import scheme
     citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 2.1",
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
+    limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state: gamma by Cayley's inverse, then three equations for omega, solved in closed form.
@@ -31,4 +35,4 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     It conserves none of the three integrals exactly; the deviations are of size h². Where a special top has a
     scheme `hk` of its own it is the same map, written faster.
     """
-    return increment_stepper(hk_heavy_change, 6, options)
+    return counting(increment_stepper(hk_heavy_change, 6, options), NEAR_SINGULAR, small_determinant(heavy_determinant))

@@ -9,10 +9,13 @@ What makes it fast:
 from __future__ import annotations
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
+from topcli.kernels.hk_determinant import kowalevski_determinant
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
+from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR, counting, small_determinant, two_roots
+from topcli.schemes.limits import OVERFLOW, SINGULAR
 from topcli.schemes.registry import scheme
 
 
@@ -36,6 +39,18 @@ def hybrid_step(root: Root) -> StepFunction:
     return step
 
 
+def hk_prediction(s: Floats, h: float, p: Floats) -> tuple[float, float]:
+    """HK's omega1, omega2, by which the root is chosen."""
+    q1, q2, _, _, _, _ = hk_kowalevski((s[0], s[1], s[2], s[3], s[4], s[5]), h, p)
+    return (q1, q2)
+
+
+def with_hk_counted(stepper: Stepper) -> Stepper:
+    """``stepper`` with counters of the steps in which HK's solve was near singular or the roots hardly told apart."""
+    counted = counting(stepper, NEAR_SINGULAR, small_determinant(kowalevski_determinant))
+    return counting(counted, AMBIGUOUS, two_roots(hk_prediction))
+
+
 @scheme(
     "hybrid",
     top="kowalevski",
@@ -46,6 +61,7 @@ def hybrid_step(root: Root) -> StepFunction:
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="dEulerPoisson, modified BS scheme, Kxi",
+    limits={"singular-step": SINGULAR, "huge": OVERFLOW},
     options=BranchOptions,
 )
 def build(top: Top, options: BranchOptions) -> Stepper:
@@ -54,4 +70,4 @@ def build(top: Top, options: BranchOptions) -> Stepper:
     omega3 is HK's. |gamma| and k = |omega² - c gamma| are conserved. The step is not self-adjoint, against what the
     paper says: a step forward and back misses by O(h⁴), and 2l and E drift.
     """
-    return Stepper(hybrid_step(ROOTS[options.branch]), 6)
+    return with_hk_counted(Stepper(hybrid_step(ROOTS[options.branch]), 6))

@@ -31,6 +31,7 @@ from topcli.kernels.increments import carried_sum
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import Vector, cayley_increment
 from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.limits import FAR_OVERFLOW, NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.registry import scheme
 
 NEWTON = 30
@@ -184,6 +185,7 @@ def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
     citation="after Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="modified BS scheme, Kxi, with the new omega instead of HK's",
     options=CompensatedOption,
+    limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR, "huge": FAR_OVERFLOW},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
     """The hybrid's relations between old and new state, solved together by Newton's iteration from HK's step.

@@ -14,6 +14,8 @@ from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.hybrid import with_hk_counted
+from topcli.schemes.limits import OVERFLOW, SINGULAR
 from topcli.schemes.registry import scheme
 
 
@@ -84,6 +86,12 @@ class HybridOptions(BranchOptions, CompensatedOption):
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
     equations="dEulerPoisson, modified BS scheme, Kxi",
+    limits={
+        "singular-step": SINGULAR,
+        "resonance": "What brings u and gamma back to their lengths is added along the old directions: where they "
+        "turn by more than a right angle in one step it drives the lengths away instead, and gamma² grows.",
+        "huge": OVERFLOW,
+    },
     options=HybridOptions,
 )
 def build(top: Top, options: HybridOptions) -> Stepper:
@@ -94,5 +102,6 @@ def build(top: Top, options: HybridOptions) -> Stepper:
     """
     if options.compensated:
         step = compensated_step(ROOTS[options.branch])
-        return Stepper(step, 16, enter_compensated, leave_carried, checked=6)
-    return Stepper(hybrid_xi_step(ROOTS[options.branch]), 10, enter_carried, leave_carried, checked=6)
+        return with_hk_counted(Stepper(step, 16, enter_compensated, leave_carried, checked=6))
+    step = hybrid_xi_step(ROOTS[options.branch])
+    return with_hk_counted(Stepper(step, 10, enter_carried, leave_carried, checked=6))

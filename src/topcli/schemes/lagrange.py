@@ -13,10 +13,13 @@ import numpy as np
 
 from topcli.contracts import Array, Floats, Invariant, NoOptions, Sampler, Stepper, Top
 from topcli.kernels.fused import fma
+from topcli.kernels.hk_determinant import lagrange_determinant
 from topcli.kernels.hk_lagrange import enter_compensated, hk_lagrange, hk_lagrange_compensated
 from topcli.kernels.increments import first6
 from topcli.kernels.so3 import cayley_increment
 from topcli.schemes.compensated import CompensatedOption, compensation_wanted
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
 from topcli.tops.lagrange_exact import body_states, inertial_states
@@ -102,6 +105,7 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
     citation="Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
+    limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form.
@@ -109,9 +113,10 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     omega3 is conserved bit for bit. gamma², m·gamma and E are not, but each is by O(h²) from an integral of the map
     itself: the modified integrals, exact at every h. The map is integrable.
     """
+    made = Stepper(hk_lagrange, 6)
     if compensation_wanted(options):
-        return Stepper(hk_lagrange_compensated, 11, enter_compensated, first6, checked=6)
-    return Stepper(hk_lagrange, 6)
+        made = Stepper(hk_lagrange_compensated, 11, enter_compensated, first6, checked=6)
+    return counting(made, NEAR_SINGULAR, small_determinant(lagrange_determinant))
 
 
 def bs_step(state: Floats, h: float, p: Floats) -> Floats:
@@ -169,6 +174,10 @@ def build_bs(top: Top, options: NoOptions) -> Stepper:
     conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
     citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
     equations="(Euler), (Poisson) with A = B, x0 = y0 = 0",
+    limits={
+        "sleeping-threshold": "Asymptotic to the upright top, or within 1e-6 of it at the edge of stability, the "
+        "period is infinite or too long to resolve; such motions are refused.",
+    },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
     """gamma3 by Jacobi functions, the angle by the Fourier series of its rate; to round-off at any time.

@@ -16,6 +16,7 @@ from topcli.contracts import Floats, Stepper, Top
 from topcli.kernels.euler_poisson import midpoint_change
 from topcli.kernels.increments import carried_sum, first6
 from topcli.schemes.compensated import CompensatedOption, compensation_wanted
+from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 from topcli.tops import TOPS
@@ -68,6 +69,7 @@ def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
     citation="Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)",
     equations="y' - y = h f((y' + y)/2) for EulerPoisson",
     options=CompensatedOption,
+    limits=lambda top: {"singular-step": LONG_NEWTON} if top.form == "heavy" else {},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
     """Solved by Newton's iteration to round-off; a step that does not settle ends the run as `no_convergence`.

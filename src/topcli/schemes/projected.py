@@ -33,6 +33,7 @@ from topcli.kernels.four_integrals import (
     xi_of,
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.schemes.limits import NO_GRADIENT
 from topcli.schemes.registry import scheme
 
 ROUNDS = 3
@@ -53,6 +54,13 @@ TINY = 1e-300
 REACH = 1.0
 """A correction's largest length: this times h² (omega² + c gamma), but no more than 1, of the step's own length."""
 CONSERVES = ("gamma_sq", "two_l", "energy", "k_sq")
+LIMITS = {
+    "delone": NO_GRADIENT,
+    "resonance": "With steps of about a turn HK jumps so far that no correction as short as its own step reaches the "
+    "values; counted as unmet.",
+    "singular-step": "HK's step is singular at this h, and from a state of size 1e15 and beyond there is no way back "
+    "to the values; counted as unmet.",
+}
 COUNTERS = ("corrections", "short_corrections", "unmet")
 """Corrections made; steps where one was cut or left an integral out; steps that did not meet all four values."""
 
@@ -151,6 +159,7 @@ def leave(s: Floats, h: float, p: Floats) -> Floats:
     conserves=CONSERVES,
     citation="Hairer, Lubich, Wanner, Geometric Numerical Integration, section IV.4 (projection methods)",
     equations="y' = z - D(z) x with z = HK(y), the gradients D of gamma², 2l, E, k, and x such that all four are kept",
+    limits=LIMITS,
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """HK, then the shortest way back to the values that gamma², 2l, E and k had at the start.
@@ -262,6 +271,7 @@ def enter_symmetric(y: Floats, h: float, p: Floats) -> Floats:
     conserves=CONSERVES,
     citation="Hairer 2000 (symmetric projection methods)",
     equations="y' = HK(y + D(y) x) + D(y') x, D the gradients of gamma², 2l, E, k², and x such that all four are kept",
+    limits=LIMITS,
 )
 def build_symmetric(top: Top, options: NoOptions) -> Stepper:
     """HK between two shifts along the gradients of gamma², 2l, E and k², off their surface and back onto it.

@@ -6,12 +6,13 @@ import hashlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel
@@ -65,11 +66,13 @@ def scheme(
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
+    limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
 ) -> Callable[[Build], Build]:
     """Register ``build(top, options) -> Stepper | Sampler`` as the scheme ``name`` of ``top``.
 
     ``top`` is a form of a top, several of them, or None for every one; one name may also serve several tops with a
-    decorated function each. ``conserves`` names invariants, or gives them for a top. The docstring of the function
+    decorated function each. ``conserves`` names invariants, or gives them for a top; ``limits`` says in which hard
+    cases or under which conditions the scheme fails, and why, or gives that for a top. The docstring of the function
     documents the scheme. Raises ValueError for a name already taken for a top or with a +, or a missing docstring.
     """
     forms = TOPS if top is None else (top,) if isinstance(top, str) else tuple(top)
@@ -99,6 +102,7 @@ def scheme(
                 options=options,
                 modified=modified,
                 adaptive=adaptive,
+                limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
                 doc=inspect.cleandoc(build.__doc__),
                 origin=_origin,
             )

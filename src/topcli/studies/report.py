@@ -89,6 +89,19 @@ def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[s
     )
 
 
+ORDINARY = ("iterations", "evaluations", "corrections", "chart_switches")
+"""Counters of what a scheme does anyway; any other counts what a user should know of."""
+
+
+def warning_of(report: dict[str, Any]) -> str:
+    """What was counted that a user should know of, as a line; empty where there was nothing."""
+    counted = {name: count for name, count in report["counters"].items() if count and name not in ORDINARY}
+    if not counted:
+        return ""
+    told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counted.items())
+    return f"{told} in {report['step']} steps; topcli show {report['scheme']} tells of limits"
+
+
 def invariant_table(report: dict[str, Any]) -> list[list[str]]:
     """The invariant report as lines of cells, a column for each invariant; the first line is the header."""
     cells = [invariant_cells(row) for row in report["invariants"]]

@@ -1,0 +1,145 @@
+"""``topcli stress``: the hard cases, and how every scheme comes through them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from textwrap import fill, shorten
+from typing import Annotated, Any
+
+import typer
+
+from topcli.cli.options import Json, Out, SchemeFiles, complete_scheme, complete_top, load_scheme_files
+from topcli.cli.talk import ProgressTeller, on_terminal, print_json, print_table, say
+
+MARKS = {"held": "·", "degraded": "o", "broke": "X", "not tried": " "}
+SHOWN = 40
+"""Up to so many trials are all listed; of more, those that did not hold."""
+
+
+def complete_case(incomplete: str) -> list[str]:
+    """Names of hard cases that begin with ``incomplete``."""
+    from topcli.studies.stress import case_names
+
+    return [name for name in case_names() if name.startswith(incomplete.lower())]
+
+
+def _options(sets: list[str]) -> dict[str, Any]:
+    """Options of schemes given by ``--set scheme.KEY=VALUE``. Raises UsageError for anything else."""
+    from topcli.config.overrides import parse_override
+    from topcli.errors import UsageError
+
+    options: dict[str, Any] = {}
+    for text in sets:
+        path, value = parse_override(text)
+        if path[0] != "scheme" or len(path) != 2 or path[1] in ("name", "compose"):
+            raise UsageError(f"--set {text}: only options of schemes can be set, as scheme.KEY=VALUE; a case is fixed")
+        options[str(path[1])] = value
+    return options
+
+
+def _grid(data: dict[str, Any], top: str) -> None:
+    """The schemes of one top against its cases, a letter each; the cases are numbered below."""
+    trials = [one for one in data["trials"] if one["top"] == top]
+    cases = list(dict.fromkeys(one["case"] for one in trials))
+    marks: dict[str, dict[str, str]] = {}
+    for one in trials:
+        marks.setdefault(one["scheme"], {})[one["case"]] = MARKS[one["outcome"]]
+    header = [top, *(str(number) for number in range(1, len(cases) + 1))]
+    rows = [[scheme, *(row.get(case, " ") for case in cases)] for scheme, row in marks.items()]
+    print_table(header, rows)
+    legend = ", ".join(f"{number}\u00a0{case}" for number, case in enumerate(cases, 1))
+    text = fill(legend, 110, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+    print(text.replace("\u00a0", " ") + "\n")
+
+
+def _list(trials: list[dict[str, Any]]) -> None:
+    rows = []
+    for one in trials:
+        what = one["outcome"] if one["step"] is None else f"{one['outcome']} at step {one['step']}"
+        meaning = {"ok": "", "limit": "declared limit"}.get(one["verdict"], one["verdict"].upper())
+        rows.append([one["scheme"], one["top"], one["case"], what, shorten(one["why"], 100), meaning])
+    header = ["scheme", "top", "case", "outcome", "why", ""]
+    if on_terminal():
+        print_table(header, rows, numbers=False)
+        return
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+    for row in [header, *rows]:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _summary(data: dict[str, Any]) -> str:
+    counts = [f"{count} {outcome}" for outcome, count in data["outcomes"].items()]
+    limits = data["verdicts"].get("limit", 0)
+    return ", ".join(counts) + (f"; {limits} of those that broke are declared limits" if limits else "")
+
+
+def stress(
+    schemes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="SCHEME...", help="Names of schemes; all by default.", autocompletion=complete_scheme),
+    ] = None,
+    cases: Annotated[
+        list[str] | None,
+        typer.Option("--case", metavar="CASE", help="Only this case; may be repeated.", autocompletion=complete_case),
+    ] = None,
+    top: Annotated[
+        str | None, typer.Option("--top", help="Only schemes and cases of this top.", autocompletion=complete_top)
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="An option for the schemes that have it: scheme.branch=sign."),
+    ] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="List what held as well.")] = False,
+    out: Out = Path("results"),
+    as_json: Json = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Put schemes to hard cases: what holds, what degrades, what breaks where, and whether the scheme says so.
+
+    Leaves with 4 when a scheme breaks without declaring it as its limit, or declares a limit that it outlives.
+    """
+    from topcli.errors import UsageError, nearest
+    from topcli.store.run_folder import require_writable
+    from topcli.studies.stress.record import stress_data, stress_source, write_stress
+    from topcli.studies.stress.suite import chosen
+    from topcli.studies.stress.suite import stress as put_to_stress
+
+    load_scheme_files(scheme_files)
+    options = _options(sets or [])
+    used, _ = chosen(schemes or (), cases or (), top)
+    for key in options:
+        known = {name for scheme in used for name in scheme.options.model_fields}
+        if key not in known:
+            raise UsageError(f"--set scheme.{key}: none of the schemes has this option; {nearest(key, known)}")
+    whole = not (schemes or cases or top or options)
+    if whole:
+        require_writable(out)
+    teller = ProgressTeller(1, as_json)
+    teller.begin("stress")
+    judged = put_to_stress(schemes or (), cases or (), top, options, teller)
+    teller.close()
+    data = stress_data(judged)
+    files = [str(write_stress(data, out, stress_source()))] if whole else []
+    trials = data["trials"]
+    if as_json:
+        print_json("stress", {**data, "files": files})
+    else:
+        every = verbose or len(trials) <= SHOWN
+        if not every:
+            for form in dict.fromkeys(one["top"] for one in trials):
+                _grid(data, form)
+            print("· held   o degraded   X broke   (blank: not tried, or not a case of it)\n")
+        listed = [one for one in trials if every or one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"]
+        _list(listed)
+        if on_terminal():
+            print()
+        say(_summary(data))
+        for file in files:
+            say(f"wrote {file}; draw it with: topcli plot stress")
+    wrong = [one for one in trials if one["verdict"] in ("unexplained", "outlived limit")]
+    for one in wrong:
+        unexplained = one["verdict"] == "unexplained"
+        what = "breaks without a declared limit" if unexplained else "declares a limit and outlives it"
+        say(f"error: {one['scheme']} ({one['top']}), case {one['case']}: {what}: {one['why']}")
+    if wrong:
+        raise typer.Exit(4)

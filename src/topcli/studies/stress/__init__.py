@@ -1,0 +1,23 @@
+"""The hard cases, and how every scheme comes through them: ``suite.stress`` runs them, ``CASES`` lists them."""
+
+from __future__ import annotations
+
+from topcli.errors import UnknownNameError, nearest
+from topcli.studies.stress.case import Case
+from topcli.studies.stress.kowalevski import KOWALEVSKI
+from topcli.studies.stress.others import OTHERS
+
+CASES: tuple[Case, ...] = (*KOWALEVSKI, *OTHERS)
+
+
+def case_names() -> list[str]:
+    """The names of the cases; one name may stand for the same question about several tops."""
+    return list(dict.fromkeys(case.name for case in CASES))
+
+
+def cases_named(name: str) -> list[Case]:
+    """The cases called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
+    found = [case for case in CASES if case.name == name.lower()]
+    if not found:
+        raise UnknownNameError(f"unknown case {name!r}; {nearest(name, case_names())}")
+    return found

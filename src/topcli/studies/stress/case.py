@@ -1,0 +1,205 @@
+"""A hard case: an experiment without a scheme, a question about it, and a check that answers it.
+
+Outcomes: *held*: the scheme does what it claims. *degraded*: it comes through with every claim kept, but its accuracy
+is lost. *broke*: it blew up, did not converge, refused, left the motion altogether, or violated what it claims.
+*not tried*: the case asks something that the scheme does not claim, or would take too long in the interpreter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.analysis.reference import reference_states
+from topcli.config.load import experiment_from
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Ending, Floats, Invariant, Method, Outcome, Stepper, Top
+from topcli.engine.driver import Loop, loop_of
+from topcli.engine.loop import Run
+
+PLAIN_STEPS = 400
+"""About as many steps are taken by what runs in the interpreter, longer ones if need be."""
+
+
+class Result(StrEnum):
+    """How a scheme came through a case, from good to bad."""
+
+    HELD = "held"
+    NOT_TRIED = "not tried"
+    DEGRADED = "degraded"
+    BROKE = "broke"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The answer: the result, why in one short phrase with figures, and the step at which it broke."""
+
+    result: Result
+    why: str
+    step: int | None = None
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A run in memory: step numbers (m,), states (m, d), how it ended."""
+
+    n: NDArray[np.int64]
+    states: Array
+    ending: Ending
+    h: float
+
+    @property
+    def t(self) -> Array:
+        """Times of the states, (m,)."""
+        return self.n * self.h
+
+
+@dataclass(frozen=True)
+class Case:
+    """One hard case for the schemes of one form of a top.
+
+    ``config`` gives the experiment as a config without a scheme; ``check`` answers the ``question`` for a trial.
+    """
+
+    name: str
+    form: str
+    question: str
+    config: Callable[[], Mapping[str, Any]]
+    check: Callable[[Trial], Finding]
+
+    def experiment(self, scheme: str, options: Mapping[str, Any] | None = None) -> Experiment:
+        """The case as an experiment with ``scheme``. Raises ConfigError and its kin for unknown names and options."""
+        name = f"stress_{self.name}".replace("-", "_")
+        return experiment_from({"name": name, "scheme": {"name": scheme, **(options or {})}, **self.config()})
+
+
+class Workshop:
+    """Loops made ready once for a scheme and the constants of a top, and references computed once for a case."""
+
+    def __init__(self) -> None:
+        self._methods: dict[Any, tuple[Method, Loop]] = {}
+        self._references: dict[Any, Array] = {}
+
+    def method(self, experiment: Experiment) -> tuple[Method, Loop]:
+        """The method and its loop."""
+        top = experiment.top
+        key = (experiment.scheme.name, top.form, repr(top), repr(experiment.options))
+        if key not in self._methods:
+            method = experiment.method()
+            self._methods[key] = (method, loop_of(method, len(top.components), len(top.constants())))
+        return self._methods[key]
+
+    def reference(self, top: Top, y0: Floats, times: Array) -> Array:
+        """The motion at ``times``, (m, d)."""
+        key = (top.form, repr(top), y0, times.tobytes())
+        if key not in self._references:
+            self._references[key] = reference_states(top, y0, times)
+        return self._references[key]
+
+
+class Trial:
+    """One scheme in one case: what the checks work with."""
+
+    def __init__(self, case: Case, experiment: Experiment, workshop: Workshop) -> None:
+        self.case, self.experiment = case, experiment
+        self.scheme, self.top, self.y0 = experiment.scheme, experiment.top, experiment.y0
+        self.method, self._loop = workshop.method(experiment)
+        self._workshop = workshop
+        self.plain = isinstance(self.method, Stepper) and self.method.plain
+        factor = max(1, experiment.N // PLAIN_STEPS) if self.plain else 1
+        self.h, self.N = experiment.h * factor, max(1, experiment.N // factor)
+        self.counters: dict[str, int] = {}
+
+    def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Floats | None = None) -> Motion:
+        """Run the case, or with another step, another number of steps, or from another state."""
+        h, N = h or self.h, N or self.N
+        run = Run(self.top, self.method, y0 or self.y0, h, N, every, loop=self._loop)
+        with np.errstate(all="ignore"):
+            pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in run]
+        assert run.ending is not None
+        if not self.counters:
+            self.counters = dict(run.ending.counters)
+        n, states = np.concatenate([n for n, _ in pieces]), np.concatenate([states for _, states in pieces])
+        return Motion(n, states, run.ending, h)
+
+    def reference(self, times: Array) -> Array:
+        """The exact motion of the case at ``times``, (m, d)."""
+        return self._workshop.reference(self.top, self.y0, times)
+
+    def claimed(self, h: float) -> list[Invariant]:
+        """The invariants that the scheme claims to conserve to round-off at this step."""
+        kept = [invariant for invariant in self.top.invariants() if invariant.name in self.scheme.conserves]
+        modified = self.scheme.modified(self.top, h, self.experiment.options) if self.scheme.modified else ()
+        return [*kept, *modified]
+
+
+CLAIM_ULPS = 50.0
+"""A claimed invariant may deviate by this many ulp of its terms times sqrt(steps)."""
+
+
+def ended_badly(motion: Motion) -> Finding | None:
+    """The finding on a run that did not complete."""
+    ending = motion.ending
+    if ending.outcome is Outcome.COMPLETED:
+        return None
+    what = {Outcome.BLEW_UP: "blew up", Outcome.NO_CONVERGENCE: "did not converge"}[ending.outcome]
+    return Finding(Result.BROKE, f"{what} at step {ending.step} (t = {ending.t:.4g})", ending.step)
+
+
+def claim_violated(trial: Trial, motion: Motion) -> Finding | None:
+    """The finding on a run that does not keep what the scheme claims to conserve."""
+    with np.errstate(all="ignore"):
+        for invariant in trial.claimed(motion.h):
+            values = invariant.value(motion.states)
+            scale = np.maximum.accumulate(invariant.scale(motion.states))
+            if not (np.isfinite(values).all() and np.isfinite(scale).all()):
+                continue  # terms beyond the range of a double tell nothing
+            deviation = np.abs(values - values[0])
+            bound = CLAIM_ULPS * float(np.finfo(float).eps) * np.sqrt(np.maximum(motion.n, 1)) * scale
+            # a denormal has an absolute error, which no relative bound covers
+            over = deviation > np.maximum(bound, 1e-300)
+            if over.any():
+                at = int(np.argmax(over))
+                why = f"claims {invariant.symbol}, off by {deviation[at]:.1e} (round-off: {bound[at]:.1e})"
+                return Finding(Result.BROKE, why, int(motion.n[at]), {"deviation": float(deviation.max())})
+    return None
+
+
+def fault(trial: Trial, motion: Motion) -> Finding | None:
+    """What is wrong with a run whatever the question: it did not complete, or violates a claim."""
+    return ended_badly(motion) or claim_violated(trial, motion)
+
+
+def lasting(top: Top, state: Floats, t: float) -> list[float]:
+    """The state from which the motion of ``top`` reaches ``state`` after the time ``t``."""
+    return _lasting(top, tuple(state), t)  # pyright: ignore[reportArgumentType] (frozen, hence hashable)
+
+
+@cache
+def _lasting(top: Top, state: Floats, t: float) -> list[float]:
+    return reference_states(top, state, np.array([-t]))[0].tolist()
+
+
+def initial(top: Top, state: Floats) -> dict[str, list[float]]:
+    """The ``initial`` section of a config for ``state``; unit vectors are normalized where they miss by an ulp."""
+    section: dict[str, list[float]] = {}
+    for name, (start, stop) in top.vectors.items():
+        vector = list(state[start:stop])
+        if name in top.unit_vectors:
+            length = math.hypot(*vector)
+            vector = [value / length for value in vector]
+        section[name] = vector
+    return section
+
+
+def config(top: Top, state: Floats, h: float, N: int) -> dict[str, Any]:
+    """A config without a scheme."""
+    return {"top": {"kind": top.kind, **top.model_dump(mode="json")}, "initial": initial(top, state), "h": h, "N": N}

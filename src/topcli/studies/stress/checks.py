@@ -1,0 +1,232 @@
+"""The checks: each answers the question of a case from runs of one scheme."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from topcli.analysis.drift import invariant_report
+from topcli.analysis.order import observed_order
+from topcli.analysis.swings import minima_times
+from topcli.contracts import Array, Sampler
+from topcli.schemes.registry import find_scheme
+from topcli.studies.stress.case import Finding, Motion, Result, Trial, ended_badly, fault
+
+EPS = float(np.finfo(float).eps)
+Check = Callable[[Trial], Finding]
+
+LEFT = 0.5
+"""An error of this part of the state's size means that the scheme has left the motion."""
+ORDER_LOST = 0.35
+"""By so much the observed order may fall short of the declared one."""
+ROWS = 50
+SHORT = 50
+"""Steps far too long for accuracy that the interpreter takes."""
+ADAPTIVE_ERROR = 1e-6
+"""What is expected of a scheme that chooses its own steps to a tolerance, relative to the state."""
+EXACT_ERROR = 1e-10
+"""What is expected of a closed form."""
+RIGHT, ROUGH = 0.01, 0.1
+"""Relative errors of a time that is right, and of one that is still about right."""
+
+
+def _every(N: int) -> int:
+    return max(1, N // ROWS)
+
+
+def _errors(trial: Trial, motion: Motion) -> tuple[Array, float]:
+    """Errors (m,) of the recorded states relative to the motion's size, largest component, and that size."""
+    exact = trial.reference(motion.t)
+    size = float(np.abs(exact).max()) or 1.0
+    with np.errstate(all="ignore"):
+        return np.abs(motion.states - exact).max(axis=1) / size, size
+
+
+def keeps_order(trial: Trial) -> Finding:
+    """Does the error fall with the declared order when the step is halved, twice?"""
+    found: list[float] = []
+    for halvings in range(1 if trial.scheme.adaptive or trial.scheme.order is None else 3):
+        factor = 2**halvings
+        N = trial.N * factor
+        motion = trial.run(trial.h / factor, N, _every(trial.N) * factor)
+        wrong = fault(trial, motion)
+        if wrong:
+            return wrong
+        errors, _ = _errors(trial, motion)
+        worst = float(errors.max())
+        if not worst < LEFT:
+            at = int(np.argmax(~(errors < LEFT)))
+            why = f"left the motion: error {errors[at]:.1g} of its size at t = {motion.t[at]:.3g}"
+            return Finding(Result.BROKE, why, int(motion.n[at]), {"error": worst})
+        found.append(worst)
+    last = found[-1]
+    if len(found) == 1:
+        allowed = EXACT_ERROR if trial.scheme.order is None else ADAPTIVE_ERROR
+        result = Result.HELD if last <= allowed else Result.DEGRADED
+        return Finding(result, f"error {last:.1e}", figures={"error": last})
+    floor = 64.0 * EPS * math.sqrt(4.0 * trial.N)
+    order = observed_order([4.0, 2.0, 1.0], found, floor)
+    figures = {"error": found[0], "error_quarter_step": last}
+    if order is None:
+        return Finding(Result.HELD, f"error {last:.1e}: round-off", figures=figures)
+    assert trial.scheme.order is not None
+    held = order >= trial.scheme.order - ORDER_LOST or last <= floor
+    why = f"order {order:.2f}, error {found[0]:.1e}"
+    return Finding(
+        Result.HELD if held else Result.DEGRADED,
+        why if held else f"{why}: falls short of its order {trial.scheme.order}",
+        figures={**figures, "order": order},
+    )
+
+
+def _timed(what: str, time: float, exact: float, trial: Trial, when: str = "at") -> Finding:
+    off = abs(time - exact) / abs(exact)
+    result = Result.HELD if off <= RIGHT else Result.DEGRADED if off <= ROUGH else Result.BROKE
+    if result is Result.HELD:
+        why = f"{what} {when} t = {time:.4f}, {off:.0e} off the theory"
+    else:
+        why = f"{what} {when} t = {time:.4f}, not {exact:.4f} ({100 * off:.0f}% off)"
+    step = None if result is not Result.BROKE else round(min(time, exact) / abs(trial.h))
+    return Finding(result, why, step, {"time": time, "exact": exact, "relative_error": off})
+
+
+def swings_at(exact: float, spacing: bool = False) -> Check:
+    """Is the first deep minimum of the top's swinging component at the time ``exact``?
+
+    With ``spacing``: does the second one follow after ``exact``?
+    """
+
+    def check(trial: Trial) -> Finding:
+        motion = trial.run()
+        wrong = fault(trial, motion)
+        if wrong:
+            return wrong
+        values = motion.states[:, trial.top.components.index(trial.top.swing)]
+        times = minima_times(motion.t, values) if np.ptp(values) > 0.5 else np.empty(0)
+        if spacing:
+            times = np.diff(times)
+        if not len(times):
+            why = f"no {'second ' * spacing}swing up to t = {motion.t[-1]:.3g}; due at {exact:.4f}"
+            return Finding(Result.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
+        return _timed("swings", float(times[0]), exact, trial, "after" if spacing else "at")
+
+    return check
+
+
+def _crossing(t: Array, values: Array) -> float | None:
+    """The time of the first change of sign, on the straight line between two samples."""
+    at = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    if not len(at):
+        return None
+    i = int(at[0])
+    return float(t[i] + (t[i + 1] - t[i]) * values[i] / (values[i] - values[i + 1]))
+
+
+def flips(trial: Trial) -> Finding:
+    """Does omega2 first change its sign when the closed form says?"""
+    method = find_scheme("exact", trial.top.form).build(trial.top, None)
+    assert isinstance(method, Sampler)
+    n = np.arange(trial.N + 1, dtype=np.int64)
+    closed = method.states(np.array(trial.y0), trial.h, n, trial.top.constants())
+    exact = _crossing(n * trial.h, closed[:, 1])
+    assert exact is not None
+    motion = trial.run()
+    wrong = fault(trial, motion)
+    if wrong:
+        return wrong
+    time = _crossing(motion.t, motion.states[:, 1])
+    if time is None:
+        why = f"no flip up to t = {motion.t[-1]:.3g}; due at {exact:.4f}"
+        return Finding(Result.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
+    return _timed("flips", time, exact, trial)
+
+
+def stays_bounded(trial: Trial) -> Finding:
+    """With a step far too long for accuracy: do omega and gamma stay as small as the energy has them?
+
+    The energy bounds the true motion's omega. Held: within twice the largest value of the true motion over ten of its
+    time scales; degraded: within a hundred times; broke: beyond.
+    """
+    motion = trial.run(trial.experiment.h, SHORT) if trial.plain else trial.run()
+    wrong = fault(trial, motion)
+    if wrong:
+        return wrong
+    pace = 1.0 / max(1e-3, float(np.abs(np.array(trial.y0)).max()))
+    size = float(np.abs(trial.reference(np.linspace(0.0, 10.0 * pace, 101))).max())
+    sizes = np.abs(motion.states).max(axis=1) / size
+    largest = float(sizes.max())
+    figures = {"largest": largest}
+    if largest <= 2.0:
+        return Finding(Result.HELD, f"stays within {largest:.2g} times the motion's size", figures=figures)
+    at = int(np.argmax(sizes > 2.0))
+    why = f"grows to {largest:.1e} times the motion's size, beyond 2 at step {motion.n[at]}"
+    if largest <= 100.0:
+        return Finding(Result.DEGRADED, why, int(motion.n[at]), figures)
+    return Finding(Result.BROKE, why, int(motion.n[at]), figures)
+
+
+def returns(trial: Trial) -> Finding:
+    """N steps forward and N back: is what is left the growth of round-off?
+
+    On a regular motion independent rounding errors move the integrals by sqrt(N) ulp, and with them the rates of the
+    phases: after N steps the phases are off by ulp h N^(3/2), there and back by some times that.
+    """
+    if trial.plain:
+        return Finding(Result.NOT_TRIED, "runs in the interpreter")
+    there = trial.run(every=trial.N)
+    wrong = ended_badly(there)
+    if wrong:
+        return wrong
+    middle = tuple(there.states[-1].tolist())
+    back = trial.run(h=-trial.h, every=trial.N, y0=middle)
+    wrong = ended_badly(back)
+    if wrong:
+        return wrong
+    size = float(np.abs(np.array(trial.y0)).max())
+    missed = float(np.abs(back.states[-1] - np.array(trial.y0)).max()) / size
+    bound = 4.0 * EPS * (math.sqrt(trial.N) + abs(trial.h) * trial.N**1.5)
+    figures = {"missed": missed, "bound": bound}
+    why = f"misses the start by {missed:.1e} (round-off: {bound:.1e})"
+    if missed <= bound:
+        return Finding(Result.HELD, why, figures=figures)
+    if trial.scheme.self_adjoint:
+        return Finding(Result.BROKE, f"claims to be self-adjoint, {why}", 2 * trial.N, figures)
+    return Finding(Result.DEGRADED, f"{why}; not self-adjoint", figures=figures)
+
+
+def does_not_drift(trial: Trial) -> Finding:
+    """Over a very long run: has any invariant that the scheme claims a slope that its uncertainty does not explain?"""
+    claimed = trial.claimed(trial.h)
+    if not claimed:
+        return Finding(Result.NOT_TRIED, "claims no invariant")
+    if trial.plain:
+        return Finding(Result.NOT_TRIED, "runs in the interpreter")
+    motion = trial.run(every=max(1, trial.N // 8192))
+    wrong = fault(trial, motion)
+    if wrong:
+        return wrong
+    rows = invariant_report(claimed, motion.n, motion.h, motion.states)
+    figures: dict[str, float] = {}
+    biased, drifting = [], []
+    for row in rows:
+        # over the run, in ulp of the terms: what the report's bound is 20 sqrt(N) of
+        ulp = row.round_off_bound / (20.0 * math.sqrt(motion.n[-1])) or EPS
+        slope, error = row.drift_over_run or 0.0, abs((row.drift_error or 0.0) * float(motion.t[-1]))
+        figures |= {
+            f"{row.name}:ulp": row.max_deviation / ulp,
+            f"{row.name}:sigma": abs(slope) / error if error else 0.0,
+        }
+        told = f"{row.symbol} {slope:+.1e} ± {error:.0e} over t = {motion.t[-1]:.3g}"
+        if row.verdict == "drifting":
+            drifting.append(told)
+        elif error and abs(slope) > 5.0 * error and abs(slope) > 3.0 * math.sqrt(motion.n[-1]) * ulp:
+            biased.append(told)
+    worst = max(rows, key=lambda row: row.max_deviation / (row.round_off_bound or 1.0))
+    if drifting:
+        return Finding(Result.BROKE, f"drifts: {drifting[0]}", int(motion.n[-1]), figures)
+    if biased:
+        return Finding(Result.DEGRADED, f"round-off is biased: {biased[0]}", figures=figures)
+    why = f"no slope; worst {worst.symbol}: {worst.max_deviation:.0e} after {motion.n[-1]:.0e} steps"
+    return Finding(Result.HELD, why, figures=figures)

@@ -1,0 +1,80 @@
+"""The results of the stress study on disk: a run folder of their own kind, written whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from topcli.engine.source import fingerprint
+from topcli.errors import RunError
+from topcli.schemes.registry import all_schemes
+from topcli.store.provenance import Commit, environment, now
+from topcli.store.run_folder import io_failure, require_writable, write_whole
+from topcli.studies.run import method_fingerprint
+from topcli.studies.stress import CASES
+from topcli.studies.stress.suite import Judged, tried
+from topcli.tops import TOPS
+
+FILE = "stress.json"
+SCHEMA_VERSION = 1
+
+
+def stress_data(judged: Sequence[Judged]) -> dict[str, Any]:
+    """The study as plain data: the cases, the trials, how many came to which end."""
+    asked = {(one.case.name, one.case.form): one.case for one in judged}
+    outcomes = [one.finding.result.value for one in judged]
+    verdicts = [one.verdict for one in judged]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "cases": [{"case": case.name, "top": case.form, "question": case.question} for case in asked.values()],
+        "trials": [one.as_dict() for one in judged],
+        "outcomes": {value: outcomes.count(value) for value in dict.fromkeys(outcomes)},
+        "verdicts": {value: verdicts.count(value) for value in dict.fromkeys(verdicts)},
+        "environment": environment(),
+    }
+
+
+def stress_source() -> str:
+    """A digest of all that the results of the whole suite depend on: the schemes' code and limits, and the suite's."""
+    schemes = []
+    for scheme in all_schemes():
+        method = scheme.build(TOPS[scheme.top].new(), scheme.options())
+        schemes.append([scheme.name, scheme.top, method_fingerprint(method), sorted(scheme.limits.items())])
+    checks = [[case.name, case.form, case.question, fingerprint(case.check, case.config)] for case in CASES]
+    text = json.dumps([schemes, checks, fingerprint(tried)])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_stress(data: dict[str, Any], out: Path, source: str | None) -> Path:
+    """Write the study into ``out/stress/stress.json`` under a temporary name, then put it in place; the path.
+
+    ``source`` says what a run of the whole suite was made from; None for a part of it. Raises UsageError and RunError.
+    """
+    folder = out / "stress"
+    require_writable(folder)
+    path = folder / FILE
+    with Commit() as commit:
+        complete = {**data, "source": source, "written": now(), **commit.read()}
+    text = json.dumps(complete, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    try:
+        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    except OSError as error:
+        raise io_failure(error, path, "nothing was written") from error
+    return path
+
+
+def stored_stress(out: Path) -> dict[str, Any] | None:
+    """The study stored in ``out/stress``; None when there is none. Raises RunError when it is damaged."""
+    path = out / "stress" / FILE
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if data["schema_version"] != SCHEMA_VERSION:
+            return None
+        return data
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); run topcli stress again") from None

@@ -1,0 +1,141 @@
+"""Run schemes through the hard cases, and hold what breaks against the limits that they declare."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from topcli.contracts import Scheme
+from topcli.errors import ConfigError, RunError, UsageError, nearest
+from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.studies.stress import CASES, case_names, cases_named
+from topcli.studies.stress.case import Case, Finding, Result, Trial, Workshop
+from topcli.tops import TOPS, forms
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A trial's finding and what it means.
+
+    ``verdict``: ``"ok"``; ``"limit"`` where it broke as the scheme declares; ``"unexplained"`` where it broke and the
+    scheme declares nothing; ``"outlived limit"`` where it declares a limit and did not break.
+    """
+
+    case: Case
+    scheme: Scheme
+    finding: Finding
+    verdict: str
+    limit: str
+    counters: Mapping[str, int]
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, ready for JSON."""
+        return {
+            "scheme": self.scheme.name,
+            "top": self.scheme.top,
+            "case": self.case.name,
+            "outcome": self.finding.result.value,
+            "step": self.finding.step,
+            "why": self.finding.why,
+            "verdict": self.verdict,
+            "limit": self.limit or None,
+            "figures": {key: value if np.isfinite(value) else None for key, value in self.finding.figures.items()},
+            "counters": dict(self.counters),
+            "seconds": self.seconds,
+        }
+
+
+def verdict_of(scheme: Scheme, case: str, result: Result) -> str:
+    """What the result of a case means beside the limits that the scheme declares.
+
+    A composed scheme has the limits of its base, which its stages may outlive.
+    """
+    declared = case in scheme.limits
+    if result is Result.BROKE:
+        return "limit" if declared else "unexplained"
+    return "outlived limit" if declared and "+" not in scheme.name else "ok"
+
+
+def tried(case: Case, scheme: Scheme, workshop: Workshop, options: Mapping[str, Any] | None = None) -> Judged:
+    """One scheme in one case."""
+    start = time.perf_counter()
+    counters: Mapping[str, int] = {}
+    known = scheme.options.model_fields
+    try:
+        experiment = case.experiment(scheme.name, {k: v for k, v in (options or {}).items() if k in known})
+        trial = Trial(case, experiment, workshop)
+        with np.errstate(all="ignore"):
+            finding = case.check(trial)
+        counters = trial.counters
+    except ConfigError:
+        raise
+    except RunError as error:
+        finding = Finding(Result.BROKE, f"refused: {str(error).splitlines()[0]}", 0)
+    except (ArithmeticError, ValueError) as error:
+        # where machine code gives inf or nan, what runs in the interpreter may raise
+        finding = Finding(Result.BROKE, f"failed: {type(error).__name__}: {error}".splitlines()[0], 0)
+    limit = scheme.limits.get(case.name, "")
+    verdict = verdict_of(scheme, case.name, finding.result)
+    return Judged(case, scheme, finding, verdict, limit, counters, time.perf_counter() - start)
+
+
+def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tuple[list[Scheme], list[Case]]:
+    """The schemes and the cases to try; all where none is named.
+
+    Raises UnknownNameError for unknown names, and UsageError where nothing is left to try.
+    """
+    fits = [form.form for form in forms(top)] if top else list(TOPS)
+    wanted = [case for name in dict.fromkeys(cases) for case in cases_named(name)] if cases else list(CASES)
+    wanted = [case for case in wanted if case.form in fits]
+    if not wanted:
+        raise UsageError(f"--case {cases[0]}: no such case for {top}; {nearest(cases[0], _names_for(fits))}")
+    used: list[Scheme] = []
+    if schemes:
+        for name in dict.fromkeys(name.lower() for name in schemes):
+            used += _forms_of(name, fits)
+    else:
+        used = [scheme for scheme in all_schemes() if scheme.top in fits]
+    asked = {case.form for case in wanted}
+    used = [scheme for scheme in used if scheme.top in asked]
+    if not used:
+        raise UsageError(f"none of the schemes {', '.join(schemes)} has one of the cases; see topcli list cases")
+    return used, wanted
+
+
+def _names_for(fits: Collection[str]) -> list[str]:
+    return [name for name in case_names() if any(case.form in fits for case in cases_named(name))]
+
+
+def _forms_of(name: str, fits: Sequence[str]) -> list[Scheme]:
+    """The schemes called ``name``, one for every form that it steps. Raises UnknownNameError or UsageError."""
+    base = name.partition("+")[0]
+    steps = {scheme.top for scheme in all_schemes() if scheme.name == base}
+    found = [find_scheme(name, form) for form in fits if form in steps]
+    # the error of a name that is unknown, or of a scheme for another top
+    return found or [find_scheme(name, fits[0])]
+
+
+def stress(
+    schemes: Sequence[str] = (),
+    cases: Sequence[str] = (),
+    top: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Judged]:
+    """Every chosen scheme in every chosen case of its top, in the order of the registry.
+
+    Each of ``options`` is set for the schemes that have it. Raises UsageError and its kin for what does not exist.
+    """
+    used, wanted = chosen(schemes, cases, top)
+    pairs = [(case, scheme) for scheme in used for case in wanted if case.form == scheme.top]
+    workshop = Workshop()
+    done: list[Judged] = []
+    for case, scheme in pairs:
+        done.append(tried(case, scheme, workshop, options))
+        progress(len(done), len(pairs))
+    return done
