@@ -134,8 +134,8 @@ def test_projection_is_the_shortest_way_back() -> None:
         np.testing.assert_allclose(first_three(new[:6], 1.0), first_three(y, 1.0), rtol=0, atol=4e-15)
 
 
-ALL_FOUR = ("hk-projected", "hk-symproj", "dg4")
-SYMMETRIC = ("hk-symproj", "dg4")
+ALL_FOUR = ("hk-projected", "hk-symproj", "dg4", "midpoint4")
+SYMMETRIC = ("hk-symproj", "dg4", "midpoint4")
 
 
 @pytest.mark.parametrize("name", ALL_FOUR)
