@@ -17,6 +17,10 @@ from __future__ import annotations
 from topcli.contracts import Floats
 from topcli.kernels.four_integrals import Four, Six
 
+DEPENDENT = 2.0**-40
+"""Squared sine of the angle between two fields below which it is round-off."""
+TINY = 1e-300
+
 Direction = tuple[Six, float, float]
 Newton = tuple[
     tuple[float, float, float, float, float, float, float, float, float],
@@ -90,6 +94,46 @@ def keeping_three(y: Floats, f: Six, column: Four) -> Direction:
         ff * x[5] - fx * f[5],
     )
     return bracket(y, normal), ff * xx - fx * fx, ff * xx
+
+
+def fields_of_xi(y: Floats, c: float) -> tuple[Six, Six]:
+    """The parts normal to F of the fields of Re xi and Im xi; they are independent for xi = 0 too."""
+    f = field_of_m(y, c)
+    w1, w2 = 2.0 * y[0], 2.0 * y[1]
+    u, v = field_of(y, (w1, -w2, -c, 0.0)), field_of(y, (w2, w1, 0.0, -c))
+    ff = inner(f, f) + TINY
+    su, sv = inner(f, u) / ff, inner(f, v) / ff
+    return (
+        (u[0] - su * f[0], u[1] - su * f[1], u[2] - su * f[2], u[3] - su * f[3], u[4] - su * f[4], u[5] - su * f[5]),
+        (v[0] - sv * f[0], v[1] - sv * f[1], v[2] - sv * f[2], v[3] - sv * f[3], v[4] - sv * f[4], v[5] - sv * f[5]),
+    )
+
+
+def changing_xi(y: Floats, r1: float, r2: float, c: float) -> tuple[Six, float]:
+    """The change of the state that keeps gamma², 2l and E, to first order, and changes xi by r1 + i r2; then 0.0.
+
+    Where the two fields are dependent: no change, and 1.0.
+    """
+    u, v = fields_of_xi(y, c)
+    uu, uv, vv = inner(u, u), inner(u, v), inner(v, v)
+    det = uu * vv - uv * uv
+    if not det > DEPENDENT * (uu * vv):
+        return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0
+    a, b = (uv * r2 - vv * r1) / det, (uv * r1 - uu * r2) / det
+    return (
+        bracket(
+            y,
+            (
+                a * u[0] + b * v[0],
+                a * u[1] + b * v[1],
+                a * u[2] + b * v[2],
+                a * u[3] + b * v[3],
+                a * u[4] + b * v[4],
+                a * u[5] + b * v[5],
+            ),
+        ),
+        0.0,
+    )
 
 
 def newton_matrix(m: Floats, d: float, c: float) -> Newton:

@@ -37,23 +37,24 @@ from topcli.kernels.four_integrals import (
     combination,
     first_three,
     fourth_column,
-    sizes,
     targets_with_k,
     xi_of,
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.lie_poisson import (
+    DEPENDENT,
+    TINY,
     Newton,
     bracket,
-    field_of,
     field_of_m,
-    inner,
+    fields_of_xi,
     keeping_three,
     newton_matrix,
     newton_solved,
 )
+from topcli.kernels.projection import onto_but_no_worse
 from topcli.kernels.roots import turn_increment
-from topcli.schemes.projected import leave, onto, with_k, worst
+from topcli.schemes.projected import leave
 from topcli.schemes.registry import scheme
 
 ROUNDS = 12
@@ -65,17 +66,12 @@ FLOOR = 2.0**10
 CONTRACTION = 16.0
 """Each iteration multiplies the change of the step by less than this, times the sum of that change and of s n, over
 the part of k²'s field that is normal to the motion's, squared: 1 as a rule, seen 3 at most."""
-DEPENDENT = 2.0**-40
-"""Part of the field's square, normal to the motion's, below which it is round-off."""
+SMALL_K = 2.0**-10
+"""k in units of its terms below which, for h not small, xi takes its place; h² times the terms for smaller h."""
 STEEP = 2.0**-4
 """How much of its leading term the slope of k² must have for the equation to be the one meant."""
 BAND = 2.0 * EPS
 """Deviation of k², in units of its terms, that is left alone: its rounding error."""
-SMALL_K = 2.0**-10
-"""k in units of its terms below which, for h not small, it is replaced by xi; h² times the terms for smaller h."""
-NO_WORSE = 64.0 * EPS
-"""Deviation of gamma², 2l and E beyond which the midpoint rule's own step is better than its projection."""
-TINY = 1e-300
 
 Solution = tuple[float, float, float, float, float, float, float, float]
 
@@ -181,10 +177,7 @@ def keeping_xi(y: Floats, b: Six, start: Six, newton: Newton, k: float, reach: f
         rounds += 1.0
         m = plus((y[0], y[1], y[2], y[3], y[4], y[5]), 0.5, e)
         f = field_of_m(m, c)
-        ff = inner(f, f) + TINY
-        w1, w2 = 2.0 * m[0], 2.0 * m[1]
-        u, v = field_of(m, (w1, -w2, -c, 0.0)), field_of(m, (w2, w1, 0.0, -c))
-        u, v = plus(u, -inner(f, u) / ff, f), plus(v, -inner(f, v) / ff, f)
+        u, v = fields_of_xi(m, c)
         nu, nv = bracket(m, u), bracket(m, v)
         au, av = newton_solved(newton, nu), newton_solved(newton, nv)
         z = newton_solved(newton, left_over(m, e, b, f, h))
@@ -231,10 +224,7 @@ def midpoint4_step(s: Floats, h: float, p: Floats) -> Floats:
     if status != 0.0:
         v1, v2, v3, v4, v5, v6, status, more = midpoint(y, h, (2.0, 2.0, 1.0, c, 0.0, 0.0))
         v = (v1, v2, v3, v4, v5, v6)
-        w, _, _, missed = onto(v, reach * reach, c, t)
-        r1, r2, r3, _, _, _ = with_k(w, c, t)
-        if not worst(r1, r2, r3, 0.0, sizes(w, c)) <= NO_WORSE:
-            w = v
+        w, missed = onto_but_no_worse(v, reach * reach, c, t)
         e1, e2, e3, e4, e5, e6 = w[0] - y[0], w[1] - y[1], w[2] - y[2], w[3] - y[3], w[4] - y[4], w[5] - y[5]
         rounds += more
         plain += 1.0
