@@ -50,7 +50,8 @@ def method(name: str) -> Any:
 def nanoseconds() -> dict[str, list[float]]:
     """For every scheme the time of a step at every size, in this process."""
     top = Kowalevski()
-    columns = [nanoseconds_per_step([(top, method(name), GEN, h) for name in NAMES]) for h in SIZES]
+    # short repetitions: most of them then fall between two interruptions by others on the machine
+    columns = [nanoseconds_per_step([(top, method(name), GEN, h) for name in NAMES], 8000, 31) for h in SIZES]
     return {name: [column[i] for column in columns] for i, name in enumerate(NAMES)}
 
 

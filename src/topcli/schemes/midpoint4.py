@@ -13,7 +13,7 @@ xi turned back by h m3, with two directions n. That is Delone's motion for k = 0
 
 What makes it fast:
 - HK's step, plus what was added to it in the last two steps, extrapolated, is off by O(h⁵): one iteration is the rule
-  for small h, and only what follows from where it starts, never the result, depends on what is carried along;
+  for small h. What is carried along decides where the iteration starts, not where it ends;
 - Newton's iteration for y' and s together, bordered: the two solutions with one factorized matrix run side by side;
 - n needs no matrix, and no division comes before that by the slope of k².
 
@@ -63,9 +63,9 @@ SETTLED = 4.0 * EPS
 """Change of the step, in units of the state, that ends the iteration: the last bits of the new state."""
 FLOOR = 2.0**10
 """How far above ``SETTLED`` an iteration may stall: round-off magnified, near a degenerate torus."""
-CONTRACTION = 16.0
-"""Each iteration multiplies the change of the step by less than this, times the sum of that change and of s n, over
-the part of k²'s field that is normal to the motion's, squared: 1 as a rule, seen 3 at most."""
+CONTRACTION = 4.0
+"""Each iteration multiplies the change of the step by less than this, times the sum of all changes and of s n in units
+of the state, over the square of the part of k²'s field that is normal to the motion's: 1 as a rule."""
 SMALL_K = 2.0**-10
 """k in units of its terms below which, for h not small, xi takes its place; h² times the terms for smaller h."""
 STEEP = 2.0**-4
@@ -132,7 +132,7 @@ def keeping_k(y: Floats, b: Six, start: Six, newton: Newton, k: float, reach: fl
     excess = 0.5 * (over - max(-band, min(band, over)))
     size = (abs(y[0]) + abs(y[1]) + abs(y[2])) + (abs(y[3]) + abs(y[4]) + abs(y[5]))
     e = start
-    status, rounds, off = math.nan, 0.0, math.inf
+    status, rounds, off, way = math.nan, 0.0, math.inf, 0.0
     for _ in range(ROUNDS):
         rounds += 1.0
         m = plus((y[0], y[1], y[2], y[3], y[4], y[5]), 0.5, e)
@@ -155,7 +155,8 @@ def keeping_k(y: Floats, b: Six, start: Six, newton: Newton, k: float, reach: fl
         z = plus(z, s, along)
         e = plus(e, 1.0, z)
         before, off = off, size_of(z)
-        if CONTRACTION * off * (off + shift) * most <= (EPS * size * size) * rate or off <= SETTLED * size:
+        way += off
+        if CONTRACTION * off * (way + shift) * most <= (EPS * size * size) * rate or off <= SETTLED * size:
             status = 0.0
             break
         if 0.5 * before < off <= FLOOR * SETTLED * size:
@@ -213,7 +214,7 @@ def midpoint4_step(s: Floats, h: float, p: Floats) -> Floats:
     z: Floats = hk_kowalevski(y, h, p)
     hk = (z[0] - y[0], z[1] - y[1], z[2] - y[2], z[3] - y[3], z[4] - y[4], z[5] - y[5])
     start = plus((s[18], s[19], s[20], s[21], s[22], s[23]), 1.0, hk)
-    newton = newton_matrix(plus(y, 0.5, hk), 0.5 * h, c)
+    newton = newton_matrix(plus(y, 0.5, start), 0.5 * h, c)
     b = given_back(y, t, c)
     reach = min(1.0, h * h * s[10]) * size_of(hk)
     if s[11] > 0.0:
