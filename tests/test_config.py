@@ -38,7 +38,7 @@ def test_the_paper_scene() -> None:
         path.stem.removeprefix("kowalevski_"): load_experiment(path) for path in CONFIGS.glob("kowalevski_*.yaml")
     }
     papers = {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid"}
-    beyond = {"hk_projected", "hk_symproj", "dg4", "hybrid_sym", "hybrid_xi"}
+    beyond = {"hk_projected", "hk_symproj", "dg4", "midpoint4", "hybrid_sym", "hybrid_xi"}
     assert set(schemes) == papers | beyond | {"midpoint", "rk2", "rk4", "dop853"}
     for stem, experiment in schemes.items():
         assert experiment.scheme_name == stem.replace("_", "-")

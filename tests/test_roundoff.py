@@ -101,8 +101,8 @@ def shrunk(step: StepFunction) -> StepFunction:
     """A step whose gamma1 is rounded towards zero, as a bad algebra may: biased by an ulp or so."""
 
     def biased(s: Floats, h: float, p: Floats) -> Floats:
-        w1, w2, w3, g1, g2, g3 = step(s, h, p)
-        return (w1, w2, w3, g1 * (1.0 - 2.0**-53), g2, g3)
+        new = step(s, h, p)
+        return (*new[:3], new[3] * (1.0 - 2.0**-53), *new[4:])
 
     return biased
 

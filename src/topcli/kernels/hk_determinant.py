@@ -1,6 +1,7 @@
 """Determinants of the linear systems that HK's steps solve, each with the size of its terms.
 
-More slots may follow the state. The formulas are those of the steps themselves: inlined beside one, they cost what the comparison costs.
+More slots may follow the state. The formulas are those of the steps themselves: inlined beside one, they cost what the
+comparison costs.
 """
 
 from __future__ import annotations

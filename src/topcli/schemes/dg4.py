@@ -38,6 +38,7 @@ from topcli.kernels.four_integrals import (
     xi_of,
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.kernels.projection import onto_but_no_worse
 from topcli.schemes.limits import NEWTON_SINGULAR, NO_GRADIENT
 from topcli.schemes.projected import REACH, VANISHING, leave
 from topcli.schemes.registry import scheme
@@ -141,17 +142,19 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
             break
         b1, b2, b3, b4, b5, b6 = implicit_change(a, e, matrix, d, c, r)
         z1, z2, z3, z4, z5, z6 = z1 + b1, z2 + b2, z3 + b3, z4 + b4, z5 + b5, z6 + b6
+    new: Floats = (w1 + z1, w2 + z2, w3 + z3, g1 + z4, g2 + z5, g3 + z6)
     if not four:
         midpoint_steps += 1.0
+        new, _ = onto_but_no_worse(new, (reach * reach) * length_sq((z1, z2, z3, z4, z5, z6)), c, (i1, i2, i3, k))
     if short > 0.0:
         short_corrections += 1.0
     return (
-        w1 + z1,
-        w2 + z2,
-        w3 + z3,
-        g1 + z4,
-        g2 + z5,
-        g3 + z6,
+        new[0],
+        new[1],
+        new[2],
+        new[3],
+        new[4],
+        new[5],
         i1,
         i2,
         i3,
@@ -195,7 +198,7 @@ def build(top: Top, options: NoOptions) -> Stepper:
 
     Its own inverse under h -> -h; all four integrals are conserved. On degenerate tori, where the gradients are
     dependent, as many integrals are used as are independent. For k = 0 (Delone's motion), and where the iteration does
-    not settle, the step is the midpoint rule's, which keeps gamma², 2l and E; the run reports how often. A step that
+    not settle, the step is the midpoint rule's, projected as hk-projected's is; the run reports how often. A step that
     does not settle either ends the run as `no_convergence`.
     """
     return Stepper(dg4_step, 14, enter, leave, COUNTERS, iterative=True)

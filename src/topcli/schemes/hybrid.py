@@ -68,6 +68,7 @@ def build(top: Top, options: BranchOptions) -> Stepper:
     """HK once, then gamma again by Cayley's rotation with the mean omega, then omega1 + i omega2 by Bohlin's method.
 
     omega3 is HK's. |gamma| and k = |omega² - c gamma| are conserved. The step is not self-adjoint, against what the
-    paper says: a step forward and back misses by O(h⁴), and 2l and E drift.
+    paper says: a step forward and back misses by O(h⁴), and 2l and E drift. Where omega1 + i omega2 passes 0 the
+    square root is singular and the order falls to 3/2; `midpoint4` and `hk-symproj` keep k² and order 2 there.
     """
     return with_hk_counted(Stepper(hybrid_step(ROOTS[options.branch]), 6))

@@ -192,7 +192,8 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
 
     Its own inverse under h -> -h. |gamma| and k = |omega² - c gamma| are conserved; 2l and E stay close without drift.
     A step whose iteration does not settle ends the run as `no_convergence`; it can happen where omega1 + i omega2
-    comes so close to 0 within a step that the two square roots merge.
+    comes so close to 0 within a step that the two square roots merge; the order becomes erratic there. `midpoint4` and
+    `hk-symproj`, which take no root, keep k² and order 2.
     """
     if options.compensated:
         return Stepper(compensated_step, 18, enter_compensated, leave_carried, ("iterations",), iterative=True)

@@ -98,7 +98,8 @@ def build(top: Top, options: HybridOptions) -> Stepper:
     """The paper's hybrid, the same trajectory up to round-off, without round-off's drift of gamma² and k².
 
     k and gamma² keep the values of the initial state: xi = k u is carried as a unit number u that turns, gamma is kept
-    at its length. Like the hybrid it is not self-adjoint, and 2l and E drift.
+    at its length. Like the hybrid it is not self-adjoint, 2l and E drift, and the order falls to 3/2 where
+    omega1 + i omega2 passes 0; `midpoint4` and `hk-symproj` keep k² and order 2 there.
     """
     if options.compensated:
         step = compensated_step(ROOTS[options.branch])

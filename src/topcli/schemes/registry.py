@@ -29,6 +29,7 @@ BUILT_IN = (
     "topcli.schemes.hybrid_sym",
     "topcli.schemes.hybrid_xi",
     "topcli.schemes.dg4",
+    "topcli.schemes.midpoint4",
     "topcli.schemes.projected",
     "topcli.schemes.hk_heavy",
     "topcli.schemes.midpoint",
