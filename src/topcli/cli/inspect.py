@@ -161,10 +161,10 @@ def show(
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Show a config as it will run: completed, with every default filled in."""
-    from topcli.config.load import load_experiment
+    from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
-    experiment = load_experiment(config, sets or [])
+    experiment = load_any(config, sets or [])
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
     else:

@@ -13,6 +13,7 @@ from topcli.cli.talk import ProgressTeller, print_json, print_table, say, say_wa
 from topcli.errors import TopcliError, UsageError
 
 if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
     from topcli.studies.run import RunResult
 
@@ -39,16 +40,18 @@ class Interruption:
             signal.signal(number, handler)
 
 
-def _experiment(config: str, sets: list[str], output_format: str | None) -> Experiment:
-    from topcli.config.load import load_experiment
+def _experiment(config: str, sets: list[str], output_format: str | None) -> Experiment | EnsembleExperiment:
+    from topcli.config.load import load_any
 
-    return load_experiment(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
+    return load_any(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
 
 
 def _tell(result: RunResult, labelled: bool) -> None:
-    from topcli.studies.report import invariant_table
-
     report = result.report
+    if report.get("kind") == "ensemble":
+        from topcli.studies.ensemble_report import ensemble_table as invariant_table
+    else:
+        from topcli.studies.report import invariant_table
     if result.set_aside:
         say(f"kept the earlier, different run as {result.set_aside}")
     say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({result.status})")
@@ -56,16 +59,53 @@ def _tell(result: RunResult, labelled: bool) -> None:
     print_table(header, lines, report["name"] if labelled else "")
 
 
-def _dry_run(experiment: Experiment, out: Path, force: bool) -> dict[str, Any]:
+def _dry_run(experiment: Experiment | EnsembleExperiment, out: Path, force: bool) -> dict[str, Any]:
+    from topcli.config.models import Experiment
     from topcli.studies.run import method_fingerprint, plan_run
 
+    if isinstance(experiment, Experiment):
+        code, rows = method_fingerprint(experiment.method()), experiment.N // experiment.output.every + 1
+    else:
+        from topcli.studies.ensemble import ensemble_fingerprint
+
+        code, rows = ensemble_fingerprint(experiment), experiment.rows
     return {
         "config": experiment.resolved(),
         "digest": experiment.digest,
         "folder": str(out / experiment.name),
-        "action": plan_run(experiment, out, method_fingerprint(experiment.method()), force=force).action,
-        "rows": experiment.N // experiment.output.every + 1,
+        "action": plan_run(experiment, out, code, force=force).action,
+        "rows": rows,
     }
+
+
+def _run(
+    experiment: Experiment | EnsembleExperiment,
+    out: Path,
+    force: bool,
+    threads: int | None,
+    teller: ProgressTeller,
+    interruption: Interruption,
+) -> RunResult:
+    """Run one experiment or ensemble into its folder."""
+    from topcli.config.models import Experiment
+
+    def stop() -> bool:
+        return interruption.asked
+
+    if isinstance(experiment, Experiment):
+        from topcli.studies.run import run_experiment
+
+        return run_experiment(experiment, out, force=force, progress=teller, stop=stop)
+    from topcli.studies.ensemble import run_ensemble
+
+    return run_ensemble(experiment, out, force=force, threads=threads, progress=teller, stop=stop)
+
+
+def _code(result: RunResult) -> int:
+    """The exit code of one run: of an ensemble, 3 when some trajectories failed and some did not."""
+    if result.outcome.value in ("completed", "interrupted"):
+        return 0 if result.outcome.value == "completed" else 130
+    return 3 if result.report.get("outcomes", {}).get("completed") else 1
 
 
 def _exit_code(codes: list[int]) -> int:
@@ -92,11 +132,14 @@ def run(
     force: Force = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the configs and say what would be done.")] = False,
     as_json: Json = False,
+    threads: Annotated[
+        int | None, typer.Option("--threads", min=1, help="Threads for ensembles; all CPUs by default.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")] = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Run experiments: time series and a report on the conservation laws, in one folder each."""
+    """Run experiments and ensembles: time series and a report on the conservation laws, in one folder each."""
     if output_format not in (None, "parquet", "csv"):
         raise UsageError(f"--format {output_format}: not a format of a series; choose parquet or csv")
     load_scheme_files(scheme_files)
@@ -116,17 +159,16 @@ def run(
                     if not (as_json or quiet):
                         print(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
                     continue
-                from topcli.studies.run import run_experiment
-
                 teller.begin(experiment.name)
-                result = run_experiment(experiment, out, force=force, progress=teller, stop=lambda: interruption.asked)
+                result = _run(experiment, out, force, threads, teller, interruption)
                 teller.close()
                 if not (quiet or as_json):
                     _tell(result, labelled=len(configs) > 1)
                 told.append({"folder": str(result.stored.folder), "status": result.status, **result.report})
-                codes.append({"completed": 0, "interrupted": 130}.get(result.outcome.value, 1))
+                codes.append(_code(result))
                 if codes[-1]:
-                    say(f"error: {experiment.name}: {result.outcome.value}; what came before is kept")
+                    what = "some trajectories failed" if codes[-1] == 3 else result.outcome.value
+                    say(f"error: {experiment.name}: {what}; what came before is kept")
             except TopcliError as error:
                 teller.close()
                 say(f"error: {error}")

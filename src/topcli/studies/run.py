@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
@@ -19,6 +19,9 @@ from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter, StoredRun, io_failure, stored_run
 from topcli.store.series import SeriesWriter
 from topcli.studies.report import report_data, report_markdown
+
+if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
 
 Progress = Callable[[int, int], None]
 """Told (steps done, N) between chunks."""
@@ -58,7 +61,7 @@ def method_fingerprint(method: Method) -> str:
     return fingerprint(method.step, method.enter, method.leave)
 
 
-def plan_run(experiment: Experiment, out: Path, code: str, *, force: bool = False) -> Plan:
+def plan_run(experiment: Experiment | EnsembleExperiment, out: Path, code: str, *, force: bool = False) -> Plan:
     """What running ``experiment`` into ``out`` will do. Raises UsageError for what would be refused."""
     target, digest = out / experiment.name, experiment.digest
     if out.exists() and not out.is_dir():
