@@ -317,7 +317,7 @@ class _Tile:
         taken = loop.drive(work, out, run.p, run.h, steps, run.every, until_record)
         good = steps if taken >= 0 else -taken - 1
         reached = max(0, (good - until_record) // run.every + 1)
-        rows[:reached] = out[: reached * rows.shape[1]].reshape(reached, -1)
+        rows[:reached] = out[: reached * rows.shape[1]].reshape(reached, rows.shape[1])
         if taken >= 0:
             self.work[:-1, j] = work
         else:
