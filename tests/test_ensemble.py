@@ -107,7 +107,7 @@ def test_the_stand_in_for_libm_is_noticed() -> None:
     drive = plain_lanes(stepper, 6, 1, 1)
     for h, finite in ((0.1, True), (1.0, False)):
         work = [*y.tolist(), 0.0]
-        drive(work, [0.0] * 6, [1.0], h, 1, 1, 1)
+        drive(work, [0.0] * 6, [1.0, 1.0], h, 1, 1, 1)
         assert math.isfinite(work[6]) == finite
         assert all(map(math.isfinite, stepper.step(tuple(y.tolist()), h, (1.0,))))
 
@@ -227,5 +227,5 @@ def test_a_step_that_cannot_be_compiled_is_told() -> None:
     def step(s: Floats, h: float, p: Floats) -> Floats:
         return tuple(float(str(x)) for x in s)
 
-    with pytest.raises(SchemeCodeError, match="test_ensemble.py:"):
+    with pytest.raises(SchemeCodeError, match=r"test_ensemble\.py:"):
         together(Kowalevski(), Stepper(step, 6), random_states(2, 1), 0.1, 1)

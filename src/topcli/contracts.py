@@ -126,6 +126,8 @@ class Stepper:
     they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter.
     The slot before the counters of an ``iterative`` step is its status: 0.0, or nan when the iteration did not
     converge. The run then ends there as ``no_convergence``.
+    A step made of ``stages`` names them: a step and the fractions of h that it is taken with in turn, in which the
+    state counts as failed as soon as it is not finite. Ensembles then take one stage at a time.
     """
 
     step: StepFunction
@@ -135,6 +137,7 @@ class Stepper:
     counters: tuple[str, ...] = ()
     plain: bool = False
     iterative: bool = False
+    stages: tuple[StepFunction, tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Method, Outcome, Stepper, Top
+from topcli.contracts import Array, Ending, Method, Outcome, StepFunction, Stepper, Top
 from topcli.engine.driver import SIGNATURE, Loop, loop_of, step_refused
 from topcli.engine.loop import Run
 from topcli.engine.native import CompileError, Native, native
@@ -52,10 +52,12 @@ def make(step, leave):
         k = 0
         left = until_record
         for i in range(steps):
-            for j in range({tile}):
-                s = step(({work_items}), h, p)
-                {store_s}
-                work[{check} + j] += {sum_s}
+            for stage in range({stages}):
+                part = params[{constants} + stage] * h
+                for j in range({tile}):
+                    s = step(({work_items}), part, p)
+                    {store_s}
+                    work[{check} + j] += {sum_s}
             left -= 1
             if left == 0:
                 for j in range({tile}):
@@ -77,20 +79,22 @@ def _same(state: Any, h: float, p: Any) -> Any:
 
 
 @cache
-def _template(width: int, d: int, constants: int, tile: int) -> Callable[..., Any]:
-    newline = "\n" + " " * 16
+def _template(width: int, d: int, constants: int, tile: int, stages: int) -> Callable[..., Any]:
+    newline = "\n" + " " * 20
     text = _TEMPLATE.format(
         set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
+        constants=constants,
         tile=tile,
+        stages=stages,
         work_items="".join(f"work[{i * tile} + j], " for i in range(width)),
         store_s=newline.join(f"work[{i * tile} + j] = s[{i}]" for i in range(width)),
         check=width * tile,
         sum_s=" + ".join(f"s[{i}]" for i in range(width)),
-        record=(newline + " " * 4).join(f"out[k + {i * tile} + j] = y[{i}]" for i in range(d)),
+        record=newline.join(f"out[k + {i * tile} + j] = y[{i}]" for i in range(d)),
         row=d * tile,
     )
     scope: dict[str, Any] = {}
-    exec(compile(text, f"<lanes {width}/{d}/{constants}/{tile}>", "exec"), scope)
+    exec(compile(text, f"<lanes {width}/{d}/{constants}/{tile}/{stages}>", "exec"), scope)
     return scope["make"]
 
 
@@ -98,11 +102,17 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
     """The loop over steps and lanes as a plain Python function over indexable buffers.
 
     ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
-    ``d`` rows of ``tile`` numbers for every recorded step.
+    ``d`` rows of ``tile`` numbers for every recorded step. ``params`` holds the constants, then the fractions of h.
     """
     inlined = {id(kernel): stand_in for kernel, stand_in in IN_LANES.items()}
-    step = compilable_copy(stepper.step, lambda kernel: kernel, inlined)
-    return _template(stepper.width, d, constants, tile)(step, stepper.leave or _same)
+    stage, fractions = stages_of(stepper)
+    step = compilable_copy(stage, lambda kernel: kernel, inlined)
+    return _template(stepper.width, d, constants, tile, len(fractions))(step, stepper.leave or _same)
+
+
+def stages_of(stepper: Stepper) -> tuple[StepFunction, tuple[float, ...]]:
+    """What is taken one after the other in a step: a step, and the fractions of h."""
+    return stepper.stages or (stepper.step, (1.0,))
 
 
 def default_threads() -> int:
@@ -165,11 +175,13 @@ class EnsembleRun(Generic[Made]):
         self.tile = TILE if m > TILE // 2 else SMALL_TILE
         self._lock, self._loop = threading.Lock(), None
         self.lanes: Native | None = None
+        self.params = self.p
         if isinstance(method, Stepper) and not method.plain:
             try:
                 self.lanes = native(plain_lanes(method, d, len(self.p), self.tile), SIGNATURE)
             except CompileError as error:
                 raise step_refused(method, d, error) from None
+            self.params = np.concatenate([self.p, stages_of(method)[1]])
             self.compile_seconds, self.cached = self.lanes.seconds, self.lanes.cached
 
     def single_loop(self) -> Loop:
@@ -298,7 +310,7 @@ class _Tile:
         reached = np.where(self.alive, started + m, 0)
         saved = self.work[:-1].copy()
         self.work[-1] = 0.0
-        self.lanes(self.work, self.out, run.p, run.h, steps, run.every, until_record)
+        self.lanes(self.work, self.out, run.params, run.h, steps, run.every, until_record)
         rows = self.rows[:, : started + m]
         rows[:, started:] = self.out[: m * d * run.tile].reshape(m, d, run.tile).transpose(2, 0, 1)
         for j in np.flatnonzero(~np.isfinite(self.work[-1]) & self.alive):
