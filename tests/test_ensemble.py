@@ -11,7 +11,8 @@ from conftest import random_states
 from steppers import EXPLODE
 from topcli.contracts import Ending, Floats, Method, Outcome, Sampler, Stepper, Top
 from topcli.engine import ensemble
-from topcli.engine.ensemble import TILE, EnsembleRun, Piece, plain_lanes
+from topcli.engine.ensemble import TILE, EnsembleRun, Piece
+from topcli.engine.lanes import plain_lanes
 from topcli.engine.loop import Run
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS

@@ -21,18 +21,16 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Method, Outcome, StepFunction, Stepper, Top
+from topcli.contracts import Array, Ending, Method, Outcome, Stepper, Top
 from topcli.engine.driver import SIGNATURE, Loop, loop_of, step_refused
+from topcli.engine.lanes import plain_lanes, stages_of
 from topcli.engine.loop import Run
 from topcli.engine.native import CompileError, Native, native
-from topcli.engine.source import compilable_copy
-from topcli.kernels.so3 import IN_LANES
 
 TILE = 64
 """Trajectories side by side: enough to hide the latency of a step's longest chain, few enough for the first cache."""
@@ -45,74 +43,7 @@ CHUNK_ROWS = 512
 """Recorded rows of a trajectory in a piece: what a group holds in memory is this times GROUP * TILE."""
 CHUNK_STEPS = 1 << 14
 
-_TEMPLATE = """
-def make(step, leave):
-    def drive(work, out, params, h, steps, every, until_record):
-        {set_p}
-        k = 0
-        left = until_record
-        for i in range(steps):
-            for stage in range({stages}):
-                part = params[{constants} + stage] * h
-                for j in range({tile}):
-                    s = step(({work_items}), part, p)
-                    {store_s}
-                    work[{check} + j] += {sum_s}
-            left -= 1
-            if left == 0:
-                for j in range({tile}):
-                    y = leave(({work_items}), h, p)
-                    {record}
-                k += {row}
-                left = every
-        return steps
-
-    return drive
-"""
-
 Made = TypeVar("Made")
-
-
-def _same(state: Any, h: float, p: Any) -> Any:
-    """Leave of a scheme that works on the physical state itself."""
-    return state
-
-
-@cache
-def _template(width: int, d: int, constants: int, tile: int, stages: int) -> Callable[..., Any]:
-    newline = "\n" + " " * 20
-    text = _TEMPLATE.format(
-        set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
-        constants=constants,
-        tile=tile,
-        stages=stages,
-        work_items="".join(f"work[{i * tile} + j], " for i in range(width)),
-        store_s=newline.join(f"work[{i * tile} + j] = s[{i}]" for i in range(width)),
-        check=width * tile,
-        sum_s=" + ".join(f"s[{i}]" for i in range(width)),
-        record=newline.join(f"out[k + {i * tile} + j] = y[{i}]" for i in range(d)),
-        row=d * tile,
-    )
-    scope: dict[str, Any] = {}
-    exec(compile(text, f"<lanes {width}/{d}/{constants}/{tile}/{stages}>", "exec"), scope)
-    return scope["make"]
-
-
-def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable[..., int]:
-    """The loop over steps and lanes as a plain Python function over indexable buffers.
-
-    ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
-    ``d`` rows of ``tile`` numbers for every recorded step. ``params`` holds the constants, then the fractions of h.
-    """
-    inlined = {id(kernel): stand_in for kernel, stand_in in IN_LANES.items()}
-    stage, fractions = stages_of(stepper)
-    step = compilable_copy(stage, lambda kernel: kernel, inlined)
-    return _template(stepper.width, d, constants, tile, len(fractions))(step, stepper.leave or _same)
-
-
-def stages_of(stepper: Stepper) -> tuple[StepFunction, tuple[float, ...]]:
-    """What is taken one after the other in a step: a step, and the fractions of h."""
-    return stepper.stages or (stepper.step, (1.0,))
 
 
 def default_threads() -> int:
