@@ -5,7 +5,7 @@ single runs do behind a rare branch, such as calling libm for a large angle, sta
 both sides of a branch are computed always; who runs the loop takes such trajectories through the single loop instead.
 
 The bits are those of single runs: additions and multiplications are not contracted, and a call of libm that is left is
-made for one trajectory after the other. Intel's vector library SVML would change that last bit by bit; numba uses it
+made for one trajectory after the other. Intel's vector library SVML would change last bits; numba uses it
 only where the package icc-rt is installed, which topcli does not ask for, and not with NUMBA_DISABLE_INTEL_SVML=1.
 """
 
