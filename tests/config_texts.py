@@ -11,7 +11,9 @@ from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 
 CONFIGS = Path(__file__).parent.parent / "configs"
-FILES = sorted(path for path in CONFIGS.iterdir() if path.suffix in (".yaml", ".toml"))
+ENSEMBLES = sorted(CONFIGS.glob("*_ensemble.yaml"))
+FILES = sorted(path for path in CONFIGS.iterdir() if path.suffix in (".yaml", ".toml") and path not in ENSEMBLES)
+"""The configs of single runs."""
 PAPER_GAMMA = (math.sqrt(1.0 - 1e-6), 0.0, 1e-3)
 
 BASE = """\

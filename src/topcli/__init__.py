@@ -1,6 +1,6 @@
 """Numerical experiments on discrete spinning tops.
 
-The Python interface is three names, imported on first use so that ``import topcli`` costs nothing::
+The Python interface is a few names, imported on first use so that ``import topcli`` costs nothing::
 
     import topcli
 
@@ -14,17 +14,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from topcli.analysis.ensemble import Ensemble as Ensemble
     from topcli.analysis.trajectory import Trajectory as Trajectory
     from topcli.schemes.registry import scheme as scheme
     from topcli.studies.simulate import simulate as simulate
+    from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
 
 __version__ = "0.1.0"
-__all__ = ["Trajectory", "__version__", "scheme", "simulate"]
+__all__ = ["Ensemble", "Trajectory", "__version__", "scheme", "simulate", "simulate_ensemble"]
 
 _HOMES = {
+    "Ensemble": "topcli.analysis.ensemble",
     "Trajectory": "topcli.analysis.trajectory",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.studies.simulate",
+    "simulate_ensemble": "topcli.studies.simulate_ensemble",
 }
 
 

@@ -128,6 +128,8 @@ class Stepper:
     converge. The run then ends there as ``no_convergence``.
     A run ends as ``blew_up`` where one of the first ``checked`` slots is not finite; 0 stands for all of them. Others
     need no looking at when they cannot but spoil these.
+    A step made of ``stages`` names them: a step and the fractions of h that it is taken with in turn, in which the
+    state counts as failed as soon as it is not finite. Ensembles then take one stage at a time.
     """
 
     step: StepFunction
@@ -138,6 +140,7 @@ class Stepper:
     plain: bool = False
     iterative: bool = False
     checked: int = 0
+    stages: tuple[StepFunction, tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True)

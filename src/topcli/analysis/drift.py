@@ -101,6 +101,11 @@ def trend(t: Array, values: Array) -> Trend | None:
     return Trend(slope, math.sqrt(max(variance, 0.0)), scatter)
 
 
+def round_off_bound(steps: Any, scale: Any) -> Any:
+    """The largest deviation that rounding explains after so many ``steps``; numbers or arrays."""
+    return ROUND_OFF_ULPS * _EPS * np.sqrt(steps) * scale
+
+
 class _Tally:
     """Running sums of one invariant's deviation."""
 
@@ -199,7 +204,7 @@ class InvariantTally:
         fit = trend(self._steps_in[filled] / counts * self._h, tally.sums[filled] / counts)
         deviation = float(np.maximum(tally.high - tally.first, tally.first - tally.low))
         rms = math.sqrt(tally.squares / float(counts.sum()))
-        bound = ROUND_OFF_ULPS * _EPS * math.sqrt(max(self._last, 1)) * tally.scale
+        bound = float(round_off_bound(max(self._last, 1), tally.scale))
         span = self._last * self._h
         verdict, reason = _verdict(deviation, bound, RUNAWAY * tally.first_scale, fit, span)
         size = abs(tally.first)

@@ -201,12 +201,12 @@ def show(
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Show a config as it will run, with every default; or a scheme: what it is, claims, and where it fails."""
-    from topcli.config.load import load_experiment
+    from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
     if not sets and not Path(config).suffix and _show_scheme(config, as_json):
         return
-    experiment = load_experiment(config, sets or [])
+    experiment = load_any(config, sets or [])
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
     else:

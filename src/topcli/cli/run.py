@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from topcli.cli.talk import ProgressTeller, print_json, print_table, say, say_wa
 from topcli.errors import TopcliError, UsageError
 
 if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
     from topcli.studies.run import RunResult
 
@@ -44,16 +46,20 @@ class Interruption:
             signal.signal(number, handler)
 
 
-def _experiment(config: str, sets: list[str], output_format: str | None) -> Experiment:
-    from topcli.config.load import load_experiment
+def _experiment(config: str, sets: list[str], output_format: str | None) -> Experiment | EnsembleExperiment:
+    from topcli.config.load import load_any
 
-    return load_experiment(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
+    return load_any(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
 
 
 def _tell(result: RunResult, labelled: bool) -> None:
-    from topcli.studies.report import invariant_table, warning_of
+    from topcli.studies.report import warning_of
 
     report = result.report
+    if report.get("kind") == "ensemble":
+        from topcli.studies.ensemble_report import ensemble_table as invariant_table
+    else:
+        from topcli.studies.report import invariant_table
     if result.set_aside:
         say(f"kept the earlier, different run as {result.set_aside}")
     say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({result.status})")
@@ -63,19 +69,84 @@ def _tell(result: RunResult, labelled: bool) -> None:
     print_table(header, lines, report["name"] if labelled else "")
 
 
-def _dry_run(experiment: Experiment, out: Path, force: bool, resume: bool) -> dict[str, Any]:
-    from topcli.studies.resume import find_source
+def _dry_run(experiment: Experiment | EnsembleExperiment, out: Path, force: bool, resume: bool) -> dict[str, Any]:
+    from topcli.config.models import Experiment
     from topcli.studies.run import method_fingerprint, plan_run
 
-    code = method_fingerprint(experiment.method())
-    source = find_source(experiment, out, code) if resume else None
+    source = None
+    if isinstance(experiment, Experiment):
+        from topcli.studies.resume import find_source
+
+        code, rows = method_fingerprint(experiment.method()), experiment.N // experiment.output.every + 1
+        source = find_source(experiment, out, code) if resume else None
+    else:
+        from topcli.studies.ensemble import ensemble_fingerprint
+
+        _refuse_to_resume(resume)
+        code, rows = ensemble_fingerprint(experiment), experiment.rows
     return {
         "config": experiment.resolved(),
         "digest": experiment.digest,
         "folder": str(out / experiment.name),
         "action": plan_run(experiment, out, code, force=force, source=source).action,
-        "rows": experiment.N // experiment.output.every + 1,
+        "rows": rows,
     }
+
+
+@dataclass(frozen=True)
+class How:
+    """What the command line says about how to run, as opposed to what."""
+
+    force: bool
+    resume: bool
+    checkpoint_every: float
+    threads: int | None
+    quiet: bool
+
+
+def _refuse_to_resume(resume: bool) -> None:
+    """Ensembles have no checkpoints."""
+    if resume:
+        raise UsageError("--resume continues a run of one trajectory; an ensemble is run again whole")
+
+
+def _run(
+    experiment: Experiment | EnsembleExperiment,
+    out: Path,
+    how: How,
+    teller: ProgressTeller,
+    interruption: Interruption,
+) -> RunResult:
+    """Run one experiment or ensemble into its folder."""
+    from topcli.config.models import Experiment
+
+    def stop() -> bool:
+        return interruption.asked
+
+    if isinstance(experiment, Experiment):
+        from topcli.studies.run import run_experiment
+
+        return run_experiment(
+            experiment,
+            out,
+            force=how.force,
+            resume=how.resume,
+            checkpoint_every=how.checkpoint_every,
+            progress=teller,
+            stop=stop,
+            tell=(lambda line: None) if how.quiet else say,
+        )
+    from topcli.studies.ensemble import run_ensemble
+
+    _refuse_to_resume(how.resume)
+    return run_ensemble(experiment, out, force=how.force, threads=how.threads, progress=teller, stop=stop)
+
+
+def _code(result: RunResult) -> int:
+    """The exit code of one run: of an ensemble, 3 when some trajectories failed and some did not."""
+    if result.outcome.value in ("completed", "interrupted"):
+        return 0 if result.outcome.value == "completed" else 130
+    return 3 if result.report.get("outcomes", {}).get("completed") else 1
 
 
 def _exit_code(codes: list[int]) -> int:
@@ -112,11 +183,14 @@ def run(
     ] = 10.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the configs and say what would be done.")] = False,
     as_json: Json = False,
+    threads: Annotated[
+        int | None, typer.Option("--threads", min=1, help="Threads for ensembles; all CPUs by default.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")] = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Run experiments: time series and a report on the conservation laws, in one folder each.
+    """Run experiments and ensembles: time series and a report on the conservation laws, in one folder each.
 
     A long run writes checkpoints. Ctrl-C or SIGTERM ends it as interrupted (exit code 130), with what was recorded in
     its folder; --resume continues it, and also a run that was killed, and ends as if it had never been stopped.
@@ -127,6 +201,7 @@ def run(
         raise UsageError("--resume continues a run and --force repeats it: give one of them")
     if not checkpoint_every >= 0.0:
         raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds from 0 on")
+    how = How(force, resume, checkpoint_every, threads, quiet)
     load_scheme_files(scheme_files)
     told: list[dict[str, Any]] = []
     codes: list[int] = []
@@ -144,27 +219,17 @@ def run(
                     if not (as_json or quiet):
                         print(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
                     continue
-                from topcli.studies.run import run_experiment
-
                 teller.begin(experiment.name)
-                result = run_experiment(
-                    experiment,
-                    out,
-                    force=force,
-                    resume=resume,
-                    checkpoint_every=checkpoint_every,
-                    progress=teller,
-                    stop=lambda: interruption.asked,
-                    tell=(lambda line: None) if quiet else say,
-                )
+                result = _run(experiment, out, how, teller, interruption)
                 teller.close()
                 if not (quiet or as_json):
                     _tell(result, labelled=len(configs) > 1)
                 told.append({"folder": str(result.stored.folder), "status": result.status, **result.report})
-                codes.append({"completed": 0, "interrupted": 130}.get(result.outcome.value, 1))
+                codes.append(_code(result))
                 if codes[-1]:
-                    more = "; --resume continues it" if codes[-1] == 130 else ""
-                    say(f"error: {experiment.name}: {result.outcome.value}; what came before is kept{more}")
+                    what = "some trajectories failed" if codes[-1] == 3 else result.outcome.value
+                    more = "; --resume continues it" if codes[-1] == 130 and "kind" not in result.report else ""
+                    say(f"error: {experiment.name}: {what}; what came before is kept{more}")
             except TopcliError as error:
                 teller.close()
                 say(f"error: {error}")

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
 
 
@@ -27,7 +28,7 @@ def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-def say_warnings(experiment: Experiment) -> None:
+def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
     """Say what is unusual about the parameters of the experiment's top."""
     for line in experiment.top.warnings():
         say(f"warning: {experiment.name}: {line}")

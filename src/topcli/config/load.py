@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from topcli.config.document import Document, plain
 from topcli.config.files import SUFFIXES, read_document
@@ -15,6 +15,9 @@ from topcli.config.problems import Problems, validate
 from topcli.config.sections import check_columns, read_initial, read_scheme, read_top
 from topcli.errors import ConfigError, UnknownNameError, nearest
 
+if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
+
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 """The folder of the packaged scenes: configs that are found by their bare name."""
 
@@ -23,8 +26,17 @@ def load_experiment(source: Path | str, overrides: Sequence[str] = ()) -> Experi
     """The experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
     ``overrides`` are ``key=value`` texts, applied before the config is validated.
-    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right.
+    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
+    an ensemble, which ``load_any`` loads.
     """
+    path = find_config(source)
+    document = read_document(path)
+    apply_overrides(document, overrides)
+    return _single(document, path.stem)
+
+
+def load_any(source: Path | str, overrides: Sequence[str] = ()) -> Experiment | EnsembleExperiment:
+    """The experiment, or the ensemble, of a config file or of a packaged scene. Raises as ``load_experiment``."""
     path = find_config(source)
     document = read_document(path)
     apply_overrides(document, overrides)
@@ -36,12 +48,36 @@ def experiment_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> E
 
     Lists may be tuples or numpy arrays. Raises as ``load_experiment``; the messages name the key.
     """
+    return _single(_document(data, overrides), None)
+
+
+def any_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment | EnsembleExperiment:
+    """The experiment, or the ensemble, of a config given as a dict. Raises as ``experiment_from``."""
+    return _experiment(_document(data, overrides), None)
+
+
+def _document(data: Mapping[str, Any], overrides: Sequence[str]) -> Document:
     if not isinstance(data, Mapping):
         raise ConfigError(f"a config is a dict with the keys {', '.join(Config.model_fields)}")
     document = Document({})
     document.data = plain(data, document)
     apply_overrides(document, overrides)
-    return _experiment(document, None)
+    return document
+
+
+def _single(document: Document, default_name: str | None) -> Experiment:
+    """The experiment of a document that must not be an ensemble."""
+    found = _experiment(document, default_name)
+    if not isinstance(found, Experiment):
+        problems = Problems(document)
+        problems.add(
+            ("ensemble",),
+            f"this is an ensemble of {found.count} trajectories, and a single one is needed here; "
+            "`topcli run` and topcli.simulate_ensemble take ensembles",
+        )
+        problems.raise_any()
+    assert isinstance(found, Experiment)
+    return found
 
 
 def scene_files() -> dict[str, Path]:
@@ -72,22 +108,37 @@ def find_config(source: Path | str) -> Path:
     raise UnknownNameError(f"no packaged scene is called {text!r} (files end in .yaml, .yml or .toml); {near}")
 
 
-def _experiment(document: Document, default_name: str | None) -> Experiment:
+def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
     problems = Problems(document)
-    optional = ("name", "output")
+    optional = ("name", "output", "ensemble")
     data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
     if "name" not in data and default_name is not None:
         if fault := name_fault(default_name):
             problems.add(("name",), f"missing, and the file's own name does not serve: it {fault}")
         data["name"] = "unnamed" if fault else default_name
+    many = data.get("ensemble")
+    if many is not None:
+        data.setdefault("initial", {})
     config = validate(Config, data, (), problems)
-    cls = top = state = scheme = None
+    cls = top = state = scheme = members = None
+    initial = data.get("initial")
     if "top" in data:
-        cls, top = read_top(data["top"], data.get("initial"), problems)
+        named = initial
+        if many is not None and isinstance(initial, dict):
+            from topcli.config.members import vectors_named
+
+            named = dict.fromkeys(vectors_named(many)) | initial
+        cls, top = read_top(data["top"], named, problems)
     if cls and "scheme" in data:
         scheme = read_scheme(data["scheme"], cls, problems)
-    if cls and "initial" in data:
-        state = read_initial(data["initial"], cls, problems)
+    if cls and many is not None:
+        from topcli.config.members import read_members
+
+        parameters = data["top"] if isinstance(data["top"], dict) else {}
+        members = read_members(many, initial, cls, top, parameters, problems) if top else None
+        state = tuple(members.groups[0].states[0].tolist()) if members else None
+    elif cls and "initial" in data:
+        state = read_initial(initial, cls, problems)
     if config:
         if config.output.every > config.N:
             problems.add(("output", "every"), f"must be at most N = {config.N}, not {config.output.every}")
@@ -103,7 +154,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment:
     assert top is not None
     assert state is not None
     assert scheme is not None
-    return Experiment(
+    experiment = Experiment(
         name=config.name or f"{top.kind}_{scheme[0].name}".replace("-", "_"),
         top=top,
         y0=state,
@@ -113,3 +164,9 @@ def _experiment(document: Document, default_name: str | None) -> Experiment:
         N=config.N,
         output=config.output,
     )
+    if members is None:
+        return experiment
+    from topcli.config.ensemble import EnsembleExperiment
+
+    first = experiment.model_copy(update={"top": members.groups[0].top})
+    return EnsembleExperiment(first, members, experiment.top)

@@ -50,7 +50,7 @@ def _step(value: float) -> float:
     return value
 
 
-def _integral(value: Any) -> Any:
+def as_integer(value: Any) -> Any:
     """A whole number written as a float, such as 5e4, as an integer."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
@@ -66,7 +66,7 @@ def _columns(value: tuple[str, ...]) -> tuple[str, ...]:
 
 Name = Annotated[str, AfterValidator(_name)]
 StepSize = Annotated[float, AfterValidator(_step)]
-Count = Annotated[int, Field(ge=1, le=MAX_STEPS), BeforeValidator(_integral)]
+Count = Annotated[int, Field(ge=1, le=MAX_STEPS), BeforeValidator(as_integer)]
 Columns = Annotated[tuple[str, ...], AfterValidator(_columns)]
 
 
@@ -96,6 +96,10 @@ class Config(BaseModel):
     )
     top: Any = Field(description="the top: its kind, or a section with its kind and parameters")
     initial: Any = Field(description="the initial state: the top's vectors, such as omega and gamma")
+    ensemble: Any = Field(
+        default=None,
+        description="many trajectories instead of one: their initial states as a list, a grid, or random draws",
+    )
     scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
     N: Count = Field(description="the number of steps, a whole number from 1 to 1e12")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from topcli.config.ensemble_schema import ensemble_schema
 from topcli.config.models import Config
 from topcli.config.sections import AUTO
 from topcli.contracts import Scheme, Top
@@ -31,6 +32,9 @@ def config_schema() -> Schema:
         ]
     }
     properties["initial"] |= {"type": "object"}
+    properties["ensemble"] = {"type": ["object", "null"], "description": properties["ensemble"]["description"]}
+    schema["required"].remove("initial")
+    schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
     properties["scheme"] |= {"type": ["string", "object"]}
     properties["h"]["not"] = {"const": 0}
     properties["output"].pop("$ref", None)
@@ -52,6 +56,7 @@ def _for_top(cls: type[Top]) -> Schema:
     columns = ["n", "t", *cls.components, *(invariant.name for invariant in cls.new().invariants())]
     items: Schema = {"anyOf": [{"enum": columns}, {"pattern": "^modified_"}]}
     initial = {name: _vector(cls, name) for name in cls.vectors}
+    complete: Schema = {"anyOf": [{"required": ["ensemble"]}, {"properties": {"initial": {"required": list(initial)}}}]}
     normalize = {
         "type": "boolean",
         "default": False,
@@ -71,13 +76,14 @@ def _for_top(cls: type[Top]) -> Schema:
                 "top": {"anyOf": [kind, _section(cls, "kind", kind | {"description": cls.title})]},
                 "initial": {
                     "type": "object",
-                    "required": list(initial),
                     "additionalProperties": False,
                     "properties": {**initial, "normalize": normalize},
                 },
+                "ensemble": ensemble_schema(cls, {**initial, "normalize": normalize}),
                 "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
                 "output": {"properties": {"columns": {"anyOf": [{"type": "array", "items": items}, {"type": "null"}]}}},
-            }
+            },
+            **complete,
         },
     }
 

@@ -102,7 +102,7 @@ def read_initial(raw: object, cls: type[Top], problems: Problems) -> tuple[float
             problems.add(("initial", name), f"missing; give a list of {stop - start} numbers")
             vector = None
         else:
-            vector = _vector(raw[name], cls, name, normalize, problems)
+            vector = read_vector(raw[name], cls, name, normalize, problems)
         if vector is None:
             complete = False
         else:
@@ -110,7 +110,7 @@ def read_initial(raw: object, cls: type[Top], problems: Problems) -> tuple[float
     return tuple(state) if complete else None
 
 
-def _vector(raw: object, cls: type[Top], name: str, normalize: bool, problems: Problems) -> list[float] | None:
+def read_vector(raw: object, cls: type[Top], name: str, normalize: bool, problems: Problems) -> list[float] | None:
     """The vector ``name`` of the initial state, complete; None when it is wrong."""
     start, stop = cls.vectors[name]
     components = cls.components[start:stop]
@@ -124,7 +124,7 @@ def _vector(raw: object, cls: type[Top], name: str, normalize: bool, problems: P
     vector: list[float] = []
     autos: list[int] = []
     for index, (value, component) in enumerate(zip(raw, components, strict=True)):
-        number = _number(value)
+        number = number_of(value)
         if unit and isinstance(value, str) and value in AUTO:
             autos.append(index)
             vector.append(AUTO[value])
@@ -145,7 +145,8 @@ def _vector(raw: object, cls: type[Top], name: str, normalize: bool, problems: P
     return _unit(vector, normalize, path, problems) if unit else vector
 
 
-def _number(value: object) -> float | None:
+def number_of(value: object) -> float | None:
+    """``value`` as a float, infinite where it is too large for one; None when it is no number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     try:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Array, Method, Sampler, Stepper
+from topcli.contracts import Array, Method, Outcome, Sampler, Stepper
 from topcli.engine.native import CompileError, native
 from topcli.errors import SchemeCodeError
 
@@ -122,6 +122,19 @@ class Loop:
     iterative: bool = False
     compiled: bool = True
 
+    def failure(self, work: Array) -> Outcome:
+        """Why the step that ``work`` is the result of failed."""
+        status = work[len(work) - len(self.counters) - 1]
+        return Outcome.NO_CONVERGENCE if self.iterative and np.isnan(status) else Outcome.BLEW_UP
+
+
+def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
+    """What to tell the author of a step that the compiler refuses."""
+    where = f"{method.step.__code__.co_filename}:{method.step.__code__.co_firstlineno}"
+    return SchemeCodeError(
+        f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
+    )
+
 
 def loop_of(method: Method, d: int, constants: int) -> Loop:
     """The loop of a method for states of length ``d``: machine code, except where a method cannot be compiled.
@@ -137,8 +150,5 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     try:
         code = native(drive, SIGNATURE)
     except CompileError as error:
-        where = f"{method.step.__code__.co_filename}:{method.step.__code__.co_firstlineno}"
-        raise SchemeCodeError(
-            f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
-        ) from None
+        raise step_refused(method, d, error) from None
     return Loop(enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)

@@ -94,11 +94,6 @@ class Run:
         counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
         self.ending = Ending(outcome, step, step * self.h, counts)
 
-    def _failure(self, work: Array) -> Outcome:
-        """Why the step that ``work`` is the result of failed."""
-        status = work[len(work) - len(self._loop.counters) - 1]
-        return Outcome.NO_CONVERGENCE if self._loop.iterative and np.isnan(status) else Outcome.BLEW_UP
-
     def __iter__(self) -> Iterator[Chunk]:
         """Chunks of recorded rows; the last one is followed by ``ending`` being set."""
         d, every, N = len(self._y0), self.every, self.N
@@ -125,7 +120,7 @@ class Run:
             self.run_seconds += time.perf_counter() - start
             before = done
             if taken < 0:
-                outcome, done = self._failure(work), done - taken
+                outcome, done = self._loop.failure(work), done - taken
                 last_good = done - 1
                 self._failed = True
             else:

@@ -32,7 +32,7 @@ from topcli import __version__
 from topcli.engine.source import compilable_copy, fingerprint
 from topcli.kernels.fused import fma
 
-CACHE_ENTRIES = 256
+CACHE_ENTRIES = 512
 """The newest entries that the cache keeps; older ones are removed."""
 
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}

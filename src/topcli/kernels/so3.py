@@ -52,28 +52,53 @@ def cayley_turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: flo
     )
 
 
+def sinc_polynomial(t: float) -> float:
+    """sin(x)/x as a function of t = x*x up to SMALL_ANGLE_SQ; exactly 1 at 0 (fdlibm's polynomial)."""
+    u = t * t
+    low = -1.66666666666666324348e-01 + t * 8.33333333332248946124e-03
+    mid = -1.98412698298579493134e-04 + t * 2.75573137070700676789e-06
+    high = -2.50507602534068634195e-08 + t * 1.58969099521155010221e-10
+    return 1.0 + t * (low + u * (mid + u * high))
+
+
 def sinc_of_square(t: float) -> float:
-    """sin(x)/x as a function of t = x*x >= 0; exactly 1 at 0 (fdlibm's polynomial, then libm)."""
+    """sin(x)/x as a function of t = x*x >= 0: fdlibm's polynomial, then libm."""
     if t <= SMALL_ANGLE_SQ:
-        u = t * t
-        low = -1.66666666666666324348e-01 + t * 8.33333333332248946124e-03
-        mid = -1.98412698298579493134e-04 + t * 2.75573137070700676789e-06
-        high = -2.50507602534068634195e-08 + t * 1.58969099521155010221e-10
-        return 1.0 + t * (low + u * (mid + u * high))
+        return sinc_polynomial(t)
     x = math.sqrt(t)
     return math.sin(x) / x
 
 
+def cosc_polynomial(t: float) -> float:
+    """(1 - cos(x))/x**2 as a function of t = x*x up to SMALL_ANGLE_SQ; exactly 1/2 at 0 (fdlibm's polynomial)."""
+    u = t * t
+    low = 4.16666666666666019037e-02 - t * 1.38888888888741095749e-03
+    mid = 2.48015872894767294178e-05 - t * 2.75573143513906633035e-07
+    high = 2.08757232129817482790e-09 - t * 1.13596475577881948265e-11
+    return 0.5 - t * (low + u * (mid + u * high))
+
+
 def cosc_of_square(t: float) -> float:
-    """(1 - cos(x))/x**2 as a function of t = x*x >= 0; exactly 1/2 at 0 (fdlibm's polynomial, then libm)."""
+    """(1 - cos(x))/x**2 as a function of t = x*x >= 0: fdlibm's polynomial, then libm."""
     if t <= SMALL_ANGLE_SQ:
-        u = t * t
-        low = 4.16666666666666019037e-02 - t * 1.38888888888741095749e-03
-        mid = 2.48015872894767294178e-05 - t * 2.75573143513906633035e-07
-        high = 2.08757232129817482790e-09 - t * 1.13596475577881948265e-11
-        return 0.5 - t * (low + u * (mid + u * high))
+        return cosc_polynomial(t)
     half = math.sin(0.5 * math.sqrt(t))
     return 2.0 * half * half / t
+
+
+def sinc_small(t: float) -> float:
+    """``sinc_of_square`` where it needs no libm, nan beyond."""
+    return sinc_polynomial(t) if t <= SMALL_ANGLE_SQ else math.nan
+
+
+def cosc_small(t: float) -> float:
+    """``cosc_of_square`` where it needs no libm, nan beyond."""
+    return cosc_polynomial(t) if t <= SMALL_ANGLE_SQ else math.nan
+
+
+IN_LANES = {sinc_of_square: sinc_small, cosc_of_square: cosc_small}
+"""What stands in for a kernel where several trajectories share a vector: a call of libm behind a branch would then be
+made for every one of them at every step. A nan says that the one trajectory must be stepped by itself."""
 
 
 def rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:

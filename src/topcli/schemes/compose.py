@@ -148,7 +148,8 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         reason = _method_obstacle(method, top)
         if reason or isinstance(method, Sampler):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
-        return replace(method, step=composed_step(method.step, composition.weights))
+        weights = composition.weights
+        return replace(method, step=composed_step(method.step, weights), stages=(method.step, weights))
 
     stages = f"{composition.stages} steps of {base.name} of unequal lengths in one: {composition.title}"
     return replace(

@@ -24,11 +24,16 @@ ROW_GROUP = 131_072
 
 FORMATS = ("parquet", "csv")
 
+INTEGERS = ("n", "trajectory")
+"""Columns of whole numbers."""
+WORDS = ("outcome",)
+"""Columns of text."""
+
 
 def _arrow_type(name: str) -> Any:
     import pyarrow as pa
 
-    return pa.int64() if name == "n" else pa.float64()
+    return pa.int64() if name in INTEGERS else pa.string() if name in WORDS else pa.float64()
 
 
 def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None) -> Any:
@@ -37,6 +42,10 @@ def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | No
 
     arrays, fields = [], []
     for name, values in data.items():
+        if values.dtype.kind == "U":
+            arrays.append(pa.array(values.tolist(), pa.string()))
+            fields.append(pa.field(name, pa.string(), nullable=False))
+            continue
         kind = pa.from_numpy_dtype(values.dtype)
         contiguous = np.ascontiguousarray(values)
         arrays.append(pa.Array.from_buffers(kind, len(contiguous), [None, pa.py_buffer(contiguous)]))
@@ -45,14 +54,18 @@ def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | No
 
 
 def _parquet_options(names: Iterable[str]) -> dict[str, Any]:
-    encodings = {name: "DELTA_BINARY_PACKED" if name == "n" else "BYTE_STREAM_SPLIT" for name in names}
+    names = list(names)
+    encodings = {
+        name: "DELTA_BINARY_PACKED" if name in INTEGERS else "PLAIN" if name in WORDS else "BYTE_STREAM_SPLIT"
+        for name in names
+    }
     return {
         "compression": "zstd",
         "compression_level": -1,
         "data_page_size": 1 << 23,
         "use_dictionary": False,
         "column_encoding": encodings,
-        "write_statistics": False,
+        "write_statistics": ["trajectory"] if "trajectory" in names else False,  # to find one of many row groups
     }
 
 
@@ -133,6 +146,10 @@ class SeriesWriter:
         self._held.add(data)
         if self._held.rows >= ROW_GROUP:
             self._flush()
+
+    def end_group(self) -> None:
+        """Write what is held: in Parquet, a row group ends here."""
+        self._flush()
 
     def _flush(self) -> None:
         """Write what is held."""

@@ -108,7 +108,8 @@ def invariant_table(report: dict[str, Any]) -> list[list[str]]:
     return [[label, *(cell[i] for cell in cells)] for i, label in enumerate(INVARIANT_COLUMNS)]
 
 
-def _markdown(lines: Sequence[Sequence[str]]) -> list[str]:
+def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of cells as a Markdown table; the first line is the header."""
     ruled = ["| " + " | ".join(line) + " |" for line in lines]
     return [ruled[0], "|" + " --- |" * len(lines[0]), *ruled[1:]]
 
@@ -127,7 +128,7 @@ def report_markdown(report: dict[str, Any]) -> str:
         "",
         "## Conservation laws",
         "",
-        *_markdown(invariant_table(report)),
+        *markdown_table(invariant_table(report)),
         "",
         *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
         "",

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -37,6 +37,9 @@ from topcli.studies.resume import (
 )
 
 KEPT = "what its last checkpoint holds is kept, and --resume continues it once there is space"
+
+if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
 
 Progress = Callable[[int, int], None]
 """Told (steps done, N) between chunks."""
@@ -78,7 +81,12 @@ def method_fingerprint(method: Method) -> str:
 
 
 def plan_run(
-    experiment: Experiment, out: Path, code: str, *, force: bool = False, source: Source | None = None
+    experiment: Experiment | EnsembleExperiment,
+    out: Path,
+    code: str,
+    *,
+    force: bool = False,
+    source: Source | None = None,
 ) -> Plan:
     """What running ``experiment`` into ``out``, or going on from ``source``, will do.
 

@@ -1,0 +1,135 @@
+"""How well each trajectory of an ensemble keeps its invariants, accumulated piece by piece.
+
+For every trajectory and invariant: the first value; the largest and the root mean square of the deviations from it over
+the recorded rows; the deviation at the end; and whether the largest is within the round-off bound of
+``analysis.drift``. The memory this takes does not depend on the number of steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.analysis.drift import round_off_bound
+from topcli.contracts import Array, Invariant
+
+QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
+MEASURES = ("max_deviation", "rms_deviation", "final_deviation")
+
+
+class ManyTally:
+    """The deviations of ``invariants`` along ``count`` trajectories, fed with pieces of rows in the order of time.
+
+    Different trajectories may be added from different threads.
+    """
+
+    def __init__(self, invariants: Sequence[Invariant], count: int) -> None:
+        self.invariants = tuple(invariants)
+        shape = (len(self.invariants), count)
+        self.first = np.full(shape, np.nan)
+        self.max_deviation, self._squares, self._scale = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self.final_deviation = np.full(shape, np.nan)
+        self._rows, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+
+    def add(self, first: int, n: NDArray[np.int64], states: Array, kept: NDArray[np.int64]) -> None:
+        """Take in rows of the trajectories from ``first`` on: step numbers (m,), states (trajectories, m, d).
+
+        Only the first ``kept[i]`` rows of each count. A trajectory's first row ever is its reference.
+        """
+        count, m, d = states.shape
+        if not m:
+            return
+        here = slice(first, first + count)
+        beyond = np.arange(m) >= kept[:, None]
+        flat = np.ascontiguousarray(states).reshape(count * m, d)
+        fresh = (self._rows[here] == 0) & (kept > 0)
+        with np.errstate(all="ignore"):  # huge states: the figures say that they are not finite
+            for i, invariant in enumerate(self.invariants):
+                values = invariant.value(flat).reshape(count, m)
+                self.first[i, here] = np.where(fresh, values[:, 0], self.first[i, here])
+                deviation = values - self.first[i, here, None]
+                deviation[beyond] = 0.0
+                scale = invariant.scale(flat).reshape(count, m)
+                scale[beyond] = 0.0
+                largest = np.maximum(deviation.max(axis=1), -deviation.min(axis=1))
+                self.max_deviation[i, here] = np.maximum(self.max_deviation[i, here], largest)
+                self._scale[i, here] = np.maximum(self._scale[i, here], scale.max(axis=1))
+                self._squares[i, here] += np.einsum("ij,ij->i", deviation, deviation)
+        self._rows[here] += kept
+        self._steps[here] = np.where(kept > 0, n[np.maximum(kept, 1) - 1], self._steps[here])
+
+    def finish(self, states: Array) -> None:
+        """Take in the last states (trajectories, d), which the final deviations are those of.
+
+        Where a trajectory was never begun, all figures become nan.
+        """
+        with np.errstate(all="ignore"):
+            for i, invariant in enumerate(self.invariants):
+                self.final_deviation[i] = invariant.value(states) - self.first[i]
+        never = self._rows == 0
+        self.max_deviation[:, never] = self._squares[:, never] = np.nan
+
+    @property
+    def rms_deviation(self) -> Array:
+        """The root mean square of the deviations (invariants, trajectories)."""
+        return np.sqrt(self._squares / np.maximum(self._rows, 1))
+
+    @property
+    def within_round_off(self) -> NDArray[np.bool_]:
+        """Whether the largest deviation is within the round-off bound; a trajectory without a step is not judged."""
+        steps = self._steps[None, :]
+        bound = round_off_bound(np.maximum(steps, 1), self._scale)
+        return (self.max_deviation <= bound) & np.isfinite(bound) & (steps > 0)
+
+    @property
+    def begun(self) -> NDArray[np.bool_]:
+        """Which trajectories have a row at all."""
+        return self._rows > 0
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Which trajectories took a recorded step."""
+        return self._steps > 0
+
+
+def joined_columns(tallies: Sequence[ManyTally]) -> dict[str, Array]:
+    """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation`` and ``_final_deviation``, each (trajectories,).
+
+    The tallies have the same invariants, of different tops.
+    """
+    made: dict[str, Array] = {}
+    for i, invariant in enumerate(tallies[0].invariants):
+        for name in ("first", *MEASURES):
+            made[f"{invariant.name}_{name}"] = np.concatenate([getattr(tally, name)[i] for tally in tallies])
+    return made
+
+
+def quantiles(values: Array) -> dict[str, float | None]:
+    """The quantiles of the magnitudes of ``values`` (m,); nan is left out, and None stands for a set with no number."""
+    known = np.abs(values[~np.isnan(values)])
+    if not len(known):
+        return dict.fromkeys(QUANTILES)
+    # of what was seen, not between: a mean of an infinity and a number says nothing
+    found = np.quantile(known, list(QUANTILES.values()), method="inverted_cdf")
+    return dict(zip(QUANTILES, found.tolist(), strict=True))
+
+
+def summary_rows(tallies: Sequence[ManyTally]) -> list[dict[str, Any]]:
+    """For each invariant what the report says of it: quantiles over the trajectories, and how many are exact."""
+    columns: Mapping[str, Array] = joined_columns(tallies)
+    exact: Iterable[NDArray[np.bool_]] = [tally.within_round_off for tally in tallies]
+    within = np.concatenate(list(exact), axis=1)
+    judged = int(np.concatenate([tally.judged for tally in tallies]).sum())
+    return [
+        {
+            "name": invariant.name,
+            "symbol": invariant.symbol,
+            "judged": judged,
+            "within_round_off": int(within[i].sum()),
+            **{measure: quantiles(columns[f"{invariant.name}_{measure}"]) for measure in MEASURES},
+        }
+        for i, invariant in enumerate(tallies[0].invariants)
+    ]

@@ -1,0 +1,144 @@
+"""The models of an ensemble: one experiment from many initial states."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from topcli.config.models import Experiment, as_integer
+from topcli.contracts import Array, Top
+
+MAX_TRAJECTORIES = 10**6
+Size = Annotated[int, Field(ge=1, le=MAX_TRAJECTORIES), BeforeValidator(as_integer)]
+
+
+class Section(BaseModel):
+    """Where the initial states come from, one of the three, and what is kept of the trajectories."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    states: Any = Field(default=None, description="a list of initial states; a vector left out is that of initial")
+    grid: Any = Field(
+        default=None,
+        description="for components of the state and parameters (top.NAME), a list of values or start, stop, count; "
+        "every combination is a trajectory",
+    )
+    random: Any = Field(default=None, description="count, seed, and how each vector is drawn")
+    store: Literal["trajectories", "final", "statistics"] = Field(
+        default="trajectories",
+        description="what is kept: every recorded row, the last state of each trajectory, or neither; "
+        "the statistics of the invariants are kept always",
+    )
+
+
+class Random(BaseModel):
+    """How many draws, and from which seed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    count: Size = Field(description="the number of trajectories, 1 to 1e6")
+    seed: Annotated[int, Field(ge=0, lt=2**63), BeforeValidator(as_integer)] = Field(
+        default=0, description="the seed of the random numbers"
+    )
+
+
+class Spaced(BaseModel):
+    """Evenly spaced values, both ends included."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    start: float = Field(description="the first value")
+    stop: float = Field(description="the last value")
+    count: Size = Field(description="the number of values")
+
+    def values(self) -> list[float]:
+        """The values in order."""
+        return np.linspace(self.start, self.stop, self.count).tolist()
+
+
+@dataclass(frozen=True)
+class Group:
+    """Trajectories that share the parameters of the top; ``states`` (m, d) are their initial states."""
+
+    top: Top
+    states: Array
+
+
+@dataclass(frozen=True)
+class Members:
+    """What the section means: the groups, and the section with all defaults as plain data."""
+
+    groups: tuple[Group, ...]
+    section: dict[str, Any]
+    initial: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class EnsembleExperiment:
+    """One experiment from many initial states. ``first`` is its first trajectory as an experiment of its own."""
+
+    first: Experiment
+    members: Members
+    top: Top
+    """The top as the config gives it: a grid over parameters changes it."""
+
+    @property
+    def name(self) -> str:
+        """The name of the ensemble and its run folder."""
+        return self.first.name
+
+    @property
+    def count(self) -> int:
+        """The number of trajectories."""
+        return sum(len(group.states) for group in self.members.groups)
+
+    @property
+    def store(self) -> str:
+        """What is kept: ``trajectories``, ``final`` or ``statistics``."""
+        return self.members.section["store"]
+
+    @property
+    def rows(self) -> int:
+        """Rows of the series, if no trajectory ends early."""
+        each = self.first.N // self.first.output.every + 1
+        return self.count * {"trajectories": each, "final": 1, "statistics": 0}[self.store]
+
+    def of_group(self, group: Group) -> Experiment:
+        """The first trajectory of a group, which has the group's top."""
+        return self.first.model_copy(update={"top": group.top, "y0": tuple(group.states[0].tolist())})
+
+    def member(self, index: int) -> Experiment:
+        """Trajectory ``index`` (from 0) as an experiment of its own. Raises IndexError."""
+        left = index
+        for group in self.members.groups:
+            if 0 <= left < len(group.states):
+                y0 = tuple(group.states[left].tolist())
+                name = f"{self.name}_{index}"
+                return self.first.model_copy(update={"name": name, "top": group.top, "y0": y0})
+            left -= len(group.states)
+        raise IndexError(f"trajectory {index}: there are {self.count}")
+
+    def resolved(self) -> dict[str, Any]:
+        """Everything the ensemble depends on as plain data, which loads to the same initial states, bit for bit."""
+        given = self.first.model_copy(update={"top": self.top})
+        plain = {**given.resolved(), "initial": self.members.initial}
+        keys = ("name", "top", "initial", "ensemble", "scheme", "h", "N", "output")
+        return {key: self.members.section if key == "ensemble" else plain[key] for key in keys}
+
+    @cached_property
+    def digest(self) -> str:
+        """sha256 of the resolved config as canonical JSON, 64 hexadecimal digits."""
+        text = json.dumps(self.resolved(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def to_yaml(self) -> str:
+        """The resolved config as a YAML text that loads to the same ensemble."""
+        from topcli.config.emit import to_yaml
+
+        return to_yaml(self.resolved())

@@ -1,0 +1,282 @@
+"""The section ``ensemble`` of a config: many initial states, from a list, a grid, or seeded random draws."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from topcli.config.document import Document, KeyPath, describe
+from topcli.config.draws import Draw, draw_states, energy_of
+from topcli.config.ensemble import MAX_TRAJECTORIES, Group, Members, Random, Section, Spaced
+from topcli.config.problems import Problems, unknown_key, validate
+from topcli.config.sections import number_of, read_initial, read_vector
+from topcli.contracts import Array, Top
+from topcli.errors import nearest
+
+SOURCES = ("states", "grid", "random")
+ABSOLUTE = ("sphere", "energy")
+"""Draws that need no initial vector to start from."""
+
+
+def vectors_named(raw: object) -> list[str]:
+    """Vectors that the section names, right or wrong: they help to tell which form of the top is meant."""
+    if not isinstance(raw, dict):
+        return []
+    drawn = raw["random"] if isinstance(raw.get("random"), dict) else {}
+    listed = raw["states"] if isinstance(raw.get("states"), list) else []
+    named = [key for key in drawn if key not in Random.model_fields]
+    return named + [key for state in listed if isinstance(state, dict) for key in state if key != "normalize"]
+
+
+def read_members(
+    raw: object, initial: object, cls: type[Top], top: Top, parameters: Mapping[str, Any], problems: Problems
+) -> Members | None:
+    """The initial states of an ensemble of ``top``; None when the section, or ``initial``, is wrong.
+
+    ``parameters`` are the parameters of the top as the config gives them, for a grid over some of them.
+    """
+    path: KeyPath = ("ensemble",)
+    if not isinstance(raw, dict):
+        problems.add(path, f"must be a section with one of {', '.join(SOURCES)}, not {describe(raw)}")
+        return None
+    section = validate(Section, raw, path, problems)
+    given = [key for key in SOURCES if raw.get(key) is not None]
+    if len(given) != 1:
+        told = f"has {' and '.join(given)}" if given else "has none of them"
+        problems.add(path, f"must have one of {', '.join(SOURCES)}, and {told}")
+        return None
+    if not isinstance(initial, dict):
+        problems.add(("initial",), f"must be a section with {', '.join(cls.vectors)}, not {describe(initial)}")
+        return None
+    source = given[0]
+    found: tuple[tuple[Group, ...], Any] | None
+    if source == "states":
+        found = _listed(raw[source], initial, cls, top, problems)
+    elif source == "grid":
+        found = _gridded(raw[source], initial, cls, parameters, problems)
+    else:
+        found = _drawn(raw[source], initial, cls, top, problems)
+    if found is None or section is None:
+        return None
+    kept = {key: _floats(value) for key, value in initial.items()}
+    return Members(found[0], {source: found[1], "store": section.store}, kept)
+
+
+def _floats(value: Any) -> Any:
+    """Plain data with whole numbers as floats, which is what they are used as."""
+    if isinstance(value, list):
+        return [_floats(item) for item in value]
+    number = None if isinstance(value, bool) else number_of(value)
+    return value if number is None else number
+
+
+def _listed(
+    raw: object, initial: dict[str, Any], cls: type[Top], top: Top, problems: Problems
+) -> tuple[tuple[Group, ...], Any] | None:
+    path: KeyPath = ("ensemble", "states")
+    if not isinstance(raw, list) or not raw:
+        problems.add(path, f"must be a list of initial states, not {describe(raw) if raw != [] else 'an empty one'}")
+        return None
+    states = []
+    for index, given in enumerate(raw):
+        if not isinstance(given, dict):
+            vectors = ", ".join(cls.vectors)
+            problems.add((*path, index), f"must be a section with {vectors}, not {describe(given)}")
+            continue
+        state = _state({**initial, **given}, cls, (*path, index), problems)
+        if state is not None:
+            states.append(state)
+    if len(states) < len(raw):
+        return None
+    kept = [{key: _floats(value) for key, value in given.items()} for given in raw]
+    return (Group(top, np.array(states)),), kept
+
+
+def _state(raw: dict[str, Any], cls: type[Top], path: KeyPath, problems: Problems) -> tuple[float, ...] | None:
+    """An initial state whose mistakes are told at ``path``."""
+    own = Problems(Document({}))
+    state = read_initial(raw, cls, own)
+    for message in own.messages:
+        problems.add(path, message.removeprefix("initial."))
+    return state
+
+
+def _gridded(
+    raw: object, initial: dict[str, Any], cls: type[Top], parameters: Mapping[str, Any], problems: Problems
+) -> tuple[tuple[Group, ...], Any] | None:
+    """The product of the axes: parameters vary slowest, then the components in their order, the last one fastest."""
+    path: KeyPath = ("ensemble", "grid")
+    order = [*(f"top.{name}" for name in cls.model_fields), *cls.components]
+    known = [*cls.components, *order[: -len(cls.components)]]
+    if not isinstance(raw, dict) or not raw:
+        given = describe(raw) if raw != {} else "an empty one"
+        problems.add(path, f"must be a section with some of {', '.join(known)}, not {given}")
+        return None
+    axes: dict[str, list[float]] = {}
+    kept: dict[str, Any] = {}
+    for key in sorted(raw, key=lambda key: order.index(key) if key in order else -1):
+        if key not in known:
+            problems.add((*path, key), unknown_key(key, known))
+            continue
+        values = _axis(raw[key], (*path, key), problems)
+        if values is not None:
+            axes[key], kept[key] = values
+    if len(axes) < len(raw):
+        return None
+    total = math.prod(len(values) for values in axes.values())
+    if total > MAX_TRAJECTORIES:
+        problems.add(path, f"{total} combinations; an ensemble has at most {MAX_TRAJECTORIES} trajectories")
+        return None
+    states = _combined(axes, initial, cls, path, problems)
+    named = [key for key in axes if key.startswith("top.")]
+    tops = []
+    for values in itertools.product(*(axes[key] for key in named)):
+        chosen = dict(zip((key.removeprefix("top.") for key in named), values, strict=True))
+        own = Problems(Document({}))
+        top = validate(cls, {**parameters, **chosen}, ("top",), own, beside=("kind",))
+        for message in own.messages:
+            told = ", ".join(f"{name} = {value!r}" for name, value in chosen.items())
+            problems.add(path, f"at {told}: {message}" if told else message)
+        tops.append(top)
+    if states is None or None in tops:
+        return None
+    return tuple(Group(top, states) for top in tops), kept
+
+
+def _axis(raw: object, path: KeyPath, problems: Problems) -> tuple[list[float], Any] | None:
+    """The values of an axis, and how the config gives them, with its defaults."""
+    if isinstance(raw, dict):
+        spaced = validate(Spaced, raw, path, problems)
+        return None if spaced is None else (spaced.values(), spaced.model_dump())
+    if not isinstance(raw, list) or not raw:
+        given = describe(raw) if raw != [] else "an empty list"
+        problems.add(path, f"must be a list of numbers, or a section with start, stop and count, not {given}")
+        return None
+    numbers = [number_of(value) for value in raw]
+    for value, number in zip(raw, numbers, strict=True):
+        if number is None or not math.isfinite(number):
+            problems.add(path, f"must hold finite numbers, not {describe(value)}")
+            return None
+    values = [number for number in numbers if number is not None]
+    return values, values
+
+
+def _combined(
+    axes: Mapping[str, list[float]], initial: dict[str, Any], cls: type[Top], path: KeyPath, problems: Problems
+) -> Array | None:
+    """Every combination of the components' values (m, d), the vectors completed as ``initial`` asks for."""
+    before = len(problems.messages)
+    for key in initial:
+        if key not in (*cls.vectors, "normalize"):
+            problems.add(("initial", key), unknown_key(key, [*cls.vectors, "normalize"]))
+    if not isinstance(normalize := initial.get("normalize", False), bool):
+        problems.add(("initial", "normalize"), f"must be true or false, not {describe(normalize)}")
+        return None
+    pieces = []
+    for name, (start, stop) in cls.vectors.items():
+        components = cls.components[start:stop]
+        varied = [component for component in components if component in axes]
+        base = initial.get(name)
+        if base is None and len(varied) == len(components):
+            base = [0.0] * len(components)
+        if not isinstance(base, list) or len(base) != len(components):
+            if name not in initial:
+                problems.add(("initial", name), f"missing; give a list of {len(components)} numbers")
+            else:
+                read_vector(base, cls, name, normalize, problems)
+            continue
+        vectors = []
+        for values in itertools.product(*(axes[component] for component in varied)):
+            raw = list(base)
+            for component, value in zip(varied, values, strict=True):
+                raw[components.index(component)] = value
+            own = Problems(Document({}))
+            vector = read_vector(raw, cls, name, normalize, own)
+            if vector is None:
+                told = ", ".join(f"{one} = {value!r}" for one, value in zip(varied, values, strict=True))
+                where: KeyPath = path if told else ("initial", name)
+                for message in own.messages:
+                    text = message.removeprefix(f"initial.{name}: ")
+                    problems.add(where, f"at {told}: {name}: {text}" if told else text)
+                break
+            vectors.append(vector)
+        pieces.append(np.array(vectors))
+    if len(problems.messages) > before:
+        return None
+    indices = np.indices([len(piece) for piece in pieces]).reshape(len(pieces), -1)
+    return np.hstack([piece[index] for piece, index in zip(pieces, indices, strict=True)])
+
+
+def _drawn(
+    raw: object, initial: dict[str, Any], cls: type[Top], top: Top, problems: Problems
+) -> tuple[tuple[Group, ...], Any] | None:
+    path: KeyPath = ("ensemble", "random")
+    if not isinstance(raw, dict):
+        problems.add(path, f"must be a section with count and some of {', '.join(cls.vectors)}, not {describe(raw)}")
+        return None
+    spec = validate(Random, raw, path, problems, beside=cls.vectors)
+    draws = [_draw(raw[name], cls, top, name, problems) for name in cls.vectors if name in raw]
+    if not draws:
+        problems.add(path, f"draws nothing; say how to draw {' or '.join(cls.vectors)}, such as sphere or near")
+        return None
+    chosen = tuple(draw for draw in draws if draw is not None)
+    if spec is None or len(chosen) < len(draws):
+        return None
+    free = {draw.vector: [0.0, 0.0, 1.0] for draw in chosen if draw.kind in ABSOLUTE}
+    centre = read_initial({**initial, **free}, cls, problems)
+    if centre is None:
+        return None
+    states = draw_states(top, np.array(centre), chosen, spec.count, spec.seed)
+    if states is None:
+        energy = next(draw for draw in chosen if draw.kind == "energy")
+        problems.add(
+            (*path, energy.vector, "energy"), f"no state has the energy {energy.size!r}: the potential alone exceeds it"
+        )
+        return None
+    kept = {**spec.model_dump(), **{draw.vector: {draw.kind: draw.size} for draw in chosen}}
+    return (Group(top, states),), kept
+
+
+def _draw(raw: object, cls: type[Top], top: Top, name: str, problems: Problems) -> Draw | None:
+    """How the vector ``name`` is drawn."""
+    path: KeyPath = ("ensemble", "random", name)
+    unit = name in cls.unit_vectors
+    kinds = ["sphere", "near"] if unit else ["sphere", "near", "energy"]
+    start, stop = cls.vectors[name]
+    if stop - start != 3:
+        problems.add(path, "cannot be drawn: it is no vector of three components")
+        return None
+    if raw == "sphere" and unit:
+        return Draw(name, "sphere", 1.0)
+    if isinstance(raw, str) or not isinstance(raw, dict):
+        hint = nearest(raw, kinds) if isinstance(raw, str) and raw not in kinds else f"write {kinds[0]}: NUMBER"
+        wanted = "sphere, or a section with near" if unit else f"a section with one of {', '.join(kinds)}"
+        problems.add(path, f"must be {wanted}, not {describe(raw)}; {hint}")
+        return None
+    for key in raw:
+        if key not in kinds:
+            problems.add((*path, key), unknown_key(key, kinds))
+            return None
+    if len(raw) != 1:
+        problems.add(path, f"must have one of {', '.join(kinds)}, not {len(raw)} of them")
+        return None
+    ((kind, value),) = raw.items()
+    size = number_of(value)
+    if size is None or not math.isfinite(size):
+        problems.add((*path, kind), f"must be a finite number, not {describe(value)}")
+        return None
+    if kind == "energy" and energy_of(top) is None:
+        problems.add((*path, kind), f"the top {cls.form} has no energy among its invariants")
+        return None
+    if kind != "energy" and not size > 0.0:
+        problems.add((*path, kind), f"must be greater than 0, not {describe(value)}")
+        return None
+    if unit and ((kind == "sphere" and size != 1.0) or size > math.pi):
+        most = "1, because the vector is a unit vector" if kind == "sphere" else "an angle of at most pi"
+        problems.add((*path, kind), f"must be {most}, not {describe(value)}")
+        return None
+    return Draw(name, kind, size)

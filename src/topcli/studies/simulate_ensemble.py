@@ -1,0 +1,154 @@
+"""Ensembles from Python: a config, a scene's name, or an array of initial states in, an Ensemble out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.ensemble import Ensemble
+from topcli.config.ensemble import EnsembleExperiment, Group, Members
+from topcli.config.load import any_from, load_any
+from topcli.config.members import SOURCES
+from topcli.config.models import Experiment
+from topcli.config.sections import UNIT_TOLERANCE
+from topcli.contracts import Array, Top
+from topcli.engine.ensemble import Piece
+from topcli.errors import UsageError
+from topcli.studies.ensemble import GroupRun, trajectory_table
+from topcli.tops import TOPS
+
+MAX_NUMBERS = 5 * 10**8
+"""Numbers that the recorded states may hold in memory: four gigabytes."""
+
+
+def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> Ensemble:
+    """Run an ensemble in memory. Raises UsageError when its rows would not fit."""
+    first, d = experiment.first, len(experiment.top.components)
+    each = first.N // first.output.every + 1 if experiment.store == "trajectories" else 0
+    if experiment.count * each * d > MAX_NUMBERS:
+        raise UsageError(
+            f"{experiment.count} trajectories of {each} rows do not fit in memory; record fewer with output.every, "
+            "or keep less with store: final or statistics"
+        )
+    states = np.full((experiment.count, each, d), np.nan)
+
+    def keep(group: GroupRun[None], piece: Piece) -> None:
+        if each and len(piece.n):
+            where = group.offset + piece.first
+            start = int(piece.n[0]) // first.output.every
+            for i, kept in enumerate(piece.kept):
+                states[where + i, start : start + kept] = piece.states[i, :kept]
+
+    runs: list[GroupRun[None]] = []
+    offset = 0
+    for group in experiment.members.groups:
+        one = GroupRun(experiment, group, offset, keep, lambda: False, threads)
+        for _ in one.run:
+            pass
+        one.tally.finish(one.run.last)
+        runs.append(one)
+        offset += len(group.states)
+    spread = [one for one in runs for _ in one.group.states]
+    return Ensemble(
+        tops=tuple(one.group.top for one in spread),
+        scheme=first.scheme.name,
+        h=first.h,
+        n=np.arange(each, dtype=np.int64) * first.output.every,
+        states=states,
+        initial=np.concatenate([one.group.states for one in runs]),
+        last=np.concatenate([one.run.last for one in runs]),
+        last_n=np.concatenate([one.run.last_n for one in runs]),
+        endings=tuple(ending for one in runs for ending in one.run.endings),
+        tallies=tuple(one.tally for one in runs),
+        table=trajectory_table(experiment, runs),
+        modified=tuple(one.modified for one in spread),
+        compile_seconds=sum(one.run.compile_seconds for one in runs),
+        run_seconds=sum(one.run.run_seconds for one in runs),
+    )
+
+
+def simulate_ensemble(
+    config: str | Path | Mapping[str, Any] | None = None,
+    *,
+    states: Array | Sequence[Sequence[float]] | None = None,
+    overrides: Sequence[str] = (),
+    threads: int | None = None,
+    **changes: Any,
+) -> Ensemble:
+    """Run one experiment from many initial states and return the Ensemble.
+
+    ``config``, ``overrides`` and ``changes`` are those of ``topcli.simulate``. The initial states are the config's
+    ``ensemble``, or ``states`` (trajectories, d), in the order of the top's components; a trajectory has the same
+    bits as a single run from its state, whatever the number of ``threads`` (all CPUs by default)::
+
+        topcli.simulate_ensemble("kowalevski_ensemble")
+        topcli.simulate_ensemble("kowalevski_hk", ensemble={"random": {"count": 500, "seed": 7, "gamma": "sphere"}})
+        topcli.simulate_ensemble("kowalevski_hk", states=array, ensemble={"store": "statistics"})
+
+    Raises ConfigError and its kin for what is wrong with the config or the states. Trajectories that blow up do not
+    disturb the others; ``endings`` tells of them.
+    """
+    if threads is not None and threads < 1:
+        raise UsageError(f"threads must be at least 1, not {threads}")
+    if config is None or isinstance(config, Mapping):
+        data = {"name": "simulation", **(config or {}), **changes}
+    elif changes or states is not None:
+        data = {**load_any(config, overrides).resolved(), **changes}
+        overrides = ()
+    else:
+        return ensemble_of(_ensemble(load_any(config, overrides)), threads)
+    if states is not None:
+        return ensemble_of(_from_states(data, states, overrides), threads)
+    return ensemble_of(_ensemble(any_from(data, overrides)), threads)
+
+
+def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
+    if isinstance(found, EnsembleExperiment):
+        return found
+    raise UsageError(
+        "simulate_ensemble: no initial states; give states=..., or ensemble={'states' or 'grid' or 'random': ...}"
+    )
+
+
+def _from_states(data: dict[str, Any], states: Any, overrides: Sequence[str]) -> EnsembleExperiment:
+    """The ensemble from an array of states, with what ``ensemble`` says of keeping it."""
+    section = dict(data.pop("ensemble", None) or {})
+    if given := [key for key in SOURCES if section.get(key) is not None]:
+        raise UsageError(f"simulate_ensemble: initial states are given by states= and by ensemble.{given[0]}; keep one")
+    try:
+        array = np.array(states, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"simulate_ensemble: states must be an array of numbers: {error}") from None
+    if array.ndim != 2 or not len(array) or not np.isfinite(array).all():
+        raise UsageError("simulate_ensemble: states must be finite numbers of shape (trajectories, components)")
+    kind = data.get("top")
+    kind = kind.get("kind") if isinstance(kind, dict) else kind
+    initial = data.get("initial")
+    named = [key for key in initial if key != "normalize"] if isinstance(initial, dict) else None
+    fits = [top for top in TOPS.values() if top.kind == str(kind).lower() and len(top.components) == array.shape[1]]
+    top = next((top for top in fits if named is None or set(top.vectors) == set(named)), fits[0] if fits else None)
+    if top is not None:
+        _check_units(top, array)
+        data["initial"] = {name: array[0, start:stop].tolist() for name, (start, stop) in top.vectors.items()}
+    # an ensemble of the first state alone, so that ``store`` is checked like any other key
+    found = any_from({**data, "ensemble": {**section, "states": [{}]}}, overrides)
+    assert isinstance(found, EnsembleExperiment)
+    d = len(found.top.components)
+    if array.shape[1] != d:
+        raise UsageError(f"simulate_ensemble: a state of {found.top.kind} has {d} components, not {array.shape[1]}")
+    members = Members((Group(found.top, array),), {**found.members.section, "states": []}, found.members.initial)
+    return EnsembleExperiment(found.first, members, found.top)
+
+
+def _check_units(top: type[Top], states: Array) -> None:
+    for name in top.unit_vectors:
+        excess = (states[:, slice(*top.vectors[name])] ** 2).sum(axis=1) - 1.0
+        worst = int(np.argmax(np.abs(excess)))
+        if abs(excess[worst]) > UNIT_TOLERANCE:
+            raise UsageError(
+                f"simulate_ensemble: states[{worst}]: {name} must be a unit vector; {name}² is off by "
+                f"{excess[worst]:.3g} (allowed: {UNIT_TOLERANCE:g})"
+            )

@@ -1,0 +1,91 @@
+"""Seeded random initial states: the laws they follow, and energies to round-off."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from test_ensemble_config import BASE, ensemble, loaded, states
+from topcli.config.draws import draw_states, energy_of
+from topcli.tops import TOPS
+
+
+def test_draws_are_those_of_the_seed() -> None:
+    one = states(ensemble(random={"count": 3000, "seed": 5, "gamma": "sphere", "omega": {"near": 0.1}}))
+    assert np.array_equal(
+        one, states(ensemble(random={"count": 3000, "seed": 5, "gamma": {"sphere": 1}, "omega": {"near": 0.1}}))
+    )
+    assert np.array_equal(
+        one[:700], states(ensemble(random={"count": 700, "seed": 5, "gamma": "sphere", "omega": {"near": 0.1}}))
+    )
+    assert not np.array_equal(
+        one, states(ensemble(random={"count": 3000, "seed": 6, "gamma": "sphere", "omega": {"near": 0.1}}))
+    )
+    assert ensemble(random={"count": 3, "gamma": "sphere"}).resolved()["ensemble"]["random"]["seed"] == 0
+
+
+def within(values: np.ndarray, mean: float, variance: float) -> bool:
+    """Whether the mean of independent values of a known law is within four standard errors."""
+    return abs(float(values.mean()) - mean) < 4.0 * math.sqrt(variance / len(values))
+
+
+def test_the_sphere_is_uniform() -> None:
+    """First, second and fourth moments of every component, the mixed ones, and the length to round-off."""
+    gamma = states(ensemble(random={"count": 40_000, "seed": 2, "gamma": "sphere"}))[:, 3:]
+    assert np.abs((gamma**2).sum(axis=1) - 1.0).max() < 1e-15
+    for x in gamma.T:
+        assert within(x, 0.0, 1 / 3)
+        assert within(x**2, 1 / 3, 1 / 5 - 1 / 9)
+        assert within(x**4, 1 / 5, 1 / 9 - 1 / 25)
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        assert within(gamma[:, i] * gamma[:, j], 0.0, 1 / 15)
+    heights = np.sort(gamma[:, 1])  # Archimedes: uniform in [-1, 1]; Kolmogorov's distance
+    assert np.abs((heights + 1) / 2 - (np.arange(40_000) + 0.5) / 40_000).max() < 1.95 / math.sqrt(40_000)
+
+
+def test_a_cap_is_uniform_in_area_and_a_ball_in_volume() -> None:
+    found = states(ensemble(random={"count": 20_000, "gamma": {"near": 0.3}, "omega": {"near": 0.5}}))
+    centre = np.array([math.sqrt(1 - 1e-6), 0.0, 1e-3])
+    assert np.abs((found[:, 3:] ** 2).sum(axis=1) - 1.0).max() < 1e-15
+    depth = (1.0 - found[:, 3:] @ centre) / (1.0 - math.cos(0.3))
+    assert depth.min() >= -1e-12
+    assert depth.max() <= 1.0 + 1e-12
+    assert within(depth, 1 / 2, 1 / 12)
+    assert within(depth**2, 1 / 3, 1 / 5 - 1 / 9)
+    assert within(found[:, 4], 0.0, 0.3**2 / 4)
+    distance = np.linalg.norm(found[:, :3] - [2, 0, 0], axis=1) / 0.5
+    assert distance.max() <= 1.0
+    assert within(distance**3, 1 / 2, 1 / 12)
+    tiny = states(ensemble(random={"count": 2000, "gamma": {"near": 1e-9}}))[:, 3:]
+    assert within(np.linalg.norm(np.cross(tiny, centre), axis=1) * 1e9, 2 / 3, 1 / 18)
+
+
+@pytest.mark.parametrize("form", TOPS)
+def test_energies_are_exact(form: str) -> None:
+    """To round-off of the terms, for every form of a top, with directions uniform on the sphere."""
+    cls = TOPS[form]
+    top = cls.new()
+    found = energy_of(top)
+    assert found is not None
+    invariant, factor = found
+    moving = next(name for name in cls.vectors if name not in cls.unit_vectors)
+    random = {"count": 20_000, moving: {"energy": 3.5}, **dict.fromkeys(cls.unit_vectors, "sphere")}
+    data = {**BASE, "top": cls.kind, "scheme": "rk4", "initial": {}, "ensemble": {"random": random}}
+    drawn = states(loaded(data))
+    error = np.abs(factor * invariant.value(drawn) - 3.5)
+    assert (error <= 4 * np.finfo(float).eps * (factor * invariant.scale(drawn) + 3.5)).all()
+    start, stop = cls.vectors[moving]
+    unit = drawn[:, start:stop] / np.linalg.norm(drawn[:, start:stop], axis=1, keepdims=True)
+    for x in unit.T:
+        assert within(x, 0.0, 1 / 3)
+        assert within(x**2, 1 / 3, 1 / 5 - 1 / 9)
+
+
+def test_an_energy_below_the_saddle_leaves_part_of_the_sphere() -> None:
+    """With E = 0 and V = c0 gamma1, gamma1 is uniform in [-1, 0]."""
+    drawn = states(ensemble(random={"count": 20_000, "gamma": "sphere", "omega": {"energy": 0.0}}))
+    assert drawn[:, 3].max() <= 0.0
+    assert within(drawn[:, 3], -1 / 2, 1 / 12)
+    assert draw_states(TOPS["kowalevski"].new(), np.zeros(6), (), 3, 1) is not None
