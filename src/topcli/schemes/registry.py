@@ -35,6 +35,7 @@ BUILT_IN = (
     "topcli.schemes.euler",
     "topcli.schemes.euler_exact",
     "topcli.schemes.lagrange",
+    "topcli.schemes.taylor",
 )
 
 Build = Callable[[Any, Any], Method]
@@ -66,7 +67,7 @@ def scheme(
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
 ) -> Callable[[Build], Build]:
-    """Register ``build(top, options) -> Stepper | Sampler`` as the scheme ``name`` of ``top``.
+    """Register ``build(top, options) -> Method`` as the scheme ``name`` of ``top``.
 
     ``top`` is a form of a top, several of them, or None for every one; one name may also serve several tops with a
     decorated function each. ``conserves`` names invariants, or gives them for a top. The docstring of the function

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
-from topcli.contracts import Invariant, Method, Outcome, Sampler
+from topcli.contracts import Block, Invariant, Method, Outcome, Sampler
 from topcli.engine.loop import Run
 from topcli.engine.source import fingerprint
 from topcli.errors import UsageError
@@ -55,6 +56,8 @@ def method_fingerprint(method: Method) -> str:
     """A digest of the code of a scheme made ready for a top."""
     if isinstance(method, Sampler):
         return fingerprint(method.states)
+    if isinstance(method, Block):
+        return hashlib.sha256((method.text() + fingerprint(method.enter)).encode()).hexdigest()
     return fingerprint(method.step, method.enter, method.leave)
 
 
