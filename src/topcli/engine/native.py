@@ -191,7 +191,7 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
 
 
 def native_text(ir: str, symbol: str, signature: str) -> Native:
-    """The function ``symbol`` of a module of LLVM's intermediate language as machine code, kept on disk like the others.
+    """The function ``symbol`` of a module of LLVM's intermediate language as machine code, kept on disk as well.
 
     Raises ValueError for a text that is no such module, OSError when something it calls cannot be linked.
     """

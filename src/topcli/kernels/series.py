@@ -2,10 +2,11 @@
 
 With y = (omega, gamma) and i, j, k cyclic the equations (Sogo, (Euler) and (Poisson)) are quadratic,
 
-    omega_i' = alpha_i omega_j omega_k + beta_i gamma_j - delta_i gamma_k,    gamma_i' = gamma_j omega_k - gamma_k omega_j,
+    omega_i' = alpha_i omega_j omega_k + beta_i gamma_j - delta_i gamma_k,
+    gamma_i' = gamma_j omega_k - gamma_k omega_j,
 
-and the coefficients y_m of their solution sum y_m t^m obey (m + 1) y_(m+1) = J y_m + sum y_k * y_(m-k), k = 1..m-1, with
-J the Jacobian at y_0 and * the bilinear part. All series lie side by side in the lanes of one vector:
+and the coefficients y_m of their solution sum y_m t^m obey (m + 1) y_(m+1) = J y_m + sum y_k * y_(m-k), the sum over
+k = 1..m-1, with J the Jacobian at y_0 and * the bilinear part. All series lie side by side in the lanes of one vector:
 
 - what each coefficient waits for is J y_m alone, four products of permutations of y_m, scaled by 1/(m + 1) beforehand;
 - the sum takes one fused multiply-add of whole vectors for each k where at most eight of its nine products are there

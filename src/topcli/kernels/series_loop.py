@@ -10,12 +10,12 @@ from itertools import count
 from topcli.kernels.series import Arrangement, expand, natural_step, tail
 from topcli.kernels.vector_ir import Text, literal
 
-AT, LAG, TIME, LEVEL, TABLES = 0, 1, 2, 3, 4
+STEP, PART, LAG, TIME, LEVEL, TABLES = 0, 1, 2, 3, 4, 5
 """Slots of the working state after the two vectors of the centre: see ``series_loop``."""
 BUDGET = 50_000
 """Expansions between two returns: some ten milliseconds."""
 EXACT = 256.0
-"""Positions below this many steps are multiples of 2^-44, and so exact."""
+"""A series that reaches less far than so many steps reaches to a multiple of 2^-44 of a step; then both are exact."""
 
 _LOOP = """
 define i64 @advance(ptr %work, ptr %out, ptr %params, double %h, i64 %steps, i64 %every, i64 %until) #0 {{
@@ -26,7 +26,8 @@ entry:
   %c = alloca [{n} x {v}], align {align}
   %d = alloca [{n} x {v}], align {align}
   %lop = getelementptr double, ptr %work, i64 {lanes}
-  %atp = getelementptr double, ptr %work, i64 {at}
+  %stepp = getelementptr double, ptr %work, i64 {step_slot}
+  %partp = getelementptr double, ptr %work, i64 {part}
   %lagp = getelementptr double, ptr %work, i64 {lag}
   %timep = getelementptr double, ptr %work, i64 {time}
   %levelp = getelementptr double, ptr %work, i64 {level}
@@ -38,7 +39,9 @@ entry:
   %countp = getelementptr double, ptr %work, i64 {count}
   %hi0 = load {v}, ptr %work, align 8
   %lo0 = load {v}, ptr %lop, align 8
-  %at0 = load double, ptr %atp, align 8
+  %stepd = load double, ptr %stepp, align 8
+  %step0 = fptosi double %stepd to i64
+  %part0 = load double, ptr %partp, align 8
   %lag0 = load double, ptr %lagp, align 8
   %time = load double, ptr %timep, align 8
   %slevel = load double, ptr %levelp, align 8
@@ -50,13 +53,13 @@ entry:
   %sh = fmul double %h, %time
   %size = call double @llvm.fabs.f64(double %sh)
   %inverse = fdiv double 1.0, %size
-  %end = sitofp i64 %steps to double
   br label %expand
 
 expand:
   %hi = phi {v} [ %hi0, %entry ], [ %hinew, %move ]
   %lo = phi {v} [ %lo0, %entry ], [ %lonew, %move ]
-  %sat = phi double [ %at0, %entry ], [ %snew, %move ]
+  %step = phi i64 [ %step0, %entry ], [ %stepnew, %move ]
+  %part = phi double [ %part0, %entry ], [ %partnew, %move ]
   %slag = phi double [ %lag0, %entry ], [ %slagnew, %move ]
   %count = phi double [ %count0, %entry ], [ %countnew, %move ]
   %row0 = phi i64 [ %until, %entry ], [ %row, %move ]
@@ -67,40 +70,36 @@ expand:
   br i1 %finite, label %measure, label %broken
 
 measure:
-  %natural = fmul double {step}, %inverse
+  %natural = fmul double {natural}, %inverse
   %capped = call double @llvm.minnum.f64(double %natural, double 0x4270000000000000)
   %long = fcmp oge double %capped, {exact}
-  %floor = call double @llvm.floor.f64(double %sat)
-  %part = fsub double %sat, %floor
   %whole = call double @llvm.floor.f64(double %capped)
-  %longstep = fsub double %whole, %part
   %raised = fadd double %capped, {exact}
-  %shortstep = fsub double %raised, {exact}
-  %du = select i1 %long, double %longstep, double %shortstep
+  %short = fsub double %raised, {exact}
+  %shortend = fadd double %part, %short
+  %reach = select i1 %long, double %whole, double %shortend
+  %du = fsub double %reach, %part
   %moves = fcmp ogt double %du, 0.0
-  br i1 %moves, label %ahead, label %stuck
-
-ahead:
-  %reach = fadd double %sat, %du
-  br label %serve
+  br i1 %moves, label %serve, label %stuck
 
 serve:
-  %row = phi i64 [ %row0, %ahead ], [ %rownext, %write ]
-  %place = phi ptr [ %place0, %ahead ], [ %placenext, %write ]
+  %row = phi i64 [ %row0, %measure ], [ %rownext, %write ]
+  %place = phi ptr [ %place0, %measure ], [ %placenext, %write ]
   %within = icmp sle i64 %row, %steps
-  %rowd = sitofp i64 %row to double
-  %reached = fcmp ole double %rowd, %reach
+  %rowleft = sub i64 %row, %step
+  %wanted = sitofp i64 %rowleft to double
+  %reached = fcmp ole double %wanted, %reach
   %serves = and i1 %within, %reached
   br i1 %serves, label %write, label %served
 
 write:
-  %off = fsub double %rowd, %sat
+  %off = fsub double %wanted, %part
   %sp = fmul double %off, %sh
   %sd = fsub double %sp, %slag
 {writing}
   %tlo = fadd {v} {written}, %lo
-  %at_row = fadd {v} %hi, %tlo
-  %physical = fmul {v} %at_row, %unit
+  %there = fadd {v} %hi, %tlo
+  %physical = fmul {v} %there, %unit
   %recorded = shufflevector {v} %physical, {v} poison, <{d} x i32> <{first}>
   store <{d} x double> %recorded, ptr %place, align 8
   %rownext = add i64 %row, %every
@@ -108,11 +107,16 @@ write:
   br label %serve
 
 served:
+  %stepsleft = sub i64 %steps, %step
+  %end = sitofp i64 %stepsleft to double
   %done = fcmp ole double %end, %reach
   br i1 %done, label %finish, label %move
 
 move:
-  %snew = fadd double %sat, %du
+  %passed = call double @llvm.floor.f64(double %reach)
+  %partnew = fsub double %reach, %passed
+  %passedn = fptosi double %passed to i64
+  %stepnew = add i64 %step, %passedn
   %sq = fmul double %du, %sh
   %sm = fsub double %sq, %slag
   %sqn = fneg double %sq
@@ -131,25 +135,23 @@ move:
   %countnew = fadd double %count, 1.0
   %left = sub i64 %budget, 1
   %more = icmp sgt i64 %left, 0
-  br i1 %more, label %expand, label %pause
-
-pause:
-  %passed = fptosi double %snew to i64
-  br label %finish
+  br i1 %more, label %expand, label %finish
 
 finish:
-  %result = phi i64 [ %steps, %served ], [ %passed, %pause ]
-  %hiend = phi {v} [ %hi, %served ], [ %hinew, %pause ]
-  %loend = phi {v} [ %lo, %served ], [ %lonew, %pause ]
-  %satend = phi double [ %sat, %served ], [ %snew, %pause ]
-  %slagend = phi double [ %slag, %served ], [ %slagnew, %pause ]
-  %countend = phi double [ %count, %served ], [ %countnew, %pause ]
-  %resultd = sitofp i64 %result to double
-  %satleft = fsub double %satend, %resultd
+  %result = phi i64 [ %steps, %served ], [ %stepnew, %move ]
+  %hiend = phi {v} [ %hi, %served ], [ %hinew, %move ]
+  %loend = phi {v} [ %lo, %served ], [ %lonew, %move ]
+  %stepend = phi i64 [ %step, %served ], [ %stepnew, %move ]
+  %partend = phi double [ %part, %served ], [ %partnew, %move ]
+  %lagend = phi double [ %slag, %served ], [ %slagnew, %move ]
+  %countend = phi double [ %count, %served ], [ %countnew, %move ]
+  %after = sub i64 %stepend, %result
+  %afterd = sitofp i64 %after to double
   store {v} %hiend, ptr %work, align 8
   store {v} %loend, ptr %lop, align 8
-  store double %satleft, ptr %atp, align 8
-  store double %slagend, ptr %lagp, align 8
+  store double %afterd, ptr %stepp, align 8
+  store double %partend, ptr %partp, align 8
+  store double %lagend, ptr %lagp, align 8
   store double %countend, ptr %countp, align 8
   ret i64 %result
 
@@ -158,9 +160,9 @@ stuck:
   br label %broken
 
 broken:
-  %where = call double @llvm.maxnum.f64(double %sat, double 0.0)
-  %behindit = fptosi double %where to i64
-  %failed = xor i64 %behindit, -1
+  %behindit = icmp slt i64 %step, 0
+  %before = select i1 %behindit, i64 0, i64 %step
+  %failed = xor i64 %before, -1
   store {v} %hi, ptr %work, align 8
   store double %count, ptr %countp, align 8
   ret i64 %failed
@@ -171,7 +173,6 @@ declare double @llvm.fmuladd.f64(double, double, double)
 declare double @llvm.fabs.f64(double)
 declare double @llvm.floor.f64(double)
 declare double @llvm.minnum.f64(double, double)
-declare double @llvm.maxnum.f64(double, double)
 declare i64 @llvm.vector.reduce.smax.v{lanes}i64(<{lanes} x i64>)
 attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" "no-builtins" }}
 """
@@ -180,10 +181,11 @@ attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"
 def series_loop(a: Arrangement, d: int, order: int) -> str:
     """The time loop of a Taylor series as a module with the function ``advance``.
 
-    Its arguments and result are those of ``engine.driver``'s loop. ``work`` holds the state at the centre of the series
-    as an unevaluated sum of two vectors, then the position of the centre in steps of h after the step reached, what it
-    lies too far (in time), the scale of time, the three tables of ``series.expand``, the units of the components, the
-    status and the count of the moves. It may return before all steps are done, when it has made ``BUDGET`` moves.
+    Its arguments and result are those of ``engine.driver``'s loop. ``work`` holds the state at the centre of the
+    series as an unevaluated sum of two vectors; the position of the centre in steps of h after the step reached, whole
+    and fraction; how much later than that it lies, in time; the scale of time and the logarithm of the tolerance; the
+    three tables of ``series.expand``; the units of the components; the status and the count of the moves. It may
+    return before all steps are done, when it has made ``BUDGET`` moves.
     """
     names = count()
     base = 2 * a.lanes
@@ -193,7 +195,7 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
 
     expansion, writing, moving = text(), text(), text()
     expand(expansion, a, order, "%hi", ("%alpha", "%beta", "%delta"))
-    step, late = natural_step(expansion, order, "%slevel")
+    natural, late = natural_step(expansion, order, "%slevel")
     written, moved = tail(writing, order, "%sd"), tail(moving, order, "%sm")
     slots = {"alpha": 0, "beta": 1, "delta": 2, "unit": 3, "status": 4}
     return _LOOP.format(
@@ -201,7 +203,8 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
         n=order + 1,
         lanes=a.lanes,
         align=8 * a.lanes,
-        at=base + AT,
+        step_slot=base + STEP,
+        part=base + PART,
         lag=base + LAG,
         time=base + TIME,
         level=base + LEVEL,
@@ -210,7 +213,7 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
         budget=BUDGET,
         exact=literal(EXACT),
         expansion="\n".join(expansion.lines),
-        step=step,
+        natural=natural,
         late=late,
         writing="\n".join(writing.lines),
         written=written,

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Array, Block, EulerPoisson, Floats, Top
 from topcli.kernels.series import arrangement_of
-from topcli.kernels.series_loop import AT, LAG, LEVEL, TABLES, TIME, series_loop, series_width
+from topcli.kernels.series_loop import LEVEL, TABLES, TIME, series_loop, series_width
 from topcli.schemes.registry import scheme
 
 ROUND_OFF = 2.0**-56
@@ -106,7 +106,6 @@ def build(top: Top, options: Tolerance) -> Block:
         with np.errstate(all="ignore"):
             tables[1:] = np.ldexp(tables[1:], m - 2 * k)
             work[:d] = y / units[:d]
-        work[base + AT] = work[base + LAG] = 0.0
         work[base + TIME], work[base + LEVEL] = 2.0**k, level
         at = base + TABLES
         work[at : at + 3 * a.lanes] = tables.ravel()
