@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, Protocol
 
 Vector = Any
@@ -137,14 +138,19 @@ def _pairs(a: Arrangement) -> tuple[tuple[str, str], ...]:
     return (("a", "b"), ("c", "d")) if a.second else (("a", "b"),)
 
 
-def _folded(o: Operations, a: Arrangement, sums: list[Vector], alpha: Vector, m: int) -> Vector:
-    """The sum, in the lanes of the components, from the sums of products; divided by m + 1."""
-    scale = _ones(o, 1.0 / (m + 1))
+def _folded(o: Operations, a: Arrangement, sums: list[Vector], alpha: Vector, factor: float) -> Vector:
+    """The sum, in the lanes of the components, from the sums of products; times ``factor``."""
+    scale = _ones(o, factor)
     if a.second:
         return o.mul(o.sub(sums[0], sums[1]), scale)
     if a.folded:
-        return o.fma(o.permute(sums[0], a.folded), _ones(o, -1.0 / (m + 1)), o.mul(sums[0], o.mul(alpha, scale)))
+        return o.fma(o.permute(sums[0], a.folded), _ones(o, -factor), o.mul(sums[0], o.mul(alpha, scale)))
     return o.mul(sums[0], scale)
+
+
+EXACTLY_DIVIDED = 7
+"""Coefficients up to this one are divided by their number in two parts: 1/3, rounded, is always wrong by as much, and
+what it does to the motion would add up where random errors do not."""
 
 
 def expand(o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[Vector, Vector, Vector]) -> None:
@@ -169,25 +175,25 @@ def expand(o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[
     ahead: list[Vector] | None = None
     for m in range(1, order):
         _keep(o, a, m, y, alpha)
-        inverse = _ones(o, 1.0 / (m + 1))
+        known = None
+        early = m + 1 <= EXACTLY_DIVIDED
         if m >= 2:
             if ahead is None:
                 now, ahead = _two_sums(o, a, m, m + 1 < order)
             else:
                 now, ahead = _finished(o, a, m, ahead), None
-            known = _folded(o, a, now, alpha, m)
-        else:
-            known = None
-        scaled = [o.mul(column, inverse) for column in jacobian]
+            known = _folded(o, a, now, alpha, 1.0 if early else 1.0 / (m + 1))
+        inverse = _ones(o, 1.0 / (m + 1))
+        columns = jacobian if early else [o.mul(column, inverse) for column in jacobian]
         turned = [o.permute(y, lanes) for lanes in a.turns]
-        if len(turned) == 2:
-            left = o.mul(scaled[0], turned[0]) if known is None else o.fma(scaled[0], turned[0], known)
-            y = o.fma(scaled[1], turned[1], left)
-        else:
-            left = o.mul(scaled[0], turned[0]) if known is None else o.fma(scaled[0], turned[0], known)
-            left = o.fma(scaled[2], turned[2], left)
-            right = o.fma(scaled[3], turned[3], o.mul(scaled[1], turned[1]))
-            y = o.add(left, right)
+        left = o.mul(columns[0], turned[0]) if known is None else o.fma(columns[0], turned[0], known)
+        right = o.mul(columns[1], turned[1])
+        if len(turned) == 4:
+            left, right = o.fma(columns[2], turned[2], left), o.fma(columns[3], turned[3], right)
+        y = o.add(left, right)
+        if early:
+            missing = float(Fraction(1, m + 1) - Fraction(1.0 / (m + 1)))
+            y = o.mul(y, inverse) if missing == 0.0 else o.fma(y, inverse, o.mul(y, _ones(o, missing)))
     o.store("y", order, y)
 
 
