@@ -60,6 +60,23 @@ def exponent(x: float) -> int:
     return min(max(math.frexp(x)[1], -1000), 1000)
 
 
+def scales(equations: EulerPoisson, y: Array) -> tuple[int, int]:
+    """``(k, m)``: with time in units of 2^-k and gamma in units of 2^m the rates of change are of the order of one.
+
+    ``y`` is a state (d,). Powers of two round nothing, and no coefficient of the series overflows in these units.
+    """
+    alpha, beta, delta = quotients(equations)
+    omega, gamma = float(np.abs(y[:3]).max()), float(np.abs(y[3:]).max(initial=0.0))
+    gravity = max(abs(x) for x in (*beta, *delta))
+    swing = math.sqrt(gravity) * math.sqrt(gamma) if gamma > 0.0 else 0.0
+    return exponent(max(omega * max(1.0, *(abs(x) for x in alpha)), swing)), exponent(gamma)
+
+
+def log2_of(tol: float) -> float:
+    """The logarithm of the tolerance, no smaller than round-off."""
+    return math.log2(max(tol, ROUND_OFF))
+
+
 @scheme(
     "taylor",
     top=None,
@@ -87,15 +104,10 @@ def build(top: Top, options: Tolerance) -> Block:
     d = len(top.components)
     a = arrangement_of(d, alpha[2])
     order = order_of(options.tol)
-    sign, base, level = equations.omega_sign, 2 * a.lanes, math.log2(max(options.tol, ROUND_OFF))
+    sign, base, level = equations.omega_sign, 2 * a.lanes, log2_of(options.tol)
 
     def enter(y: Array, work: Array, p: Array, h: float) -> int:
-        # in units, powers of two, in which the rates of change are of the order of one and no coefficient overflows
-        omega, gamma = float(np.abs(y[:3]).max()), float(np.abs(y[3:]).max(initial=0.0))
-        gravity = max(abs(x) for x in (*beta, *delta))
-        swing = math.sqrt(gravity) * math.sqrt(gamma) if gamma > 0.0 else 0.0
-        k = exponent(max(omega * max(1.0, *(abs(x) for x in alpha)), swing))
-        m = exponent(gamma)
+        k, m = scales(equations, y)
         units = np.zeros(a.lanes)
         units[:3] = sign * 2.0**k
         units[3:d] = 2.0**m
