@@ -176,7 +176,8 @@ def expand(o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[
     for m in range(1, order):
         _keep(o, a, m, y, alpha)
         known = None
-        early = m + 1 <= EXACTLY_DIVIDED
+        missing = float(Fraction(1, m + 1) - Fraction(1.0 / (m + 1)))
+        early = m + 1 <= EXACTLY_DIVIDED and missing != 0.0
         if m >= 2:
             if ahead is None:
                 now, ahead = _two_sums(o, a, m, m + 1 < order)
@@ -192,8 +193,7 @@ def expand(o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[
             left, right = o.fma(columns[2], turned[2], left), o.fma(columns[3], turned[3], right)
         y = o.add(left, right)
         if early:
-            missing = float(Fraction(1, m + 1) - Fraction(1.0 / (m + 1)))
-            y = o.mul(y, inverse) if missing == 0.0 else o.fma(y, inverse, o.mul(y, _ones(o, missing)))
+            y = o.fma(y, inverse, o.mul(y, _ones(o, missing)))
     o.store("y", order, y)
 
 

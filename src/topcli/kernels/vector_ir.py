@@ -14,12 +14,17 @@ def literal(x: float) -> str:
     return f"0x{struct.unpack('<Q', struct.pack('<d', x))[0]:016X}"
 
 
+FRESH = 3
+"""So many vectors of each array are still at hand when they are asked for: what was just stored is slow to load."""
+
+
 class Text:
     """Operations that append a line of LLVM's language each and return the name of the result."""
 
     def __init__(self, lanes: int, names: Iterator[int]) -> None:
         self.lanes, self._names = lanes, names
         self.lines: list[str] = []
+        self._fresh: dict[str, dict[int, str]] = {}
         self.vector = f"<{lanes} x double>"
 
     def line(self, text: str) -> str:
@@ -91,9 +96,12 @@ class Text:
         """Keep x."""
         pointer = self._slot(name, index)
         self.lines.append(f"  store {self.vector} {x}, ptr {pointer}, align {8 * self.lanes}")
+        self._fresh[name] = {**{k: v for k, v in self._fresh.get(name, {}).items() if k > index - FRESH}, index: x}
 
     def load(self, name: str, index: int) -> str:
         """What was kept."""
+        if index in self._fresh.get(name, {}):
+            return self._fresh[name][index]
         return self.line(f"load {self.vector}, ptr {self._slot(name, index)}, align {8 * self.lanes}")
 
     def logarithm(self, x: str) -> str:
