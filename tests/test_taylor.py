@@ -11,6 +11,7 @@ import pytest
 from conftest import GEN, PAPER, random_states
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Block, Outcome, Top
+from topcli.engine import native
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
@@ -89,6 +90,33 @@ def test_machine_code_equals_plain_python(top: Top, tol: float, h: float, steps:
     assert (out == plain).all()
     assert (work == mine).all()
     assert np.count_nonzero(out)
+
+
+@pytest.mark.parametrize(("cpu", "fuse"), [("x86-64", False), ("x86-64-v3", True), ("x86-64-v4", True)])
+@pytest.mark.parametrize("top", [Kowalevski(), Heavy(), Euler()], ids=repr)
+def test_other_processors_do_the_same(cpu: str, fuse: bool, top: Top, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled for narrower vectors, and without fused multiply-add, as far as this processor runs that."""
+    import llvmlite.binding as llvm
+
+    features = llvm.get_host_cpu_features()
+    needs = {"x86-64": (), "x86-64-v3": ("avx2", "fma"), "x86-64-v4": ("avx512f", "avx512dq", "avx512vl")}[cpu]
+    if not llvm.get_process_triple().startswith("x86_64") or not all(features.get(word) for word in needs):
+        pytest.skip(f"this processor does not run code for {cpu}")
+    native._machine()
+    machine = llvm.Target.from_default_triple().create_target_machine(
+        cpu=cpu, opt=3, jit=True, reloc="static", codemodel="jitdefault"
+    )
+    monkeypatch.setattr(native, "_target_machine", lambda: machine)
+    monkeypatch.setattr(native, "_read", lambda path, signature: None)
+    monkeypatch.setattr(native, "_write", lambda *stored: None)
+    y0, h = gen(top), 0.4
+    loop, work, p = prepared(top, y0, h, 1e-9)
+    mine, d = work.copy(), len(y0)
+    out, plain = np.zeros((2, 8 * d))
+    assert loop.drive(work, out, p, h, 8, 1, 1) == 8
+    assert advance(arrangement(top), d, order_of(1e-9), mine, plain, h, 8, 1, 1, fuse=fuse) == 8
+    assert (out == plain).all()
+    assert (work == mine).all()
 
 
 @of_every_top

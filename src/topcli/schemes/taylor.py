@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from topcli.contracts import Array, Block, EulerPoisson, Floats, Top
 from topcli.kernels.series import arrangement_of
 from topcli.kernels.series_loop import LEVEL, TABLES, TIME, series_loop, series_width
+from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 
 ROUND_OFF = 2.0**-56
@@ -85,6 +86,7 @@ def log2_of(tol: float) -> float:
     explicit=True,
     self_adjoint=False,
     adaptive=True,
+    conserves=lambda top: polynomial_invariants(top, 1),
     citation="Jorba, Zou, Experimental Mathematics 14 (2005) 99",
     equations="y(t + d) = sum of y_m d^m, (m + 1) y_(m+1) = sum of f(y_k, y_(m-k)) over k = 0..m, f bilinear",
     options=Tolerance,
@@ -95,9 +97,9 @@ def build(top: Top, options: Tolerance) -> Block:
     Where h is shorter than the series reaches, the series is evaluated as a polynomial at every recorded t = n h;
     where h is longer, as many series as needed follow each other within it. Times are exact: the centres lie at
     fractions of h that a double holds exactly, and what the product with h rounds is carried along. The order follows
-    the tolerance, 12 to 28. Nothing is conserved by construction; at the default tolerance all integrals are, to
-    round-off that grows as sqrt(t). `expansions` counts the series. A run ends as `no_convergence` where their
-    steps shrink below 1e-13 of h.
+    the tolerance, 12 to 28. Linear integrals alone are conserved by construction; at the default tolerance all
+    integrals are, to round-off that grows as sqrt(t). `expansions` counts the series. A run ends as `no_convergence`
+    where their steps shrink below 1e-13 of h.
     """
     equations = top.euler_poisson()
     alpha, beta, delta = quotients(equations)
