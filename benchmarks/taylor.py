@@ -3,7 +3,7 @@
     python benchmarks/taylor.py [--json] [--processes 5]
 
 Each process times ladders of tolerances, repetitions interleaved, and keeps the least time of each rung; heyoka with
-and without ``high_accuracy``, which costs it some percent and gains nothing visible here. A code's time is its least
+and without ``high_accuracy``, whichever is the faster at the error asked. A code's time is its least
 over the processes, since the same call of heyoka varies from one to the next. At each error both are interpolated
 (log-log) on their ladder's front, and the ratio of the times taken. The error is the largest of a component at any
 of the instants t = 1, 2, ..., of the longest run, where both record the state by their dense output; both are also
