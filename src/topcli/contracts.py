@@ -154,7 +154,24 @@ class Sampler:
     states: Callable[[Array, float, NDArray[np.int64], Floats], Array]
 
 
-Method = Stepper | Sampler
+@dataclass(frozen=True)
+class Block:
+    """A method that advances many steps by itself: the engine compiles its time loop and calls that.
+
+    ``text()`` is a module of LLVM's intermediate language with the function ``advance(work, out, p, h, steps, every,
+    until_record)`` of the engine's time loop: it advances ``steps`` steps of ``h`` at most, records the states it is
+    asked for, and returns the steps done, or minus the step that failed. ``enter(y, work, p, h)`` fills ``work`` of
+    ``width`` slots, which hold all that the loop needs to go on. ``counters`` and ``iterative`` are a Stepper's.
+    """
+
+    text: Callable[[], str]
+    enter: Callable[[Any, Any, Any, float], int]
+    width: int
+    counters: tuple[str, ...] = ()
+    iterative: bool = False
+
+
+Method = Stepper | Sampler | Block
 
 
 @dataclass(frozen=True)
@@ -165,7 +182,7 @@ class Scheme:
     top: str
     title: str
     order: int | None
-    """None for the exact solution, which has no error to have an order."""
+    """None for the exact solution, which has no error to have an order, and where the order follows a tolerance."""
     explicit: bool
     self_adjoint: bool
     conserves: tuple[str, ...]
@@ -173,7 +190,7 @@ class Scheme:
     citation: str
     equations: str
     build: Callable[[Any, Any], Method]
-    """``build(top, options)``: a Stepper, or a Sampler for a solution in closed form."""
+    """``build(top, options)``: a Stepper, a Sampler for a solution in closed form, or a Block."""
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None
     """``modified(top, h, options)``: integrals of the scheme itself, which depend on h; conserved exactly."""
     options: type[BaseModel] = NoOptions

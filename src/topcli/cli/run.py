@@ -53,17 +53,17 @@ def _experiment(config: str, sets: list[str], output_format: str | None) -> Expe
 
 
 def _tell(result: RunResult, labelled: bool) -> None:
-    from topcli.studies.report import warning_of
-
-    report = result.report
+    report, warning = result.report, ""
     if report.get("kind") == "ensemble":
         from topcli.studies.ensemble_report import ensemble_table as invariant_table
     else:
-        from topcli.studies.report import invariant_table
+        from topcli.studies.report import invariant_table, warning_of
+
+        warning = warning_of(report)
     if result.set_aside:
         say(f"kept the earlier, different run as {result.set_aside}")
     say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({result.status})")
-    if warning := warning_of(report):
+    if warning:
         say(f"warning: {report['name']}: {warning}")
     header, *lines = invariant_table(report)
     print_table(header, lines, report["name"] if labelled else "")

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Array, Method, Outcome, Sampler, Stepper
-from topcli.engine.native import CompileError, native
+from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
+from topcli.engine.native import CompileError, native, native_text
 from topcli.errors import SchemeCodeError
 
 SIGNATURE = "pppdqqq"
@@ -144,6 +144,9 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     if isinstance(method, Sampler):
         enter, sample = _sampled_loop(method, d)
         return Loop(enter, sample, d + 1)
+    if isinstance(method, Block):
+        code = native_text(method.text(), "advance", SIGNATURE)
+        return Loop(method.enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)
     enter, drive = plain_loop(method, d, constants)
     if method.plain:
         return Loop(enter, drive, method.width, method.counters, iterative=method.iterative, compiled=False)

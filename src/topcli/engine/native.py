@@ -209,6 +209,29 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     )
 
 
+def native_text(ir: str, symbol: str, signature: str) -> Native:
+    """The function ``symbol`` of a module of LLVM's intermediate language as machine code, kept on disk as well.
+
+    Raises ValueError for a text that is no such module, OSError when something it calls cannot be linked.
+    """
+    llvm, words = _machine()
+    start = time.perf_counter()
+    path = cache_folder() / f"{hashlib.sha256(f'{ir}|{symbol}|{signature}|{words}'.encode()).hexdigest()}.o"
+    stored = _read(path, signature)
+    if stored is not None:
+        return Native(stored[0], signature, time.perf_counter() - start, True, stored[1])
+    try:
+        module = llvm.parse_assembly(ir)
+        module.verify()
+    except RuntimeError as error:
+        raise ValueError(f"no module of LLVM's language: {str(error).strip().splitlines()[0]}") from error
+    code, needs = _target_machine().emit_object(module), _outside(ir)
+    _require(["sin"])  # or any mathematics that the compiler calls without declaring it
+    call, keep = _load(code, symbol, signature, needs)
+    _write(path, code, symbol, needs)
+    return Native(call, signature, time.perf_counter() - start, False, keep)
+
+
 def content_key(function: Callable[..., Any], signature: str, inline: bool) -> str:
     """The name under which the machine code of ``function`` is kept: content, compiler, CPU and versions."""
     words = f"{fingerprint(function)}|{signature}|{inline}|{_machine()[1]}"

@@ -23,7 +23,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from topcli.contracts import Floats, Method, Sampler, Scheme, StepFunction, Stepper, Top
+from topcli.contracts import Block, Floats, Method, Sampler, Scheme, StepFunction, Stepper, Top
 from topcli.errors import UnknownNameError, UsageError, nearest
 from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
@@ -146,7 +146,7 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
     def build(top: Any, options: Any) -> Method:
         method = base.build(top, options)
         reason = _method_obstacle(method, top)
-        if reason or isinstance(method, Sampler):
+        if reason or not isinstance(method, Stepper):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
         weights = composition.weights
         return replace(method, step=composed_step(method.step, weights), stages=(method.step, weights))
@@ -202,6 +202,8 @@ def _method_obstacle(method: Method, top: Top) -> str:
     """Why ``method`` cannot be composed; empty when it can."""
     if isinstance(method, Sampler):
         return "is a solution in closed form, which has no steps"
+    if isinstance(method, Block):
+        return "advances many steps at once, and a composition is made of single ones"
     if _depends_on_h(method, top):
         return "works on a form of the state that depends on h, and the stages have steps of different lengths"
     return ""

@@ -37,6 +37,7 @@ BUILT_IN = (
     "topcli.schemes.euler",
     "topcli.schemes.euler_exact",
     "topcli.schemes.lagrange",
+    "topcli.schemes.taylor",
 )
 
 Build = Callable[[Any, Any], Method]
@@ -69,7 +70,7 @@ def scheme(
     adaptive: bool = False,
     limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
 ) -> Callable[[Build], Build]:
-    """Register ``build(top, options) -> Stepper | Sampler`` as the scheme ``name`` of ``top``.
+    """Register ``build(top, options) -> Method`` as the scheme ``name`` of ``top``.
 
     ``top`` is a form of a top, several of them, or None for every one; one name may also serve several tops with a
     decorated function each. ``conserves`` names invariants, or gives them for a top; ``limits`` says in which hard

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
-from topcli.contracts import Invariant, Method, Outcome, Sampler
+from topcli.contracts import Block, Invariant, Method, Outcome, Sampler
 from topcli.engine.loop import Run
 from topcli.engine.source import fingerprint
 from topcli.errors import RunError, UsageError
@@ -77,6 +78,8 @@ def method_fingerprint(method: Method) -> str:
     """A digest of the code of a scheme made ready for a top."""
     if isinstance(method, Sampler):
         return fingerprint(method.states)
+    if isinstance(method, Block):
+        return hashlib.sha256((method.text() + fingerprint(method.enter)).encode()).hexdigest()
     return fingerprint(method.step, method.enter, method.leave)
 
 
