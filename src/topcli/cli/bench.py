@@ -27,10 +27,11 @@ def _tell(result: dict[str, Any], all_points: bool) -> None:
     print()
     for row in result["decades"]:
         print(row["words"])
-    reached = [row["ratio"] for row in result["decades"] if row["ratio"] is not None]
+    reached = [row for row in result["decades"] if row["peer"]]
     if reached and result["goal"]:
-        met = sum(ratio >= result["goal"] for ratio in reached)
-        print(f"at least {result['goal']:g} times faster than the best peer at {met} of {len(reached)} decades")
+        met = sum(row["ratio"] is not None and row["ratio"] >= result["goal"] for row in reached)
+        goal = f"at least {result['goal']:g} times faster than the best peer"
+        print(f"{goal} at {met} of the {len(reached)} decades that a peer reaches")
     for row in result["closed_forms"]:
         told = f"{number(row['error'])}, {number(1e6 * row['seconds_per_state'])} µs a state"
         print(f"in closed form, {row['name']}: distance from the reference {told}")

@@ -5,25 +5,35 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
 
 from topcli.errors import UnknownNameError, nearest
 from topcli.figures.picture import Drawable, Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.sphere import Sphere
+from topcli.figures.work_precision import work_precision
+
+Measured = Callable[[Path], tuple[Sequence[Drawable], dict[str, np.ndarray], str]]
+"""From the folder of results: the panels, their data, and what they were made from."""
 
 
 @dataclass(frozen=True)
 class FigureSpec:
     """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels.
 
-    A column written as ``scene:column`` is read from the run of another scene.
+    A column written as ``scene:column`` is read from the run of another scene. A ``measured`` figure has no scene and
+    no panels of its own: it is drawn from finished measurements, and where there are none, not at all.
     """
 
     name: str
     title: str
     scene: str
     panels: tuple[Drawable, ...]
+    measured: Measured | None = None
 
     @property
     def columns(self) -> list[str]:
@@ -127,6 +137,7 @@ FIGURES: dict[str, FigureSpec] = {
                 for name in ("cusps", "loops", "waves")
             ),
         ),
+        FigureSpec("work-precision", "Speed against error, from topcli bench", "", (), work_precision),
     )
 }
 

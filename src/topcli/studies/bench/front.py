@@ -25,7 +25,9 @@ def points_of(competitor: Competitor) -> list[Point]:
 
 def setting(parameter: str, value: float) -> str:
     """A setting in words: ``h=0.042``, ``tol=1e-9``."""
-    return f"{parameter}={value:.2g}" if value >= 1e-3 else f"{parameter}={value:.1e}".replace("e-0", "e-")
+    if value >= 1e-3:
+        return f"{parameter}={value:.2g}"
+    return f"{parameter}={value:.1e}".replace("e-0", "e-").replace(".0e", "e")
 
 
 def _entry(competitor: Competitor, point: Point) -> dict[str, Any]:

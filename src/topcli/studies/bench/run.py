@@ -74,8 +74,10 @@ def choose(problem: Problem, names: Sequence[str]) -> Entrants:
         except ValidationError as error:
             left_out.append((scheme.name, f"needs options ({error.errors()[0]['loc'][0]})"))
             continue
-        if isinstance(method, Sampler):
+        if isinstance(method, Sampler) and scheme.order is None:
             exact.append(scheme)
+        elif isinstance(method, Sampler):
+            left_out.append((scheme.name, "is evaluated, not stepped: its error is that of the scheme it solves"))
         elif method.plain and not names:
             left_out.append(
                 (scheme.name, "runs in the interpreter; the peer scipy is the same method, and tells its cost")

@@ -134,6 +134,7 @@ def store_bench(
                     "code": code,
                     "outcome": "completed",
                     "series": POINTS,
+                    "config": result["config"],
                     "started": started,
                     "ended": ended,
                     "environment": result["environment"],
