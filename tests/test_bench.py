@@ -7,12 +7,14 @@ import math
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from topcli.analysis.reference import reference_states
+from topcli.contracts import Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import find_scheme
@@ -20,7 +22,7 @@ from topcli.studies.bench import competitors as entrants
 from topcli.studies.bench.competitors import FirstCall, NoResultError, SchemeCompetitor
 from topcli.studies.bench.ladder import Rung
 from topcli.studies.bench.measure import Effort, explore, time_all
-from topcli.studies.bench.run import bench, choose
+from topcli.studies.bench.run import Entrants, bench, choose
 from topcli.studies.bench.scenes import Problem, bench_problems
 from topcli.studies.peers import PEERS, Peer, find_peers, missing
 
@@ -126,6 +128,20 @@ def test_a_failing_setting_is_passed_over(short: Problem) -> None:
     standing = explore(mine, short, mine.reference, Effort(1.0, 1))
     assert standing.failed == [(1.0, "fails at step 1 of 2")]
     assert [rung.error for rung in standing.rungs] == [1e-2, 1e-3]
+
+
+def test_a_step_that_cannot_be_compiled_is_told_and_stops_nothing_else(short: Problem) -> None:
+    def step(s: Any, h: float, p: Any) -> Any:
+        return print(s)
+
+    bad = replace(find_scheme("hk", "kowalevski"), name="bad", build=lambda top, options: Stepper(step, 6))
+    talk: list[str] = []
+    both = Entrants((bad, find_scheme("rk4", "kowalevski")), (), ())
+    result = bench(short, both, [], Effort(0.001, 1), told=talk.append)
+    assert "cannot be compiled" in result["competitors"][0]["broken"]
+    assert len(talk) == 1
+    assert talk[0].startswith("error: kowalevski_generic_hk: bad failed")
+    assert result["competitors"][1]["points"]
 
 
 def test_repetitions_are_interleaved_and_the_best_process_counts(short: Problem) -> None:

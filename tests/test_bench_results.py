@@ -15,6 +15,7 @@ import pytest
 from test_cli import Said
 from topcli.__main__ import main
 from topcli.errors import RunError
+from topcli.figures.work_precision import work_precision
 from topcli.studies.bench.front import DECADES
 from topcli.studies.bench.measure import Effort
 from topcli.studies.bench.run import bench, choose
@@ -96,6 +97,16 @@ def test_a_half_written_result_is_none(result: dict[str, Any], tmp_path: Path) -
 
 
 # the command
+
+
+def test_errors_that_are_not_finite_are_drawn_and_told_as_none(result: dict[str, Any], tmp_path: Path) -> None:
+    lost = json.loads(json.dumps(result))
+    lost["competitors"][0]["points"][0]["error"] = None
+    store_bench(lost, "code", "start", "end", tmp_path / "bench")
+    assert pq.read_table(tmp_path / "bench" / lost["name"] / POINTS).column("error").null_count == 1
+    (panel,), data, _ = work_precision(tmp_path)
+    assert panel.scene == lost["name"]
+    assert set(panel.columns) == set(data)
 
 
 def test_end_to_end(cli: Any) -> None:

@@ -137,7 +137,7 @@ class PeerProcess:
     def __init__(self, peer: Peer, problem: Problem) -> None:
         self._talk: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "topcli.studies.peers.worker"],
+            [sys.executable, "-P", "-m", "topcli.studies.peers.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._talk,

@@ -19,8 +19,10 @@ Competitor = dict[str, Any]
 
 
 def points_of(competitor: Competitor) -> list[Point]:
-    """The points of a competitor in a result."""
-    return [Point(row["error"], row["seconds"], row["value"]) for row in competitor["points"]]
+    """The points of a competitor in a result, without those whose error is not finite: JSON has no number for it."""
+    return [
+        Point(row["error"], row["seconds"], row["value"]) for row in competitor["points"] if row["error"] is not None
+    ]
 
 
 def setting(parameter: str, value: float) -> str:

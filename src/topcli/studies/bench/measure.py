@@ -15,6 +15,7 @@ import numpy as np
 
 from topcli.analysis.pareto import Point
 from topcli.contracts import Array, Invariant
+from topcli.errors import UsageError
 from topcli.studies.bench.competitors import Competitor, NoResultError
 from topcli.studies.bench.ladder import Rung
 from topcli.studies.bench.scenes import Problem
@@ -124,6 +125,9 @@ def explore(competitor: Competitor, problem: Problem, reference: Array, effort: 
         except NoResultError as failure:
             standing.failed.append((rung.value, str(failure)))
             continue
+        except UsageError as error:  # a step that cannot be compiled: no other rung can be
+            standing.ended = standing.broken = str(error)
+            break
         with np.errstate(over="ignore", invalid="ignore"):
             errors = np.linalg.norm(first.states - reference, axis=1)
         standing.rungs.append(

@@ -182,8 +182,8 @@ def bench(
     rows = [_row(standing, problem.duration) for standing in standings]
     for row in rows:
         if row["broken"]:
-            told(f"error: {problem.name}: {row['name']} failed while it was timed: {row['broken']}")
-        if not row["points"]:
+            told(f"error: {problem.name}: {row['name']} failed: {row['broken']}")
+        elif not row["points"]:
             reason = row["failed"][0]["reason"] if row["failed"] else row["ended"]
             told(f"{problem.name}: {row['name']} gave no result: {reason}")
     return finite(
