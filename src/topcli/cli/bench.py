@@ -19,7 +19,7 @@ def _complete_scene(incomplete: str) -> list[str]:
 
 def _tell(result: dict[str, Any], all_points: bool) -> None:
     """Print one scene's result: the table of decades, the front in words, and every point when asked for."""
-    from topcli.studies.bench.stored import decade_lines, point_lines
+    from topcli.studies.bench.stored import decade_lines, ladder_lines, microseconds, point_lines
     from topcli.studies.report import number
 
     span = f"t from 0 to {result['duration']:g}, CPU time per unit of time"
@@ -33,11 +33,13 @@ def _tell(result: dict[str, Any], all_points: bool) -> None:
         goal = f"at least {result['goal']:g} times faster than the best peer"
         print(f"{goal} at {met} of the {len(reached)} decades that a peer reaches")
     for row in result["closed_forms"]:
-        told = f"{number(row['error'])}, {number(1e6 * row['seconds_per_state'])} µs a state"
+        told = f"{number(row['error'])}, {microseconds(row['seconds_per_state'])} µs a state"
         print(f"in closed form, {row['name']}: distance from the reference {told}")
     print()
     if all_points:
         print_table(*point_lines(result), title=f"{result['name']}: every point")
+        print()
+        print("\n".join(ladder_lines(result)))
         print()
 
 

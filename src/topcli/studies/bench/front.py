@@ -32,6 +32,11 @@ def setting(parameter: str, value: float) -> str:
     return f"{parameter}={value:.1e}".replace("e-0", "e-").replace(".0e", "e")
 
 
+def ratio_text(ratio: float) -> str:
+    """How many times faster, to two digits, without an exponent."""
+    return f"{float(f'{ratio:.2g}'):g}"
+
+
 def _entry(competitor: Competitor, point: Point) -> dict[str, Any]:
     return {
         "name": competitor["name"],
@@ -67,7 +72,7 @@ def _words(error: float, ranked: Sequence[dict[str, Any]]) -> str:
     if after is None:
         return f"{taken}: nothing else reaches it"
     times = after["seconds"] / best["seconds"]
-    much = "level with" if times < LEVEL else f"{times:.2g} times faster than"
+    much = "level with" if times < LEVEL else f"{ratio_text(times)} times faster than"
     return f"{taken}: {much} the next, {after['name']} ({after['setting']})"
 
 

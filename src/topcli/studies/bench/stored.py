@@ -11,7 +11,7 @@ from topcli.errors import RunError, UsageError
 from topcli.store.provenance import Commit
 from topcli.store.run_folder import MANIFEST, RunWriter, StoredRun, io_failure, stored_runs
 from topcli.store.table import write_table
-from topcli.studies.bench.front import setting
+from topcli.studies.bench.front import ratio_text, setting
 from topcli.studies.report import number
 
 POINTS = "points.parquet"
@@ -40,8 +40,8 @@ def decade_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     for row in result["decades"]:
         cells = [f"{row['error']:.0e}".replace("e-0", "e-")]
         for entry in (row["topcli"], row["peer"]):
-            cells += [entry["name"], entry["setting"], number(1e6 * entry["seconds"])] if entry else ["–", "–", "–"]
-        cells += ["–" if row[key] is None else number(row[key], 2) for key in ("ratio", "baseline_ratio")]
+            cells += [entry["name"], entry["setting"], microseconds(entry["seconds"])] if entry else ["–", "–", "–"]
+        cells += ["–" if row[key] is None else ratio_text(row[key]) for key in ("ratio", "baseline_ratio")]
         lines.append(cells)
     return header, lines
 
@@ -56,15 +56,29 @@ def point_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
                 [
                     competitor["name"],
                     setting(competitor["parameter"], row["value"]),
-                    number(1e6 * row["seconds"]),
-                    " to ".join(number(1e6 * q) for q in row["quartiles"]),
+                    microseconds(row["seconds"]),
+                    " to ".join(microseconds(q) for q in row["quartiles"]),
                     *(number(row[key]) for key in ("error", "end_error", "drift")),
                 ]
             )
     return header, lines
 
 
-def _markdown(header: list[str], lines: list[list[str]]) -> list[str]:
+def ladder_lines(result: dict[str, Any]) -> list[str]:
+    """What compiling took and what ended the ladder, a line for each competitor."""
+    return [
+        f"{row['name']}: compiled or loaded in {row['compile_seconds']:.2g} s; its ladder ended: {row['ended']}"
+        for row in result["competitors"]
+    ]
+
+
+def microseconds(seconds: float) -> str:
+    """Seconds in microseconds, to three digits, without an exponent."""
+    return f"{float(f'{1e6 * seconds:.3g}'):g}"
+
+
+def markdown(header: list[str], lines: list[list[str]]) -> list[str]:
+    """A table in Markdown, a line each."""
     ruled = ["| " + " | ".join(line) + " |" for line in [header, *lines]]
     return [ruled[0], "|" + " --- |" * len(header), *ruled[1:]]
 
@@ -79,21 +93,21 @@ def report_text(result: dict[str, Any]) -> str:
         f"{result['reference']}. CPU time in microseconds per unit of simulated time, warm; "
         f"{result['environment']['cpu']}.",
         "",
-        *_markdown(*decade_lines(result)),
+        *markdown(*decade_lines(result)),
         "",
         *(f"- {row['words']}." for row in result["decades"]),
         *(
             f"- In closed form, `{row['name']}` is within {number(row['error'])} of the reference at "
-            f"{number(1e6 * row['seconds_per_state'])} µs a state."
+            f"{microseconds(row['seconds_per_state'])} µs a state."
             for row in result["closed_forms"]
         ),
         *(f"- Not measured: {row['name']} ({row['reason']})." for row in gone),
         "",
         "## All points",
         "",
-        *_markdown(*point_lines(result)),
+        *markdown(*point_lines(result)),
         "",
-        *(f"- {row['name']} ended: {row['ended']}." for row in result["competitors"]),
+        *(f"- {line}." for line in ladder_lines(result)),
         "",
     ]
     return "\n".join(lines)
