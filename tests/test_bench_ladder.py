@@ -66,10 +66,13 @@ def test_tolerances_come_from_the_options() -> None:
     y0 = np.ones(6)
     tols = list(ladder(adaptive(Series), y0, 1.0))
     assert tolerance_option(adaptive(Series)) == "tol"
-    assert [rung.value for rung in tols] == [float(f"1e-{n}") for n in range(4, 19)]
+    assert [rung.value for rung in tols] == [*(float(f"{m}e-{n}") for n in range(4, 18) for m in ("1", "0.32")), 1e-18]
     assert all(rung.steps == 1 and rung.options == (("tol", rung.value),) for rung in tols)
     pairs = list(ladder(adaptive(Pair), y0, 1.0))
-    assert [rung.value for rung in pairs] == [*(float(f"1e-{n}") for n in range(2, 14)), 2.5e-14]
+    assert [rung.value for rung in pairs] == [
+        *(float(f"{m}e-{n}") for n in range(2, 14) for m in ("1", "0.32")),
+        2.5e-14,
+    ]
     for rung in pairs:
         assert dict(rung.options)["atol"] == pytest.approx(max(1e-2 * rung.value, 1e-15), rel=1e-12)
         Pair.model_validate(dict(rung.options))  # within its limits

@@ -59,7 +59,7 @@ class Competitor(Protocol):
 
 
 class SchemeCompetitor:
-    """A scheme through the engine's own loop: enter the working state, drive it over the whole run."""
+    """A scheme through the engine's own loop, driven over the whole run."""
 
     kind = "topcli"
     patience = 1.0
@@ -72,7 +72,7 @@ class SchemeCompetitor:
         self._y0 = np.array(problem.experiment.y0)
         self._p = np.array(problem.top.constants(), dtype=np.float64)
         self._out = np.empty(problem.intervals * len(self._y0))
-        self._loops: dict[Rung, tuple[Loop, Array]] = {}
+        self._loops: dict[Rung, tuple[Loop, Array, Array]] = {}
         self._fixed: Loop | None = None
 
     def rungs(self) -> Iterator[Rung]:
@@ -96,17 +96,24 @@ class SchemeCompetitor:
         return self._problem.experiment.scheme.name == self._scheme.name
 
     def _drive(self, rung: Rung) -> int:
-        loop, work = self._loops[rung]
-        h = self._problem.interval / rung.steps
-        loop.enter(self._y0, work, self._p, h)
+        loop, work, start = self._loops[rung]
+        np.copyto(work, start)
         steps = rung.steps * self._problem.intervals
-        return loop.drive(work, self._out, self._p, h, steps, rung.steps, rung.steps)
+        return loop.drive(work, self._out, self._p, self._h(rung), steps, rung.steps, rung.steps)
+
+    def _h(self, rung: Rung) -> float:
+        return self._problem.interval / rung.steps
 
     def run(self, rung: Rung) -> FirstCall:
-        """Compile or load, and drive once."""
+        """Compile or load, enter the working state, and drive once.
+
+        What entering makes of the initial state is kept: a timed call starts from a copy, as the peers' do.
+        """
         known = self._fixed is not None and not rung.options
         loop = self._loop(rung)
-        self._loops[rung] = loop, np.zeros(loop.width)
+        start = np.zeros(loop.width)
+        loop.enter(self._y0, start, self._p, self._h(rung))
+        self._loops[rung] = loop, start.copy(), start
         started = time.process_time()
         taken = self._drive(rung)
         seconds = time.process_time() - started

@@ -54,10 +54,10 @@ def tolerance_option(scheme: Scheme) -> str | None:
 
 
 def _tolerance_ladder(scheme: Scheme, name: str) -> Iterator[Rung]:
-    """Decades of the tolerance within its limits, and the least that it may be."""
+    """Half decades of the tolerance within its limits, and the least that it may be."""
     low, high = _limits(scheme.options, name)
     least = max(low, LAST_TOLERANCE)
-    values = [float(f"1e{e}") for e in range(0, -400, -1)]
+    values = [float(f"{mantissa}e{e}") for e in range(0, -400, -1) for mantissa in ("1", "0.32")]
     values = [v for v in values if least * (1.0 + 1e-9) < v <= min(high, FIRST_TOLERANCE)]
     fields = scheme.options.model_fields
     for value in [*values, least]:
@@ -89,7 +89,7 @@ def _step_ladder(order: int, y0: Array, interval: float) -> Iterator[Rung]:
 def ladder(scheme: Scheme, y0: Array, interval: float) -> Iterator[Rung]:
     """The rungs of ``scheme`` for states that start at ``y0`` and are looked at every ``interval``, coarse to fine.
 
-    Steps h for a scheme of fixed steps; decades of its tolerance for an adaptive one. Raises UsageError for an
+    Steps h for a scheme of fixed steps; half decades of its tolerance for an adaptive one. Raises UsageError for an
     adaptive scheme that has none.
     """
     name = tolerance_option(scheme)

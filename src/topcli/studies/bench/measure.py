@@ -99,8 +99,8 @@ def _estimate(rung: Rung, before: Sequence[Measured]) -> float:
 
 
 def _saturated(rungs: Sequence[Measured]) -> bool:
-    """Whether the last two rungs gained nothing any more."""
-    if len(rungs) < 3:
+    """Whether the last two rungs gained nothing any more. Finer tolerances cost little: those are all tried."""
+    if len(rungs) < 3 or rungs[-1].rung.steps == rungs[-2].rung.steps:
         return False
     best = min(rung.error for rung in rungs[:-2])
     return best < ROUND_OFF and min(rung.error for rung in rungs[-2:]) > 0.5 * best

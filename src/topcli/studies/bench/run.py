@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,8 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from topcli.analysis.reference import reference_states
-from topcli.contracts import Array, Sampler, Scheme
-from topcli.engine.source import fingerprint
+from topcli.contracts import Array, Sampler, Scheme, Stepper
 from topcli.errors import UsageError
 from topcli.schemes.compose import COMPOSITIONS, composable_names
 from topcli.schemes.registry import SchemeMisfitError, find_scheme, names_for
@@ -30,6 +30,7 @@ from topcli.studies.bench.measure import Effort, Standing, as_rows, deviations, 
 from topcli.studies.bench.scenes import Problem
 from topcli.studies.peers import Peer, missing
 from topcli.studies.report import finite
+from topcli.studies.run import method_fingerprint
 
 COMPOSED = {"hk": ("kahan-li6", "kahan-li8")}
 """Compositions that take part when no scheme is named, where the base fits."""
@@ -78,7 +79,7 @@ def choose(problem: Problem, names: Sequence[str]) -> Entrants:
             exact.append(scheme)
         elif isinstance(method, Sampler):
             left_out.append((scheme.name, "is evaluated, not stepped: its error is that of the scheme it solves"))
-        elif method.plain and not names:
+        elif isinstance(method, Stepper) and method.plain and not names:
             left_out.append(
                 (scheme.name, "runs in the interpreter; the peer scipy is the same method, and tells its cost")
             )
@@ -89,9 +90,8 @@ def choose(problem: Problem, names: Sequence[str]) -> Entrants:
 
 def code_of(entrants: Entrants, problem: Problem) -> str:
     """A digest of the code of all schemes that take part."""
-    methods = [scheme.build(problem.top, scheme.options()) for scheme in entrants.schemes]
-    steppers = [method for method in methods if not isinstance(method, Sampler)]
-    return fingerprint(*(function for one in steppers for function in (one.step, one.enter, one.leave)))
+    codes = [method_fingerprint(scheme.build(problem.top, scheme.options())) for scheme in entrants.schemes]
+    return hashlib.sha256(" ".join(codes).encode()).hexdigest()
 
 
 def _peer_competitors(
