@@ -102,7 +102,7 @@ def bench(
         say_warnings(problem.experiment)
         for name, reason in field.left_out if schemes else ():
             say(f"{problem.name}: {name} is left out: {reason}")
-        if not (field.schemes or peers):
+        if not (field.schemes or field.exact or peers):
             continue
         teller.begin(problem.name)
         started = now()

@@ -20,7 +20,7 @@ WORST_ERROR = 1.0
 MOST_OF_OURS = 7
 """So many of our schemes are drawn, those that come nearest to the front: there are no more colours to tell apart."""
 _SIZE = 6.8
-_LETTER = 0.0155
+_LETTER = 0.0163
 """A letter of this size takes so much of the width of the axes."""
 
 
