@@ -1,7 +1,8 @@
 # make figures   install what runs need and draw the paper's figures into results/figures
 # make test      install what tests need and run them
 # make check     lint, format, types, layers, tests
-# make bench     measure speed (ratios against named baselines)
+# make bench     speed against error, ours and other people's integrators: the table and the figure
+# make bench-steps  what single steps, start-up and storage cost (ratios against named baselines)
 # make clean     remove what was built; results/ stays
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ BIN := $(VENV)/bin
 NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
 export NUMBA_CACHE_DIR
 
-.PHONY: venv figures test check bench clean
+.PHONY: venv figures test check bench bench-steps clean
 
 venv: $(VENV)/.installed
 
@@ -35,7 +36,19 @@ check: $(VENV)/.installed-dev
 	PYTHONPATH=src $(BIN)/lint-imports
 	@$(MAKE) --no-print-directory test
 
-bench: $(VENV)/.installed-dev
+# a peer that cannot be installed is left out: the bench names it
+$(VENV)/.installed-peers: $(VENV)/.installed-dev
+	@for peer in heyoka diffrax numbalsoda; do \
+		PYTHON="$(PYTHON)" sh install.sh $(VENV) ".[$$peer]" || \
+			echo "$$peer could not be installed; topcli bench goes on without it" >&2; \
+	done
+	@touch $@
+
+bench: $(VENV)/.installed-peers
+	$(BIN)/topcli bench
+	$(BIN)/topcli plot work-precision
+
+bench-steps: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/steps.py
 	$(BIN)/python benchmarks/steps_euler.py
 	$(BIN)/python benchmarks/steps_lagrange.py

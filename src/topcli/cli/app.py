@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from topcli.cli import compare, inspect, lax, plot, roundoff, run, stress
+from topcli.cli import bench, compare, inspect, lax, plot, roundoff, run, stress
 
 app = typer.Typer(
     name="topcli",
@@ -39,6 +39,7 @@ def _topcli(
 
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
+app.command("bench")(bench.bench)
 app.command("plot")(plot.plot)
 app.command("lax")(lax.lax)
 app.command("roundoff")(roundoff.roundoff)

@@ -38,7 +38,7 @@ def plot(
     from topcli.errors import UsageError
     from topcli.figures.catalogue import FIGURES, figure_spec
     from topcli.figures.make import make_figure
-    from topcli.figures.picture import IMAGE_FORMATS
+    from topcli.figures.picture import IMAGE_FORMATS, NothingMeasuredError
 
     if bool(names) == every:
         raise UsageError(f"name figures or say --all, one of the two; figures: {', '.join(FIGURES)}, {STRESS}")
@@ -62,16 +62,22 @@ def plot(
             print(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
     for spec in specs:
         teller.begin(spec.scene)
-        one = make_figure(
-            spec,
-            out=out,
-            results=results,
-            configs=configs,
-            formats=tuple(dict.fromkeys(formats or IMAGE_FORMATS)),
-            force=force,
-            progress=teller,
-            told=say,
-        )
+        try:
+            one = make_figure(
+                spec,
+                out=out,
+                results=results,
+                configs=configs,
+                formats=tuple(dict.fromkeys(formats or IMAGE_FORMATS)),
+                force=force,
+                progress=teller,
+                told=say,
+            )
+        except NothingMeasuredError as nothing:
+            if not every:
+                raise
+            say(f"{spec.name}: skipped: {nothing}")
+            continue
         teller.close()
         made.append(one)
         if not as_json:

@@ -5,8 +5,11 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
 
 from topcli.contracts import Array
 from topcli.errors import UnknownNameError, nearest
@@ -14,6 +17,10 @@ from topcli.figures.growth import GrowthPanel
 from topcli.figures.picture import Drawable, Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.sphere import Sphere
+from topcli.figures.work_precision import work_precision
+
+Measured = Callable[[Path], tuple[Sequence[Drawable], dict[str, np.ndarray], str]]
+"""From the folder of results: the panels, their data, and what they were made from."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +36,8 @@ class FigureSpec:
     """One figure: its ``name``, what it shows, the ``scene`` whose run it reads, and its panels.
 
     A column written as ``scene:column`` is read from the run of another scene. A figure with a ``study`` reads none:
-    the study makes its columns.
+    the study makes its columns. A ``measured`` figure has no scene and no panels of its own: it is drawn from finished
+    measurements, and where there are none, not at all.
     """
 
     name: str
@@ -37,6 +45,7 @@ class FigureSpec:
     scene: str
     panels: tuple[Drawable, ...]
     study: Study | None = None
+    measured: Measured | None = None
 
     @property
     def columns(self) -> list[str]:
@@ -173,6 +182,7 @@ FIGURES: dict[str, FigureSpec] = {
             ),
             Study(_growth_columns, _growth_code),
         ),
+        FigureSpec("work-precision", "Speed against error, from topcli bench", "", (), work_precision),
     )
 }
 

@@ -14,7 +14,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Outcome
 from topcli.engine.source import fingerprint
 from topcli.errors import RunError, UsageError
-from topcli.figures.catalogue import FigureSpec, Study
+from topcli.figures.catalogue import FigureSpec, Measured, Study
 from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, draw, save
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, read_series, write_parquet
@@ -114,6 +114,18 @@ def _make_studied(spec: FigureSpec, study: Study, out: Path, formats: Sequence[s
     return MadeFigure(spec.name, files, "drawn")
 
 
+def _make_measured(
+    spec: FigureSpec, measured: Measured, out: Path, results: Path, formats: Sequence[str], force: bool
+) -> MadeFigure:
+    """The figure of what has been measured. Raises UsageError where there is nothing, and RunError."""
+    panels, data, made_from = measured(results)
+    source = json.dumps([fingerprint(draw, *(type(panel).paint for panel in panels)), repr(panels), made_from])
+    files = [*(out / f"{spec.name}.{suffix}" for suffix in formats), out / f"{spec.name}.parquet"]
+    if not force and all(path.is_file() for path in files) and read_metadata(files[-1]).get(SOURCE) == source:
+        return MadeFigure(spec.name, tuple(files), "up to date")
+    return MadeFigure(spec.name, write_figure(spec.name, panels, data, out, formats, {SOURCE: source}), "drawn")
+
+
 def make_figure(
     spec: FigureSpec,
     *,
@@ -134,6 +146,8 @@ def make_figure(
     require_writable(out)
     if spec.study:
         return _make_studied(spec, spec.study, out, formats, force)
+    if spec.measured is not None:
+        return _make_measured(spec, spec.measured, out, results, formats, force)
     runs = [
         _run(spec, scene, list(columns), results, configs, force, progress, told)
         for scene, columns in spec.sources.items()

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from topcli.errors import UsageError
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -21,8 +23,12 @@ Styles = Mapping[str, dict[str, Any]]
 """The line style of each label of a figure."""
 
 
+class NothingMeasuredError(UsageError):
+    """A figure of measurements that have not been taken yet (exit code 2)."""
+
+
 class Drawable(Protocol):
-    """What fills one pair of axes from the columns of a table; a ``figsize`` of its own is heeded."""
+    """What fills one pair of axes from the columns of a table; a ``figsize`` and ``rows`` of its own are heeded."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -114,7 +120,11 @@ def draw(panels: Sequence[Drawable], data: Mapping[str, np.ndarray]) -> Figure:
         figure = Figure(figsize=getattr(panels[0], "figsize", None))
         FigureCanvasAgg(figure)
         handles: dict[str, Any] = {}
-        for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        rows = getattr(panels[0], "rows", 1)
+        places = figure.subplots(rows, -(-len(panels) // rows), squeeze=False).ravel()
+        for empty in places[len(panels) :]:
+            empty.set_axis_off()
+        for axes, panel in zip(places, panels, strict=False):
             own = [line.label for line in panel.lines] if isinstance(panel, Panel) else []
             panel.paint(axes, data, _styles(labels if shared else own))
             if own:

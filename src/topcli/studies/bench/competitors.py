@@ -1,0 +1,236 @@
+"""What takes part: our schemes, in this process, and the peers, each in one or several of their own."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import IO, Any, Protocol
+
+import numpy as np
+
+from topcli.contracts import Array, Sampler, Scheme
+from topcli.engine.driver import Loop, loop_of
+from topcli.studies.bench.ladder import Rung, ladder, tolerance_option
+from topcli.studies.bench.scenes import Problem
+from topcli.studies.peers import Peer
+
+
+class NoResultError(Exception):
+    """One setting of a competitor gave no trajectory; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class FirstCall:
+    """What the first call of a setting gave: ``states`` (m, d) at the problem's times, and the CPU seconds it took."""
+
+    states: Array
+    seconds: float
+    compile_seconds: float
+
+
+class Competitor(Protocol):
+    """One way to solve a problem, over a ladder of settings; ``kind`` is ``topcli`` or ``peer``."""
+
+    name: str
+    kind: str
+    parameter: str
+    order: int | None
+    patience: float
+
+    def rungs(self) -> Iterator[Rung]:
+        """The settings, coarse to fine."""
+        ...
+
+    def run(self, rung: Rung) -> FirstCall:
+        """Make ready and call once. Raises NoResultError."""
+        ...
+
+    def seconds(self, rung: Rung, calls: int) -> list[float]:
+        """CPU seconds of one of so many warm calls, in each process that takes part. Raises NoResultError."""
+        ...
+
+
+class SchemeCompetitor:
+    """A scheme through the engine's own loop, driven over the whole run."""
+
+    kind = "topcli"
+    patience = 1.0
+
+    def __init__(self, scheme: Scheme, problem: Problem) -> None:
+        self.name = scheme.name
+        self.order: int | None = scheme.order
+        self.parameter = tolerance_option(scheme) or "h"
+        self._scheme, self._problem = scheme, problem
+        self._y0 = np.array(problem.experiment.y0)
+        self._p = np.array(problem.top.constants(), dtype=np.float64)
+        self._out = np.empty(problem.intervals * len(self._y0))
+        self._loops: dict[Rung, tuple[Loop, Array, Array]] = {}
+        self._fixed: Loop | None = None
+
+    def rungs(self) -> Iterator[Rung]:
+        """See ``ladder``."""
+        return ladder(self._scheme, self._y0, self._problem.interval)
+
+    def _loop(self, rung: Rung) -> Loop:
+        """The loop for a rung; without options of its own it is the same for all."""
+        if rung.options or self._fixed is None:
+            defaults = self._problem.experiment.options if self._own() else self._scheme.options()
+            options = self._scheme.options.model_validate({**defaults.model_dump(), **dict(rung.options)})
+            method = self._scheme.build(self._problem.top, options)
+            loop = loop_of(method, len(self._y0), len(self._p))
+            if rung.options:
+                return loop
+            self._fixed = loop
+        return self._fixed
+
+    def _own(self) -> bool:
+        """Whether this is the scheme of the problem's config, whose options then count."""
+        return self._problem.experiment.scheme.name == self._scheme.name
+
+    def _drive(self, rung: Rung) -> int:
+        loop, work, start = self._loops[rung]
+        np.copyto(work, start)
+        steps = rung.steps * self._problem.intervals
+        return loop.drive(work, self._out, self._p, self._h(rung), steps, rung.steps, rung.steps)
+
+    def _h(self, rung: Rung) -> float:
+        return self._problem.interval / rung.steps
+
+    def run(self, rung: Rung) -> FirstCall:
+        """Compile or load, enter the working state, and drive once.
+
+        What entering makes of the initial state is kept: a timed call starts from a copy, as the peers' do.
+        """
+        known = self._fixed is not None and not rung.options
+        loop = self._loop(rung)
+        start = np.zeros(loop.width)
+        loop.enter(self._y0, start, self._p, self._h(rung))
+        self._loops[rung] = loop, start.copy(), start
+        started = time.process_time()
+        taken = self._drive(rung)
+        seconds = time.process_time() - started
+        if taken < 0:
+            raise NoResultError(f"fails at step {-taken} of {rung.steps * self._problem.intervals}")
+        states = np.vstack([self._y0, self._out.reshape(self._problem.intervals, len(self._y0))])
+        return FirstCall(states, seconds, 0.0 if known else loop.seconds)
+
+    def seconds(self, rung: Rung, calls: int) -> list[float]:
+        """Drive again, warm."""
+        started = time.process_time()
+        for _ in range(calls):
+            self._drive(rung)
+        return [(time.process_time() - started) / calls]
+
+
+_ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "JAX_PLATFORMS": "cpu",
+}
+
+
+class PeerProcess:
+    """A running worker: one request, one answer."""
+
+    def __init__(self, peer: Peer, problem: Problem) -> None:
+        self._talk: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "topcli.studies.peers.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._talk,
+            text=True,
+            env={**os.environ, **_ONE_THREAD},
+        )
+        times = [problem.duration, problem.intervals]
+        self.send({"peer": peer.name, "config": problem.experiment.resolved(), "times": times})
+
+    def send(self, request: dict[str, Any]) -> None:
+        """Send a request and do not wait."""
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # told when the answer is read
+            print(json.dumps(request), file=self._process.stdin, flush=True)
+
+    def answer(self) -> dict[str, Any]:
+        """The answer to the last request. Raises NoResultError for what went wrong, a process that died among it."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            code = self._process.wait()
+            self._talk.seek(0)
+            said = self._talk.read().decode(errors="replace").strip().splitlines()
+            raise NoResultError(f"its process died with code {code}" + (f": {said[-1]}" if said else ""))
+        answer = json.loads(line)
+        if "failed" in answer:
+            raise NoResultError(answer["failed"])
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.communicate()
+        self._talk.close()
+
+
+class PeerCompetitor:
+    """One variant of a peer, in all of its processes; the states are those of the first."""
+
+    kind = "peer"
+    order: int | None = None
+
+    def __init__(self, peer: Peer, variant: dict[str, Any], processes: list[PeerProcess], problem: Problem) -> None:
+        self.name, self.parameter = variant["name"], variant["parameter"]
+        self.patience = peer.patience
+        self._values, self._processes, self._problem = variant["values"], processes, problem
+
+    def rungs(self) -> Iterator[Rung]:
+        """The values that the peer's file gives."""
+        return (Rung(value) for value in self._values)
+
+    def _ask(self, verb: str, *arguments: Any) -> None:
+        for process in self._processes:
+            process.send({verb: [self.name, *arguments]})
+
+    def run(self, rung: Rung) -> FirstCall:
+        """Prepare and call once in every process, side by side."""
+        self._ask("run", rung.value)
+        answers, failure = [], None
+        for process in self._processes:  # every answer is read, also after a failure
+            try:
+                answers.append(process.answer())
+            except NoResultError as failed:
+                failure = failed
+        if failure is not None:
+            raise failure
+        states = np.frombuffer(base64.b64decode(answers[0]["states"])).reshape(self._problem.intervals + 1, -1)
+        seconds = min(answer["seconds"] for answer in answers)
+        return FirstCall(states, seconds, min(answer["compile_seconds"] for answer in answers))
+
+    def seconds(self, rung: Rung, calls: int) -> list[float]:
+        """Call again, warm, in one process after the other."""
+        spent = []
+        for process in self._processes:
+            process.send({"time": [self.name, rung.value, calls]})
+            spent.append(float(process.answer()["seconds"]))
+        return spent
+
+
+def closed_form(scheme: Scheme, problem: Problem, calls: int = 20) -> tuple[Array, float]:
+    """The states of a solution in closed form at the problem's times, and the CPU seconds of evaluating them."""
+    method = scheme.build(problem.top, scheme.options())
+    assert isinstance(method, Sampler)
+    y0, n, p = np.array(problem.experiment.y0), np.arange(problem.intervals + 1), problem.top.constants()
+    states = method.states(y0, problem.interval, n, p)
+    started = time.process_time()
+    for _ in range(calls):
+        method.states(y0, problem.interval, n, p)
+    return states, (time.process_time() - started) / calls

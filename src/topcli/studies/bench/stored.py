@@ -1,0 +1,174 @@
+"""Results of benches on disk, one folder a scene, whole or not at all, and read back for the figure."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from topcli.errors import RunError, UsageError
+from topcli.store.provenance import Commit
+from topcli.store.run_folder import MANIFEST, RunWriter, StoredRun, io_failure, stored_runs
+from topcli.store.table import write_table
+from topcli.studies.bench.front import ratio_text, setting
+from topcli.studies.report import number
+
+POINTS = "points.parquet"
+REPORT = "report.json"
+SCHEMA_VERSION = 1
+_PLAIN = ("value", "error", "end_error", "drift", "seconds", "fastest", "repetitions")
+
+
+def points_table(result: dict[str, Any]) -> dict[str, list[Any]]:
+    """Every point of a result as columns, one row a point; seconds are per unit of simulated time."""
+    pairs = [(competitor, row) for competitor in result["competitors"] for row in competitor["points"]]
+    invariants = list(dict.fromkeys(name for _, row in pairs for name in row["invariants"]))
+    return {
+        **{key: [competitor[key] for competitor, _ in pairs] for key in ("name", "kind", "parameter")},
+        **{key: [row[key] for _, row in pairs] for key in _PLAIN},
+        "lower_quartile": [row["quartiles"][0] for _, row in pairs],
+        "upper_quartile": [row["quartiles"][1] for _, row in pairs],
+        **{f"drift_{name}": [row["invariants"].get(name) for _, row in pairs] for name in invariants},
+    }
+
+
+def decade_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """The table of the decades, for the terminal and for Markdown: header and rows; times in microseconds."""
+    header = ["error", "best topcli", "with", "µs", "best peer", "with", "µs", "ratio", "over scipy"]
+    lines = []
+    for row in result["decades"]:
+        cells = [f"{row['error']:.0e}".replace("e-0", "e-")]
+        for entry in (row["topcli"], row["peer"]):
+            cells += [entry["name"], entry["setting"], microseconds(entry["seconds"])] if entry else ["–", "–", "–"]
+        cells += ["–" if row[key] is None else ratio_text(row[key]) for key in ("ratio", "baseline_ratio")]
+        lines.append(cells)
+    return header, lines
+
+
+def point_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """The table of all points."""
+    header = ["", "with", "µs per unit time", "quartiles", "max error", "at the end", "largest drift"]
+    lines = []
+    for competitor in result["competitors"]:
+        for row in competitor["points"]:
+            lines.append(
+                [
+                    competitor["name"],
+                    setting(competitor["parameter"], row["value"]),
+                    microseconds(row["seconds"]),
+                    " to ".join(microseconds(q) for q in row["quartiles"]),
+                    *(number(row[key]) for key in ("error", "end_error", "drift")),
+                ]
+            )
+    return header, lines
+
+
+def ladder_lines(result: dict[str, Any]) -> list[str]:
+    """What compiling took and what ended the ladder, a line for each competitor."""
+    return [
+        f"{row['name']}: compiled or loaded in {row['compile_seconds']:.2g} s; its ladder ended: {row['ended']}"
+        for row in result["competitors"]
+    ]
+
+
+def microseconds(seconds: float) -> str:
+    """Seconds in microseconds, to three digits, without an exponent."""
+    return f"{float(f'{1e6 * seconds:.3g}'):g}"
+
+
+def markdown(header: list[str], lines: list[list[str]]) -> list[str]:
+    """A table in Markdown, a line each."""
+    ruled = ["| " + " | ".join(line) + " |" for line in [header, *lines]]
+    return [ruled[0], "|" + " --- |" * len(header), *ruled[1:]]
+
+
+def report_text(result: dict[str, Any]) -> str:
+    """``report.md``: the result for a reader."""
+    gone = [*result["skipped_peers"], *result["failed_peers"], *result["left_out"]]
+    lines = [
+        f"# {result['name']}: speed against error",
+        "",
+        f"{result['title']}, t from 0 to {result['duration']:g}, errors at {result['intervals']} times against a "
+        f"{result['reference']}. CPU time in microseconds per unit of simulated time, warm; "
+        f"{result['environment']['cpu']}.",
+        "",
+        *markdown(*decade_lines(result)),
+        "",
+        *(f"- {row['words']}." for row in result["decades"]),
+        *(
+            f"- In closed form, `{row['name']}` is within {number(row['error'])} of the reference at "
+            f"{microseconds(row['seconds_per_state'])} µs a state."
+            for row in result["closed_forms"]
+        ),
+        *(f"- Not measured: {row['name']} ({row['reason']})." for row in gone),
+        "",
+        "## All points",
+        "",
+        *markdown(*point_lines(result)),
+        "",
+        *(f"- {line}." for line in ladder_lines(result)),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _digest(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def require_bench_folder(out: Path) -> None:
+    """Raises UsageError when ``out`` is itself a run's folder, which benches must not be mixed into."""
+    if (out / MANIFEST).exists():
+        raise UsageError(f"--out {out}: is the folder of a run; choose another")
+
+
+def store_bench(
+    result: dict[str, Any], code: str, started: str, ended: str, out: Path
+) -> tuple[StoredRun, Path | None]:
+    """Write a result into ``out/<scene>/``; the stored folder, and where a different earlier one was moved.
+
+    ``code`` is the digest of the schemes' code. A result of the same problem, competitors and code is replaced; any
+    other that stands there is set aside, whole. Raises RunError when it cannot be written; nothing is left then.
+    """
+    named = sorted(competitor["name"] for competitor in result["competitors"])
+    digest = _digest(result["config"], result["duration"], result["intervals"], named)
+    with Commit() as commit, RunWriter(out, result["name"]) as writer:
+        try:
+            about = {"topcli.bench": result["name"], "topcli.digest": digest}
+            write_table(writer.folder / POINTS, points_table(result), about)
+            text = json.dumps({"schema_version": SCHEMA_VERSION, **result}, indent=1, ensure_ascii=False)
+            writer.write(REPORT, text + "\n")
+            writer.write("report.md", report_text(result))
+            stored = writer.commit(
+                {
+                    "name": result["name"],
+                    "kind": "bench",
+                    "digest": digest,
+                    "code": code,
+                    "outcome": "completed",
+                    "series": POINTS,
+                    "config": result["config"],
+                    "started": started,
+                    "ended": ended,
+                    "environment": result["environment"],
+                    **commit.read(),
+                }
+            )
+        except OSError as error:
+            raise io_failure(error, out / result["name"], "nothing was kept of this bench") from error
+    return stored, writer.set_aside
+
+
+def stored_benches(out: Path, names: list[str] | None = None) -> list[tuple[StoredRun, dict[str, Any]]]:
+    """The finished results in ``out`` and their reports; those set aside are left out.
+
+    Raises RunError for a damaged one.
+    """
+    found = [run for run in stored_runs(out) if run.manifest.get("kind") == "bench"]
+    found = [run for run in found if run.folder.name == run.manifest.get("name")]
+    benches = [(run, run.report()) for run in found if names is None or run.folder.name in names]
+    for run, report in benches:
+        if report.get("schema_version") != SCHEMA_VERSION:
+            raise RunError(f"{run.folder}: written by another version of topcli; run topcli bench again")
+    return benches

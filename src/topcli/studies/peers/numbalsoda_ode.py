@@ -1,0 +1,60 @@
+"""numbalsoda: Hairer's dop853 and LSODA as compiled libraries, the right-hand side a numba cfunc.
+
+Settings: the constants are written into the right-hand side, which is inlined; no Python is called while it runs. The
+absolute tolerance is the relative one times 1e-2. Both return a flag, which is heeded: at 1e-14 lsoda gives numbers
+that mean nothing, and says so.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from topcli.studies.peers.contract import Call, PeerError, Problem, Variant, checked, compiled_field, decades
+
+MAX_STEPS = 10_000_000
+_TEMPLATE = """
+def rates(t, y, dy, data):
+    f = field(({items}), {p})
+    {store}
+"""
+
+
+def _compiled(problem: Problem) -> Any:
+    from numba import cfunc
+    from numbalsoda import lsoda_sig  # pyright: ignore[reportMissingImports]
+
+    d = problem.d
+    text = _TEMPLATE.format(
+        items="".join(f"y[{i}], " for i in range(d)),
+        p=repr(tuple(map(float, problem.top.constants()))),
+        store="\n    ".join(f"dy[{i}] = f[{i}]" for i in range(d)),
+    )
+    scope: dict[str, Any] = {"field": compiled_field(problem.top)}
+    exec(compile(text, "<right-hand side>", "exec"), scope)
+    return cfunc(lsoda_sig, error_model="numpy")(scope["rates"])
+
+
+def _prepare(problem: Problem, solve: Any, rates: Any, rtol: float) -> Call:
+    import numpy as np
+
+    data = np.zeros(1)
+    solve(rates.address, problem.y0, problem.times[:2], data, rtol, 1e-2 * rtol, MAX_STEPS)  # numba compiles the call
+
+    def call() -> Any:
+        states, success = solve(rates.address, problem.y0, problem.times, data, rtol, 1e-2 * rtol, MAX_STEPS)
+        if not success:
+            raise PeerError("returned success = False")
+        return checked(states, problem)
+
+    return call
+
+
+def variants(problem: Problem) -> list[Variant]:
+    """Both of its solvers."""
+    from numbalsoda import dop853, lsoda  # pyright: ignore[reportMissingImports]
+
+    rates = _compiled(problem)
+    return [
+        Variant("numbalsoda dop853", "rtol", decades(-3, -15), lambda v: _prepare(problem, dop853, rates, v)),
+        Variant("numbalsoda lsoda", "rtol", decades(-3, -14), lambda v: _prepare(problem, lsoda, rates, v)),
+    ]
