@@ -182,7 +182,7 @@ FIGURES: dict[str, FigureSpec] = {
             ),
             Study(_growth_columns, _growth_code),
         ),
-        FigureSpec("work-precision", "Speed against error, from topcli bench", "", (), work_precision),
+        FigureSpec("work-precision", "Speed against error, from topcli bench", "", (), measured=work_precision),
     )
 }
 

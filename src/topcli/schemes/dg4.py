@@ -39,7 +39,7 @@ from topcli.kernels.four_integrals import (
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.projection import onto_but_no_worse
-from topcli.schemes.limits import NEWTON_SINGULAR, NO_GRADIENT
+from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.projected import REACH, VANISHING, leave
 from topcli.schemes.registry import scheme
 from topcli.tops.kowalevski import field
@@ -182,11 +182,6 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     citation="McLachlan, Quispel, Robidoux 1999; Dahlby, Owren, Yaguchi 2011 (several integrals)",
     equations="y' = y + h (1 - D (D^T D)^-1 D^T) f((y + y')/2), D the discrete gradients of gamma², 2l, E, k²",
     limits={
-        "delone": NO_GRADIENT,
-        "torus-e4": "Where the torus has shrunk to a closed orbit the gradients are dependent and the iteration with "
-        "k² does not settle: the step is the midpoint rule's, k² moves by about 1e-12, and the steps are counted.",
-        "resonance": "With steps of about a turn the iteration with k² does not settle: the step is the midpoint "
-        "rule's, which keeps gamma², 2l and E only; counted.",
         "singular-step": NEWTON_SINGULAR,
         "huge": "The iteration ends at the round-off of the whole state: where omega is larger than gamma by many "
         "powers of ten, gamma's last digits are not settled, and gamma² moves by 1e-12. Beyond |omega| of about 1e77 "

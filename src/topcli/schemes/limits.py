@@ -34,10 +34,6 @@ OVERFLOW = (
     "|xi|² is of the fourth power in omega: beyond |omega| of about 1e77 it leaves the range of a double. Choose "
     "units of time in which omega is of moderate size."
 )
-NO_GRADIENT = (
-    "k² has no gradient at k = 0 and cannot be corrected: the other three integrals are kept, k² is left to the base "
-    "scheme, which moves it by the square of its error in xi, 1e-10 with h = 0.02. The steps are counted."
-)
 NO_FAR_STEPS = (
     "Explicit, and conserves no energy: with steps of about a turn the state grows without bound within a few steps."
 )

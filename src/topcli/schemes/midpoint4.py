@@ -54,6 +54,7 @@ from topcli.kernels.lie_poisson import (
 )
 from topcli.kernels.projection import onto_but_no_worse
 from topcli.kernels.roots import turn_increment
+from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.projected import leave
 from topcli.schemes.registry import scheme
 
@@ -283,6 +284,7 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="after Dahlby, Owren, Yaguchi 2011 (several integrals) and Cooper 1987 (quadratic ones)",
     equations="y' = y + h f(m) + s J(|F|² X - (F·X) F), m = (y + y')/2, F = J grad E, X = J grad k² at m, k(y') = k(y)",
+    limits={"singular-step": LONG_NEWTON},
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """The implicit midpoint rule, which keeps gamma², 2l and E, and a change that keeps these, so long that k² is kept.

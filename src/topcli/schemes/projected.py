@@ -32,7 +32,6 @@ from topcli.kernels.four_integrals import (
 )
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.projection import MET, moved, onto, with_k, worst
-from topcli.schemes.limits import NO_GRADIENT
 from topcli.schemes.registry import scheme
 
 SYMMETRIC_ROUNDS = 12
@@ -45,11 +44,12 @@ REACH = 1.0
 """A correction's largest length: this times h² (omega² + c gamma), but no more than 1, of the step's own length."""
 CONSERVES = ("gamma_sq", "two_l", "energy", "k_sq")
 LIMITS = {
-    "delone": NO_GRADIENT,
     "resonance": "With steps of about a turn HK jumps so far that no correction as short as its own step reaches the "
     "values; counted as unmet.",
     "singular-step": "HK's step is singular at this h, and from a state of size 1e15 and beyond there is no way back "
     "to the values; counted as unmet.",
+    "huge": "Beyond |omega| of about 1e77 k² leaves the range of a double: no correction can be judged, and the values "
+    "are not met; counted as unmet.",
 }
 COUNTERS = ("corrections", "short_corrections", "unmet")
 """Corrections made; steps where one was cut or left an integral out; steps that did not meet all four values."""
