@@ -6,18 +6,19 @@ import math
 
 import topcli
 from topcli.contracts import Floats, Stepper
+from topcli.kernels.fused import fma
 
 
 def turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, float, float]:
     """Solve g' - g = (g' + g) x a for g'."""
-    b1 = g2 * a3 - g3 * a2
-    b2 = g3 * a1 - g1 * a3
-    b3 = g1 * a2 - g2 * a1
-    r = 2.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3))
+    b1 = fma(g2, a3, -(g3 * a2))
+    b2 = fma(g3, a1, -(g1 * a3))
+    b3 = fma(g1, a2, -(g2 * a1))
+    r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
     return (
-        g1 + r * (b1 + (b2 * a3 - b3 * a2)),
-        g2 + r * (b2 + (b3 * a1 - b1 * a3)),
-        g3 + r * (b3 + (b1 * a2 - b2 * a1)),
+        g1 + r * (b1 + fma(b2, a3, -(b3 * a2))),
+        g2 + r * (b2 + fma(b3, a1, -(b1 * a3))),
+        g3 + r * (b3 + fma(b1, a2, -(b2 * a1))),
     )
 
 

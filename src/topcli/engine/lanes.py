@@ -17,6 +17,7 @@ from typing import Any
 
 from topcli.contracts import StepFunction, Stepper
 from topcli.engine.source import compilable_copy
+from topcli.kernels.fused import fma
 from topcli.kernels.so3 import IN_LANES
 
 _TEMPLATE = """
@@ -76,7 +77,7 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
     ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
     ``d`` rows of ``tile`` numbers for every recorded step. ``params`` holds the constants, then the fractions of h.
     """
-    inlined = {id(kernel): stand_in for kernel, stand_in in IN_LANES.items()}
+    inlined = {id(kernel): stand_in for kernel, stand_in in IN_LANES.items()} | {id(fma): fma}
     stage, fractions = stages_of(stepper)
     step = compilable_copy(stage, lambda kernel: kernel, inlined)
     return _template(stepper.width, d, constants, tile, len(fractions))(step, stepper.leave or _same)

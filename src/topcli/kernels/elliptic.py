@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array
-from topcli.kernels.dd import dd_add, dd_scale
+from topcli.kernels.dd import dd_add, quick_two_sum
 
 DIGITS = 80
 """Decimal digits to compute constants with: sums of products of four doubles are exact."""
@@ -78,9 +78,27 @@ def carlson_rj(x: Decimal, y: Decimal, z: Decimal, p: Decimal) -> Decimal:
     return power * series / (mean * mean.sqrt()) + 6 * total
 
 
+def _halves(a: Any) -> tuple[Any, Any]:
+    """``(top, bottom)`` of at most 26 bits each with top + bottom = a exactly (Veltkamp); |a| < 2^996."""
+    t = 134217729.0 * a  # 2^27 + 1
+    top = t - (t - a)
+    return top, a - top
+
+
+def _exact_product(a: Any, b: Any) -> tuple[Any, Any]:
+    """a b in double-double, elementwise, without the fused operation, which arrays do not have (Dekker)."""
+    p = a * b
+    a1, a2 = _halves(a)
+    b1, b2 = _halves(b)
+    return p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2
+
+
 def multiple(step: DD, n: Array) -> tuple[Array, Array]:
     """``n`` times ``step`` for whole numbers n as floats, shape (m,), in double-double."""
-    return dd_scale(*step, n)  # type: ignore[arg-type,return-value]
+    hi, lo = step
+    p, e = _exact_product(hi, n)
+    th, tl = quick_two_sum(p, lo * n)  # type: ignore[arg-type]
+    return quick_two_sum(th, tl + e)  # type: ignore[return-value]
 
 
 def add(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:

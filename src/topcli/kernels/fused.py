@@ -14,9 +14,12 @@ def fma(a: float, b: float, c: float) -> float:
     """a b + c rounded once, by exact fractions: what the processor's instruction gives, bit for bit.
 
     Overflows to infinity, underflows gradually, and gives nan where a nan or an invalid operation goes in. Numbers of
-    another kind, exact fractions or mpmath's, follow their own rules.
+    another kind, exact fractions or mpmath's, follow their own rules. Raises TypeError for arrays, whose products
+    would be rounded.
     """
     if not (isinstance(a, float) and isinstance(b, float) and isinstance(c, float)):
+        if any(hasattr(x, "__array__") and not isinstance(x, float) for x in (a, b, c)):
+            raise TypeError("fma takes numbers, not arrays")
         return a * b + c
     if not (math.isfinite(a) and math.isfinite(b)):
         return a * b + c

@@ -42,7 +42,7 @@ def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | No
 
     arrays, fields = [], []
     for name, values in data.items():
-        if values.dtype.kind == "U":
+        if values.dtype.kind in "OU":
             arrays.append(pa.array(values.tolist(), pa.string()))
             fields.append(pa.field(name, pa.string(), nullable=False))
             continue
@@ -51,6 +51,11 @@ def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | No
         arrays.append(pa.Array.from_buffers(kind, len(contiguous), [None, pa.py_buffer(contiguous)]))
         fields.append(pa.field(name, kind, nullable=False))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=dict(metadata or {})))
+
+
+def _kind(name: str) -> type:
+    """The type of a column's elements in numpy."""
+    return np.int64 if name in INTEGERS else object if name in WORDS else np.float64
 
 
 def _parquet_options(names: Iterable[str]) -> dict[str, Any]:
@@ -89,7 +94,7 @@ class _Held:
 
     def __init__(self, names: Sequence[str]) -> None:
         self.rows = 0
-        self._columns = {name: np.empty(0, dtype=np.int64 if name == "n" else np.float64) for name in names}
+        self._columns = {name: np.empty(0, dtype=_kind(name)) for name in names}
 
     def add(self, data: Mapping[str, np.ndarray]) -> None:
         count = len(next(iter(data.values())))
