@@ -58,16 +58,23 @@ def in_engine(stepper: Stepper) -> Run:
     return run
 
 
+BEGUN = {  # a state and its counters, by the number of both
+    6: lambda y: (y[0], y[1], y[2], y[3], y[4], y[5]),
+    7: lambda y: (y[0], y[1], y[2], y[3], y[4], y[5], 0.0),
+    8: lambda y: (y[0], y[1], y[2], y[3], y[4], y[5], 0.0, 0.0),
+}
+
+
 def without_check(stepper: Stepper) -> Run:
     """A bare loop: what the engine's finite check and recording cost."""
-    step = stepper.step
+    step, begun = stepper.step, BEGUN[stepper.width]
 
     def loop(y, params, h, n):
-        s = (y[0], y[1], y[2], y[3], y[4], y[5], 0.0)  # the last one counts
+        s = begun(y)
         p = (params[0],)
         for _ in range(n):
             s = step(s, h, p)
-        y[0], y[1], y[2], y[3], y[4], y[5], _ = s
+        y[0], y[1], y[2], y[3], y[4], y[5] = s[:6]
         return 0
 
     compiled, params = native(loop, "ppdq"), np.ones(1)

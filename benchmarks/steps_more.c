@@ -17,9 +17,10 @@ static inline void carried_sum(double *y, double *e, double d)
 
 static inline vec cayley(double a1, double a2, double a3, double g1, double g2, double g3)
 {
-    const double b1 = g2 * a3 - g3 * a2, b2 = g3 * a1 - g1 * a3, b3 = g1 * a2 - g2 * a1;
-    const double r = 2.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3));
-    return (vec){r * (b1 + (b2 * a3 - b3 * a2)), r * (b2 + (b3 * a1 - b1 * a3)), r * (b3 + (b1 * a2 - b2 * a1))};
+    const double b1 = fma(g2, a3, -(g3 * a2)), b2 = fma(g3, a1, -(g1 * a3)), b3 = fma(g1, a2, -(g2 * a1));
+    const double r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3));
+    return (vec){r * (b1 + fma(b2, a3, -(b3 * a2))), r * (b2 + fma(b3, a1, -(b1 * a3))),
+                 r * (b3 + fma(b1, a2, -(b2 * a1)))};
 }
 
 static inline double sinc_of_square(double t)
