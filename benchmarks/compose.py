@@ -1,6 +1,6 @@
 """What a composed step costs: its time over the base's, beside its number of stages.
 
-    python benchmarks/compose.py [--json] [--repetitions 201]
+    python benchmarks/compose.py [--json] [--repetitions 51]
 
 Every scheme of the Kowalevski top that can be composed, through the engine's own loop. The repetitions are
 interleaved; every figure is the median over them of the time divided by the base's of the same repetition, with the
@@ -70,7 +70,7 @@ def measure(base: str, repetitions: int) -> list[dict[str, Any]]:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repetitions", type=int, default=201)
+    parser.add_argument("--repetitions", type=int, default=51)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
