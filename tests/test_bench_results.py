@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +10,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from test_cli import Said
-from topcli.__main__ import main
 from topcli.errors import RunError
 from topcli.figures.work_precision import work_precision
 from topcli.studies.bench.front import DECADES
@@ -28,22 +24,6 @@ def short() -> Problem:
     """The generic Kowalevski top for a short while."""
     (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=0.01", "N=1000"), 20)
     return problem
-
-
-@pytest.fixture
-def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path) -> Callable[..., Said]:
-    """Call ``main`` as the installed command does, in an empty working folder."""
-
-    def call(*arguments: str) -> Said:
-        monkeypatch.setattr(sys, "argv", ["topcli", *arguments])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main()
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return Said(int(leaving.value.code or 0), out, err)
-
-    return call
 
 
 # results on disk

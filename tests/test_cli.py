@@ -8,14 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from conftest import ROOT
 from topcli import __version__
-from topcli.__main__ import main
 from topcli.figures.catalogue import FIGURES
 from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
@@ -23,33 +21,6 @@ from topcli.tops import TOPS
 CONFIGS = ROOT / "configs"
 HK = str(CONFIGS / "kowalevski_hk.yaml")
 HYBRID = str(CONFIGS / "kowalevski_hybrid.yaml")
-
-
-@dataclass
-class Said:
-    code: int
-    out: str
-    err: str
-
-    def json(self):
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path):
-    """Call ``main`` as the installed command does, in an empty working folder."""
-
-    def call(*arguments: str) -> Said:
-        monkeypatch.setattr(sys, "argv", ["topcli", *arguments])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main()
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        code = leaving.value.code
-        return Said(0 if code is None else int(code), out, err)
-
-    return call
 
 
 def process(*arguments: str, cwd: Path, **options) -> subprocess.CompletedProcess[str]:

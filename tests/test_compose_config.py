@@ -13,7 +13,6 @@ import topcli
 from config_texts import BASE, CONFIGS, refusal, write
 from conftest import ROOT
 from kick_turn import KICK_TURN
-from test_cli import cli  # noqa: F401
 from test_config_schema import fits
 from topcli.cli.options import complete_scheme
 from topcli.config.load import experiment_from, load_experiment
@@ -177,7 +176,7 @@ def test_simulate_and_compare_from_python() -> None:
     assert np.array_equal(trajectory.states, topcli.simulate(GENERIC, scheme="hk+kahan-li8", h=0.1, N=100).states)
 
 
-def test_command_line(cli, in_tmp: Path) -> None:  # noqa: F811
+def test_command_line(cli, in_tmp: Path) -> None:
     said = cli("compare", "hk", "HK+Suzuki4", "--config", GENERIC, "--set", "h=0.05", "--set", "N=200", "--json").json()
     hk, composed = said["schemes"]
     assert composed["scheme"] == "hk+suzuki4"
@@ -195,7 +194,7 @@ def test_command_line(cli, in_tmp: Path) -> None:  # noqa: F811
     assert cli("compare", "hk+suzuki4", "HK+suzuki4").code == 2
 
 
-def test_list_compositions(cli) -> None:  # noqa: F811
+def test_list_compositions(cli) -> None:
     rows = cli("list", "compositions", "--json").json()["compositions"]
     assert {(row["name"], row["order"], row["stages"]) for row in rows} == {
         ("yoshida4", 4, 3),
@@ -209,7 +208,7 @@ def test_list_compositions(cli) -> None:  # noqa: F811
     assert not any("+" in row["name"] for row in cli("list", "schemes", "--json").json()["schemes"])
 
 
-def test_the_readme_is_real(cli) -> None:  # noqa: F811
+def test_the_readme_is_real(cli) -> None:
     """Its list, and its comparison but for what is round-off."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = cli("list", "compositions").out.splitlines()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 
 import topcli
 from conftest import ROOT, random_states
-from topcli.__main__ import main
 from topcli.analysis.drift import invariant_report
 from topcli.analysis.many import MEASURES, quantiles
 from topcli.config.ensemble import EnsembleExperiment
@@ -274,59 +272,50 @@ def test_quantiles_of_what_is_known() -> None:
 # ---------------------------------------------------------------- the command line
 
 
-def command(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str
-) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["topcli", *arguments])
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as leaving:
-        main()
-    out, err = capsys.readouterr()
-    assert "Traceback" not in out + err
-    return int(leaving.value.code or 0), out, err
+def command(cli, *arguments: str) -> tuple[int, str, str]:
+    said = cli(*arguments)
+    return said.code, said.out, said.err
 
 
-def test_the_command_line(in_tmp: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_line(cli, in_tmp: Path) -> None:
     small = ("--set", "ensemble.random.count=20", "--set", "N=200")
-    code, out, err = command(capsys, monkeypatch, "run", "kowalevski_ensemble", *small, "--threads", "2")
+    code, out, err = command(cli, "run", "kowalevski_ensemble", *small, "--threads", "2")
     assert code == 0
     assert "all 20 trajectories completed 200 steps" in err
     assert "20 of 20" in out
-    code, out, _ = command(capsys, monkeypatch, "run", "kowalevski_ensemble", *small, "--json")
+    code, out, _ = command(cli, "run", "kowalevski_ensemble", *small, "--json")
     told = json.loads(out)["runs"][0]
     assert (code, told["status"], told["trajectories"], told["kind"]) == (0, "up to date", 20, "ensemble")
-    code, out, _ = command(capsys, monkeypatch, "run", "euler_ensemble", "--dry-run")
+    code, out, _ = command(cli, "run", "euler_ensemble", "--dry-run")
     assert (code, out) == (0, "euler_ensemble: will run: 48843 rows in results/euler_ensemble\n")
-    code, out, _ = command(capsys, monkeypatch, "list", "runs")
+    code, out, _ = command(cli, "list", "runs")
     assert "kowalevski_ensemble" in out
-    code, out, _ = command(capsys, monkeypatch, "show", "kowalevski_ensemble", "--set", "ensemble.random.seed=77")
+    code, out, _ = command(cli, "show", "kowalevski_ensemble", "--set", "ensemble.random.seed=77")
     assert "seed: 77" in out
     (in_tmp / "shown.yaml").write_text(out)
-    assert command(capsys, monkeypatch, "show", "shown.yaml")[1] == out
+    assert command(cli, "show", "shown.yaml")[1] == out
 
 
-def test_exit_codes(in_tmp: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exit_codes(cli, in_tmp: Path) -> None:
     some = experiment(**failing(8))
     (in_tmp / "some.yaml").write_text(some.to_yaml())
-    code, _, err = command(capsys, monkeypatch, "run", "some.yaml")
+    code, _, err = command(cli, "run", "some.yaml")
     assert code == 3
     assert "error: some: some trajectories failed; what came before is kept" in err
     text = some.to_yaml().replace("omega: [0.5,", "omega: [1e200,").replace("name: some", "name: all")
     (in_tmp / "all.yaml").write_text(text)
-    assert command(capsys, monkeypatch, "run", "all.yaml")[0] == 1
+    assert command(cli, "run", "all.yaml")[0] == 1
     scene = str(ROOT / "configs" / "euler_ensemble.yaml")
     for arguments in (("compare", "hk", "bs", "--config", scene), ("lax", "euler", "--config", scene)):
-        code, out, err = command(capsys, monkeypatch, *arguments)
+        code, out, err = command(cli, *arguments)
         assert (code, out) == (2, "")
         assert "euler_ensemble.yaml:7: ensemble: this is an ensemble of 243 trajectories" in err
 
 
-def test_a_figure_refuses_an_ensemble(
-    in_tmp: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_figure_refuses_an_ensemble(cli, in_tmp: Path) -> None:
     (in_tmp / "configs").mkdir()
     text = (ROOT / "configs" / "kowalevski_ensemble.yaml").read_text()
     (in_tmp / "configs" / "kowalevski_hk.yaml").write_text(text)
-    code, _, err = command(capsys, monkeypatch, "plot", "fig1")
+    code, _, err = command(cli, "plot", "fig1")
     assert code == 2
     assert "this is an ensemble of 1000 trajectories, and a single one is needed here" in err

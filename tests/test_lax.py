@@ -7,7 +7,6 @@ import pytest
 
 from conftest import ROOT, random_states
 from steppers import RK2
-from test_cli import cli as cli  # the fixture
 from topcli.analysis.isospectral import (
     LAMBDAS,
     commutator_residual,

@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 
 from conftest import ROOT
-from test_cli import cli, process
+from test_cli import process
 from topcli.cli.talk import ProgressTeller, spell_seconds
 from topcli.store.run_folder import stored_runs
 from topcli.store.series import read_series
-
-__all__ = ["cli"]
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 

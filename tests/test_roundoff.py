@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from test_cli import Said, cli  # noqa: F401
 from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, StepFunction, Stepper
@@ -175,8 +174,8 @@ def test_what_is_refused() -> None:
         roundoff_study(roundoff_experiment("hk", None), 10_000_000, 1)
 
 
-def test_command(cli, tmp_path: Path) -> None:  # noqa: F811
-    said: Said = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
+def test_command(cli, tmp_path: Path) -> None:
+    said = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
     assert said.code == 0
     assert "flat" in said.out
     assert len(said.out.splitlines()) == 6
@@ -186,7 +185,7 @@ def test_command(cli, tmp_path: Path) -> None:  # noqa: F811
     assert told["forms"][1]["options"] == {"branch": "nearest", "compensated": True}
 
 
-def test_command_tells_violations(cli) -> None:  # noqa: F811
+def test_command_tells_violations(cli) -> None:
     few = ("--steps", "2e4", "--copies", "2")
     assert cli("roundoff", "hybrid-xi", *few, "--max-exponent", "0.6", "--max-drift", "1e-13").code == 0
     said = cli("roundoff", "hybrid", *few, "--max-drift", "1e-18")
@@ -195,7 +194,7 @@ def test_command_tells_violations(cli) -> None:  # noqa: F811
     assert cli("roundoff", "hybrid", *few, "--max-exponent", "-1").code == 4
 
 
-def test_command_refuses(cli) -> None:  # noqa: F811
+def test_command_refuses(cli) -> None:
     for arguments, says in [
         (("hybird",), "did you mean 'hybrid'"),
         (("hybrid", "--steps", "0"), "--steps 0: must be a whole number"),
@@ -236,7 +235,7 @@ def test_the_figures_curves() -> None:
     assert abs(exponent("k_sq:hybrid-xi")) < 0.1
 
 
-def test_the_figure_is_drawn_once(cli, tmp_path: Path) -> None:  # noqa: F811
+def test_the_figure_is_drawn_once(cli, tmp_path: Path) -> None:
     told = [cli("plot", "roundoff", "--format", "png", "--json").json()["figures"][0] for _ in range(2)]
     assert [one["status"] for one in told] == ["drawn", "up to date"]
     assert all((tmp_path / file).is_file() for file in told[0]["files"])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import sys
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from conftest import ROOT
-from topcli.__main__ import main
 from topcli.errors import RunError
 from topcli.figures import stress as picture
 from topcli.schemes import registry
@@ -52,30 +50,12 @@ def build(top, options):
 '''
 
 
-@dataclass
-class Said:
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path):
-    """Call ``main`` as the installed command does, in an empty working folder; its schemes are forgotten after it."""
-
-    def call(*arguments: str) -> Said:
-        monkeypatch.setattr(sys, "argv", ["topcli", *arguments])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main()
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        code = leaving.value.code
-        return Said(0 if code is None else int(code), out, err)
-
+@pytest.fixture(autouse=True)
+def schemes_as_they_were() -> Iterator[None]:
+    """What a test registers is forgotten after it."""
     all_schemes()
     known = dict(registry._schemes)
-    yield call
+    yield
     registry._schemes.clear()
     registry._schemes.update(known)
     registry.load_scheme_file.cache_clear()

@@ -209,6 +209,28 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     )
 
 
+def _path(words: str) -> Path:
+    """Where the machine code is kept whose content, with compiler, CPU and versions, is told by ``words``."""
+    return cache_folder() / f"{hashlib.sha256(words.encode()).hexdigest()}.o"
+
+
+def _known(path: Path, signature: str, start: float) -> Native | None:
+    """The function kept at ``path``; ``start`` is when the search for it began."""
+    stored = _read(path, signature)
+    return None if stored is None else Native(stored[0], signature, time.perf_counter() - start, True, stored[1])
+
+
+def _linked(
+    module: Any, ir: str, symbol: str, signature: str, path: Path
+) -> tuple[Callable[..., int], tuple[Any, ...]]:
+    """The function ``symbol`` of ``module``, whose text is ``ir``, kept at ``path``. Raises OSError as ``_load``."""
+    code, needs = _target_machine().emit_object(module), _outside(ir)
+    _require(["sin"])  # or any mathematics that the compiler calls without declaring it
+    loaded = _load(code, symbol, signature, needs)
+    _write(path, code, symbol, needs)
+    return loaded
+
+
 def native_text(ir: str, symbol: str, signature: str) -> Native:
     """The function ``symbol`` of a module of LLVM's intermediate language as machine code, kept on disk as well.
 
@@ -216,26 +238,17 @@ def native_text(ir: str, symbol: str, signature: str) -> Native:
     """
     llvm, words = _machine()
     start = time.perf_counter()
-    path = cache_folder() / f"{hashlib.sha256(f'{ir}|{symbol}|{signature}|{words}'.encode()).hexdigest()}.o"
-    stored = _read(path, signature)
-    if stored is not None:
-        return Native(stored[0], signature, time.perf_counter() - start, True, stored[1])
+    path = _path(f"{ir}|{symbol}|{signature}|{words}")
+    known = _known(path, signature, start)
+    if known is not None:
+        return known
     try:
         module = llvm.parse_assembly(ir)
         module.verify()
     except RuntimeError as error:
         raise ValueError(f"no module of LLVM's language: {str(error).strip().splitlines()[0]}") from error
-    code, needs = _target_machine().emit_object(module), _outside(ir)
-    _require(["sin"])  # or any mathematics that the compiler calls without declaring it
-    call, keep = _load(code, symbol, signature, needs)
-    _write(path, code, symbol, needs)
+    call, keep = _linked(module, ir, symbol, signature, path)
     return Native(call, signature, time.perf_counter() - start, False, keep)
-
-
-def content_key(function: Callable[..., Any], signature: str, inline: bool) -> str:
-    """The name under which the machine code of ``function`` is kept: content, compiler, CPU and versions."""
-    words = f"{fingerprint(function)}|{signature}|{inline}|{_machine()[1]}"
-    return hashlib.sha256(words.encode()).hexdigest()
 
 
 def native(function: Callable[..., Any], signature: str, *, inline: bool = True) -> Native:
@@ -245,26 +258,21 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
     forces every kernel into its caller, which is right for a step of a hundred operations and wrong for loops.
     Raises CompileError when the compiler refuses.
     """
-    _machine()  # the back end's own start-up is no part of compiling or loading this function
+    llvm, words = _machine()  # the back end's own start-up is no part of compiling or loading this function
     start = time.perf_counter()
-    path = cache_folder() / f"{content_key(function, signature, inline)}.o"
-    stored = _read(path, signature)
-    if stored is not None:
-        return Native(stored[0], signature, time.perf_counter() - start, True, stored[1])
+    path = _path(f"{fingerprint(function)}|{signature}|{inline}|{words}")
+    known = _known(path, signature, start)
+    if known is not None:
+        return known
     try:
         compiled = _compile(function, signature, inline)
     except Exception as error:  # numba raises its own kinds and plain ones
         lines = [line.strip() for line in str(error).splitlines()]
         telling = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
         raise CompileError((telling or [type(error).__name__])[0]) from error
-    llvm, _ = _machine()
     ir = compiled.inspect_llvm()
-    needs = _outside(ir)
-    code = _target_machine().emit_object(llvm.parse_assembly(ir))
     try:
-        _require(["sin"])  # or any mathematics that the compiler calls without declaring it
-        call, keep = _load(code, compiled.native_name, signature, needs)
-        _write(path, code, compiled.native_name, needs)
+        call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, path)
     except OSError:  # something to link stored code against is missing here: use numba's own, unstored
         prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
         call, keep = prototype(compiled.address), (compiled,)

@@ -25,6 +25,17 @@ def carried_sum(y: float, e: float, d: float) -> tuple[float, float]:
     return s, (y - s) + t
 
 
+def carried_sums(y: Floats, e: Floats, d: Floats) -> tuple[Floats, Floats]:
+    """``carried_sum`` of each of six components: the sums, and what each of them lost."""
+    y1, e1 = carried_sum(y[0], e[0], d[0])
+    y2, e2 = carried_sum(y[1], e[1], d[1])
+    y3, e3 = carried_sum(y[2], e[2], d[2])
+    y4, e4 = carried_sum(y[3], e[3], d[3])
+    y5, e5 = carried_sum(y[4], e[4], d[4])
+    y6, e6 = carried_sum(y[5], e[5], d[5])
+    return (y1, y2, y3, y4, y5, y6), (e1, e2, e3, e4, e5, e6)
+
+
 def plain3(change: Change) -> StepFunction:
     """The step of three components."""
 
@@ -63,15 +74,9 @@ def compensated6(change: Change) -> StepFunction:
     """The step of six components, followed by what their sums have lost so far."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
-        y1, y2, y3, y4, y5, y6, e1, e2, e3, e4, e5, e6 = s
-        x1, x2, x3, x4, x5, x6 = change((y1, y2, y3, y4, y5, y6), h, p)
-        y1, e1 = carried_sum(y1, e1, x1)
-        y2, e2 = carried_sum(y2, e2, x2)
-        y3, e3 = carried_sum(y3, e3, x3)
-        y4, e4 = carried_sum(y4, e4, x4)
-        y5, e5 = carried_sum(y5, e5, x5)
-        y6, e6 = carried_sum(y6, e6, x6)
-        return (y1, y2, y3, y4, y5, y6, e1, e2, e3, e4, e5, e6)
+        y = (s[0], s[1], s[2], s[3], s[4], s[5])
+        y, e = carried_sums(y, (s[6], s[7], s[8], s[9], s[10], s[11]), change(y, h, p))
+        return (*y, *e)
 
     return step
 

@@ -58,17 +58,12 @@ SETTLED = 4.0 * EPS
 """Change of the step, in units of the state, that ends the iteration: the last bits of the new state."""
 
 
-def wanted_change(y: Floats, e: Floats, excess: Four, reach: float, four: bool, h: float, p: Floats) -> Six:
-    """The right-hand side h f(m) - D x for the change ``e``; ``excess`` is by how much y's integrals are too large.
-
-    With ``four`` false it is h f(m) alone: the implicit midpoint rule, which keeps the three quadratic integrals.
-    """
-    b1, b2, b3, b4, b5, b6, _ = wanted_and_short(y, e, excess, reach, four, h, p)
-    return (b1, b2, b3, b4, b5, b6)
-
-
 def wanted_and_short(y: Floats, e: Floats, excess: Four, reach: float, four: bool, h: float, p: Floats) -> Seven:
-    """``wanted_change``, and how many integrals are not met in full because the Gram matrix is near singular."""
+    """The right-hand side h f(m) - D x for the change ``e``, and how many integrals are not met in full.
+
+    ``excess`` is by how much y's integrals are too large. Not met are those that a Gram matrix near singular leaves
+    out. With ``four`` false it is h f(m) alone: the implicit midpoint rule, which keeps the three quadratic integrals.
+    """
     c = p[0]
     m: Floats = (
         y[0] + 0.5 * e[0],

@@ -27,7 +27,7 @@ from topcli.contracts import Floats, Stepper, Top
 from topcli.kernels.carried import enter_carried, leave_carried, to_length_sq
 from topcli.kernels.euler_poisson import resolvent, solve3
 from topcli.kernels.hk_kowalevski import hk_kowalevski
-from topcli.kernels.increments import carried_sum
+from topcli.kernels.increments import carried_sums
 from topcli.kernels.roots import turn_increment
 from topcli.kernels.so3 import Vector, cayley_increment
 from topcli.schemes.compensated import CompensatedOption
@@ -155,13 +155,10 @@ def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
     old = (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq)
     x1, x2, x3, y1, y2, y3, z1, z2, status, more = hybrid_sym_change(old, h, p)
     w1, w2 = w1 + x1, w2 + x2
-    w3, e3 = carried_sum(w3, e3, x3)
-    g1, e4 = carried_sum(g1, e4, y1)
-    g2, e5 = carried_sum(g2, e5, y2)
-    g3, e6 = carried_sum(g3, e6, y3)
-    u1, e7 = carried_sum(u1, e7, z1)
-    u2, e8 = carried_sum(u2, e8, z2)
-    return (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8, status, iterations + more)
+    (w3, g1, g2, g3, u1, u2), lost = carried_sums(
+        (w3, g1, g2, g3, u1, u2), (e3, e4, e5, e6, e7, e8), (x3, y1, y2, y3, z1, z2)
+    )
+    return (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, *lost, status, iterations + more)
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from topcli.contracts import Floats, Stepper, Top
 from topcli.kernels.euler_poisson import midpoint_change
-from topcli.kernels.increments import carried_sum, first6
+from topcli.kernels.increments import carried_sums, first6
 from topcli.schemes.compensated import CompensatedOption, compensation_wanted
 from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.preserved import polynomial_invariants
@@ -39,13 +39,8 @@ def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
     """One step of the working state with what the sums have lost, before the status."""
     w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, e1, e2, e3, e4, e5, e6, _, iterations = s
     x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
-    w1, e1 = carried_sum(w1, e1, x1)
-    w2, e2 = carried_sum(w2, e2, x2)
-    w3, e3 = carried_sum(w3, e3, x3)
-    g1, e4 = carried_sum(g1, e4, y1)
-    g2, e5 = carried_sum(g2, e5, y2)
-    g3, e6 = carried_sum(g3, e6, y3)
-    return (w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, e1, e2, e3, e4, e5, e6, status, iterations + more)
+    new, lost = carried_sums((w1, w2, w3, g1, g2, g3), (e1, e2, e3, e4, e5, e6), (x1, x2, x3, y1, y2, y3))
+    return (*new, A, B, C, x, y, z, *lost, status, iterations + more)
 
 
 def enter_inertial(y: Floats, h: float, p: Floats) -> Floats:
