@@ -128,7 +128,7 @@ def test_coefficients_are_the_derivatives(top: Top) -> None:
     o = Plain(a.lanes)
     ones = (1.0, 1.0, 1.0, 0.0, 0.0) if d == 6 else (0.0,)
     y0 = (*gen(top), *(0.0,) * (a.lanes - d))
-    expand(o, a, 12, y0, ((*alpha, *ones), (*beta, *pad), (*delta, *pad)))
+    expand(o, a, 12, y0, ((*alpha, *ones), (*beta, *pad), (*delta, *pad)), -40.0)
     y = [list(map(float, gen(top))) + [0.0] * (6 - d)]
     for m in range(12):
         new = [0.0] * 6
@@ -262,7 +262,7 @@ def test_paper_scene() -> None:
     top = Kowalevski()
     n = np.arange(1, 51)
     exact = reference_states(top, PAPER, n * 1.0)
-    assert np.abs(after(top, PAPER, 0.001, 50_000, 1000) - exact).max() < 1e-8  # round-off, amplified a million times
+    assert np.abs(after(top, PAPER, 0.001, 50_000, 1000) - exact).max() < 5e-8  # round-off, amplified a million times
 
 
 @pytest.mark.parametrize("top", [Kowalevski(), Heavy(), EulerGamma()], ids=repr)

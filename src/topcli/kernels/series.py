@@ -8,10 +8,12 @@ With y = (omega, gamma) and i, j, k cyclic the equations (Sogo, (Euler) and (Poi
 and the coefficients y_m of their solution sum y_m t^m obey (m + 1) y_(m+1) = J y_m + sum y_k * y_(m-k), the sum over
 k = 1..m-1, with J the Jacobian at y_0 and * the bilinear part. All series lie side by side in the lanes of one vector:
 
-- what each coefficient waits for is J y_m alone, four products of permutations of y_m, scaled by 1/(m + 1) beforehand;
+- what each coefficient waits for is J y_m alone, four products with permutations of y_m, which are factors of the sums
+  to come as well; the division by m + 1 is a multiplication, exact where its rounding would add up;
 - the sum takes one fused multiply-add of whole vectors for each k where at most eight of its nine products are there
   (``SYMMETRIC``: alpha_3 = 0), two in general, and runs ahead of the chain of the y_m;
-- the sums for m and m + 1 are formed together, so that each coefficient is loaded once for both.
+- the sums for m and m + 1 are formed together, so that each coefficient is loaded once for both;
+- the step is found from coefficients before the last ones, while those are formed.
 
 Everything is written once in terms of the operations ``Operations``: ``machine`` turns them into LLVM's language,
 ``plain`` executes them with Python's floats, and both give the same bits.
@@ -63,6 +65,9 @@ class Operations(Protocol):
     def load(self, name: str, index: int) -> Vector:
         """What was kept."""
 
+    def cut(self) -> None:
+        """What stands before is to be done before: a compiler that reorders everything makes long sums waited for."""
+
     def logarithm(self, x: Vector) -> Scalar:
         """The base-2 logarithm of the largest magnitude in x to 0.09; -1023 for 0.0, 1024 and more for inf and nan."""
 
@@ -80,29 +85,28 @@ class Operations(Protocol):
 class Arrangement:
     """Which component stands in which lane of the factors.
 
-    ``first`` and ``second`` are the permutations whose products the sums add up: one pair, or two of which the second
-    is subtracted. ``folded`` permutes the sum of the products into what is subtracted from it.
+    ``factors`` are the permutations whose products two by two make up the equations: omega_j omega_k or gamma_j omega_k
+    in the lanes of omega_i or gamma_i, and where there is a vertical, gamma_j | omega_j and gamma_k | gamma_k, of whose
+    products the lanes of gamma_i are subtracted. ``folded`` permutes the first product into the second, where it has
+    spare lanes for it.
     """
 
     lanes: int
-    turns: tuple[tuple[int, ...], ...]
-    """omega_j, omega_k, and where there is a vertical gamma_j, gamma_k, in each of the lanes of omega_i and gamma_i."""
-    first: tuple[tuple[int, ...], tuple[int, ...]]
-    second: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+    factors: tuple[tuple[int, ...], ...]
     folded: tuple[int, ...] | None = None
 
+    @property
+    def kept(self) -> str:
+        """The names of the factors that the sums of products need."""
+        return "ab" if self.folded or len(self.factors) == 2 else "abcd"
 
-_J, _K = (1, 2, 0, 1, 2, 0, 6, 7), (2, 0, 1, 2, 0, 1, 6, 7)
-_GJ, _GK = (4, 5, 3, 4, 5, 3, 6, 7), (5, 3, 4, 5, 3, 4, 6, 7)
-_OWN_J, _OWN_K = (1, 2, 0, 4, 5, 3, 6, 7), (2, 0, 1, 5, 3, 4, 6, 7)
 
-FREE = Arrangement(4, ((1, 2, 0, 3), (2, 0, 1, 3)), ((1, 2, 0, 3), (2, 0, 1, 3)))
+FREE = Arrangement(4, ((1, 2, 0, 3), (2, 0, 1, 3)))
 """omega alone: the Euler top."""
-GENERAL = Arrangement(8, (_J, _K, _GJ, _GK), (_OWN_J, _K), ((-1, -1, -1, 5, 3, 4, 6, 7), _J))
+_LAST = ((4, 5, 3, 1, 2, 0, 6, 7), (5, 3, 4, 5, 3, 4, 6, 7))
+GENERAL = Arrangement(8, ((1, 2, 0, 4, 5, 3, 6, 7), (2, 0, 1, 2, 0, 1, 6, 7), *_LAST))
 """Any top."""
-SYMMETRIC = Arrangement(
-    8, (_J, _K, _GJ, _GK), ((1, 2, 4, 4, 5, 3, 5, 3), (2, 0, 0, 2, 0, 1, 1, 2)), None, (-1, -1, -1, 6, 7, 2, -1, -1)
-)
+SYMMETRIC = Arrangement(8, ((1, 2, 4, 4, 5, 3, 5, 3), (2, 0, 0, 2, 0, 1, 1, 2), *_LAST), (-1, -1, -1, 6, 7, 2, -1, -1))
 """A = B: without omega_1 omega_2 there are eight products, a lane each; lane 2 belongs to gamma_3."""
 
 
@@ -123,141 +127,127 @@ def _ones(o: Operations, value: float) -> Vector:
     return o.constant((value,) * 3 + (0.0,) if o.lanes == 4 else (value,) * 6 + (0.0, 0.0))
 
 
-def _keep(o: Operations, a: Arrangement, m: int, y: Vector, alpha: Vector) -> None:
-    """Store coefficient m, and its permutations that later sums take their factors from."""
+def _kept(o: Operations, a: Arrangement, m: int, y: Vector) -> list[Vector]:
+    """The factors of coefficient m, which is stored with those that later sums need."""
     o.store("y", m, y)
-    factor = o.permute(y, a.first[0])
-    o.store("a", m, factor if a.folded else o.mul(factor, alpha))
-    o.store("b", m, o.permute(y, a.first[1]))
-    if a.second:
-        o.store("c", m, o.permute(y, a.second[0]))
-        o.store("d", m, o.permute(y, a.second[1]))
+    factors = [o.permute(y, lanes) for lanes in a.factors]
+    for name, factor in zip(a.kept, factors, strict=False):
+        o.store(name, m, factor)
+    return factors
 
 
 def _pairs(a: Arrangement) -> tuple[tuple[str, str], ...]:
-    return (("a", "b"), ("c", "d")) if a.second else (("a", "b"),)
+    return (("a", "b"), ("c", "d"))[: len(a.kept) // 2]
 
 
-def _folded(o: Operations, a: Arrangement, sums: list[Vector], alpha: Vector, factor: float) -> Vector:
-    """The sum, in the lanes of the components, from the sums of products; times ``factor``."""
-    scale = _ones(o, factor)
-    if a.second:
-        return o.mul(o.sub(sums[0], sums[1]), scale)
+def _folded(o: Operations, a: Arrangement, sums: list[Vector], alpha: Vector) -> Vector:
+    """The sum, in the lanes of the components, from the sums of products."""
+    first = o.mul(sums[0], alpha)
     if a.folded:
-        return o.fma(o.permute(sums[0], a.folded), _ones(o, -factor), o.mul(sums[0], o.mul(alpha, scale)))
-    return o.mul(sums[0], scale)
+        return o.sub(first, o.permute(sums[0], a.folded))
+    return o.fma(sums[1], _mask(o, -1.0), first) if len(sums) == 2 else first
 
+
+TOGETHER = 2
+"""The sums of so many coefficients are formed in one go, so that each earlier one is loaded once for all of them."""
+EARLY = 3
+"""The step is chosen by the coefficients so far from the last, so that it is known when those are."""
 
 EXACTLY_DIVIDED = 7
 """Coefficients up to this one are divided by their number in two parts: 1/3, rounded, is always wrong by as much, and
 what it does to the motion would add up where random errors do not."""
 
 
-def expand(o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[Vector, Vector, Vector]) -> None:
-    """Store the coefficients 0..order of the solution through ``y0`` as the array ``y``.
+def expand(
+    o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[Vector, Vector, Vector], log2_tol: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Store the coefficients 0..order of the solution through ``y0`` as the array ``y``; ``natural_step``'s result.
 
     ``tables`` are (alpha | 1), (beta | 0) and (-delta | 0) in the lanes of (omega | gamma).
     """
     alpha, beta, delta = tables
-    _keep(o, a, 0, y0, alpha)
-    turned = [o.permute(y0, lanes) for lanes in a.turns]
-    if len(turned) == 2:
-        by_j, by_k = o.mul(turned[1], alpha), o.mul(turned[0], alpha)
-        jacobian = [by_j, by_k]
-        y = o.mul(by_k, turned[1])
-    else:
+    factors = _kept(o, a, 0, y0)
+    jacobian = [o.mul(factors[1], alpha), o.mul(factors[0], alpha)]
+    y = o.mul(jacobian[1], factors[1])
+    if len(factors) == 4:
         minus = _mask(o, -1.0)
-        by_j = o.fma(o.permute(y0, (2, 0, 1, -1, -1, -1, 6, 7)), alpha, o.mul(o.permute(y0, _OWN_K), minus))
-        by_k = o.mul(o.permute(y0, _OWN_J), alpha)
-        jacobian = [by_j, by_k, o.fma(turned[1], _mask(o, 1.0), beta), o.fma(turned[0], minus, delta)]
-        pull = o.fma(beta, turned[2], o.mul(delta, turned[3]))
-        y = o.fma(by_k, turned[1], o.fma(o.mul(o.permute(y0, _OWN_K), minus), turned[0], pull))
-    ahead: list[Vector] | None = None
+        pull = o.fma(beta, factors[2], o.mul(delta, factors[3]))
+        y = o.add(y, o.fma(o.mul(factors[2], minus), factors[3], pull))
+        jacobian += [o.fma(factors[3], minus, beta), o.fma(factors[2], minus, delta)]
+    ahead: list[list[Vector | None]] = []
+    since, found = 2, (None, None)
     for m in range(1, order):
-        _keep(o, a, m, y, alpha)
-        known = None
-        missing = float(Fraction(1, m + 1) - Fraction(1.0 / (m + 1)))
-        early = m + 1 <= EXACTLY_DIVIDED and missing != 0.0
+        factors, total = _kept(o, a, m, y), None
+        if m == order - EARLY:
+            found = natural_step(o, order, log2_tol)
         if m >= 2:
-            if ahead is None:
-                now, ahead = _two_sums(o, a, m, m + 1 < order)
-            else:
-                now, ahead = _finished(o, a, m, ahead), None
-            known = _folded(o, a, now, alpha, 1.0 if early else 1.0 / (m + 1))
-        inverse = _ones(o, 1.0 / (m + 1))
-        columns = jacobian if early else [o.mul(column, inverse) for column in jacobian]
-        turned = [o.permute(y, lanes) for lanes in a.turns]
-        left = o.mul(columns[0], turned[0]) if known is None else o.fma(columns[0], turned[0], known)
-        right = o.mul(columns[1], turned[1])
-        if len(turned) == 4:
-            left, right = o.fma(columns[2], turned[2], left), o.fma(columns[3], turned[3], right)
-        y = o.add(left, right)
-        if early:
-            y = o.fma(y, inverse, o.mul(y, _ones(o, missing)))
+            if m == since + len(ahead):
+                since, ahead = m, _sums(o, a, m, min(TOGETHER, order - m))
+            total = _folded(o, a, _finished(o, a, m, since, ahead[m - since]), alpha)
+        y = _linear(o, jacobian, factors, total)
+        inverse = 1.0 / (m + 1)
+        missing = float(Fraction(1, m + 1) - Fraction(inverse))
+        if missing != 0.0 and m < EXACTLY_DIVIDED:
+            small = [o.mul(column, _ones(o, missing)) for column in jacobian]
+            rest = _linear(o, small, factors, None if total is None else o.mul(total, _ones(o, missing)))
+            y = o.fma(y, _ones(o, inverse), rest)
+        else:
+            y = o.mul(y, _ones(o, inverse))
+        o.cut()
     o.store("y", order, y)
-
-
-def _two_sums(o: Operations, a: Arrangement, m: int, both: bool) -> tuple[list[Vector], list[Vector] | None]:
-    """The sums over k = 1..m-1 of the products y_k y_(m-k), and those over 2..m-1 of y_k y_(m+1-k), for later.
-
-    Each in two halves, because a sum of one chain of additions would be waited for.
-    """
-    now: list[Vector] = []
-    later: list[Vector] = []
-    for left, right in _pairs(a):
-        sums: dict[tuple[int, int], Vector] = {}
-
-        def gather(which: int, k: int, x: Vector, z: Vector, sums: dict[tuple[int, int], Vector] = sums) -> None:
-            slot = (which, k % 2)
-            sums[slot] = o.fma(x, z, sums[slot]) if slot in sums else o.mul(x, z)
-
-        previous = o.load(right, m - 1) if both and m > 2 else None
-        for k in range(2, m):
-            x = o.load(left, k)
-            z = o.load(right, m - k) if k < m - 1 else None
-            if k < m - 1:
-                gather(0, k, x, z)
-            if both:
-                gather(1, k, x, previous)
-            previous = z
-        for k in {1, m - 1}:
-            gather(0, k if m > 2 else 0, o.load(left, k), o.load(right, m - k))
-        now.append(_joined(o, sums, 0))
-        later.append(_joined(o, sums, 1))
-    return now, (later if both else None)
-
-
-def _joined(o: Operations, sums: dict[tuple[int, int], Vector], which: int) -> Vector | None:
-    """The two halves together; None where there is neither."""
-    halves = [sums[which, k] for k in (0, 1) if (which, k) in sums]
-    return o.add(*halves) if len(halves) == 2 else halves[0] if halves else None
-
-
-def _finished(o: Operations, a: Arrangement, m: int, sums: list[Vector]) -> list[Vector]:
-    """The sums for m from those over k = 2..m-2, with the two products of the newest coefficient."""
-    found = []
-    for (left, right), total in zip(_pairs(a), sums, strict=True):
-        one = o.mul(o.load(left, 1), o.load(right, m - 1))
-        other = o.load(left, m - 1), o.load(right, 1)
-        found.append(o.add(one, o.mul(*other) if total is None else o.fma(*other, total)))
     return found
 
 
+def _linear(o: Operations, columns: list[Vector], factors: list[Vector], total: Vector | None) -> Vector:
+    """The columns times the factors, and the total: in two halves, for the shortest chain."""
+    left = o.mul(columns[0], factors[0]) if total is None else o.fma(columns[0], factors[0], total)
+    right = o.mul(columns[1], factors[1])
+    if len(factors) == 4:
+        left, right = o.fma(columns[2], factors[2], left), o.fma(columns[3], factors[3], right)
+    return o.add(left, right)
+
+
+def _sums(o: Operations, a: Arrangement, m: int, count: int) -> list[list[Vector | None]]:
+    """For each of m, m + 1, .. (``count``) the sums over k of the products y_k y_(m-k) of what is known, up to m - 1.
+
+    Each in two halves, because a sum of one chain of additions would be waited for, and the newest coefficient last.
+    """
+    totals: list[list[Vector | None]] = [[] for _ in range(count)]
+    pairs = [(j, k) for k in range(1, m) for j in range(count) if 1 <= m + j - k < m]
+    pairs.sort(key=lambda pair: m - 1 in (pair[1], m + pair[0] - pair[1]))
+    for left, right in _pairs(a):
+        halves: dict[tuple[int, int], Vector] = {}
+        known = {(name, k): o.load(name, k) for k in range(1, m) for name in (left, right)}
+        for j, k in pairs:
+            x, z, half = known[left, k], known[right, m + j - k], (j, k % 2)
+            halves[half] = o.fma(x, z, halves[half]) if half in halves else o.mul(x, z)
+        for j in range(count):
+            both = [halves[j, k] for k in (0, 1) if (j, k) in halves]
+            totals[j].append(o.add(*both) if len(both) == 2 else both[0] if both else None)
+    return totals
+
+
+def _finished(o: Operations, a: Arrangement, m: int, since: int, sums: list[Vector | None]) -> list[Vector]:
+    """The sums for m from those of the coefficients before ``since``, with the products of the newer ones."""
+    totals = []
+    for (left, right), total in zip(_pairs(a), sums, strict=True):
+        for k in [k for k in range(1, m) if not since > k > m - since]:
+            x, z = o.load(left, k), o.load(right, m - k)
+            total = o.mul(x, z) if total is None else o.fma(x, z, total)
+        totals.append(total)
+    return totals
+
+
 def tail(o: Operations, order: int, d: Scalar) -> Vector:
-    """The sum of y_m d^m over m = 1..order: four sums by Horner's rule in d^4, side by side."""
-    d2 = o.mul(d, d)
-    z, z4 = o.splat(d), o.splat(o.mul(d2, d2))
-    parts: list[Vector] = []
-    for first in range(1, 5):
-        total = None
-        for m in range(first + (order - first) // 4 * 4, 0, -4):
-            y = o.load("y", m)
-            total = y if total is None else o.fma(total, z4, y)
-        parts.append(total)
-    total = parts[3]
-    for part in parts[2::-1]:
-        total = o.fma(total, z, part)
-    return o.mul(total, z)
+    """The sum of y_m d^m over m = 1..order: by pairs, pairs of pairs and so on, for the shortest chain."""
+    power = d
+    terms = [o.load("y", m) for m in range(1, order + 1)]
+    while len(terms) > 1:
+        z = o.splat(power)
+        joined = [o.fma(high, z, low) for low, high in zip(terms[::2], terms[1::2], strict=False)]
+        terms = joined + terms[2 * len(joined) :]
+        power = o.mul(power, power)
+    return o.mul(terms[0], o.splat(d))
 
 
 LONGEST = 4.0
@@ -267,19 +257,19 @@ SHARE = 0.6
 
 
 def natural_step(o: Operations, order: int, log2_tol: Scalar) -> tuple[Scalar, Scalar]:
-    """The step over which the last two terms stay below tol times the state; and a logarithm that tells inf and nan.
+    """The step over which the last term stays below tol times the state; and a logarithm that tells inf and nan.
 
-    As Jorba and Zou (Exp. Math. 14, 2005) take the radius from two coefficients, lest one vanish by symmetry. Where
-    they are small for another reason than the radius, the ratio to the middle ones bounds the step.
+    As Jorba and Zou (Exp. Math. 14, 2005) take the radius from two coefficients, lest one vanish by symmetry; not from
+    the last two, so that it is found while those are. Where they are small for another reason than the radius, the
+    ratio to the middle ones bounds the step.
     """
-    half = order // 2
-    y0, before, last = (o.logarithm(o.load("y", m)) for m in (0, order - 1, order))
+    half, last = order // 2, order - EARLY
+    y0, before, late = (o.logarithm(o.load("y", m)) for m in (0, last - 1, last))
     middle = o.largest(o.logarithm(o.load("y", half - 1)), o.logarithm(o.load("y", half)))
-    late = o.largest(before, last)
-    level = o.add(y0, log2_tol)
-    first = o.mul(o.sub(level, before), o.number(1.0 / (order - 1)))
-    second = o.mul(o.sub(level, last), o.number(1.0 / order))
-    ratio = o.mul(o.sub(middle, late), o.number(1.0 / (order - half)))
-    bound = o.add(ratio, o.number(math.log2(SHARE)))
-    step = o.least(o.least(first, second), bound)
-    return o.power(o.largest(o.least(step, o.number(2.0)), o.number(-1000.0))), late
+    least = o.largest(before, late)
+    first = o.mul(o.sub(y0, before), o.number(1.0 / (last - 1)))
+    second = o.mul(o.sub(y0, late), o.number(1.0 / last))
+    ratio = o.mul(o.sub(middle, least), o.number(1.0 / (last - half)))
+    share = o.mul(log2_tol, o.number(1.0 / (order - 1)))
+    step = o.least(o.add(o.least(first, second), share), o.add(ratio, o.number(math.log2(SHARE))))
+    return o.power(o.largest(o.least(step, o.number(2.0)), o.number(-1000.0))), least

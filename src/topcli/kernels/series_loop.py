@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from itertools import count
 
-from topcli.kernels.series import Arrangement, expand, natural_step, tail
+from topcli.kernels.series import Arrangement, expand, tail
 from topcli.kernels.vector_ir import Text, literal
 
 STEP, PART, LAG, TIME, LEVEL, TABLES = 0, 1, 2, 3, 4, 5
@@ -170,10 +170,12 @@ broken:
 
 declare {v} @llvm.fmuladd.v{lanes}f64({v}, {v}, {v})
 declare double @llvm.fmuladd.f64(double, double, double)
+declare void @llvm.codeview.annotation(metadata)
 declare double @llvm.fabs.f64(double)
 declare double @llvm.floor.f64(double)
 declare double @llvm.minnum.f64(double, double)
 declare i64 @llvm.vector.reduce.smax.v{lanes}i64(<{lanes} x i64>)
+!0 = !{{!"x"}}
 attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" "no-builtins" }}
 """
 
@@ -194,8 +196,7 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
         return Text(a.lanes, names)
 
     expansion, writing, moving = text(), text(), text()
-    expand(expansion, a, order, "%hi", ("%alpha", "%beta", "%delta"))
-    natural, late = natural_step(expansion, order, "%slevel")
+    natural, late = expand(expansion, a, order, "%hi", ("%alpha", "%beta", "%delta"), "%slevel")
     written, moved = tail(writing, order, "%sd"), tail(moving, order, "%sm")
     slots = {"alpha": 0, "beta": 1, "delta": 2, "unit": 3, "status": 4}
     return _LOOP.format(

@@ -14,6 +14,10 @@ def literal(x: float) -> str:
     return f"0x{struct.unpack('<Q', struct.pack('<d', x))[0]:016X}"
 
 
+ROUNDING = 1.5 * 2.0**52
+"""Added to a number, it leaves the nearest integer in the lowest bits."""
+POWER = (0.23986, 0.70294)
+"""2^x over -1/2..1/2 as 1 + x (p_1 + x p_0)."""
 FRESH = 3
 """So many vectors of each array are still at hand when they are asked for: what was just stored is slow to load."""
 
@@ -104,6 +108,10 @@ class Text:
             return self._fresh[name][index]
         return self.line(f"load {self.vector}, ptr {self._slot(name, index)}, align {8 * self.lanes}")
 
+    def cut(self) -> None:
+        """A label, which LLVM's schedulers of instructions leave where it is."""
+        self.lines.append("  call void @llvm.codeview.annotation(metadata !0)")
+
     def logarithm(self, x: str) -> str:
         """From the exponent, and the mantissa taken for its logarithm."""
         n = self.lanes
@@ -116,11 +124,12 @@ class Text:
 
     def power(self, x: str) -> str:
         """The exponent, and a parabola for the mantissa."""
-        biased = self.add(x, literal(1023.0))
-        whole = self.line(f"fptosi double {biased} to i64")
-        part = self.sub(biased, self.scalar(f"sitofp i64 {whole} to double"))
-        two = self.scalar(f"bitcast i64 {self.line(f'shl i64 {whole}, 52')} to double")
-        return self.mul(two, self.fma(part, self.fma(part, literal(0.34383), literal(0.65617)), literal(1.0)))
+        moved = self.add(x, literal(ROUNDING + 1023.0))
+        whole = self.sub(moved, literal(ROUNDING + 1023.0))
+        part = self.sub(x, whole)
+        shifted = self.line(f"shl i64 {self.line(f'bitcast double {moved} to i64')}, 52")
+        two = self.scalar(f"bitcast i64 {shifted} to double")
+        return self.mul(two, self.fma(part, self.fma(part, literal(POWER[0]), literal(POWER[1])), literal(1.0)))
 
     def least(self, x: str, y: str) -> str:
         """The smaller one, y when one is nan."""

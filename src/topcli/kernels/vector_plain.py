@@ -10,8 +10,9 @@ import struct
 from collections.abc import Callable, MutableSequence
 from fractions import Fraction
 
-from topcli.kernels.series import Arrangement, expand, natural_step, tail
+from topcli.kernels.series import Arrangement, expand, tail
 from topcli.kernels.series_loop import BUDGET, EXACT, LAG, LEVEL, PART, STEP, TABLES, TIME
+from topcli.kernels.vector_ir import POWER, ROUNDING
 
 Vector = tuple[float, ...]
 Either = float | Vector
@@ -85,6 +86,9 @@ class Plain:
         """What was kept."""
         return self.kept[name, index]
 
+    def cut(self) -> None:
+        """Nothing: here all is done in the order in which it stands."""
+
     def logarithm(self, x: Vector) -> float:
         """From the exponent, and the mantissa taken for its logarithm."""
         largest = max(bits(abs(value)) for value in x)
@@ -92,11 +96,10 @@ class Plain:
 
     def power(self, x: float) -> float:
         """The exponent, and a parabola for the mantissa."""
-        biased = x + 1023.0
-        whole = int(biased)
-        part = biased - whole
-        two = struct.unpack("<d", struct.pack("<q", whole << 52))[0]
-        return two * self.fma(part, self.fma(part, 0.34383, 0.65617), 1.0)  # type: ignore[operator,arg-type]
+        moved = x + (ROUNDING + 1023.0)
+        part = x - (moved - (ROUNDING + 1023.0))
+        two = struct.unpack("<d", struct.pack("<q", bits(moved) << 52 & (1 << 63) - 1))[0]
+        return two * self.fma(part, self.fma(part, *POWER), 1.0)  # type: ignore[operator,arg-type]
 
     def least(self, x: float, y: float) -> float:
         """The smaller one, y when one is nan."""
@@ -129,8 +132,7 @@ def advance(
     scaled = h * work[base + TIME]
     row, place, done = until, 0, 0
     for _ in range(BUDGET):
-        expand(o, a, order, hi, (alpha, beta, delta))
-        natural, late = natural_step(o, order, work[base + LEVEL])
+        natural, late = expand(o, a, order, hi, (alpha, beta, delta), work[base + LEVEL])
         capped = min(natural * (1.0 / abs(scaled)), 2.0**40)
         reach = float(math.floor(capped)) if capped >= EXACT else part + ((capped + EXACT) - EXACT)
         if not late < 1024.0 or not reach > part:

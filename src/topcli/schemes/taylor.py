@@ -2,7 +2,8 @@
 
 What makes it fast:
 - the equations are quadratic, so that all coefficients follow from sums of products, eight of them in one vector;
-- a coefficient waits for four products of the one before it and no division; all other sums run ahead of it;
+- a coefficient waits for four products of the one before it and no division; all other sums run ahead of it, and the
+  step is found from coefficients before the last;
 - a series of order 28 reaches a quarter of the radius of convergence; steps h within it are polynomials.
 """
 
