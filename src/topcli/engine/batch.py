@@ -19,14 +19,14 @@ from topcli.engine.native import Native, native_text
 from topcli.kernels.series_batch import ALPHA, BETA, COUNT, DELTA, HI, LANES, LEVEL, SLOTS, TIME, UNIT, batch_loop
 from topcli.schemes.taylor import log2_of, quotients, scales
 
-ORDERS = (12, 24)
+ORDERS = (12, 28)
 """The least and the greatest order."""
 
 
 def batch_order(tol: float) -> int:
     """The order that reaches ``tol`` at the least cost, as measured: a multiple of four."""
     digits = -log2_of(tol) * math.log10(2.0)
-    return min(max(4 * round((1.2 * digits + 5.0) / 4.0), ORDERS[0]), ORDERS[1])
+    return min(max(4 * round((1.3 * digits + 5.0) / 4.0), ORDERS[0]), ORDERS[1])
 
 
 def batch_code(top: Top, tol: float) -> Native:

@@ -272,4 +272,4 @@ def natural_step(o: Operations, order: int, log2_tol: Scalar) -> tuple[Scalar, S
     ratio = o.mul(o.sub(middle, least), o.number(1.0 / (last - half)))
     share = o.mul(log2_tol, o.number(1.0 / (order - 1)))
     step = o.least(o.add(o.least(first, second), share), o.add(ratio, o.number(math.log2(SHARE))))
-    return o.power(o.largest(o.least(step, o.number(2.0)), o.number(-1000.0))), least
+    return o.power(o.largest(o.least(step, o.number(math.log2(LONGEST))), o.number(-1000.0))), least

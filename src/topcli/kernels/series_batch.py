@@ -1,8 +1,10 @@
 """Taylor series of eight trajectories side by side: a lane each, in LLVM's intermediate language.
 
 Where ``series`` puts the components of one trajectory into the lanes, here every component is a vector of its own and
-nothing is permuted; a lane takes its own steps, and waits once it is done. A pair of indices k, m - k of the sums takes
-twelve loads for its eighteen products, so that it is the multiplications that count.
+nothing is permuted; a lane takes its own steps, and waits once it is done. It is the multiplications that count, and
+half of them are saved by forming the sums from products of sums: see ``series_pairs``. This
+subtracts numbers of the size of the squared coefficients, which would not do where these grow or fall with their
+number; hence the unit of time is two to four times the last step: powers of two, which round nothing.
 """
 
 from __future__ import annotations
@@ -10,45 +12,17 @@ from __future__ import annotations
 import math
 from itertools import count
 
-from topcli.kernels.series import LONGEST, SHARE
+from topcli.kernels.series import SHARE
 from topcli.kernels.series_loop import EXACT
-from topcli.kernels.vector_ir import Text
+from topcli.kernels.series_pairs import LANES, expand_all
+from topcli.kernels.vector_ir import DECLARATIONS, Text
 
-LANES = 8
+FASTEST = 256.0
+"""The most that the unit of time changes by from one step to the next."""
 HI, LO, STEP, PART, LAG, COUNT = 0, 6, 12, 13, 14, 15
 """Vectors of the working state: the centre (6 and 6), its position in steps (whole, fraction), its lateness, moves."""
 TIME, LEVEL, ALPHA, BETA, DELTA, UNIT, SLOTS = 16, 17, 18, 21, 24, 27, 33
 """Those that stay: the scale of time, the logarithm of the tolerance, alpha, beta, -delta (3 each), the units (6)."""
-
-
-def _extend(o: Text, d: int, m: int, lacks: frozenset[str]) -> None:
-    """Store coefficient m + 1 of the d series from the coefficients up to m."""
-    sums: dict[str, str] = {}
-
-    def add(name: str, x: str, z: str) -> None:
-        sums[name] = o.fma(x, z, sums[name]) if name in sums else o.mul(x, z)
-
-    for k in range(m // 2 + 1):
-        low, high = ([o.load("y", n * d + c) for c in range(d)] for n in (k, m - k))
-        for x, z in ((low, high), (high, low)) if k != m - k else ((low, high),):
-            for i in range(3):
-                j, n = (i + 1) % 3, (i + 2) % 3
-                if f"alpha{i}" not in lacks:
-                    add(f"w{i}", x[j], z[n])
-                if d == 6:
-                    add(f"g{i}", x[3 + j], z[n])
-                    add(f"h{i}", x[3 + n], z[j])
-    scale = o.constant((1.0 / (m + 1),) * LANES)
-    for i in range(3):
-        total = o.mul(sums[f"w{i}"], f"%alpha{i}") if f"w{i}" in sums else None
-        for name, c in (("beta", 3 + (i + 1) % 3), ("delta", 3 + (i + 2) % 3)):
-            if d == 6 and f"{name}{i}" not in lacks:
-                pull = o.load("y", m * d + c)
-                total = o.mul(f"%{name}{i}", pull) if total is None else o.fma(f"%{name}{i}", pull, total)
-        o.store("y", (m + 1) * d + i, "zeroinitializer" if total is None else o.mul(total, scale))
-        if d == 6:
-            turned = o.sub(sums[f"g{i}"], sums[f"h{i}"])
-            o.store("y", (m + 1) * d + 3 + i, o.mul(turned, scale))
 
 
 def _logarithm(o: Text, d: int, m: int) -> str:
@@ -74,7 +48,7 @@ def _chosen(o: Text, word: str, x: str, y: str) -> str:
 
 
 def _natural(o: Text, d: int, order: int) -> tuple[str, str]:
-    """``series.natural_step`` in each lane."""
+    """``series.natural_step`` in each lane, by the last two coefficients; no longer than the unit of time."""
     half = order // 2
     y0, before, last, low, high = (_logarithm(o, d, m) for m in (0, order - 1, order, half - 1, half))
     middle, late = _chosen(o, "ogt", low, high), _chosen(o, "ogt", before, last)
@@ -83,7 +57,7 @@ def _natural(o: Text, d: int, order: int) -> tuple[str, str]:
     second = o.mul(o.sub(level, last), _all(o, 1.0 / order))
     bound = o.add(o.mul(o.sub(middle, late), _all(o, 1.0 / (order - half))), _all(o, math.log2(SHARE)))
     step = _chosen(o, "olt", _chosen(o, "olt", first, second), bound)
-    step = _chosen(o, "ogt", _chosen(o, "olt", step, _all(o, math.log2(LONGEST))), _all(o, -1000.0))
+    step = _chosen(o, "ogt", _chosen(o, "olt", step, _all(o, 0.0)), _all(o, -1000.0))
     kind = f"<{LANES} x i64>"
     biased = o.add(step, _all(o, 1023.0))
     whole = o.line(f"fptosi {o.vector} {biased} to {kind}")
@@ -109,9 +83,9 @@ entry:
 {loads}
   %h1 = insertelement {v} poison, double %h, i32 0
   %hs = shufflevector {v} %h1, {v} poison, {zeros}
-  %scaled = fmul {v} %hs, %time
-  %size = call {v} @llvm.fabs.{f}({v} %scaled)
-  %inverse = fdiv {v} {ones}, %size
+  %scaled_0 = fmul {v} %hs, %time_0
+  %size = call {v} @llvm.fabs.{f}({v} %scaled_0)
+  %inverse_0 = fdiv {v} {ones}, %size
   %stepsd = sitofp i64 %steps to double
   %steps1 = insertelement {v} poison, double %stepsd, i32 0
   %last = shufflevector {v} %steps1, {v} poison, {zeros}
@@ -177,7 +151,18 @@ move:
   %further = fsub {v} %shift, %gone
   %behind = fadd {v} %further, %lag
   %lagmoved = fsub {v} %behind, %rest
-  %lagnew = select {i} %done, {v} %lag, {v} %lagmoved
+  %gonebits = bitcast {v} %gone to <8 x i64>
+  %exponent = and <8 x i64> %gonebits, {exponents}
+  %growbits = sub <8 x i64> {quarter}, %exponent
+  %grow = bitcast <8 x i64> %growbits to {v}
+  %least = call {v} @llvm.maxnum.{f}({v} %grow, {v} {slowest})
+  %bounded = call {v} @llvm.minnum.{f}({v} %least, {v} {fastest})
+  %unitlarger = select {i} %done, {v} {ones}, {v} %bounded
+  %unitsmaller = fdiv {v} {ones}, %unitlarger
+  %square = fmul {v} %unitsmaller, %unitsmaller
+  %lagkept = select {i} %done, {v} %lag, {v} %lagmoved
+  %lagnew = fmul {v} %lagkept, %unitlarger
+{rescaled}
   %passed = call {v} @llvm.floor.{f}({v} %reach)
   %partmoved = fsub {v} %reach, %passed
   %partnew = select {i} %done, {v} %part, {v} %partmoved
@@ -194,10 +179,12 @@ finish:
   ret i64 %steps
 }}
 
+{declarations}
 declare {v} @llvm.fmuladd.{f}({v}, {v}, {v})
 declare {v} @llvm.fabs.{f}({v})
 declare {v} @llvm.floor.{f}({v})
 declare {v} @llvm.minnum.{f}({v}, {v})
+declare {v} @llvm.maxnum.{f}({v}, {v})
 declare <8 x i64> @llvm.smax.v8i64(<8 x i64>, <8 x i64>)
 declare i1 @llvm.vector.reduce.or.v8i1({i})
 declare i1 @llvm.vector.reduce.and.v8i1({i})
@@ -216,15 +203,16 @@ def batch_loop(d: int, order: int, lacks: frozenset[str]) -> str:
     names = count()
 
     def text() -> Text:
-        return Text(LANES, names)
+        return Text(LANES, names, d + d)
 
     v = text().vector
     carried = {f"hi{c}": HI + c for c in range(d)} | {f"lo{c}": LO + c for c in range(d)}
     carried |= {"step": STEP, "part": PART, "lag": LAG, "count": COUNT}
-    fixed = {"time": TIME, "level": LEVEL} | {f"unit{c}": UNIT + c for c in range(d)}
-    fixed |= {
-        f"{table}{i}": at + i for table, at in (("alpha", ALPHA), ("beta", BETA), ("delta", DELTA)) for i in range(3)
-    }
+    # with the time go the units of omega, and gravity against their square
+    larger = {"time": TIME} | {f"unit{c}": UNIT + c for c in range(3)}
+    smaller = {f"{table}{i}": at + i for table, at in (("beta", BETA), ("delta", DELTA)) for i in range(3)}
+    carried |= larger | smaller
+    fixed = {"level": LEVEL} | {f"unit{c}": UNIT + c for c in range(3, d)} | {f"alpha{i}": ALPHA + i for i in range(3)}
     loads, phis, stores = [], [], []
     for name, slot in (carried | fixed).items():
         loads.append(f"  %p_{name} = getelementptr {v}, ptr %work, i64 {slot}")
@@ -232,6 +220,11 @@ def batch_loop(d: int, order: int, lacks: frozenset[str]) -> str:
     for name in carried:
         phis.append(f"  %{name} = phi {v} [ %{name}_0, %entry ], [ %{name}new, %move ]")
         stores.append(f"  store {v} %{'after' if name == 'step' else name}, ptr %p_{name}, align 8")
+    rescaled = [f"  %{name}new = fmul {v} %{name}, %unitlarger" for name in (*larger, "scaled")]
+    rescaled += [f"  %{name}new = fmul {v} %{name}, %square" for name in smaller]
+    rescaled.append(f"  %inversenew = fmul {v} %inverse, %unitsmaller")
+    for name in ("scaled", "inverse"):
+        phis.append(f"  %{name} = phi {v} [ %{name}_0, %entry ], [ %{name}new, %move ]")
     places = ", ".join(f"i64 {lane}" for lane in range(LANES))
     phis.append(f"  %rowe = phi {v} [ %row0, %entry ], [ %row, %move ]")
     phis.append(f"  %placede = phi <8 x i64> [ <{places}>, %entry ], [ %placed, %move ]")
@@ -239,8 +232,7 @@ def batch_loop(d: int, order: int, lacks: frozenset[str]) -> str:
     expansion, writing, moving = text(), text(), text()
     for c in range(d):
         expansion.store("y", c, f"%hi{c}")
-    for m in range(order):
-        _extend(expansion, d, m, lacks)
+    expand_all(expansion, d, order, lacks)
     natural, late = _natural(expansion, d, order)
     for c, tail in enumerate(_tails(writing, d, order, "%offset")):
         state = writing.mul(writing.add(f"%hi{c}", writing.add(tail, f"%lo{c}")), f"%unit{c}")
@@ -256,8 +248,10 @@ def batch_loop(d: int, order: int, lacks: frozenset[str]) -> str:
         grown = moving.sub(new, f"%hi{c}")
         lost = moving.add(moving.sub(f"%hi{c}", moving.sub(new, grown)), moving.sub(t, grown))
         for name, moved in ((f"hi{c}", new), (f"lo{c}", lost)):
-            moving.lines.append(f"  %{name}new = select <8 x i1> %done, {v} %{name}, {v} {moved}")
+            kept = moving.line(f"select <8 x i1> %done, {v} %{name}, {v} {moved}")
+            moving.lines.append(f"  %{name}new = fmul {v} {kept}, {'%unitsmaller' if c < 3 else _all(moving, 1.0)}")
     return _LOOP.format(
+        declarations=DECLARATIONS,
         n=(order + 1) * d,
         v=v,
         f=f"v{LANES}f64",
@@ -270,6 +264,11 @@ def batch_loop(d: int, order: int, lacks: frozenset[str]) -> str:
         endless=_all(expansion, math.inf),
         nan=_all(expansion, math.nan),
         stride="<" + ", ".join([f"i64 {d * LANES}"] * LANES) + ">",
+        exponents="<" + ", ".join([f"i64 {0x7FF << 52}"] * LANES) + ">",
+        quarter="<" + ", ".join([f"i64 {2044 << 52}"] * LANES) + ">",
+        slowest=_all(expansion, 1.0 / FASTEST),
+        fastest=_all(expansion, FASTEST),
+        rescaled="\n".join(rescaled),
         loads="\n".join(loads),
         phis="\n".join(phis),
         stores="\n".join(stores),

@@ -8,7 +8,7 @@ from __future__ import annotations
 from itertools import count
 
 from topcli.kernels.series import Arrangement, expand, tail
-from topcli.kernels.vector_ir import Text, literal
+from topcli.kernels.vector_ir import DECLARATIONS, Text, literal
 
 STEP, PART, LAG, TIME, LEVEL, TABLES = 0, 1, 2, 3, 4, 5
 """Slots of the working state after the two vectors of the centre: see ``series_loop``."""
@@ -170,12 +170,11 @@ broken:
 
 declare {v} @llvm.fmuladd.v{lanes}f64({v}, {v}, {v})
 declare double @llvm.fmuladd.f64(double, double, double)
-declare void @llvm.codeview.annotation(metadata)
+{declarations}
 declare double @llvm.fabs.f64(double)
 declare double @llvm.floor.f64(double)
 declare double @llvm.minnum.f64(double, double)
 declare i64 @llvm.vector.reduce.smax.v{lanes}i64(<{lanes} x i64>)
-!0 = !{{!"x"}}
 attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" "no-builtins" }}
 """
 
@@ -200,6 +199,7 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
     written, moved = tail(writing, order, "%sd"), tail(moving, order, "%sm")
     slots = {"alpha": 0, "beta": 1, "delta": 2, "unit": 3, "status": 4}
     return _LOOP.format(
+        declarations=DECLARATIONS,
         v=expansion.vector,
         n=order + 1,
         lanes=a.lanes,

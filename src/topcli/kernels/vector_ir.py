@@ -20,13 +20,16 @@ POWER = (0.23986, 0.70294)
 """2^x over -1/2..1/2 as 1 + x (p_1 + x p_0)."""
 FRESH = 3
 """So many vectors of each array are still at hand when they are asked for: what was just stored is slow to load."""
+DECLARATIONS = """declare void @llvm.codeview.annotation(metadata)
+!0 = !{!"cut"}"""
+"""What a module needs besides, whose functions hold a ``cut``."""
 
 
 class Text:
     """Operations that append a line of LLVM's language each and return the name of the result."""
 
-    def __init__(self, lanes: int, names: Iterator[int]) -> None:
-        self.lanes, self._names = lanes, names
+    def __init__(self, lanes: int, names: Iterator[int], fresh: int = FRESH) -> None:
+        self.lanes, self._names, self._recent = lanes, names, fresh
         self.lines: list[str] = []
         self._fresh: dict[str, dict[int, str]] = {}
         self.vector = f"<{lanes} x double>"
@@ -84,6 +87,10 @@ class Text:
         call = f"call {kind} @llvm.fmuladd.{suffix}({kind} {x}, {kind} {y}, {kind} {z})"
         return (self.scalar if kind == "double" else self.line)(call)
 
+    def negative(self, x: str) -> str:
+        """-x."""
+        return self.line(f"fneg {self.vector} {x}")
+
     def permute(self, x: str, lanes: tuple[int, ...]) -> str:
         """The lanes of x at the indices; 0.0 at -1."""
         indices = ", ".join(f"i32 {k if k >= 0 else self.lanes}" for k in lanes)
@@ -100,7 +107,10 @@ class Text:
         """Keep x."""
         pointer = self._slot(name, index)
         self.lines.append(f"  store {self.vector} {x}, ptr {pointer}, align {8 * self.lanes}")
-        self._fresh[name] = {**{k: v for k, v in self._fresh.get(name, {}).items() if k > index - FRESH}, index: x}
+        self._fresh[name] = {
+            **{k: v for k, v in self._fresh.get(name, {}).items() if k > index - self._recent},
+            index: x,
+        }
 
     def load(self, name: str, index: int) -> str:
         """What was kept."""
