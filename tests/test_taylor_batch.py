@@ -93,7 +93,7 @@ def test_agrees_with_single_runs() -> None:
     ],
 )
 def test_products_of_sums_lose_nothing(top: Top, omega: tuple[float, ...], t: float) -> None:
-    """Motions whose coefficients grow or fall with their number: still round-off, by steps as long as in single runs."""
+    """Motions whose coefficients grow or fall with their number: still round-off, by steps as long as otherwise."""
     y0 = np.array([*omega, 0.6, 0.0, 0.8])
     exact = reference_states(top, y0, np.array([t]))[0]
     states, series = taylor_batch(top, [y0], t, 1)
