@@ -72,3 +72,14 @@ def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_
         return Said(0 if code is None else int(code), out, err)
 
     return call
+
+
+@pytest.fixture
+def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So short that a run of some hundred steps has many."""
+    from topcli.store import series
+
+    for name, value in (("CHUNK_STEPS", 23), ("PLAIN_STEPS", 23), ("CHUNK_ROWS", 16)):
+        monkeypatch.setattr(f"topcli.engine.loop.{name}", value)
+    monkeypatch.setattr(series, "ROW_GROUP", 40)
+    monkeypatch.setattr("topcli.studies.resume.BATCH", 20)
