@@ -11,8 +11,7 @@ k = 1..m-1, with J the Jacobian at y_0 and * the bilinear part. All series lie s
 - what each coefficient waits for is J y_m alone, four products with permutations of y_m, which are factors of the sums
   to come as well; the division by m + 1 is a multiplication, exact where its rounding would add up;
 - the sum takes one fused multiply-add of whole vectors for each k where at most eight of its nine products are there
-  (``SYMMETRIC``: alpha_3 = 0), two in general, and runs ahead of the chain of the y_m;
-- the sums for m and m + 1 are formed together, so that each coefficient is loaded once for both;
+  (``SYMMETRIC``: alpha_3 = 0), two in general, and runs two coefficients ahead of the chain of the y_m;
 - the step is found from coefficients before the last ones, while those are formed.
 
 Everything is written once in terms of the operations ``Operations``: ``machine`` turns them into LLVM's language,
@@ -22,9 +21,12 @@ Everything is written once in terms of the operations ``Operations``: ``machine`
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
+
+from topcli.contracts import Array
 
 Vector = Any
 Scalar = Any
@@ -88,7 +90,7 @@ class Arrangement:
     ``factors`` are the permutations whose products two by two make up the equations: omega_j omega_k or gamma_j omega_k
     in the lanes of omega_i or gamma_i, and where there is a vertical, gamma_j | omega_j and gamma_k | gamma_k, of whose
     products the lanes of gamma_i are subtracted. ``folded`` permutes the first product into the second, where it has
-    spare lanes for it.
+    spare lanes for it. The first factor holds every component: it is the order in which the state stands.
     """
 
     lanes: int
@@ -100,13 +102,22 @@ class Arrangement:
         """The names of the factors that the sums of products need."""
         return "ab" if self.folded or len(self.factors) == 2 else "abcd"
 
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The lane of the state in which each component stands."""
+        return tuple(self.factors[0].index(k) for k in range(3 if self.lanes == 4 else 6))
+
+    def spread(self, y: Sequence[float] | Array) -> tuple[float, ...]:
+        """The components in the lanes of the state."""
+        return tuple(y[k] if k < len(y) else 0.0 for k in self.factors[0])
+
 
 FREE = Arrangement(4, ((1, 2, 0, 3), (2, 0, 1, 3)))
 """omega alone: the Euler top."""
-_LAST = ((4, 5, 3, 1, 2, 0, 6, 7), (5, 3, 4, 5, 3, 4, 6, 7))
+_LAST = ((4, 5, 3, 1, 2, 0, 3, 3), (5, 3, 4, 5, 3, 4, 3, 3))
 GENERAL = Arrangement(8, ((1, 2, 0, 4, 5, 3, 6, 7), (2, 0, 1, 2, 0, 1, 6, 7), *_LAST))
 """Any top."""
-SYMMETRIC = Arrangement(8, ((1, 2, 4, 4, 5, 3, 5, 3), (2, 0, 0, 2, 0, 1, 1, 2), *_LAST), (-1, -1, -1, 6, 7, 2, -1, -1))
+SYMMETRIC = Arrangement(8, ((1, 2, 0, 4, 5, 3, 5, 3), (2, 0, 4, 2, 0, 1, 1, 2), *_LAST), (-1, -1, -1, 6, 7, 2, -1, -1))
 """A = B: without omega_1 omega_2 there are eight products, a lane each; lane 2 belongs to gamma_3."""
 
 
@@ -127,10 +138,8 @@ def _ones(o: Operations, value: float) -> Vector:
     return o.constant((value,) * 3 + (0.0,) if o.lanes == 4 else (value,) * 6 + (0.0, 0.0))
 
 
-def _kept(o: Operations, a: Arrangement, m: int, y: Vector) -> list[Vector]:
-    """The factors of coefficient m, which is stored with those that later sums need."""
-    o.store("y", m, y)
-    factors = [o.permute(y, lanes) for lanes in a.factors]
+def _kept(o: Operations, a: Arrangement, m: int, factors: list[Vector]) -> list[Vector]:
+    """The factors of coefficient m, of which those that later sums need are stored."""
     for name, factor in zip(a.kept, factors, strict=False):
         o.store(name, m, factor)
     return factors
@@ -148,8 +157,6 @@ def _folded(o: Operations, a: Arrangement, sums: list[Vector], alpha: Vector) ->
     return o.fma(sums[1], _mask(o, -1.0), first) if len(sums) == 2 else first
 
 
-TOGETHER = 2
-"""The sums of so many coefficients are formed in one go, so that each earlier one is loaded once for all of them."""
 EARLY = 3
 """The step is chosen by the coefficients so far from the last, so that it is known when those are."""
 
@@ -161,12 +168,14 @@ what it does to the motion would add up where random errors do not."""
 def expand(
     o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[Vector, Vector, Vector], log2_tol: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Store the coefficients 0..order of the solution through ``y0`` as the array ``y``; ``natural_step``'s result.
+    """Store the coefficients 0..order of the solution through ``y0`` as the array ``a``; ``natural_step``'s result.
 
-    ``tables`` are (alpha | 1), (beta | 0) and (-delta | 0) in the lanes of (omega | gamma).
+    They stand in the order of the state, ``y0``. ``tables`` are (alpha | 1), (beta | 0) and (-delta | 0) in the lanes
+    of (omega | gamma).
     """
     alpha, beta, delta = tables
-    factors = _kept(o, a, 0, y0)
+    at = dict(zip(a.factors[0][::-1], range(a.lanes - 1, -1, -1), strict=True))
+    factors = _kept(o, a, 0, [y0, *(o.permute(y0, tuple(at[k] for k in lanes)) for lanes in a.factors[1:])])
     jacobian = [o.mul(factors[1], alpha), o.mul(factors[0], alpha)]
     y = o.mul(jacobian[1], factors[1])
     if len(factors) == 4:
@@ -174,16 +183,13 @@ def expand(
         pull = o.fma(beta, factors[2], o.mul(delta, factors[3]))
         y = o.add(y, o.fma(o.mul(factors[2], minus), factors[3], pull))
         jacobian += [o.fma(factors[3], minus, beta), o.fma(factors[2], minus, delta)]
-    ahead: list[list[Vector | None]] = []
-    since, found = 2, (None, None)
+    sums, found = _Sums(o, a), (None, None)
     for m in range(1, order):
-        factors, total = _kept(o, a, m, y), None
+        factors, total = _kept(o, a, m, [o.permute(y, lanes) for lanes in a.factors]), None
         if m == order - EARLY:
             found = natural_step(o, order, log2_tol)
         if m >= 2:
-            if m == since + len(ahead):
-                since, ahead = m, _sums(o, a, m, min(TOGETHER, order - m))
-            total = _folded(o, a, _finished(o, a, m, since, ahead[m - since]), alpha)
+            total = _folded(o, a, sums.of(m), alpha)
         y = _linear(o, jacobian, factors, total)
         inverse = 1.0 / (m + 1)
         missing = float(Fraction(1, m + 1) - Fraction(inverse))
@@ -193,8 +199,9 @@ def expand(
             y = o.fma(y, _ones(o, inverse), rest)
         else:
             y = o.mul(y, _ones(o, inverse))
+        sums.run_ahead(m, order)
         o.cut()
-    o.store("y", order, y)
+    o.store("a", order, o.permute(y, a.factors[0]))
     return found
 
 
@@ -207,41 +214,51 @@ def _linear(o: Operations, columns: list[Vector], factors: list[Vector], total: 
     return o.add(left, right)
 
 
-def _sums(o: Operations, a: Arrangement, m: int, count: int) -> list[list[Vector | None]]:
-    """For each of m, m + 1, .. (``count``) the sums over k of the products y_k y_(m-k) of what is known, up to m - 1.
+class _Sums:
+    """The sums over k = 1..m-1 of the products y_k y_(m-k), formed two and two, two coefficients ahead.
 
-    Each in two halves, because a sum of one chain of additions would be waited for, and the newest coefficient last.
+    Those of older coefficients are added up after the links of the chain, whose instructions so come first and go
+    first; the few with one of the last two or three when the sum is asked for. In two halves each, because a sum of one
+    chain of additions would be waited for.
     """
-    totals: list[list[Vector | None]] = [[] for _ in range(count)]
-    pairs = [(j, k) for k in range(1, m) for j in range(count) if 1 <= m + j - k < m]
-    pairs.sort(key=lambda pair: m - 1 in (pair[1], m + pair[0] - pair[1]))
-    for left, right in _pairs(a):
-        halves: dict[tuple[int, int], Vector] = {}
-        known = {(name, k): o.load(name, k) for k in range(1, m) for name in (left, right)}
-        for j, k in pairs:
-            x, z, half = known[left, k], known[right, m + j - k], (j, k % 2)
-            halves[half] = o.fma(x, z, halves[half]) if half in halves else o.mul(x, z)
-        for j in range(count):
-            both = [halves[j, k] for k in (0, 1) if (j, k) in halves]
-            totals[j].append(o.add(*both) if len(both) == 2 else both[0] if both else None)
-    return totals
 
+    def __init__(self, o: Operations, a: Arrangement) -> None:
+        self.o, self.pairs = o, _pairs(a)
+        self.halves: dict[tuple[int, int, int], Vector] = {}
 
-def _finished(o: Operations, a: Arrangement, m: int, since: int, sums: list[Vector | None]) -> list[Vector]:
-    """The sums for m from those of the coefficients before ``since``, with the products of the newer ones."""
-    totals = []
-    for (left, right), total in zip(_pairs(a), sums, strict=True):
-        for k in [k for k in range(1, m) if not since > k > m - since]:
-            x, z = o.load(left, k), o.load(right, m - k)
-            total = o.mul(x, z) if total is None else o.fma(x, z, total)
-        totals.append(total)
-    return totals
+    def _gather(self, m: int, k: int, half: int) -> None:
+        o = self.o
+        for n, (left, right) in enumerate(self.pairs):
+            x, z, slot = o.load(left, k), o.load(right, m - k), (m, n, half)
+            self.halves[slot] = o.fma(x, z, self.halves[slot]) if slot in self.halves else o.mul(x, z)
+
+    def run_ahead(self, m: int, order: int) -> None:
+        """What y_1 to y_(m-1) give to the sums for m + 2 and m + 3 with an even m: half of it now, half with m + 1."""
+        even = m - m % 2
+        ks = range(1, even)
+        middle = len(ks) // 2
+        for k in ks[middle:] if m % 2 else ks[:middle]:
+            for target in (even + 2, even + 3):
+                if target < order and target - k < even:
+                    self._gather(target, k, k % 2)
+
+    def of(self, m: int) -> list[Vector]:
+        """The sums for m."""
+        newer = m - 2 - m % 2
+        rest = [k for k in range(1, m) if k >= newer or m - k >= newer]
+        for k in sorted(rest, key=lambda k: max(k, m - k)):
+            self._gather(m, k, int(2 * k > m))
+        found = []
+        for n in range(len(self.pairs)):
+            both = [self.halves[m, n, half] for half in (0, 1) if (m, n, half) in self.halves]
+            found.append(self.o.add(*both) if len(both) == 2 else both[0])
+        return found
 
 
 def tail(o: Operations, order: int, d: Scalar) -> Vector:
     """The sum of y_m d^m over m = 1..order: by pairs, pairs of pairs and so on, for the shortest chain."""
     power = d
-    terms = [o.load("y", m) for m in range(1, order + 1)]
+    terms = [o.load("a", m) for m in range(1, order + 1)]
     while len(terms) > 1:
         z = o.splat(power)
         joined = [o.fma(high, z, low) for low, high in zip(terms[::2], terms[1::2], strict=False)]
@@ -264,8 +281,8 @@ def natural_step(o: Operations, order: int, log2_tol: Scalar) -> tuple[Scalar, S
     ratio to the middle ones bounds the step.
     """
     half, last = order // 2, order - EARLY
-    y0, before, late = (o.logarithm(o.load("y", m)) for m in (0, last - 1, last))
-    middle = o.largest(o.logarithm(o.load("y", half - 1)), o.logarithm(o.load("y", half)))
+    y0, before, late = (o.logarithm(o.load("a", m)) for m in (0, last - 1, last))
+    middle = o.largest(o.logarithm(o.load("a", half - 1)), o.logarithm(o.load("a", half)))
     least = o.largest(before, late)
     first = o.mul(o.sub(y0, before), o.number(1.0 / (last - 1)))
     second = o.mul(o.sub(y0, late), o.number(1.0 / last))

@@ -20,7 +20,6 @@ EXACT = 256.0
 _LOOP = """
 define i64 @advance(ptr %work, ptr %out, ptr %params, double %h, i64 %steps, i64 %every, i64 %until) #0 {{
 entry:
-  %y = alloca [{n} x {v}], align {align}
   %a = alloca [{n} x {v}], align {align}
   %b = alloca [{n} x {v}], align {align}
   %c = alloca [{n} x {v}], align {align}
@@ -221,7 +220,7 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
         moving="\n".join(moving.lines),
         moved=moved,
         d=d,
-        first=", ".join(f"i32 {k}" for k in range(d)),
+        first=", ".join(f"i32 {k}" for k in a.places),
     )
 
 

@@ -142,7 +142,7 @@ def advance(
         while row <= steps and row - step <= reach:
             sum_ = tail(o, order, ((row - step) - part) * scaled - lag)
             physical = o.mul(o.add(hi, o.add(sum_, lo)), unit)
-            out[place : place + d] = physical[:d]  # type: ignore[index]
+            out[place : place + d] = [physical[k] for k in a.places]  # type: ignore[index]
             row, place = row + every, place + d
         done = steps
         if steps - step <= reach:

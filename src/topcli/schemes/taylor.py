@@ -111,20 +111,18 @@ def build(top: Top, options: Tolerance) -> Block:
 
     def enter(y: Array, work: Array, p: Array, h: float) -> int:
         k, m = scales(equations, y)
-        units = np.zeros(a.lanes)
-        units[:3] = sign * 2.0**k
-        units[3:d] = 2.0**m
+        units = [sign * 2.0**k] * 3 + [2.0**m] * (d - 3)
         tables = np.zeros((3, a.lanes))
         tables[:, :3] = alpha, beta, delta
         tables[0, 3:d] = 1.0
         work[:] = 0.0
         with np.errstate(all="ignore"):
             tables[1:] = np.ldexp(tables[1:], m - 2 * k)
-            work[:d] = y / units[:d]
+            work[: a.lanes] = a.spread(y / units)
         work[base + TIME], work[base + LEVEL] = 2.0**k, level
         at = base + TABLES
         work[at : at + 3 * a.lanes] = tables.ravel()
-        work[at + 3 * a.lanes : at + 4 * a.lanes] = units
+        work[at + 3 * a.lanes : at + 4 * a.lanes] = a.spread(units)
         return 0
 
     return Block(lambda: series_loop(a, d, order), enter, series_width(a), ("expansions",), iterative=True)
