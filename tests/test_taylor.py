@@ -19,7 +19,7 @@ from topcli.kernels import series_loop as loop_text
 from topcli.kernels.series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of, expand
 from topcli.kernels.vector_plain import Plain, advance
 from topcli.schemes.registry import find_scheme
-from topcli.schemes.taylor import ORDERS, Tolerance, build, order_of, quotients
+from topcli.schemes.taylor import ORDERS, Tolerance, build, careful, order_of, quotients
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -77,6 +77,13 @@ def fuses() -> bool:
     return features.get("fma", not llvm.get_process_triple().startswith(("x86", "i386", "i686")))
 
 
+def follow(top: Top, tol: float, work, out, h: float, steps: int, every: int, fuse: bool | None = None) -> int:
+    """The twin, executed in plain Python."""
+    order, fuse = order_of(tol), fuses() if fuse is None else fuse
+    d = len(top.components)
+    return advance(arrangement(top), d, order, work, out, h, steps, every, 1, careful=careful(order), fuse=fuse)
+
+
 @of_every_top
 @pytest.mark.parametrize(("tol", "h", "steps"), [(1e-16, 0.25, 12), (1e-4, -1.7, 3), (1e-7, 1e-3, 900)])
 def test_machine_code_equals_plain_python(top: Top, tol: float, h: float, steps: int) -> None:
@@ -86,7 +93,7 @@ def test_machine_code_equals_plain_python(top: Top, tol: float, h: float, steps:
     mine, d = work.copy(), len(y0)
     out, plain = np.zeros((2, 12 * d))
     assert loop.drive(work, out, p, h, steps, every, 1) == steps
-    assert advance(arrangement(top), d, order_of(tol), mine, plain, h, steps, every, 1, fuse=fuses()) == steps
+    assert follow(top, tol, mine, plain, h, steps, every) == steps
     assert (out == plain).all()
     assert (work == mine).all()
     assert np.count_nonzero(out)
@@ -114,7 +121,7 @@ def test_other_processors_do_the_same(cpu: str, fuse: bool, top: Top, monkeypatc
     mine, d = work.copy(), len(y0)
     out, plain = np.zeros((2, 8 * d))
     assert loop.drive(work, out, p, h, 8, 1, 1) == 8
-    assert advance(arrangement(top), d, order_of(1e-9), mine, plain, h, 8, 1, 1, fuse=fuse) == 8
+    assert follow(top, 1e-9, mine, plain, h, 8, 1, fuse) == 8
     assert (out == plain).all()
     assert (work == mine).all()
 
@@ -128,7 +135,7 @@ def test_coefficients_are_the_derivatives(top: Top) -> None:
     o = Plain(a.lanes)
     ones = (1.0, 1.0, 1.0, 0.0, 0.0) if d == 6 else (0.0,)
     y0 = a.spread(gen(top))
-    expand(o, a, 12, y0, ((*alpha, *ones), (*beta, *pad), (*delta, *pad)), -40.0)
+    expand(o, a, 12, (y0, None), ((*alpha, *ones), (*beta, *pad), (*delta, *pad)), -40.0)
     y = [list(map(float, gen(top))) + [0.0] * (6 - d)]
     for m in range(12):
         new = [0.0] * 6
@@ -255,6 +262,20 @@ def test_units_do_not_matter(scale: float) -> None:
     found = after(fast, quick, 0.3 / factor, 40)
     found[:, :3] /= factor
     assert (found == after(slow, y0, 0.3, 40)).all()
+
+
+def test_the_first_coefficient_is_to_more_than_a_double(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounded, as the others, it would make twice the error."""
+    top, y0 = Lagrange(), random_states(24, seed=3)
+    exact = [reference_states(top, y, np.array([100.0]))[0] for y in y0]
+
+    def error() -> float:
+        errors = [np.abs(after(top, y, 100.0, 1)[0] - true).max() for y, true in zip(y0, exact, strict=True)]
+        return float(np.exp(np.mean(np.log(errors))))
+
+    carefully = error()
+    monkeypatch.setattr("topcli.schemes.taylor.careful", lambda order: False)
+    assert carefully < 0.7 * error()
 
 
 def test_paper_scene() -> None:

@@ -14,8 +14,11 @@ k = 1..m-1, with J the Jacobian at y_0 and * the bilinear part. All series lie s
   (``SYMMETRIC``: alpha_3 = 0), two in general, and runs two coefficients ahead of the chain of the y_m;
 - the step is found from coefficients before the last ones, while those are formed.
 
-Everything is written once in terms of the operations ``Operations``: ``machine`` turns them into LLVM's language,
-``plain`` executes them with Python's floats, and both give the same bits.
+The state is carried to more than a double, and at the greatest order the first coefficient is too: the others are
+multiplied by powers of a step well below one, and so is what they round.
+
+Everything is written once in terms of ``vectors.Operations``: ``vector_ir`` turns them into LLVM's language,
+``vector_plain`` executes them with Python's floats, and both give the same bits.
 """
 
 from __future__ import annotations
@@ -24,63 +27,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Protocol
 
 from topcli.contracts import Array
-
-Vector = Any
-Scalar = Any
-
-
-class Operations(Protocol):
-    """Vectors of ``lanes`` floats, scalars, and arrays of vectors with one name and an index each."""
-
-    lanes: int
-
-    def constant(self, values: tuple[float, ...]) -> Vector:
-        """A vector known beforehand."""
-
-    def splat(self, x: Scalar) -> Vector:
-        """A scalar in every lane."""
-
-    def number(self, x: float) -> Scalar:
-        """A scalar known beforehand."""
-
-    def add(self, x: Any, y: Any) -> Any:
-        """The sum of two vectors or scalars; likewise ``sub`` and ``mul``."""
-
-    def sub(self, x: Any, y: Any) -> Any:
-        """x - y."""
-
-    def mul(self, x: Any, y: Any) -> Any:
-        """x y."""
-
-    def fma(self, x: Any, y: Any, z: Any) -> Any:
-        """x y + z, rounded once where the processor can."""
-
-    def permute(self, x: Vector, lanes: tuple[int, ...]) -> Vector:
-        """The lanes of x at the indices; 0.0 at -1."""
-
-    def store(self, name: str, index: int, x: Vector) -> None:
-        """Keep x as number ``index`` of the array ``name``."""
-
-    def load(self, name: str, index: int) -> Vector:
-        """What was kept."""
-
-    def cut(self) -> None:
-        """What stands before is to be done before: a compiler that reorders everything makes long sums waited for."""
-
-    def logarithm(self, x: Vector) -> Scalar:
-        """The base-2 logarithm of the largest magnitude in x to 0.09; -1023 for 0.0, 1024 and more for inf and nan."""
-
-    def power(self, x: Scalar) -> Scalar:
-        """2^x, to 0.3 percent, for -1022 < x < 1023."""
-
-    def least(self, x: Scalar, y: Scalar) -> Scalar:
-        """The smaller one; likewise ``largest``."""
-
-    def largest(self, x: Scalar, y: Scalar) -> Scalar:
-        """The larger one."""
+from topcli.kernels.vectors import Operations, Scalar, Vector, product, scaled, total
 
 
 @dataclass(frozen=True)
@@ -166,48 +115,64 @@ what it does to the motion would add up where random errors do not."""
 
 
 def expand(
-    o: Operations, a: Arrangement, order: int, y0: Vector, tables: tuple[Vector, Vector, Vector], log2_tol: Scalar
-) -> tuple[Scalar, Scalar]:
-    """Store the coefficients 0..order of the solution through ``y0`` as the array ``a``; ``natural_step``'s result.
+    o: Operations,
+    a: Arrangement,
+    order: int,
+    y0: tuple[Vector, Vector | None],
+    tables: tuple[Vector, Vector, Vector],
+    log2_tol: Scalar,
+) -> tuple[Scalar, Scalar, Vector | None]:
+    """Store the coefficients 0..order of the solution through ``y0`` as the array ``a``.
 
     They stand in the order of the state, ``y0``. ``tables`` are (alpha | 1), (beta | 0) and (-delta | 0) in the lanes
-    of (omega | gamma).
+    of (omega | gamma). Returns ``natural_step``'s two and what coefficient 1 rounds. This is None where ``y0``'s second
+    part, by which the state is more than the first one, is none: the first coefficient is then to round-off only.
     """
     alpha, beta, delta = tables
     at = dict(zip(a.factors[0][::-1], range(a.lanes - 1, -1, -1), strict=True))
-    factors = _kept(o, a, 0, [y0, *(o.permute(y0, tuple(at[k] for k in lanes)) for lanes in a.factors[1:])])
+    turns = [tuple(at[k] for k in lanes) for lanes in a.factors]
+    factors = _kept(o, a, 0, [y0[0], *(o.permute(y0[0], lanes) for lanes in turns[1:])])
     jacobian = [o.mul(factors[1], alpha), o.mul(factors[0], alpha)]
-    y = o.mul(jacobian[1], factors[1])
+    minus = _mask(o, -1.0)
     if len(factors) == 4:
-        minus = _mask(o, -1.0)
-        pull = o.fma(beta, factors[2], o.mul(delta, factors[3]))
-        y = o.add(y, o.fma(o.mul(factors[2], minus), factors[3], pull))
         jacobian += [o.fma(factors[3], minus, beta), o.fma(factors[2], minus, delta)]
-    sums, found = _Sums(o, a), (None, None)
+    y, missed = o.mul(jacobian[1], factors[1]), None
+    if y0[1] is not None:
+        lower = [y0[1], *(o.permute(y0[1], lanes) for lanes in turns[1:])]
+        f = list(zip(factors, lower, strict=True))
+        slope = scaled(o, alpha, product(o, f[0], f[1]))
+        if len(factors) == 4:
+            turning = product(o, (jacobian[2], o.mul(lower[3], minus)), f[2])
+            slope = total(o, slope, total(o, turning, scaled(o, delta, f[3])))
+        y, missed = slope[0], o.permute(slope[1], a.factors[0])
+    elif len(factors) == 4:
+        y = o.add(y, o.fma(jacobian[2], factors[2], o.mul(delta, factors[3])))
+    sums = _Sums(o, a)
+    step: tuple[Scalar, Scalar] = (None, None)
     for m in range(1, order):
-        factors, total = _kept(o, a, m, [o.permute(y, lanes) for lanes in a.factors]), None
+        factors, known = _kept(o, a, m, [o.permute(y, lanes) for lanes in a.factors]), None
         if m == order - EARLY:
-            found = natural_step(o, order, log2_tol)
+            step = natural_step(o, order, log2_tol)
         if m >= 2:
-            total = _folded(o, a, sums.of(m), alpha)
-        y = _linear(o, jacobian, factors, total)
+            known = _folded(o, a, sums.of(m), alpha)
+        y = _linear(o, jacobian, factors, known)
         inverse = 1.0 / (m + 1)
         missing = float(Fraction(1, m + 1) - Fraction(inverse))
         if missing != 0.0 and m < EXACTLY_DIVIDED:
             small = [o.mul(column, _ones(o, missing)) for column in jacobian]
-            rest = _linear(o, small, factors, None if total is None else o.mul(total, _ones(o, missing)))
+            rest = _linear(o, small, factors, None if known is None else o.mul(known, _ones(o, missing)))
             y = o.fma(y, _ones(o, inverse), rest)
         else:
             y = o.mul(y, _ones(o, inverse))
         sums.run_ahead(m, order)
         o.cut()
     o.store("a", order, o.permute(y, a.factors[0]))
-    return found
+    return step[0], step[1], missed
 
 
-def _linear(o: Operations, columns: list[Vector], factors: list[Vector], total: Vector | None) -> Vector:
-    """The columns times the factors, and the total: in two halves, for the shortest chain."""
-    left = o.mul(columns[0], factors[0]) if total is None else o.fma(columns[0], factors[0], total)
+def _linear(o: Operations, columns: list[Vector], factors: list[Vector], known: Vector | None) -> Vector:
+    """The columns times the factors, and what is known: in two halves, for the shortest chain."""
+    left = o.mul(columns[0], factors[0]) if known is None else o.fma(columns[0], factors[0], known)
     right = o.mul(columns[1], factors[1])
     if len(factors) == 4:
         left, right = o.fma(columns[2], factors[2], left), o.fma(columns[3], factors[3], right)
@@ -255,16 +220,22 @@ class _Sums:
         return found
 
 
-def tail(o: Operations, order: int, d: Scalar) -> Vector:
-    """The sum of y_m d^m over m = 1..order: by pairs, pairs of pairs and so on, for the shortest chain."""
-    power = d
-    terms = [o.load("a", m) for m in range(1, order + 1)]
+def tail(o: Operations, order: int, d: Scalar, missed: Vector | None) -> tuple[Vector, Vector]:
+    """The sum of y_m d^m over m = 1..order: y_1 d rounded, and the rest; ``missed`` is what y_1 rounded.
+
+    The rest by pairs, pairs of pairs and so on, for the shortest chain.
+    """
+    z, power = o.splat(d), d
+    terms = [o.load("a", m) for m in range(2, order + 1)]
     while len(terms) > 1:
-        z = o.splat(power)
-        joined = [o.fma(high, z, low) for low, high in zip(terms[::2], terms[1::2], strict=False)]
+        factor = o.splat(power)
+        joined = [o.fma(high, factor, low) for low, high in zip(terms[::2], terms[1::2], strict=False)]
         terms = joined + terms[2 * len(joined) :]
         power = o.mul(power, power)
-    return o.mul(terms[0], o.splat(d))
+    first = o.load("a", 1)
+    main = o.mul(first, z)
+    rest = o.mul(terms[0], z) if missed is None else o.fma(terms[0], z, missed)
+    return main, o.fma(rest, z, o.fma(first, z, o.negative(main)))
 
 
 LONGEST = 4.0

@@ -16,6 +16,7 @@ from topcli.kernels.series import SHARE
 from topcli.kernels.series_loop import EXACT
 from topcli.kernels.series_pairs import LANES, expand_all
 from topcli.kernels.vector_ir import DECLARATIONS, Text
+from topcli.kernels.vectors import scaled, two_sum
 
 FASTEST = 256.0
 """The most that the unit of time changes by from one step to the next."""
@@ -68,12 +69,16 @@ def _natural(o: Text, d: int, order: int) -> tuple[str, str]:
     return o.mul(two, rest), late
 
 
-def _tails(o: Text, d: int, order: int, at: str) -> list[str]:
-    """The sum of y_m at^m over m = 1..order of each series, by Horner's rule: the series are side by side already."""
+def _tails(o: Text, d: int, order: int, at: str, missed: list[str]) -> list[tuple[str, str]]:
+    """``series.tail`` of each series, by Horner's rule: the series are side by side already."""
     totals = [o.load("y", order * d + c) for c in range(d)]
-    for m in range(order - 1, 0, -1):
+    for m in range(order - 1, 1, -1):
         totals = [o.fma(totals[c], at, o.load("y", m * d + c)) for c in range(d)]
-    return [o.mul(total, at) for total in totals]
+    found = []
+    for c in range(d):
+        main, lost = scaled(o, at, (o.load("y", d + c), missed[c]))
+        found.append((main, o.fma(o.mul(totals[c], at), at, lost)))
+    return found
 
 
 _LOOP = """
@@ -145,10 +150,10 @@ served:
 
 move:
   %gone = fmul {v} %du, %scaled
-  %shift = fsub {v} %gone, %lag
+  %distance = fsub {v} %gone, %lag
   %gonen = fneg {v} %gone
   %rest = call {v} @llvm.fmuladd.{f}({v} %du, {v} %scaled, {v} %gonen)
-  %further = fsub {v} %shift, %gone
+  %further = fsub {v} %distance, %gone
   %behind = fadd {v} %further, %lag
   %lagmoved = fsub {v} %behind, %rest
   %gonebits = bitcast {v} %gone to <8 x i64>
@@ -232,21 +237,20 @@ def batch_loop(d: int, order: int, lacks: frozenset[str]) -> str:
     expansion, writing, moving = text(), text(), text()
     for c in range(d):
         expansion.store("y", c, f"%hi{c}")
-    expand_all(expansion, d, order, lacks)
+    missed = expand_all(expansion, d, order, lacks)
     natural, late = _natural(expansion, d, order)
-    for c, tail in enumerate(_tails(writing, d, order, "%offset")):
-        state = writing.mul(writing.add(f"%hi{c}", writing.add(tail, f"%lo{c}")), f"%unit{c}")
+    for c, (main, rest) in enumerate(_tails(writing, d, order, "%offset", missed)):
+        change = writing.add(main, writing.add(rest, f"%lo{c}"))
+        state = writing.mul(writing.add(f"%hi{c}", change), f"%unit{c}")
         shift = "<" + ", ".join([f"i64 {c * LANES}"] * LANES) + ">"
         place = writing.line(f"add <8 x i64> %placed, {shift}")
         where = writing.line(f"getelementptr double, ptr %out, <8 x i64> {place}")
         writing.lines.append(
             f"  call void @llvm.masked.scatter.v8f64.v8p0({v} {state}, <8 x ptr> {where}, i32 8, <8 x i1> %serves)"
         )
-    for c, tail in enumerate(_tails(moving, d, order, "%shift")):
-        t = moving.add(tail, f"%lo{c}")
-        new = moving.add(f"%hi{c}", t)
-        grown = moving.sub(new, f"%hi{c}")
-        lost = moving.add(moving.sub(f"%hi{c}", moving.sub(new, grown)), moving.sub(t, grown))
+    for c, (main, rest) in enumerate(_tails(moving, d, order, "%distance", missed)):
+        moved, lost = two_sum(moving, f"%hi{c}", main)
+        new, lost = two_sum(moving, moved, moving.add(rest, moving.add(f"%lo{c}", lost)))
         for name, moved in ((f"hi{c}", new), (f"lo{c}", lost)):
             kept = moving.line(f"select <8 x i1> %done, {v} %{name}, {v} {moved}")
             moving.lines.append(f"  %{name}new = fmul {v} {kept}, {'%unitsmaller' if c < 3 else _all(moving, 1.0)}")

@@ -9,6 +9,7 @@ from itertools import count
 
 from topcli.kernels.series import Arrangement, expand, tail
 from topcli.kernels.vector_ir import DECLARATIONS, Text, literal
+from topcli.kernels.vectors import two_sum
 
 STEP, PART, LAG, TIME, LEVEL, TABLES = 0, 1, 2, 3, 4, 5
 """Slots of the working state after the two vectors of the centre: see ``series_loop``."""
@@ -55,8 +56,8 @@ entry:
   br label %expand
 
 expand:
-  %hi = phi {v} [ %hi0, %entry ], [ %hinew, %move ]
-  %lo = phi {v} [ %lo0, %entry ], [ %lonew, %move ]
+  %hi = phi {v} [ %hi0, %entry ], [ {hi}, %move ]
+  %lo = phi {v} [ %lo0, %entry ], [ {lo}, %move ]
   %step = phi i64 [ %step0, %entry ], [ %stepnew, %move ]
   %part = phi double [ %part0, %entry ], [ %partnew, %move ]
   %slag = phi double [ %lag0, %entry ], [ %slagnew, %move ]
@@ -96,8 +97,9 @@ write:
   %sp = fmul double %off, %sh
   %sd = fsub double %sp, %slag
 {writing}
-  %tlo = fadd {v} {written}, %lo
-  %there = fadd {v} %hi, %tlo
+  %tlo = fadd {v} {written_rest}, %lo
+  %t = fadd {v} {written}, %tlo
+  %there = fadd {v} %hi, %t
   %physical = fmul {v} %there, %unit
   %recorded = shufflevector {v} %physical, {v} poison, <{d} x i32> <{first}>
   store <{d} x double> %recorded, ptr %place, align 8
@@ -124,13 +126,6 @@ move:
   %behind = fadd double %gone, %slag
   %slagnew = fsub double %behind, %rest
 {moving}
-  %t = fadd {v} {moved}, %lo
-  %hinew = fadd {v} %hi, %t
-  %grown = fsub {v} %hinew, %hi
-  %kept = fsub {v} %hinew, %grown
-  %lost = fsub {v} %hi, %kept
-  %missed = fsub {v} %t, %grown
-  %lonew = fadd {v} %lost, %missed
   %countnew = fadd double %count, 1.0
   %left = sub i64 %budget, 1
   %more = icmp sgt i64 %left, 0
@@ -138,8 +133,8 @@ move:
 
 finish:
   %result = phi i64 [ %steps, %served ], [ %stepnew, %move ]
-  %hiend = phi {v} [ %hi, %served ], [ %hinew, %move ]
-  %loend = phi {v} [ %lo, %served ], [ %lonew, %move ]
+  %hiend = phi {v} [ %hi, %served ], [ {hi}, %move ]
+  %loend = phi {v} [ %lo, %served ], [ {lo}, %move ]
   %stepend = phi i64 [ %step, %served ], [ %stepnew, %move ]
   %partend = phi double [ %part, %served ], [ %partnew, %move ]
   %lagend = phi double [ %slag, %served ], [ %slagnew, %move ]
@@ -178,7 +173,7 @@ attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"
 """
 
 
-def series_loop(a: Arrangement, d: int, order: int) -> str:
+def series_loop(a: Arrangement, d: int, order: int, careful: bool) -> str:
     """The time loop of a Taylor series as a module with the function ``advance``.
 
     Its arguments and result are those of ``engine.driver``'s loop. ``work`` holds the state at the centre of the
@@ -194,8 +189,14 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
         return Text(a.lanes, names)
 
     expansion, writing, moving = text(), text(), text()
-    natural, late = expand(expansion, a, order, "%hi", ("%alpha", "%beta", "%delta"), "%slevel")
-    written, moved = tail(writing, order, "%sd"), tail(moving, order, "%sm")
+    y0, tables = ("%hi", "%lo" if careful else None), ("%alpha", "%beta", "%delta")
+    natural, late, missed = expand(expansion, a, order, y0, tables, "%slevel")
+    written, written_rest = tail(writing, order, "%sd", missed)
+    main, rest = tail(moving, order, "%sm", missed)
+    new, lost = two_sum(moving, "%hi", main)
+    rest = moving.add(rest, moving.add("%lo", lost))
+    hi = moving.add(new, rest)
+    lo = moving.sub(rest, moving.sub(hi, new))
     slots = {"alpha": 0, "beta": 1, "delta": 2, "unit": 3, "status": 4}
     return _LOOP.format(
         declarations=DECLARATIONS,
@@ -217,8 +218,10 @@ def series_loop(a: Arrangement, d: int, order: int) -> str:
         late=late,
         writing="\n".join(writing.lines),
         written=written,
+        written_rest=written_rest,
         moving="\n".join(moving.lines),
-        moved=moved,
+        hi=hi,
+        lo=lo,
         d=d,
         first=", ".join(f"i32 {k}" for k in a.places),
     )

@@ -10,7 +10,10 @@ running sum. The sums for m and m + 1 are formed in one go, so that each coeffic
 
 from __future__ import annotations
 
+from functools import partial, reduce
+
 from topcli.kernels.vector_ir import Text
+from topcli.kernels.vectors import Pair, product, scaled, total
 
 LANES = 8
 DIRECT = 7
@@ -87,12 +90,35 @@ class Products:
         return sums
 
 
-def expand_all(o: Text, d: int, order: int, lacks: frozenset[str]) -> None:
-    """Store the coefficients 1..order of the d series; 0 is stored."""
+def _slopes(o: Text, d: int, lacks: frozenset[str]) -> list[Pair]:
+    """The first coefficients to more than a double: alpha omega x omega + beta gamma + delta gamma, gamma x omega."""
+    y = [(f"%hi{c}", f"%lo{c}") for c in range(d)]
+    found: list[Pair] = []
+    for i in range(d):
+        j, n = (i + 1) % 3, (i + 2) % 3
+        if i < 3:
+            terms = [scaled(o, f"%alpha{i}", product(o, y[j], y[n]))] if f"alpha{i}" not in lacks else []
+            pulls = (("beta", 3 + j), ("delta", 3 + n)) if d == 6 else ()
+            terms += [scaled(o, f"%{name}{i}", y[c]) for name, c in pulls if f"{name}{i}" not in lacks]
+        else:
+            away = o.negative(y[3 + n][0]), o.negative(y[3 + n][1])
+            terms = [product(o, y[3 + j], y[n]), product(o, away, y[j])]
+        found.append(reduce(partial(total, o), terms) if terms else ("zeroinitializer", "zeroinitializer"))
+    return found
+
+
+def expand_all(o: Text, d: int, order: int, lacks: frozenset[str]) -> list[str]:
+    """Store the coefficients 1..order of the d series, where 0 is stored; what coefficients 1 round."""
     products = Products(o, d, lacks)
+    slopes: list[Pair] = []
     for m in range(order):
         newest = products.coefficient(m)
         products.gather(products.alone, newest, newest)
+        if m == 0:
+            slopes = _slopes(o, d, lacks)
+            for c, (slope, _) in enumerate(slopes):
+                o.store("y", d + c, slope)
+            continue
         if m < DIRECT:
             sums = products.direct(m)
         else:
@@ -109,3 +135,4 @@ def expand_all(o: Text, d: int, order: int, lacks: frozenset[str]) -> None:
             if d == 6:
                 o.store("y", (m + 1) * d + 3 + i, o.mul(sums[f"g{i}"], scale))
         o.cut()
+    return [missed for _, missed in slopes]

@@ -13,6 +13,7 @@ from fractions import Fraction
 from topcli.kernels.series import Arrangement, expand, tail
 from topcli.kernels.series_loop import BUDGET, EXACT, LAG, LEVEL, PART, STEP, TABLES, TIME
 from topcli.kernels.vector_ir import POWER, ROUNDING
+from topcli.kernels.vectors import two_sum
 
 Vector = tuple[float, ...]
 Either = float | Vector
@@ -74,6 +75,10 @@ class Plain:
         """x y + z, rounded once; twice without ``fuse``."""
         return each(fused if self.fuse else lambda a, b, c: a * b + c, x, y, z)
 
+    def negative(self, x: Vector) -> Vector:
+        """-x."""
+        return tuple(-value for value in x)
+
     def permute(self, x: Vector, lanes: tuple[int, ...]) -> Vector:
         """The lanes of x at the indices; 0.0 at -1."""
         return tuple(x[k] if k >= 0 else 0.0 for k in lanes)
@@ -121,6 +126,7 @@ def advance(
     every: int,
     until: int,
     *,
+    careful: bool = False,
     fuse: bool = True,
 ) -> int:
     """What ``series_loop`` makes in machine code; see there."""
@@ -132,7 +138,9 @@ def advance(
     scaled = h * work[base + TIME]
     row, place, done = until, 0, 0
     for _ in range(BUDGET):
-        natural, late = expand(o, a, order, hi, (alpha, beta, delta), work[base + LEVEL])
+        natural, late, missed = expand(
+            o, a, order, (hi, lo if careful else None), (alpha, beta, delta), work[base + LEVEL]
+        )
         capped = min(natural * (1.0 / abs(scaled)), 2.0**40)
         reach = float(math.floor(capped)) if capped >= EXACT else part + ((capped + EXACT) - EXACT)
         if not late < 1024.0 or not reach > part:
@@ -140,8 +148,8 @@ def advance(
                 work[at + 4 * n] = math.nan
             return -1 - max(step, 0)
         while row <= steps and row - step <= reach:
-            sum_ = tail(o, order, ((row - step) - part) * scaled - lag)
-            physical = o.mul(o.add(hi, o.add(sum_, lo)), unit)
+            main, small = tail(o, order, ((row - step) - part) * scaled - lag, missed)
+            physical = o.mul(o.add(hi, o.add(main, o.add(small, lo))), unit)
             out[place : place + d] = [physical[k] for k in a.places]  # type: ignore[index]
             row, place = row + every, place + d
         done = steps
@@ -150,12 +158,12 @@ def advance(
         move = (reach - part) * scaled
         exact = move - lag
         rest = o.fma(reach - part, scaled, -move)
-        t = o.add(tail(o, order, exact), lo)
+        main, small = tail(o, order, exact, missed)
         lag = ((exact - move) + lag) - rest  # type: ignore[operator]
-        new = o.add(hi, t)
-        grown = o.sub(new, hi)
-        lo = o.add(o.sub(hi, o.sub(new, grown)), o.sub(t, grown))
-        hi = new
+        new, lost = two_sum(o, hi, main)
+        small = o.add(small, o.add(lo, lost))
+        hi = o.add(new, small)
+        lo = o.sub(small, o.sub(hi, new))
         passed = math.floor(reach)
         step, part = step + passed, reach - passed
         work[at + 4 * n + 1] += 1.0

@@ -45,6 +45,11 @@ def order_of(tol: float) -> int:
     return min(max(4 * round((1.5 * digits + 5.0) / 4.0), ORDERS[0]), ORDERS[1])
 
 
+def careful(order: int) -> bool:
+    """Whether the first coefficient is wanted to more than a double: at the tolerance of round-off."""
+    return order == ORDERS[1]
+
+
 def quotients(equations: EulerPoisson) -> tuple[Floats, Floats, Floats]:
     """alpha, beta and -delta of ``kernels.series``, each of length three."""
     moments, gravity = equations.moments, equations.gravity
@@ -125,4 +130,6 @@ def build(top: Top, options: Tolerance) -> Block:
         work[at + 3 * a.lanes : at + 4 * a.lanes] = a.spread(units)
         return 0
 
-    return Block(lambda: series_loop(a, d, order), enter, series_width(a), ("expansions",), iterative=True)
+    return Block(
+        lambda: series_loop(a, d, order, careful(order)), enter, series_width(a), ("expansions",), iterative=True
+    )
