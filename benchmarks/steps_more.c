@@ -5,8 +5,6 @@
 
 #include "rotations.h"
 
-typedef struct { double x, y; } two;
-
 static const double switch_below = -0.8;
 
 static inline void carried_sum(double *y, double *e, double d)
@@ -18,28 +16,10 @@ static inline void carried_sum(double *y, double *e, double d)
 
 static inline vec rodrigues(double a1, double a2, double a3, double g1, double g2, double g3)
 {
-    const double t = a1 * a1 + (a2 * a2 + a3 * a3), sinc = sinc_of_square(t), cosc = cosc_of_square(t);
-    const double b1 = g2 * a3 - g3 * a2, b2 = g3 * a1 - g1 * a3, b3 = g1 * a2 - g2 * a1;
-    return (vec){sinc * b1 + cosc * (b2 * a3 - b3 * a2), sinc * b2 + cosc * (b3 * a1 - b1 * a3),
-                 sinc * b3 + cosc * (b1 * a2 - b2 * a1)};
-}
-
-static inline two turn(double chi, double x, double y)
-{
-    const double t = chi * chi, s = chi * sinc_of_square(t), k = t * cosc_of_square(t);
-    return (two){s * y - k * x, -(s * x + k * y)};
-}
-
-static inline two root_nearest(double x, double y, double p1, double p2)
-{
-    const double m = 0.5 * (sqrt(x * x + y * y) + fabs(x)), b = 0.5 * y, ratio = b / (m + 1e-290);
-    double t = sqrt(m);
-    if (x >= 0.0) {
-        if (m * p1 + b * p2 < 0.0) t = -t;
-        return (two){t, ratio * t};
-    }
-    if (b * p1 + m * p2 < 0.0) t = -t;
-    return (two){ratio * t, t};
+    const two k = sinc_cosc(a1 * a1 + fma(a2, a2, a3 * a3));
+    const double b1 = fma(g2, a3, -(g3 * a2)), b2 = fma(g3, a1, -(g1 * a3)), b3 = fma(g1, a2, -(g2 * a1));
+    return (vec){k.x * b1 + k.y * fma(b2, a3, -(b3 * a2)), k.x * b2 + k.y * fma(b3, a1, -(b1 * a3)),
+                 k.x * b3 + k.y * fma(b1, a2, -(b2 * a1))};
 }
 
 /* ------------------------------------------------------------------------------------------- HK, Kowalevski */
@@ -116,7 +96,7 @@ void hybrid_xi(double *y, const double *p, double h, long long n)
         g2 += d.y + to_g * g2;
         u1 += t.x + to_u * u1;
         u2 += t.y + to_u * u2;
-        const two v = root_nearest(k * u1 + c * g1, k * u2 + c * g2, q1, q2);
+        const two v = root_nearest(fma(0.5 * c, g1, (0.5 * k) * u1), fma(0.5 * c, g2, (0.5 * k) * u2), q1, q2);
         w1 = v.x; w2 = v.y; w3 = v3;
     }
     STORE;
@@ -142,7 +122,7 @@ void hybrid_xi_compensated(double *y, const double *p, double h, long long n)
         carried_sum(&g3, &e6, d.z + to_g * g3);
         carried_sum(&u1, &e7, t.x + to_u * u1);
         carried_sum(&u2, &e8, t.y + to_u * u2);
-        const two v = root_nearest(k * u1 + c * g1, k * u2 + c * g2, q1, q2);
+        const two v = root_nearest(fma(0.5 * c, g1, (0.5 * k) * u1), fma(0.5 * c, g2, (0.5 * k) * u2), q1, q2);
         w1 = v.x; w2 = v.y;
     }
     STORE;
@@ -153,35 +133,37 @@ void hybrid_xi_compensated(double *y, const double *p, double h, long long n)
 
 static inline vec on_chart(double side, double w1, double w2, double w3, double g1, double g2, double g3, double h)
 {
-    const double r = 1.0 / (1.0 + side * g3), x = g1 * r, y = g2 * r, a1 = side * w1, a2 = side * w2;
-    const double xx = x * x - y * y, xy = 2.0 * x * y;
-    const double re = (a1 - 2.0 * w3 * x) - (a1 * xx + a2 * xy), im = (a2 - 2.0 * w3 * y) - (a1 * xy - a2 * xx);
-    const double d = 0.5 * h, z1 = x - d * im, z2 = y + d * re, t = z1 * z1 + z2 * z2, n = 1.0 / (1.0 + t);
-    return (vec){2.0 * z1 * n, 2.0 * z2 * n, side * (1.0 - t) * n};
+    const double r = 1.0 / fma(side, g3, 1.0), x = g1 * r, y = g2 * r, d = side * (0.5 * h);
+    const double xx = x * x - y * y, xy = d * (2.0 * x * y), turn = h * w3;
+    const double z1 = fma(-w2, fma(d, xx, d), fma(w1, xy, fma(turn, y, x)));
+    const double z2 = fma(w1, fma(-d, xx, d), fma(-w2, xy, fma(-turn, x, y)));
+    const double n = 2.0 / (fma(z1, z1, 1.0) + z2 * z2);
+    return (vec){z1 * n, z2 * n, (0.5 * side) * n * (1.0 - fma(z1, z1, z2 * z2))};
 }
 
-#define BOHLIN(name, setup, gamma, after, end)                                                \
-    void name(double *y, const double *p, double h, long long n)                              \
-    {                                                                                         \
-        const double c = p[0], d = 0.5 * h;                                                   \
-        LOAD;                                                                                 \
-        setup;                                                                                \
-        for (long long i = 0; i < n; i++) {                                                   \
-            gamma;                                                                            \
-            const double v3 = w3 - (d * c) * (n2 + g2);                                       \
-            const double x = (w1 - w2) * (w1 + w2) - c * g1, im = 2.0 * w1 * w2 - c * g2;     \
-            const two t = turn(d * (v3 + w3), x, im);                                         \
-            const double q1 = w1 + d * (w3 * w2), q2 = w2 - d * (w3 * w1 - c * g3);           \
-            const two v = root_nearest((x + t.x) + c * n1, (im + t.y) + c * n2, q1, q2);      \
-            after;                                                                            \
-            w1 = v.x; w2 = v.y; w3 = v3; g1 = n1; g2 = n2; g3 = n3;                           \
-        }                                                                                     \
-        STORE;                                                                                \
-        end;                                                                                  \
+#define BOHLIN(name, setup, gamma, after, end)                                                                \
+    void name(double *y, const double *p, double h, long long n)                                              \
+    {                                                                                                         \
+        const double c = p[0], d = 0.5 * h, half = 0.5 * c, f = h * half;                                     \
+        LOAD;                                                                                                 \
+        setup;                                                                                                \
+        for (long long i = 0; i < n; i++) {                                                                   \
+            gamma;                                                                                            \
+            const double x = 0.5 * ((w1 - w2) * (w1 + w2)) - half * g1, im = w1 * w2 - half * g2;             \
+            const double chi = fma(-(d * f), n2, fma(-(d * f), g2, h * w3));                                  \
+            const two z = turn_added(chi, x, im, fma(half, n1, x), fma(half, n2, im));                        \
+            const double q1 = w1 + d * (w3 * w2), q2 = w2 - d * (w3 * w1 - c * g3);                           \
+            const two v = root_nearest(z.x, z.y, q1, q2);                                                     \
+            after;                                                                                            \
+            w3 = fma(-f, n2 + g2, w3);                                                                        \
+            w1 = v.x; w2 = v.y; g1 = n1; g2 = n2; g3 = n3;                                                    \
+        }                                                                                                     \
+        STORE;                                                                                                \
+        end;                                                                                                  \
     }
 
-BOHLIN(bohlin_a, , const vec m = cayley(d * w1, d * w2, d * w3, g1, g2, g3);
-       const double n1 = g1 + m.x; const double n2 = g2 + m.y; const double n3 = g3 + m.z, , )
+BOHLIN(bohlin_a, , const vec m = cayley_added(d * w1, d * w2, d * w3, g1, g2, g3);
+       const double n1 = m.x; const double n2 = m.y; const double n3 = m.z, , )
 BOHLIN(bohlin_b, double count = y[6],
        const vec m = on_chart(g3 < switch_below ? -1.0 : 1.0, w1, w2, w3, g1, g2, g3, h);
        const double n1 = m.x; const double n2 = m.y; const double n3 = m.z,
