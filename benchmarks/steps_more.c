@@ -307,24 +307,50 @@ void hk_lagrange(double *y, const double *p, double h, long long n)
     const double rq = 1.0 / q, one = two_prod(rq, q, &one_low);
     const double rq_low = rq * (((1.0 - one) - one_low) - rq * (q_low + kk_low)), F = f * rq;
     for (long long i = 0; i < n; i++) {
-        const double z = (d * f) * g3, b = (z + sk_low) + sk, D1 = 1.0 - b, DD = D1 * D1 + D2 * D2, r = 1.0 / DD;
-        const double e = d * g3;
-        const double P1 = 2.0 * ((b * g1 + S * g2) - e * w2), P2 = 2.0 * ((b * g2 - S * g1) + e * w1);
-        const double Q1 = -d * (w2 + K * w1), Q2 = d * (w1 - K * w2);
-        const double t1 = K * w1 + f * g1, t2 = K * w2 + f * g2;
-        const double T1 = 2.0 * (t2 - K * t1), T2 = -2.0 * (t1 + K * t2);
-        const double X1 = rq * T1 + rq_low * T1, X2 = rq * T2 + rq_low * T2;
-        const double V1 = -F * (K * g1 + g2) - w1, V2 = F * (K * g2 - g1) + w2;
-        const double U1 = V1 * D1 + V2 * D2, U2 = V2 * D1 - V1 * D2;
-        const double turned = 2.0 * (g1 * w2 - g2 * w1) + (g1 * X2 - g2 * X1);
-        const double x = d * (turned * DD + (P1 * U2 + P2 * U1)) / (DD - d * (Q1 * U2 + Q2 * U1));
-        const double N1 = P1 + x * Q1, N2 = P2 + x * Q2;
-        const double Y1 = r * (N1 * D1 + N2 * D2), Y2 = r * (N2 * D1 - N1 * D2);
-        w1 += X1 + F * (Y2 - K * Y1);
-        w2 += X2 - F * (Y1 + K * Y2);
-        g1 += Y1;
-        g2 += Y2;
+        const double b = fma(d * f, g3, sk_low) + sk, D1 = 1.0 - b, DD = fma(D1, D1, D2 * D2), half = 0.5 * d;
+        const double Q1 = -half * fma(K, w1, w2), Q2 = half * fma(-K, w2, w1);
+        const double V1 = h * fma(-F, fma(K, g1, g2), -w1), V2 = h * fma(F, fma(K, g2, -g1), w2);
+        const double T1 = fma(Q1, D1, Q2 * D2), T2 = fma(Q2, D1, -(Q1 * D2));
+        const double rest = 1.0 / fma(-T1, V2, fma(-T2, V1, DD)), r = 2.0 / DD, e = d * g3;
+        const double P1 = fma(b, g1, fma(S, g2, -(e * w2))), P2 = fma(b, g2, fma(-S, g1, e * w1));
+        const double R1 = fma(P1, D1, P2 * D2), R2 = fma(P2, D1, -(P1 * D2));
+        const double turned = fma(-f, fma(g1, g1, g2 * g2), fma(-K, fma(g1, w1, g2 * w2), fma(g1, w2, -(g2 * w1))));
+        const double x = rest * fma(h * fma(rq, turned, rq_low * turned), DD, fma(R2, V1, R1 * V2));
+        const double t1 = fma(K, w1, f * g1), t2 = fma(K, w2, f * g2);
+        const double U1 = 2.0 * fma(-K, t1, t2), U2 = -2.0 * fma(K, t2, t1);
+        const double X1 = fma(rq, U1, rq_low * U1), X2 = fma(rq, U2, rq_low * U2);
+        const double A1 = r * R1, A2 = r * R2, B1 = r * T1, B2 = r * T2;
+        w1 += fma(x, F * fma(-K, B1, B2), fma(F, fma(-K, A1, A2), X1));
+        w2 += fma(x, -F * fma(K, B2, B1), fma(-F, fma(K, A2, A1), X2));
+        g1 += fma(x, B1, A1);
+        g2 += fma(x, B2, A2);
         g3 += x;
+    }
+    STORE;
+}
+
+/* ---------------------------------------------------------------------------------------- HK, Euler with gamma */
+
+void hk_euler_gamma(double *y, const double *p, double h, long long n)
+{
+    LOAD;
+    const double d = 0.5 * h, c1 = d * p[3], c2 = d * p[4], c3 = d * p[5];
+    for (long long i = 0; i < n; i++) {
+        const double k1 = (c2 * c3) * w1, t1 = (2.0 * c1) * w2 * w3, k2 = (c3 * c1) * w2, k3 = (c1 * c2) * w3;
+        const double b2 = k2 * w2, b3 = k3 * w3;
+        const double r = 2.0 / (fma(-k1, t1, fma(-k1, w1, 1.0)) - (b2 + b3));
+        const double b1 = k1 * w1, u1 = 0.5 * t1, u2 = c2 * (w3 * w1), u3 = c3 * (w1 * w2);
+        const double n1 = fma(c1, fma(w2, u3, w3 * u2), fma(b1, u1, u1));
+        const double n2 = fma(c2, fma(w3, u1, w1 * u3), fma(b2, u2, u2));
+        const double n3 = fma(c3, fma(w1, u2, w2 * u1), fma(b3, u3, u3)), f = d * r;
+        const double a1 = d * w1, a2 = d * w2, a3 = d * w3;
+        const double s1 = fma(2.0, a1, f * n1), s2 = fma(2.0, a2, f * n2), s3 = fma(2.0, a3, f * n3);
+        const double e1 = fma(g2, s3, -(g3 * s2)), e2 = fma(g3, s1, -(g1 * s3)), e3 = fma(g1, s2, -(g2 * s1));
+        const double q = 1.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3)), along = a1 * e1 + fma(a2, e2, a3 * e3);
+        w1 = fma(r, n1, w1); w2 = fma(r, n2, w2); w3 = fma(r, n3, w3);
+        g1 += q * fma(a1, along, e1 + fma(e2, a3, -(e3 * a2)));
+        g2 += q * fma(a2, along, e2 + fma(e3, a1, -(e1 * a3)));
+        g3 += q * fma(a3, along, e3 + fma(e1, a2, -(e2 * a1)));
     }
     STORE;
 }
