@@ -39,20 +39,12 @@ static inline state hybrid_step(state y, double h, double c)
     const state p = hk_step(y, h, c);
     const double k = 0.25 * h;
     const double a1 = k * (p.w1 + w1), a2 = k * (p.w2 + w2), a3 = k * (p.w3 + w3);
-    const vec turn = cayley(a1, a2, a3, g1, g2, g3);
-    const double n1 = g1 + turn.x, n2 = g2 + turn.y, n3 = g3 + turn.z;
-    const double x = (w1 - w2) * (w1 + w2) - c * g1, im = 2.0 * w1 * w2 - c * g2;
-    const double chi = (0.5 * h) * (p.w3 + w3), t = chi * chi;
-    const double sn = chi * sinc_of_square(t), cs = t * cosc_of_square(t);
-    const double zx = (x + (sn * im - cs * x)) + c * n1, zy = (im + -(sn * x + cs * im)) + c * n2;
-    const double m = 0.5 * (sqrt(zx * zx + zy * zy) + fabs(zx)), b = 0.5 * zy, ratio = b / (m + 1e-290);
-    double root = sqrt(m);
-    if (zx >= 0.0) {
-        if (m * p.w1 + b * p.w2 < 0.0) root = -root;
-        return (state){root, ratio * root, p.w3, n1, n2, n3};
-    }
-    if (b * p.w1 + m * p.w2 < 0.0) root = -root;
-    return (state){ratio * root, root, p.w3, n1, n2, n3};
+    const vec r = cayley_added(a1, a2, a3, g1, g2, g3);
+    const double n1 = r.x, n2 = r.y, n3 = r.z;
+    const double half = 0.5 * c, x = 0.5 * ((w1 - w2) * (w1 + w2)) - half * g1, im = w1 * w2 - half * g2;
+    const two t = turn((0.5 * h) * (p.w3 + w3), x, im);
+    const two v = root_nearest(fma(half, n1, x + t.x), fma(half, n2, im + t.y), p.w1, p.w2);
+    return (state){v.x, v.y, p.w3, n1, n2, n3};
 }
 
 #define LOOP(name, step)                                       \

@@ -3,7 +3,7 @@
     python benchmarks/steps_euler.py [--json] [--repetitions 41]
 
 The repetitions are interleaved; every figure is the median over them of the engine's time divided by C's of the same
-repetition, with the quartiles. The bar is 1.2.
+repetition, with the quartiles. The bar is 1.1.
 """
 
 from __future__ import annotations

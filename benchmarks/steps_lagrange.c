@@ -3,22 +3,16 @@
 
 #include <math.h>
 
+#include "rotations.h"
+
 typedef struct { double m1, m2, m3, a1, a2, a3; } state;
 
 static inline state bs_step(state y, double h)
 {
     const double n1 = fma(-h, y.a2, y.m1), n2 = fma(h, y.a1, y.m2);
     const double d = -0.5 * h, u1 = d * n1, u2 = d * n2, u3 = d * y.m3;
-    const double b1 = fma(y.a2, u3, -(y.a3 * u2)), b2 = fma(y.a3, u1, -(y.a1 * u3)), b3 = fma(y.a1, u2, -(y.a2 * u1));
-    const double r = 2.0 / (fma(u1, u1, 1.0) + fma(u2, u2, u3 * u3));
-    return (state){
-        n1,
-        n2,
-        y.m3,
-        y.a1 + r * (b1 + fma(b2, u3, -(b3 * u2))),
-        y.a2 + r * (b2 + fma(b3, u1, -(b1 * u3))),
-        y.a3 + r * (b3 + fma(b1, u2, -(b2 * u1))),
-    };
+    const vec a = cayley_added(u1, u2, u3, y.a1, y.a2, y.a3);
+    return (state){n1, n2, y.m3, a.x, a.y, a.z};
 }
 
 void bs(double *y, double h, long long n)

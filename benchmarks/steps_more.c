@@ -5,8 +5,6 @@
 
 #include "rotations.h"
 
-typedef struct { double x, y; } two;
-
 static const double switch_below = -0.8;
 
 static inline void carried_sum(double *y, double *e, double d)
@@ -18,28 +16,10 @@ static inline void carried_sum(double *y, double *e, double d)
 
 static inline vec rodrigues(double a1, double a2, double a3, double g1, double g2, double g3)
 {
-    const double t = a1 * a1 + (a2 * a2 + a3 * a3), sinc = sinc_of_square(t), cosc = cosc_of_square(t);
-    const double b1 = g2 * a3 - g3 * a2, b2 = g3 * a1 - g1 * a3, b3 = g1 * a2 - g2 * a1;
-    return (vec){sinc * b1 + cosc * (b2 * a3 - b3 * a2), sinc * b2 + cosc * (b3 * a1 - b1 * a3),
-                 sinc * b3 + cosc * (b1 * a2 - b2 * a1)};
-}
-
-static inline two turn(double chi, double x, double y)
-{
-    const double t = chi * chi, s = chi * sinc_of_square(t), k = t * cosc_of_square(t);
-    return (two){s * y - k * x, -(s * x + k * y)};
-}
-
-static inline two root_nearest(double x, double y, double p1, double p2)
-{
-    const double m = 0.5 * (sqrt(x * x + y * y) + fabs(x)), b = 0.5 * y, ratio = b / (m + 1e-290);
-    double t = sqrt(m);
-    if (x >= 0.0) {
-        if (m * p1 + b * p2 < 0.0) t = -t;
-        return (two){t, ratio * t};
-    }
-    if (b * p1 + m * p2 < 0.0) t = -t;
-    return (two){ratio * t, t};
+    const two k = sinc_cosc(a1 * a1 + fma(a2, a2, a3 * a3));
+    const double b1 = fma(g2, a3, -(g3 * a2)), b2 = fma(g3, a1, -(g1 * a3)), b3 = fma(g1, a2, -(g2 * a1));
+    return (vec){k.x * b1 + k.y * fma(b2, a3, -(b3 * a2)), k.x * b2 + k.y * fma(b3, a1, -(b1 * a3)),
+                 k.x * b3 + k.y * fma(b1, a2, -(b2 * a1))};
 }
 
 /* ------------------------------------------------------------------------------------------- HK, Kowalevski */
@@ -116,7 +96,7 @@ void hybrid_xi(double *y, const double *p, double h, long long n)
         g2 += d.y + to_g * g2;
         u1 += t.x + to_u * u1;
         u2 += t.y + to_u * u2;
-        const two v = root_nearest(k * u1 + c * g1, k * u2 + c * g2, q1, q2);
+        const two v = root_nearest(fma(0.5 * c, g1, (0.5 * k) * u1), fma(0.5 * c, g2, (0.5 * k) * u2), q1, q2);
         w1 = v.x; w2 = v.y; w3 = v3;
     }
     STORE;
@@ -142,7 +122,7 @@ void hybrid_xi_compensated(double *y, const double *p, double h, long long n)
         carried_sum(&g3, &e6, d.z + to_g * g3);
         carried_sum(&u1, &e7, t.x + to_u * u1);
         carried_sum(&u2, &e8, t.y + to_u * u2);
-        const two v = root_nearest(k * u1 + c * g1, k * u2 + c * g2, q1, q2);
+        const two v = root_nearest(fma(0.5 * c, g1, (0.5 * k) * u1), fma(0.5 * c, g2, (0.5 * k) * u2), q1, q2);
         w1 = v.x; w2 = v.y;
     }
     STORE;
@@ -153,35 +133,37 @@ void hybrid_xi_compensated(double *y, const double *p, double h, long long n)
 
 static inline vec on_chart(double side, double w1, double w2, double w3, double g1, double g2, double g3, double h)
 {
-    const double r = 1.0 / (1.0 + side * g3), x = g1 * r, y = g2 * r, a1 = side * w1, a2 = side * w2;
-    const double xx = x * x - y * y, xy = 2.0 * x * y;
-    const double re = (a1 - 2.0 * w3 * x) - (a1 * xx + a2 * xy), im = (a2 - 2.0 * w3 * y) - (a1 * xy - a2 * xx);
-    const double d = 0.5 * h, z1 = x - d * im, z2 = y + d * re, t = z1 * z1 + z2 * z2, n = 1.0 / (1.0 + t);
-    return (vec){2.0 * z1 * n, 2.0 * z2 * n, side * (1.0 - t) * n};
+    const double r = 1.0 / fma(side, g3, 1.0), x = g1 * r, y = g2 * r, d = side * (0.5 * h);
+    const double xx = x * x - y * y, xy = d * (2.0 * x * y), turn = h * w3;
+    const double z1 = fma(-w2, fma(d, xx, d), fma(w1, xy, fma(turn, y, x)));
+    const double z2 = fma(w1, fma(-d, xx, d), fma(-w2, xy, fma(-turn, x, y)));
+    const double n = 2.0 / (fma(z1, z1, 1.0) + z2 * z2);
+    return (vec){z1 * n, z2 * n, (0.5 * side) * n * (1.0 - fma(z1, z1, z2 * z2))};
 }
 
-#define BOHLIN(name, setup, gamma, after, end)                                                \
-    void name(double *y, const double *p, double h, long long n)                              \
-    {                                                                                         \
-        const double c = p[0], d = 0.5 * h;                                                   \
-        LOAD;                                                                                 \
-        setup;                                                                                \
-        for (long long i = 0; i < n; i++) {                                                   \
-            gamma;                                                                            \
-            const double v3 = w3 - (d * c) * (n2 + g2);                                       \
-            const double x = (w1 - w2) * (w1 + w2) - c * g1, im = 2.0 * w1 * w2 - c * g2;     \
-            const two t = turn(d * (v3 + w3), x, im);                                         \
-            const double q1 = w1 + d * (w3 * w2), q2 = w2 - d * (w3 * w1 - c * g3);           \
-            const two v = root_nearest((x + t.x) + c * n1, (im + t.y) + c * n2, q1, q2);      \
-            after;                                                                            \
-            w1 = v.x; w2 = v.y; w3 = v3; g1 = n1; g2 = n2; g3 = n3;                           \
-        }                                                                                     \
-        STORE;                                                                                \
-        end;                                                                                  \
+#define BOHLIN(name, setup, gamma, after, end)                                                                \
+    void name(double *y, const double *p, double h, long long n)                                              \
+    {                                                                                                         \
+        const double c = p[0], d = 0.5 * h, half = 0.5 * c, f = h * half;                                     \
+        LOAD;                                                                                                 \
+        setup;                                                                                                \
+        for (long long i = 0; i < n; i++) {                                                                   \
+            gamma;                                                                                            \
+            const double x = 0.5 * ((w1 - w2) * (w1 + w2)) - half * g1, im = w1 * w2 - half * g2;             \
+            const double chi = fma(-(d * f), n2, fma(-(d * f), g2, h * w3));                                  \
+            const two z = turn_added(chi, x, im, fma(half, n1, x), fma(half, n2, im));                        \
+            const double q1 = w1 + d * (w3 * w2), q2 = w2 - d * (w3 * w1 - c * g3);                           \
+            const two v = root_nearest(z.x, z.y, q1, q2);                                                     \
+            after;                                                                                            \
+            w3 = fma(-f, n2 + g2, w3);                                                                        \
+            w1 = v.x; w2 = v.y; g1 = n1; g2 = n2; g3 = n3;                                                    \
+        }                                                                                                     \
+        STORE;                                                                                                \
+        end;                                                                                                  \
     }
 
-BOHLIN(bohlin_a, , const vec m = cayley(d * w1, d * w2, d * w3, g1, g2, g3);
-       const double n1 = g1 + m.x; const double n2 = g2 + m.y; const double n3 = g3 + m.z, , )
+BOHLIN(bohlin_a, , const vec m = cayley_added(d * w1, d * w2, d * w3, g1, g2, g3);
+       const double n1 = m.x; const double n2 = m.y; const double n3 = m.z, , )
 BOHLIN(bohlin_b, double count = y[6],
        const vec m = on_chart(g3 < switch_below ? -1.0 : 1.0, w1, w2, w3, g1, g2, g3, h);
        const double n1 = m.x; const double n2 = m.y; const double n3 = m.z,
@@ -325,24 +307,50 @@ void hk_lagrange(double *y, const double *p, double h, long long n)
     const double rq = 1.0 / q, one = two_prod(rq, q, &one_low);
     const double rq_low = rq * (((1.0 - one) - one_low) - rq * (q_low + kk_low)), F = f * rq;
     for (long long i = 0; i < n; i++) {
-        const double z = (d * f) * g3, b = (z + sk_low) + sk, D1 = 1.0 - b, DD = D1 * D1 + D2 * D2, r = 1.0 / DD;
-        const double e = d * g3;
-        const double P1 = 2.0 * ((b * g1 + S * g2) - e * w2), P2 = 2.0 * ((b * g2 - S * g1) + e * w1);
-        const double Q1 = -d * (w2 + K * w1), Q2 = d * (w1 - K * w2);
-        const double t1 = K * w1 + f * g1, t2 = K * w2 + f * g2;
-        const double T1 = 2.0 * (t2 - K * t1), T2 = -2.0 * (t1 + K * t2);
-        const double X1 = rq * T1 + rq_low * T1, X2 = rq * T2 + rq_low * T2;
-        const double V1 = -F * (K * g1 + g2) - w1, V2 = F * (K * g2 - g1) + w2;
-        const double U1 = V1 * D1 + V2 * D2, U2 = V2 * D1 - V1 * D2;
-        const double turned = 2.0 * (g1 * w2 - g2 * w1) + (g1 * X2 - g2 * X1);
-        const double x = d * (turned * DD + (P1 * U2 + P2 * U1)) / (DD - d * (Q1 * U2 + Q2 * U1));
-        const double N1 = P1 + x * Q1, N2 = P2 + x * Q2;
-        const double Y1 = r * (N1 * D1 + N2 * D2), Y2 = r * (N2 * D1 - N1 * D2);
-        w1 += X1 + F * (Y2 - K * Y1);
-        w2 += X2 - F * (Y1 + K * Y2);
-        g1 += Y1;
-        g2 += Y2;
+        const double b = fma(d * f, g3, sk_low) + sk, D1 = 1.0 - b, DD = fma(D1, D1, D2 * D2), half = 0.5 * d;
+        const double Q1 = -half * fma(K, w1, w2), Q2 = half * fma(-K, w2, w1);
+        const double V1 = h * fma(-F, fma(K, g1, g2), -w1), V2 = h * fma(F, fma(K, g2, -g1), w2);
+        const double T1 = fma(Q1, D1, Q2 * D2), T2 = fma(Q2, D1, -(Q1 * D2));
+        const double rest = 1.0 / fma(-T1, V2, fma(-T2, V1, DD)), r = 2.0 / DD, e = d * g3;
+        const double P1 = fma(b, g1, fma(S, g2, -(e * w2))), P2 = fma(b, g2, fma(-S, g1, e * w1));
+        const double R1 = fma(P1, D1, P2 * D2), R2 = fma(P2, D1, -(P1 * D2));
+        const double turned = fma(-f, fma(g1, g1, g2 * g2), fma(-K, fma(g1, w1, g2 * w2), fma(g1, w2, -(g2 * w1))));
+        const double x = rest * fma(h * fma(rq, turned, rq_low * turned), DD, fma(R2, V1, R1 * V2));
+        const double t1 = fma(K, w1, f * g1), t2 = fma(K, w2, f * g2);
+        const double U1 = 2.0 * fma(-K, t1, t2), U2 = -2.0 * fma(K, t2, t1);
+        const double X1 = fma(rq, U1, rq_low * U1), X2 = fma(rq, U2, rq_low * U2);
+        const double A1 = r * R1, A2 = r * R2, B1 = r * T1, B2 = r * T2;
+        w1 += fma(x, F * fma(-K, B1, B2), fma(F, fma(-K, A1, A2), X1));
+        w2 += fma(x, -F * fma(K, B2, B1), fma(-F, fma(K, A2, A1), X2));
+        g1 += fma(x, B1, A1);
+        g2 += fma(x, B2, A2);
         g3 += x;
+    }
+    STORE;
+}
+
+/* ---------------------------------------------------------------------------------------- HK, Euler with gamma */
+
+void hk_euler_gamma(double *y, const double *p, double h, long long n)
+{
+    LOAD;
+    const double d = 0.5 * h, c1 = d * p[3], c2 = d * p[4], c3 = d * p[5];
+    for (long long i = 0; i < n; i++) {
+        const double k1 = (c2 * c3) * w1, t1 = (2.0 * c1) * w2 * w3, k2 = (c3 * c1) * w2, k3 = (c1 * c2) * w3;
+        const double b2 = k2 * w2, b3 = k3 * w3;
+        const double r = 2.0 / (fma(-k1, t1, fma(-k1, w1, 1.0)) - (b2 + b3));
+        const double b1 = k1 * w1, u1 = 0.5 * t1, u2 = c2 * (w3 * w1), u3 = c3 * (w1 * w2);
+        const double n1 = fma(c1, fma(w2, u3, w3 * u2), fma(b1, u1, u1));
+        const double n2 = fma(c2, fma(w3, u1, w1 * u3), fma(b2, u2, u2));
+        const double n3 = fma(c3, fma(w1, u2, w2 * u1), fma(b3, u3, u3)), f = d * r;
+        const double a1 = d * w1, a2 = d * w2, a3 = d * w3;
+        const double s1 = fma(2.0, a1, f * n1), s2 = fma(2.0, a2, f * n2), s3 = fma(2.0, a3, f * n3);
+        const double e1 = fma(g2, s3, -(g3 * s2)), e2 = fma(g3, s1, -(g1 * s3)), e3 = fma(g1, s2, -(g2 * s1));
+        const double q = 1.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3)), along = a1 * e1 + fma(a2, e2, a3 * e3);
+        w1 = fma(r, n1, w1); w2 = fma(r, n2, w2); w3 = fma(r, n3, w3);
+        g1 += q * fma(a1, along, e1 + fma(e2, a3, -(e3 * a2)));
+        g2 += q * fma(a2, along, e2 + fma(e3, a1, -(e1 * a3)));
+        g3 += q * fma(a3, along, e3 + fma(e1, a2, -(e2 * a1)));
     }
     STORE;
 }

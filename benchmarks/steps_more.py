@@ -50,6 +50,7 @@ CASES: dict[str, tuple[str, str, dict[str, bool]]] = {
     "hk_heavy": ("hk", "heavy_hk", {}),
     "midpoint": ("midpoint", "heavy_midpoint", {}),
     "hk_lagrange": ("hk", "lagrange_hk", {}),
+    "hk_euler_gamma": ("hk", "euler_gamma", {}),
 }
 """The C functions by name: scheme, scene, options."""
 

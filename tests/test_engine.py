@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -278,3 +279,18 @@ def test_code_with_functions_of_its_own_survives_the_cache(tmp_path: Path) -> No
         told.append(done.stdout.split())
     assert told[0][0] == told[1][0]
     assert [numba for _, numba in told] == ["True", "False"]
+
+
+def _doubled(s, h, p):
+    return (2.0 * s[0], 2.0 * s[1], s[2], s[3], s[4], s[5])
+
+
+def test_the_largest_finite_states_are_no_failure() -> None:
+    """Their sum overflows a step before one of them does; the run ends at the first step at which one does."""
+    start = 2.0**1000
+    run = Run(Kowalevski(), Stepper(_doubled, 6), (start, start, 1.0, 0.6, 0.48, 0.64), 0.1, 50)
+    n, states = rows(run)
+    assert run.ending is not None
+    assert (run.ending.outcome, run.ending.step, n[-1]) == (Outcome.BLEW_UP, 24, 23)
+    assert states[-1, 0] == 2.0**1023
+    assert math.isinf(float(states[-1, 0]) + float(states[-1, 1]))

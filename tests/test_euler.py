@@ -20,6 +20,7 @@ from topcli.kernels.euler import bs_increment, hk_gamma_increment, hk_increment
 from topcli.schemes.registry import find_scheme
 from topcli.tops import top_class
 from topcli.tops.euler import Euler, EulerGamma
+from twins import exactly
 
 EPS = 2.0**-52
 BAR_STEPS = 100_000
@@ -63,25 +64,18 @@ def scaled(c: Fraction, a: Rational) -> Rational:
     return (c * a[0], c * a[1], c * a[2])
 
 
-def exactly(kernel: Callable, *arguments: Fraction) -> Rational:
-    """The kernel in rational arithmetic: its float constants are halves, ones and twos."""
-    code = kernel.__code__
-    constants = tuple(Fraction(c) if isinstance(c, float) else c for c in code.co_consts)
-    return type(kernel)(code.replace(co_consts=constants), kernel.__globals__)(*arguments)
-
-
 @given(vectors, vectors, st.tuples(moment, moment, moment), st.fractions(-1, 1, max_denominator=50))
 def test_hk_solves_the_papers_equations_exactly(w: Rational, g: Rational, moments: Rational, h: Fraction) -> None:
     """m' - m = h/2 (m' x omega + m x omega'), and the same for gamma (its last line without the misprint)."""
     d = h / 2
     try:
-        x = exactly(hk_increment, *w, *scaled(d, quotients(moments)))
+        x = tuple(exactly(hk_increment, *w, *scaled(d, quotients(moments))))
     except ZeroDivisionError:  # a singular step; h is large here
         return
     m, new = times(moments, w), plus(w, x)
     m_new = times(moments, new)
     assert times(moments, x) == scaled(d, plus(cross(m_new, w), cross(m, new)))
-    y = exactly(hk_gamma_increment, *scaled(d, w), *scaled(d, x), *g)
+    y = tuple(exactly(hk_gamma_increment, *scaled(d, w), *scaled(d, x), *g))
     assert y == scaled(d, plus(cross(plus(g, y), w), cross(g, new)))
 
 
@@ -89,7 +83,7 @@ def test_hk_solves_the_papers_equations_exactly(w: Rational, g: Rational, moment
 def test_bs_solves_the_papers_equation_exactly(w: Rational, moments: Rational, h: Fraction) -> None:
     """m' - m = h/2 (m' + m) x omega (EulerBS)."""
     d = h / 2
-    x = exactly(bs_increment, *w, *moments, d, *scaled(d, quotients(moments)))
+    x = tuple(exactly(bs_increment, *w, *moments, d, *scaled(d, quotients(moments))))
     m = times(moments, w)
     m_new = times(moments, plus(w, x))
     assert times(moments, x) == scaled(d, cross(plus(m_new, m), w))

@@ -7,18 +7,20 @@ import math
 from fractions import Fraction
 
 import mpmath
+import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from conftest import random_states
-from topcli.kernels.roots import root_nearest, root_sign, turn_increment
+from topcli.engine.native import native
+from topcli.kernels.roots import root_nearest, root_sign, turn_added, turn_increment
 from topcli.kernels.so3 import (
     SMALL_ANGLE_SQ,
+    cayley_added,
     cayley_increment,
-    cosc_of_square,
     rodrigues_increment,
-    sinc_of_square,
+    sinc_cosc,
 )
 from twins import cayley_matrix, exactly, polar_root_sign, rotation_matrix
 
@@ -55,6 +57,17 @@ def test_cayley_increment_rounds_at_the_size_of_the_increment(size: float) -> No
         )
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+def test_cayley_added_is_rounded_once(size: float) -> None:
+    """Half a last bit of the sum, beside the error of the change itself."""
+    for y in random_states(50, seed=4):
+        a, g = [size * float(x) for x in y[:3]], [float(x) for x in y[3:]]
+        change = exactly(cayley_increment, *a, *g)
+        scale = math.hypot(*map(float, change))
+        for x, before, d in zip(cayley_added(*a, *g), g, change, strict=True):
+            assert abs(float(Fraction(x) - (Fraction(before) + d))) <= 0.5 * math.ulp(x) + 8 * EPS * scale
+
+
 ANGLES = [0.0, 1e-160, 1e-8, 1e-4, 0.01, 0.1, 0.5, 0.785, math.sqrt(SMALL_ANGLE_SQ), 0.786, 1.0, 3.0, 6.5, 50.0]
 
 
@@ -65,13 +78,28 @@ def test_sinc_and_cosc(x: float) -> None:
         root = mpmath.sqrt(mpmath.mpf(t))
         sinc = mpmath.sin(root) / root if t else mpmath.mpf(1)
         cosc = (1 - mpmath.cos(root)) / root**2 if t else mpmath.mpf(1) / 2
-        assert abs(sinc_of_square(t) - sinc) <= 2 * EPS * max(abs(sinc), mpmath.mpf(0.05))
-        assert abs(cosc_of_square(t) - cosc) <= 2 * EPS * max(cosc, mpmath.mpf(0.01))
+        got = sinc_cosc(t)
+        assert abs(got[0] - sinc) <= 2 * EPS * max(abs(sinc), mpmath.mpf(0.05))
+        assert abs(got[1] - cosc) <= 2 * EPS * max(cosc, mpmath.mpf(0.01))
+
+
+def both(t, out, n):
+    for i in range(n):
+        out[2 * i], out[2 * i + 1] = sinc_cosc(t[i])
+    return 0
+
+
+def test_machine_code_takes_the_rare_branch_too() -> None:
+    """On either side of it the compiled kernel has the bits of the plain one."""
+    t = np.array([x * x for x in ANGLES])
+    out = np.zeros((len(t), 2))
+    native(both, "ppq")(t, out, len(t))
+    assert t.min() <= SMALL_ANGLE_SQ < t.max()
+    assert out.tolist() == [list(sinc_cosc(x)) for x in t.tolist()]
 
 
 def test_sinc_and_cosc_are_exact_at_zero() -> None:
-    assert sinc_of_square(0.0) == 1.0
-    assert cosc_of_square(0.0) == 0.5
+    assert sinc_cosc(0.0) == (1.0, 0.5)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 1e-2, 1.0, 7.0])
@@ -107,6 +135,15 @@ def test_turn_increment(chi: float, x: float, y: float) -> None:
         assert abs(got - exact) <= 6 * EPS * min(abs(chi), 2.0) * abs(mpmath.mpc(x, y)) + 1e-300
 
 
+@given(st.floats(-9.0, 9.0), number, number, number, number)
+def test_turn_added(chi: float, x: float, y: float, a: float, b: float) -> None:
+    """Two roundings at the size of the sum, beside the increment's own."""
+    with mpmath.workdps(40):
+        exact = mpmath.mpc(a, b) + mpmath.expm1(mpmath.mpc(0, -chi)) * mpmath.mpc(x, y)
+        got = mpmath.mpc(*turn_added(chi, x, y, a, b))
+        assert abs(got - exact) <= EPS * (6 * min(abs(chi), 2.0) * math.hypot(x, y) + 2 * math.hypot(a, b)) + 1e-300
+
+
 def squared(w: tuple[float, float]) -> tuple[Fraction, Fraction]:
     a, b = Fraction(w[0]), Fraction(w[1])
     return a * a - b * b, 2 * a * b
@@ -115,7 +152,7 @@ def squared(w: tuple[float, float]) -> tuple[Fraction, Fraction]:
 @given(number, number, number, number)
 def test_root_squares_back_and_is_the_nearest(x: float, y: float, p1: float, p2: float) -> None:
     assume(math.hypot(x, y) > 1e-140 and not 0.0 < math.hypot(p1, p2) < 1e-140)
-    w = root_nearest(x, y, p1, p2)
+    w = root_nearest(0.5 * x, 0.5 * y, p1, p2)
     re, im = squared(w)
     assert math.hypot(float(re - Fraction(x)), float(im - Fraction(y))) <= 4 * EPS * math.hypot(x, y)
     towards = w[0] * p1 + w[1] * p2
@@ -128,7 +165,9 @@ def test_root_squares_back_and_is_the_nearest(x: float, y: float, p1: float, p2:
 def test_root_on_and_about_the_axes(z: tuple[float, float]) -> None:
     root = cmath.sqrt(complex(*z))
     for p in (root, -root):
-        assert root_nearest(*z, p.real, p.imag) == pytest.approx((p.real, p.imag), rel=4 * EPS, abs=1e-300)
+        assert root_nearest(0.5 * z[0], 0.5 * z[1], p.real, p.imag) == pytest.approx(
+            (p.real, p.imag), rel=4 * EPS, abs=1e-300
+        )
 
 
 def test_root_of_zero_and_of_what_underflows() -> None:
@@ -140,11 +179,11 @@ def test_root_of_zero_and_of_what_underflows() -> None:
 @given(number, number, number, number)
 def test_root_by_sign_is_the_papers_rule(x: float, y: float, p1: float, p2: float) -> None:
     assume(abs(y) > 1e-6)
-    assert root_sign(x, y, p1, p2) == pytest.approx(polar_root_sign(x, y, p1, p2), rel=1e-9, abs=1e-12)
+    assert root_sign(0.5 * x, 0.5 * y, p1, p2) == pytest.approx(polar_root_sign(x, y, p1, p2), rel=1e-9, abs=1e-12)
 
 
 def test_the_two_rules_differ_where_the_root_crosses_the_real_axis() -> None:
     """A root just above the axis, predicted just below it: the paper's rule turns it around."""
-    z = complex(2.0, 1e-4) ** 2
+    z = complex(2.0, 1e-4) ** 2 / 2
     assert root_nearest(z.real, z.imag, 2.0, -1e-4) == pytest.approx((2.0, 1e-4))
     assert root_sign(z.real, z.imag, 2.0, -1e-4) == pytest.approx((-2.0, -1e-4))

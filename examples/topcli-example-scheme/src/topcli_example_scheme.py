@@ -16,41 +16,39 @@ def turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> 
     b3 = fma(g1, a2, -(g2 * a1))
     r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
     return (
-        g1 + r * (b1 + fma(b2, a3, -(b3 * a2))),
-        g2 + r * (b2 + fma(b3, a1, -(b1 * a3))),
-        g3 + r * (b3 + fma(b1, a2, -(b2 * a1))),
+        fma(r, b1 + fma(b2, a3, -(b3 * a2)), g1),
+        fma(r, b2 + fma(b3, a1, -(b1 * a3)), g2),
+        fma(r, b3 + fma(b1, a2, -(b2 * a1)), g3),
     )
 
 
-def rotation(chi: float) -> tuple[float, float]:
-    """sin(chi) and 1 - cos(chi), by fdlibm's polynomials for a small angle."""
-    t = chi * chi
+def rotation(t: float) -> tuple[float, float]:
+    """sin(x)/x and (1 - cos(x))/x**2 for t = x**2, by fdlibm's polynomials for a small angle."""
     if t <= 0.6168502750680849:
         u = t * t
-        low = -1.66666666666666324348e-01 + t * 8.33333333332248946124e-03
-        mid = -1.98412698298579493134e-04 + t * 2.75573137070700676789e-06
-        high = -2.50507602534068634195e-08 + t * 1.58969099521155010221e-10
-        sine = chi * (1.0 + t * (low + u * (mid + u * high)))
-        low = 4.16666666666666019037e-02 - t * 1.38888888888741095749e-03
-        mid = 2.48015872894767294178e-05 - t * 2.75573143513906633035e-07
-        high = 2.08757232129817482790e-09 - t * 1.13596475577881948265e-11
-        return (sine, t * (0.5 - t * (low + u * (mid + u * high))))
+        low = fma(t, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
+        mid = fma(t, 2.75573137070700676789e-06, -1.98412698298579493134e-04)
+        high = fma(t, 1.58969099521155010221e-10, -2.50507602534068634195e-08)
+        sinc = fma(t * u, fma(u, high, mid), fma(t, low, 1.0))
+        low = fma(t, 1.38888888888741095749e-03, -4.16666666666666019037e-02)
+        mid = fma(t, 2.75573143513906633035e-07, -2.48015872894767294178e-05)
+        high = fma(t, 1.13596475577881948265e-11, -2.08757232129817482790e-09)
+        return sinc, fma(t * u, fma(u, high, mid), fma(t, low, 0.5))
     x = math.sqrt(t)
     half = math.sin(0.5 * x)
-    return (chi * (math.sin(x) / x), t * (2.0 * half * half / t))
+    return math.sin(x) / x, 2.0 * half * half / t
 
 
 def nearest_root(x: float, y: float, p1: float, p2: float) -> tuple[float, float]:
-    """The square root of x + i y nearest to p1 + i p2."""
-    m = 0.5 * (math.sqrt(x * x + y * y) + abs(x))
-    b = 0.5 * y
-    ratio = b / (m + 1e-290)
+    """The square root of 2 (x + i y) nearest to p1 + i p2."""
+    m = math.sqrt(x * x + y * y) + abs(x)
+    ratio = y / (m + 1e-290)
     t = math.sqrt(m)
     if x >= 0.0:
-        if m * p1 + b * p2 < 0.0:
+        if fma(m, p1, y * p2) < 0.0:
             t = -t
         return (t, ratio * t)
-    if b * p1 + m * p2 < 0.0:
+    if fma(m, p2, y * p1) < 0.0:
         t = -t
     return (ratio * t, t)
 
@@ -58,19 +56,25 @@ def nearest_root(x: float, y: float, p1: float, p2: float) -> tuple[float, float
 def step(s: Floats, h: float, p: Floats) -> Floats:
     """One step of Bohlin's method with Method A."""
     w1, w2, w3, g1, g2, g3 = s
-    c = p[0]
+    c = 0.5 * p[0]
     d = 0.5 * h
+    f = h * c
     n1, n2, n3 = turned(d * w1, d * w2, d * w3, g1, g2, g3)
-    v3 = w3 - (d * c) * (n2 + g2)
-    x = (w1 - w2) * (w1 + w2) - c * g1
-    y = 2.0 * w1 * w2 - c * g2
-    sine, versine = rotation(d * (v3 + w3))
-    dx = sine * y - versine * x
-    dy = -(sine * x + versine * y)
+    # half of xi, which turns by the angle chi
+    x = 0.5 * ((w1 - w2) * (w1 + w2)) - c * g1
+    y = w1 * w2 - c * g2
+    chi = fma(-(d * f), n2, fma(-(d * f), g2, h * w3))
+    t = chi * chi
+    sinc, cosc = rotation(t)
     q1 = w1 + d * (w3 * w2)
-    q2 = w2 - d * (w3 * w1 - c * g3)
-    v1, v2 = nearest_root((x + dx) + c * n1, (y + dy) + c * n2, q1, q2)
-    return (v1, v2, v3, n1, n2, n3)
+    q2 = w2 - d * (w3 * w1 - p[0] * g3)
+    v1, v2 = nearest_root(
+        fma(sinc, chi * y, fma(-cosc, t * x, fma(c, n1, x))),
+        fma(-sinc, chi * x, fma(-cosc, t * y, fma(c, n2, y))),
+        q1,
+        q2,
+    )
+    return (v1, v2, fma(-f, n2 + g2, w3), n1, n2, n3)
 
 
 @topcli.scheme(

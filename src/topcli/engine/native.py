@@ -30,6 +30,7 @@ import numpy as np
 
 from topcli import __version__
 from topcli.engine.source import compilable_copy, fingerprint
+from topcli.kernels.branches import rarely
 from topcli.kernels.fused import fma
 
 CACHE_ENTRIES = 512
@@ -196,6 +197,25 @@ def _fma_instruction() -> Any:
     return fused
 
 
+@cache
+def _expectation() -> Any:
+    """``rarely`` for numba: the condition, with LLVM told that it is false."""
+    from llvmlite import ir
+    from numba import types
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def expected_false(context: Any, condition: Any) -> Any:
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            bit = ir.IntType(1)
+            expect = builder.module.declare_intrinsic("llvm.expect", [bit], ir.FunctionType(bit, [bit, bit]))
+            return builder.call(expect, [arguments[0], ir.Constant(bit, 0)])
+
+        return types.boolean(types.boolean), build
+
+    return expected_false
+
+
 def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     """Compile with numba; the numba cfunc."""
     from numba import cfunc, njit, types
@@ -205,7 +225,7 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
     signature_type = types.int64(*(kinds[c] for c in signature))
     return cfunc(signature_type, error_model="numpy", forceinline=True)(
-        compilable_copy(function, jit, {id(fma): _fma_instruction()})
+        compilable_copy(function, jit, {id(fma): _fma_instruction(), id(rarely): _expectation()})
     )
 
 

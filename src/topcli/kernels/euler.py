@@ -15,6 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from topcli.kernels.fused import fma
+
 Floats = tuple[float, ...]
 Vector = tuple[float, float, float]
 Residual = Callable[[Vector, Floats, Vector], Vector]
@@ -31,24 +33,36 @@ NEGLIGIBLE = 1e-60
 """Or below this, relative to the square of omega: on the way into a steady rotation the change itself dies out."""
 
 
-def hk_increment(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> Vector:
-    """omega' - omega of the HK scheme: M x = 2 u, in closed form.
+def hk_quotient(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> tuple[float, Vector]:
+    """2/Delta and what it is multiplied by in the change of the HK scheme: the solution of M x = 2 u, in closed form.
 
-    With c_i v_j u_k and its kin multiplied out, x_i = 2 (u_i (1 + b_i) + c_i (omega_j u_k + omega_k u_j))/Delta.
+    With c_i v_j u_k and its kin multiplied out the numerators are u_i (1 + b_i) + c_i (omega_j u_k + omega_k u_j). The
+    last term could be omega_i (b_j + b_k), but b's coefficients are rounded, the same in every step, and what that does
+    would add up. What the division waits for stands first: the rest is then computed while it runs.
     """
-    u1 = c1 * (w2 * w3)
+    a1 = (c2 * c3) * w1
+    t1 = (2.0 * c1) * w2
+    a2 = (c3 * c1) * w2
+    a3 = (c1 * c2) * w3
+    b2 = a2 * w2
+    b3 = a3 * w3
+    t1 = t1 * w3
+    r = 2.0 / (fma(-a1, t1, fma(-a1, w1, 1.0)) - (b2 + b3))
+    b1 = a1 * w1
+    u1 = 0.5 * t1
     u2 = c2 * (w3 * w1)
     u3 = c3 * (w1 * w2)
-    k1 = c2 * c3
-    b1 = k1 * (w1 * w1)
-    b2 = (c3 * c1) * (w2 * w2)
-    b3 = (c1 * c2) * (w3 * w3)
-    r = 2.0 / ((1.0 - b1) - ((b2 + b3) + (2.0 * k1) * (u1 * w1)))
-    return (
-        r * ((u1 + b1 * u1) + c1 * (w2 * u3 + w3 * u2)),
-        r * ((u2 + b2 * u2) + c2 * (w3 * u1 + w1 * u3)),
-        r * ((u3 + b3 * u3) + c3 * (w1 * u2 + w2 * u1)),
+    return r, (
+        fma(c1, fma(w2, u3, w3 * u2), fma(b1, u1, u1)),
+        fma(c2, fma(w3, u1, w1 * u3), fma(b2, u2, u2)),
+        fma(c3, fma(w1, u2, w2 * u1), fma(b3, u3, u3)),
     )
+
+
+def hk_increment(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> Vector:
+    """omega' - omega of the HK scheme."""
+    r, (n1, n2, n3) = hk_quotient(w1, w2, w3, c1, c2, c3)
+    return (r * n1, r * n2, r * n3)
 
 
 def hk_gamma_increment(
@@ -58,19 +72,37 @@ def hk_gamma_increment(
 
     ``a`` is d omega and ``x`` is d (omega' - omega). The solution is y = (b + b x a + a (a.b))/(1 + a.a).
     """
-    s1 = 2.0 * a1 + x1
-    s2 = 2.0 * a2 + x2
-    s3 = 2.0 * a3 + x3
-    b1 = g2 * s3 - g3 * s2
-    b2 = g3 * s1 - g1 * s3
-    b3 = g1 * s2 - g2 * s1
-    r = 1.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3))
-    along = a1 * b1 + (a2 * b2 + a3 * b3)
+    s1 = fma(2.0, a1, x1)
+    s2 = fma(2.0, a2, x2)
+    s3 = fma(2.0, a3, x3)
+    b1 = fma(g2, s3, -(g3 * s2))
+    b2 = fma(g3, s1, -(g1 * s3))
+    b3 = fma(g1, s2, -(g2 * s1))
+    r = 1.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
+    along = a1 * b1 + fma(a2, b2, a3 * b3)
     return (
-        r * (b1 + ((b2 * a3 - b3 * a2) + a1 * along)),
-        r * (b2 + ((b3 * a1 - b1 * a3) + a2 * along)),
-        r * (b3 + ((b1 * a2 - b2 * a1) + a3 * along)),
+        r * fma(a1, along, b1 + fma(b2, a3, -(b3 * a2))),
+        r * fma(a2, along, b2 + fma(b3, a1, -(b1 * a3))),
+        r * fma(a3, along, b3 + fma(b1, a2, -(b2 * a1))),
     )
+
+
+def hk_step(s: Floats, h: float, p: Floats) -> Floats:
+    """The HK step, p = (A, B, C, alpha_1, alpha_2, alpha_3); each component is rounded once."""
+    w1, w2, w3 = s
+    d = 0.5 * h
+    r, (n1, n2, n3) = hk_quotient(w1, w2, w3, d * p[3], d * p[4], d * p[5])
+    return (fma(r, n1, w1), fma(r, n2, w2), fma(r, n3, w3))
+
+
+def hk_gamma_step(s: Floats, h: float, p: Floats) -> Floats:
+    """The HK step with gamma carried along; omega is that of ``hk_step``."""
+    w1, w2, w3, g1, g2, g3 = s
+    d = 0.5 * h
+    r, (n1, n2, n3) = hk_quotient(w1, w2, w3, d * p[3], d * p[4], d * p[5])
+    f = d * r
+    y1, y2, y3 = hk_gamma_increment(d * w1, d * w2, d * w3, f * n1, f * n2, f * n3, g1, g2, g3)
+    return (fma(r, n1, w1), fma(r, n2, w2), fma(r, n3, w3), g1 + y1, g2 + y2, g3 + y3)
 
 
 def bs_increment(

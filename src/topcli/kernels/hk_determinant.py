@@ -9,6 +9,7 @@ from __future__ import annotations
 from topcli.contracts import Floats
 from topcli.kernels.dd import two_prod, two_sum
 from topcli.kernels.euler_poisson import implicit_matrix
+from topcli.kernels.fused import fma
 
 
 def kowalevski_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
@@ -52,17 +53,18 @@ def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
 
 
 def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """Delta of ``hk_increment``; ``p`` is (A, B, C, alpha1, alpha2, alpha3)."""
+    """Delta of ``hk_quotient``; ``p`` is (A, B, C, alpha1, alpha2, alpha3)."""
     w1, w2, w3 = state[0], state[1], state[2]
     d = 0.5 * h
     c1, c2, c3 = d * p[3], d * p[4], d * p[5]
-    u1 = c1 * (w2 * w3)
-    k1 = c2 * c3
-    b1 = k1 * (w1 * w1)
-    b2 = (c3 * c1) * (w2 * w2)
-    b3 = (c1 * c2) * (w3 * w3)
-    last = (2.0 * k1) * (u1 * w1)
-    return ((1.0 - b1) - ((b2 + b3) + last), (1.0 + abs(b1)) + ((abs(b2) + abs(b3)) + abs(last)))
+    a1 = (c2 * c3) * w1
+    a2 = (c3 * c1) * w2
+    a3 = (c1 * c2) * w3
+    b2 = a2 * w2
+    b3 = a3 * w3
+    t1 = ((2.0 * c1) * w2) * w3
+    value = fma(-a1, t1, fma(-a1, w1, 1.0)) - (b2 + b3)
+    return (value, (1.0 + abs(a1 * w1)) + ((abs(b2) + abs(b3)) + abs(a1 * t1)))
 
 
 def lagrange_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
@@ -79,15 +81,14 @@ def lagrange_determinant(state: Floats, h: float, p: Floats) -> tuple[float, flo
     q, _ = two_sum(1.0, kk)
     rq = 1.0 / q
     F = f * rq
-    z = (d * f) * g3
-    b = (z + sk_low) + sk
-    D1 = 1.0 - b
-    DD = D1 * D1 + D2 * D2
-    Q1 = -d * (w2 + K * w1)
-    Q2 = d * (w1 - K * w2)
-    V1 = -F * (K * g1 + g2) - w1
-    V2 = F * (K * g2 - g1) + w2
-    U1 = V1 * D1 + V2 * D2
-    U2 = V2 * D1 - V1 * D2
-    rest = d * (Q1 * U2 + Q2 * U1)
-    return (DD - rest, DD + abs(rest))
+    D1 = 1.0 - (fma(d * f, g3, sk_low) + sk)
+    DD = fma(D1, D1, D2 * D2)
+    half = 0.5 * d
+    Q1 = -half * fma(K, w1, w2)
+    Q2 = half * fma(-K, w2, w1)
+    V1 = h * fma(-F, fma(K, g1, g2), -w1)
+    V2 = h * fma(F, fma(K, g2, -g1), w2)
+    T1 = fma(Q1, D1, Q2 * D2)
+    T2 = fma(Q2, D1, -(Q1 * D2))
+    value = fma(-T1, V2, fma(-T2, V1, DD))
+    return (value, DD + abs(DD - value))

@@ -13,7 +13,10 @@ Write K = d k, S = d s, z = d**2 nu gamma3, D = (1 + iS)(1 + iK) - z. Then
 1. the first gives X (1 + iK) = -i (2 K w + d nu (2 g + Y));
 2. put into the second, D Y = P + y Q with P = 2 ((z + S K - i S) g + i d gamma3 w), Q = i d (1 + iK) w;
 3. put into the third, y (1 - d Im(Q V/D)) = d Im(2 conj(g) w + conj(g) X0 + P V/D), where X = X0 + X1 Y and
-   V = conj(g) X1 - conj(w). Multiplied by |D|**2 so that both divisions start at the same time.
+   V = conj(g) X1 - conj(w). Multiplied by |D|**2 so that both divisions run at the same time, and with
+   Im(2 conj(g) w + conj(g) X0) = 2 (Im(conj(g) w) - K Re(conj(g) w) - d nu |g|**2)/(1 + K**2).
+
+X and Y are linear in y: what each needs beside it is ready before y is, and then one operation is waited for.
 
 S and K are the same in every step, and so are the rounding errors of what is computed from them alone: they would add
 up as N and not as its square root. Hence S + K is made exact, and 1/(1 + K**2) and S K carry their errors along; all
@@ -24,6 +27,7 @@ from __future__ import annotations
 
 from topcli.contracts import Floats
 from topcli.kernels.dd import two_prod, two_sum
+from topcli.kernels.fused import fma
 from topcli.kernels.increments import carried_sum
 
 
@@ -49,37 +53,47 @@ def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float
     rq_low = rq * (((1.0 - one) - one_low) - rq * (q_low + kk_low))
     F = f * rq
 
-    # D, its inverse square modulus, and P; b is in both, so that D + P/(2 g) = 1 + iK where w = 0
-    z = (d * f) * g3
-    b = (z + sk_low) + sk
+    # D, and P/2 with the same b, so that D + P/(2 g) = 1 + iK where w = 0; Q/2; 2 d V
+    b = fma(d * f, g3, sk_low) + sk
     D1 = 1.0 - b
-    DD = D1 * D1 + D2 * D2
-    r = 1.0 / DD
+    DD = fma(D1, D1, D2 * D2)
+    half = 0.5 * d
+    Q1 = -half * fma(K, w1, w2)
+    Q2 = half * fma(-K, w2, w1)
+    V1 = h * fma(-F, fma(K, g1, g2), -w1)
+    V2 = h * fma(F, fma(K, g2, -g1), w2)
+    # conj(D) Q/2, and what y and Y are divided by
+    T1 = fma(Q1, D1, Q2 * D2)
+    T2 = fma(Q2, D1, -(Q1 * D2))
+    rest = 1.0 / fma(-T1, V2, fma(-T2, V1, DD))
+    r = 2.0 / DD
     e = d * g3
-    P1 = 2.0 * ((b * g1 + S * g2) - e * w2)
-    P2 = 2.0 * ((b * g2 - S * g1) + e * w1)
-    Q1 = -d * (w2 + K * w1)
-    Q2 = d * (w1 - K * w2)
+    P1 = fma(b, g1, fma(S, g2, -(e * w2)))
+    P2 = fma(b, g2, fma(-S, g1, e * w1))
+    # conj(D) P/2
+    R1 = fma(P1, D1, P2 * D2)
+    R2 = fma(P2, D1, -(P1 * D2))
+    turn = fma(-f, fma(g1, g1, g2 * g2), fma(-K, fma(g1, w1, g2 * w2), fma(g1, w2, -(g2 * w1))))
+    y = rest * fma(h * fma(rq, turn, rq_low * turn), DD, fma(R2, V1, R1 * V2))
     # X0 = -2i (K w + f g)/(1 + iK) and X1 = -i f/(1 + iK)
-    t1 = K * w1 + f * g1
-    t2 = K * w2 + f * g2
-    T1 = 2.0 * (t2 - K * t1)
-    T2 = -2.0 * (t1 + K * t2)
-    X1 = rq * T1 + rq_low * T1
-    X2 = rq * T2 + rq_low * T2
-    # V and V conj(D)
-    V1 = -F * (K * g1 + g2) - w1
-    V2 = F * (K * g2 - g1) + w2
-    U1 = V1 * D1 + V2 * D2
-    U2 = V2 * D1 - V1 * D2
-    turn = 2.0 * (g1 * w2 - g2 * w1) + (g1 * X2 - g2 * X1)
-    y = d * (turn * DD + (P1 * U2 + P2 * U1)) / (DD - d * (Q1 * U2 + Q2 * U1))
+    t1 = fma(K, w1, f * g1)
+    t2 = fma(K, w2, f * g2)
+    X1 = 2.0 * fma(-K, t1, t2)
+    X2 = -2.0 * fma(K, t2, t1)
+    X1 = fma(rq, X1, rq_low * X1)
+    X2 = fma(rq, X2, rq_low * X2)
     # Y = (P + y Q) conj(D)/|D|**2
-    N1 = P1 + y * Q1
-    N2 = P2 + y * Q2
-    Y1 = r * (N1 * D1 + N2 * D2)
-    Y2 = r * (N2 * D1 - N1 * D2)
-    return (X1 + F * (Y2 - K * Y1), X2 - F * (Y1 + K * Y2), Y1, Y2, y)
+    R1 = r * R1
+    R2 = r * R2
+    T1 = r * T1
+    T2 = r * T2
+    return (
+        fma(y, F * fma(-K, T1, T2), fma(F, fma(-K, R1, R2), X1)),
+        fma(y, -F * fma(K, T2, T1), fma(-F, fma(K, R2, R1), X2)),
+        fma(y, T1, R1),
+        fma(y, T2, R2),
+        y,
+    )
 
 
 def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:

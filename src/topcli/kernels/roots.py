@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from topcli.kernels.so3 import cosc_of_square, sinc_of_square
+from topcli.kernels.fused import fma
+from topcli.kernels.so3 import sinc_cosc
 
 Complex = tuple[float, float]
 
@@ -18,33 +19,39 @@ def turn_increment(chi: float, x: float, y: float) -> Complex:
     As an increment its error shrinks with chi, so the modulus is kept without bias.
     """
     t = chi * chi
-    s = chi * sinc_of_square(t)
-    k = t * cosc_of_square(t)
-    return (s * y - k * x, -(s * x + k * y))
+    sinc, cosc = sinc_cosc(t)
+    return (fma(sinc, chi * y, -(cosc * (t * x))), -fma(sinc, chi * x, cosc * (t * y)))
+
+
+def turn_added(chi: float, x: float, y: float, a: float, b: float) -> Complex:
+    """a + i b + ``turn_increment``, for an a + i b that is known long before chi: two operations after the sine."""
+    t = chi * chi
+    sinc, cosc = sinc_cosc(t)
+    return (fma(sinc, chi * y, fma(-cosc, t * x, a)), fma(-sinc, chi * x, fma(-cosc, t * y, b)))
 
 
 def root_nearest(x: float, y: float, p1: float, p2: float) -> Complex:
-    """The square root of x + i y that lies nearest to p1 + i p2.
+    """The square root of 2 (x + i y) that lies nearest to p1 + i p2.
 
-    With m = (|z| + |x|)/2 one of the two roots is (m + i y/2)/sqrt(m) for x >= 0 and (y/2 + i m)/sqrt(m)
-    for x < 0: no cancellation and no angle. The division y/(2 m) and the choice of the sign do not wait for
-    sqrt(m). The root of 0 is 0. Beyond |z| = 1e154 the result is inf or nan.
+    Half of the number goes in because m = |x + i y| + |x| is what its root is made of: one of the two is
+    (m + i y)/sqrt(m) for x >= 0 and (y + i m)/sqrt(m) for x < 0, with no cancellation and no angle. The division y/m
+    and the choice of the sign do not wait for sqrt(m). The root of 0 is 0. Beyond |x + i y| = 1e154 the result is inf
+    or nan.
     """
-    m = 0.5 * (math.sqrt(x * x + y * y) + abs(x))
-    b = 0.5 * y
-    ratio = b / (m + NEVER_ZERO)
+    m = math.sqrt(x * x + y * y) + abs(x)
+    ratio = y / (m + NEVER_ZERO)
     t = math.sqrt(m)
     if x >= 0.0:
-        if m * p1 + b * p2 < 0.0:
+        if fma(m, p1, y * p2) < 0.0:
             t = -t
         return (t, ratio * t)
-    if b * p1 + m * p2 < 0.0:
+    if fma(m, p2, y * p1) < 0.0:
         t = -t
     return (ratio * t, t)
 
 
 def root_sign(x: float, y: float, p1: float, p2: float) -> Complex:
-    """The square root of x + i y whose argument has the sign of the argument of p1 + i p2 (Sogo, section 3.2.2).
+    """The square root of 2 (x + i y) whose argument has the sign of the argument of p1 + i p2 (Sogo, section 3.2.2).
 
     The signs are those of atan2, in (-pi, pi], with zero counted as plus. Where the root crosses the real
     axis between prediction and result this rule takes the wrong root; ``root_nearest`` does not.

@@ -11,12 +11,23 @@ from __future__ import annotations
 
 import math
 
+from topcli.kernels.branches import rarely
 from topcli.kernels.fused import fma
 
+Pair = tuple[float, float]
 Vector = tuple[float, float, float]
 
 SMALL_ANGLE_SQ = 0.6168502750680849
 """(pi/4)**2: up to here the polynomials below are accurate to the last bit or so."""
+
+
+def cayley_quotient(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, Vector]:
+    """``cayley_increment`` as a factor and what it multiplies."""
+    b1 = fma(g2, a3, -(g3 * a2))
+    b2 = fma(g3, a1, -(g1 * a3))
+    b3 = fma(g1, a2, -(g2 * a1))
+    r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
+    return r, (b1 + fma(b2, a3, -(b3 * a2)), b2 + fma(b3, a1, -(b1 * a3)), b3 + fma(b1, a2, -(b2 * a1)))
 
 
 def cayley_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
@@ -25,15 +36,14 @@ def cayley_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: 
     ``a`` is h/2 omega for the BS scheme and h/4 (omega' + omega) for the modified one. In closed form,
     because a is normal to b = g x a, d = 2 (b + b x a) / (1 + a.a).
     """
-    b1 = fma(g2, a3, -(g3 * a2))
-    b2 = fma(g3, a1, -(g1 * a3))
-    b3 = fma(g1, a2, -(g2 * a1))
-    r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
-    return (
-        r * (b1 + fma(b2, a3, -(b3 * a2))),
-        r * (b2 + fma(b3, a1, -(b1 * a3))),
-        r * (b3 + fma(b1, a2, -(b2 * a1))),
-    )
+    r, (x1, x2, x3) = cayley_quotient(a1, a2, a3, g1, g2, g3)
+    return (r * x1, r * x2, r * x3)
+
+
+def cayley_added(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """g + ``cayley_increment``, rounded once."""
+    r, (x1, x2, x3) = cayley_quotient(a1, a2, a3, g1, g2, g3)
+    return (fma(r, x1, g1), fma(r, x2, g2), fma(r, x3, g3))
 
 
 def cayley_turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
@@ -52,51 +62,38 @@ def cayley_turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: flo
     )
 
 
-def sinc_polynomial(t: float) -> float:
-    """sin(x)/x as a function of t = x*x up to SMALL_ANGLE_SQ; exactly 1 at 0 (fdlibm's polynomial)."""
+def sinc_cosc_polynomials(t: float) -> Pair:
+    """``sinc_cosc`` up to SMALL_ANGLE_SQ; exactly 1 and 1/2 at 0 (fdlibm's polynomials).
+
+    Split so that four operations one after the other are waited for; each result is rounded twice at its own size.
+    """
     u = t * t
-    low = -1.66666666666666324348e-01 + t * 8.33333333332248946124e-03
-    mid = -1.98412698298579493134e-04 + t * 2.75573137070700676789e-06
-    high = -2.50507602534068634195e-08 + t * 1.58969099521155010221e-10
-    return 1.0 + t * (low + u * (mid + u * high))
+    low = fma(t, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
+    mid = fma(t, 2.75573137070700676789e-06, -1.98412698298579493134e-04)
+    high = fma(t, 1.58969099521155010221e-10, -2.50507602534068634195e-08)
+    sinc = fma(t * u, fma(u, high, mid), fma(t, low, 1.0))
+    low = fma(t, 1.38888888888741095749e-03, -4.16666666666666019037e-02)
+    mid = fma(t, 2.75573143513906633035e-07, -2.48015872894767294178e-05)
+    high = fma(t, 1.13596475577881948265e-11, -2.08757232129817482790e-09)
+    return sinc, fma(t * u, fma(u, high, mid), fma(t, low, 0.5))
 
 
-def sinc_of_square(t: float) -> float:
-    """sin(x)/x as a function of t = x*x >= 0: fdlibm's polynomial, then libm."""
-    if t <= SMALL_ANGLE_SQ:
-        return sinc_polynomial(t)
-    x = math.sqrt(t)
-    return math.sin(x) / x
+def sinc_cosc(t: float) -> Pair:
+    """sin(x)/x and (1 - cos(x))/x**2 as functions of t = x*x >= 0: polynomials, then libm."""
+    if rarely(not t <= SMALL_ANGLE_SQ):
+        x = math.sqrt(t)
+        half = math.sin(0.5 * x)
+        return math.sin(x) / x, 2.0 * half * half / t
+    return sinc_cosc_polynomials(t)
 
 
-def cosc_polynomial(t: float) -> float:
-    """(1 - cos(x))/x**2 as a function of t = x*x up to SMALL_ANGLE_SQ; exactly 1/2 at 0 (fdlibm's polynomial)."""
-    u = t * t
-    low = 4.16666666666666019037e-02 - t * 1.38888888888741095749e-03
-    mid = 2.48015872894767294178e-05 - t * 2.75573143513906633035e-07
-    high = 2.08757232129817482790e-09 - t * 1.13596475577881948265e-11
-    return 0.5 - t * (low + u * (mid + u * high))
+def sinc_cosc_small(t: float) -> Pair:
+    """``sinc_cosc`` where it needs no libm, nan beyond."""
+    sinc, cosc = sinc_cosc_polynomials(t)
+    return (sinc, cosc) if t <= SMALL_ANGLE_SQ else (math.nan, math.nan)
 
 
-def cosc_of_square(t: float) -> float:
-    """(1 - cos(x))/x**2 as a function of t = x*x >= 0: fdlibm's polynomial, then libm."""
-    if t <= SMALL_ANGLE_SQ:
-        return cosc_polynomial(t)
-    half = math.sin(0.5 * math.sqrt(t))
-    return 2.0 * half * half / t
-
-
-def sinc_small(t: float) -> float:
-    """``sinc_of_square`` where it needs no libm, nan beyond."""
-    return sinc_polynomial(t) if t <= SMALL_ANGLE_SQ else math.nan
-
-
-def cosc_small(t: float) -> float:
-    """``cosc_of_square`` where it needs no libm, nan beyond."""
-    return cosc_polynomial(t) if t <= SMALL_ANGLE_SQ else math.nan
-
-
-IN_LANES = {sinc_of_square: sinc_small, cosc_of_square: cosc_small}
+IN_LANES = {sinc_cosc: sinc_cosc_small}
 """What stands in for a kernel where several trajectories share a vector: a call of libm behind a branch would then be
 made for every one of them at every step. A nan says that the one trajectory must be stepped by itself."""
 
@@ -107,14 +104,12 @@ def rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g
     R(a) g - g = S b + K (b x a) with b = g x a, S = sin|a|/|a| and K = (1 - cos|a|)/|a|**2. Neither
     needs the axis a/|a|, which does not exist at a = 0.
     """
-    t = a1 * a1 + (a2 * a2 + a3 * a3)
-    sinc = sinc_of_square(t)
-    cosc = cosc_of_square(t)
-    b1 = g2 * a3 - g3 * a2
-    b2 = g3 * a1 - g1 * a3
-    b3 = g1 * a2 - g2 * a1
+    sinc, cosc = sinc_cosc(a1 * a1 + fma(a2, a2, a3 * a3))
+    b1 = fma(g2, a3, -(g3 * a2))
+    b2 = fma(g3, a1, -(g1 * a3))
+    b3 = fma(g1, a2, -(g2 * a1))
     return (
-        sinc * b1 + cosc * (b2 * a3 - b3 * a2),
-        sinc * b2 + cosc * (b3 * a1 - b1 * a3),
-        sinc * b3 + cosc * (b1 * a2 - b2 * a1),
+        sinc * b1 + cosc * fma(b2, a3, -(b3 * a2)),
+        sinc * b2 + cosc * fma(b3, a1, -(b1 * a3)),
+        sinc * b3 + cosc * fma(b1, a2, -(b2 * a1)),
     )

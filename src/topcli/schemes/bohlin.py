@@ -1,9 +1,9 @@
 """Bohlin's method with gamma by Method A, B or C (Sogo, section 3.2.2) for the Kowalevski top.
 
 What makes it fast:
-- gamma's rotation and xi's turn are increments with polynomials for small angles: libm is not called;
-- the square root is algebraic, with its division and the choice of its sign beside the square root, not after it;
-- branch, chart and method are chosen when the step is built, not while it runs.
+- omega1 and omega2 are known last, a square root: all that the old gamma and omega3 say alone is ready by then;
+- gamma' gives the angle at once, not by way of omega3'; small angles take polynomials, whose sums are fused, no libm;
+- the square root is algebraic, with its division and the choice of its sign beside the square root, not after it.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.kernels.roots import root_nearest, root_sign, turn_increment
-from topcli.kernels.so3 import cayley_increment, rodrigues_increment
+from topcli.kernels.fused import fma
+from topcli.kernels.roots import root_nearest, root_sign, turn_added
+from topcli.kernels.so3 import cayley_added, rodrigues_increment
 from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
 from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
@@ -66,8 +67,7 @@ class ChartOptions(BranchOptions):
 def method_a(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> tuple[float, float, float]:
     """Gamma by Method A, the BS scheme: gamma' - gamma = h/2 (gamma' + gamma) x omega."""
     d = 0.5 * h
-    d1, d2, d3 = cayley_increment(d * w1, d * w2, d * w3, g1, g2, g3)
-    return (g1 + d1, g2 + d2, g3 + d3)
+    return cayley_added(d * w1, d * w2, d * w3, g1, g2, g3)
 
 
 def _euler_on_chart(
@@ -76,23 +76,22 @@ def _euler_on_chart(
     """Euler's rule for z = (gamma1 + i gamma2)/(1 + side gamma3), and gamma from the new z.
 
     dz/dt = i/2 (side omega - 2 omega3 z - side conj(omega) z**2) with side = 1 is the paper's equation; the
-    other pole's chart is its mirror image gamma3 -> -gamma3, (omega1, omega2) -> -(omega1, omega2).
+    other pole's chart is its mirror image gamma3 -> -gamma3, (omega1, omega2) -> -(omega1, omega2). What gamma and
+    omega3 say alone is known long before omega1 and omega2, which are a square root.
     """
-    r = 1.0 / (1.0 + side * g3)
+    r = 1.0 / fma(side, g3, 1.0)
     x = g1 * r
     y = g2 * r
-    a1 = side * w1
-    a2 = side * w2
+    d = side * (0.5 * h)
     xx = x * x - y * y
-    xy = 2.0 * x * y
-    re = (a1 - 2.0 * w3 * x) - (a1 * xx + a2 * xy)
-    im = (a2 - 2.0 * w3 * y) - (a1 * xy - a2 * xx)
-    d = 0.5 * h
-    x = x - d * im
-    y = y + d * re
-    t = x * x + y * y
-    n = 1.0 / (1.0 + t)
-    return (2.0 * x * n, 2.0 * y * n, side * (1.0 - t) * n)
+    xy = d * (2.0 * x * y)
+    turn = h * w3
+    x, y = (
+        fma(-w2, fma(d, xx, d), fma(w1, xy, fma(turn, y, x))),
+        fma(w1, fma(-d, xx, d), fma(-w2, xy, fma(-turn, x, y))),
+    )
+    n = 2.0 / (fma(x, x, 1.0) + y * y)
+    return (x * n, y * n, (0.5 * side) * n * (1.0 - fma(x, x, y * y)))
 
 
 def method_b_single(
@@ -120,16 +119,17 @@ def bohlin_step(method: Method, root: Root) -> StepFunction:
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3 = s
-        c = p[0]
-        d = 0.5 * h
+        half = 0.5 * p[0]
+        f = h * half
         n1, n2, n3 = method(w1, w2, w3, g1, g2, g3, h)
-        v3 = w3 - (d * c) * (n2 + g2)
-        x = (w1 - w2) * (w1 + w2) - c * g1
-        y = 2.0 * w1 * w2 - c * g2
-        dx, dy = turn_increment(d * (v3 + w3), x, y)
+        # half of xi, then of what is put in front of e^{-i chi} - 1
+        x = 0.5 * ((w1 - w2) * (w1 + w2)) - half * g1
+        y = w1 * w2 - half * g2
+        chi = fma(-(0.5 * h * f), n2, fma(-(0.5 * h * f), g2, h * w3))  # h/2 (v3 + w3), without waiting for v3
+        z1, z2 = turn_added(chi, x, y, fma(half, n1, x), fma(half, n2, y))
         q1, q2 = direct(s, h, p)
-        v1, v2 = root((x + dx) + c * n1, (y + dy) + c * n2, q1, q2)
-        return (v1, v2, v3, n1, n2, n3)
+        v1, v2 = root(z1, z2, q1, q2)
+        return (v1, v2, fma(-f, n2 + g2, w3), n1, n2, n3)
 
     return step
 

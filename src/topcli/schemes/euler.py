@@ -3,7 +3,7 @@
 Every step adds increments to the state; gamma, where it is carried, never acts back on omega.
 
 What makes them fast:
-- HK and ``bs`` are closed forms with one division; gamma's starts beside omega's where it does not need the new omega;
+- HK and ``bs`` are closed forms with one division, HK's with the fewest operations before it; gamma's starts beside it;
 - the implicit ones are Newton's method on three unknowns from HK's step, each correction a closed form;
 - everything is an increment, small numbers added to large ones once.
 """
@@ -21,14 +21,16 @@ from topcli.kernels.euler import (
     Vector,
     bs_increment,
     hk_gamma_increment,
+    hk_gamma_step,
     hk_increment,
+    hk_step,
     implicit_increment,
     midpoint_half,
 )
 from topcli.kernels.hk_determinant import euler_determinant
 from topcli.kernels.increments import Change, first3, first6
 from topcli.kernels.so3 import cayley_increment
-from topcli.schemes.compensated import CompensatedOption, increment_stepper
+from topcli.schemes.compensated import CompensatedOption, compensation_wanted, increment_stepper
 from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.limits import NEWTON_SINGULAR, NO_SOLUTION, SINGULAR
 from topcli.schemes.registry import scheme
@@ -224,8 +226,11 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     return to zero. With gamma carried, gamma² and m·gamma are conserved no better.
     """
     d = len(top.components)
-    made = increment_stepper(omega_change(hk_change) if d == 3 else hk_gamma_change, d, options)
-    return counting(made, NEAR_SINGULAR, small_determinant(euler_determinant))
+    if compensation_wanted(options):
+        made = increment_stepper(omega_change(hk_change) if d == 3 else hk_gamma_change, d, options)
+    else:
+        made = Stepper(hk_step if d == 3 else hk_gamma_step, d)
+    return counting(made, NEAR_SINGULAR, small_determinant(euler_determinant), branch=True)
 
 
 def _rotation_invariants(top: Top) -> tuple[str, ...]:

@@ -9,10 +9,11 @@ What makes it fast:
 from __future__ import annotations
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
+from topcli.kernels.fused import fma
 from topcli.kernels.hk_determinant import kowalevski_determinant
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.roots import turn_increment
-from topcli.kernels.so3 import cayley_increment
+from topcli.kernels.so3 import cayley_added
 from topcli.schemes.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR, counting, small_determinant, two_roots
 from topcli.schemes.limits import OVERFLOW, SINGULAR
@@ -24,17 +25,15 @@ def hybrid_step(root: Root) -> StepFunction:
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3 = s
-        c = p[0]
         q1, q2, v3, _, _, _ = hk_kowalevski(s, h, p)
         k = 0.25 * h
-        d1, d2, d3 = cayley_increment(k * (q1 + w1), k * (q2 + w2), k * (v3 + w3), g1, g2, g3)
-        x = (w1 - w2) * (w1 + w2) - c * g1
-        y = 2.0 * w1 * w2 - c * g2
+        n1, n2, n3 = cayley_added(k * (q1 + w1), k * (q2 + w2), k * (v3 + w3), g1, g2, g3)
+        half = 0.5 * p[0]  # of xi, half is turned
+        x = 0.5 * ((w1 - w2) * (w1 + w2)) - half * g1
+        y = w1 * w2 - half * g2
         dx, dy = turn_increment((0.5 * h) * (v3 + w3), x, y)
-        n1 = g1 + d1
-        n2 = g2 + d2
-        v1, v2 = root((x + dx) + c * n1, (y + dy) + c * n2, q1, q2)
-        return (v1, v2, v3, n1, n2, g3 + d3)
+        v1, v2 = root(fma(half, n1, x + dx), fma(half, n2, y + dy), q1, q2)
+        return (v1, v2, v3, n1, n2, n3)
 
     return step
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.kernels.carried import enter_carried, leave_carried, to_length_sq
+from topcli.kernels.fused import fma
 from topcli.kernels.hk_kowalevski import hk_kowalevski, hk_kowalevski_change
 from topcli.kernels.increments import carried_sum
 from topcli.kernels.roots import turn_increment
@@ -24,7 +25,7 @@ def hybrid_xi_step(root: Root) -> StepFunction:
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq = s
-        c = p[0]
+        half_c, half_k = 0.5 * p[0], 0.5 * k
         q1, q2, v3, _, _, _ = hk_kowalevski((w1, w2, w3, g1, g2, g3), h, p)
         m = 0.25 * h
         d1, d2, d3 = cayley_increment(m * (q1 + w1), m * (q2 + w2), m * (v3 + w3), g1, g2, g3)
@@ -35,7 +36,7 @@ def hybrid_xi_step(root: Root) -> StepFunction:
         n2 = g2 + (d2 + to_g * g2)
         x1 = u1 + (t1 + to_u * u1)
         x2 = u2 + (t2 + to_u * u2)
-        v1, v2 = root(k * x1 + c * n1, k * x2 + c * n2, q1, q2)
+        v1, v2 = root(fma(half_c, n1, half_k * x1), fma(half_c, n2, half_k * x2), q1, q2)
         return (v1, v2, v3, n1, n2, g3 + (d3 + to_g * g3), x1, x2, k, g_sq)
 
     return step
@@ -46,7 +47,7 @@ def compensated_step(root: Root) -> StepFunction:
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8 = s
-        c = p[0]
+        half_c, half_k = 0.5 * p[0], 0.5 * k
         x1, x2, x3, _, _, _ = hk_kowalevski_change((w1, w2, w3, g1, g2, g3), h, p)
         m = 0.25 * h
         o3 = 2.0 * w3 + x3
@@ -61,7 +62,7 @@ def compensated_step(root: Root) -> StepFunction:
         g3, e6 = carried_sum(g3, e6, d3 + to_g * g3)
         u1, e7 = carried_sum(u1, e7, t1 + to_u * u1)
         u2, e8 = carried_sum(u2, e8, t2 + to_u * u2)
-        w1, w2 = root(k * u1 + c * g1, k * u2 + c * g2, q1, q2)
+        w1, w2 = root(fma(half_c, g1, half_k * u1), fma(half_c, g2, half_k * u2), q1, q2)
         return (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8)
 
     return step

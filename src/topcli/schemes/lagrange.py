@@ -1,8 +1,8 @@
 """The Lagrange top's own schemes: Hirota-Kimura in the body frame, Bobenko-Suris in the inertial frame.
 
 What makes them fast:
-- HK: the 6x6 system shrinks in closed form to one real equation; its two divisions start at the same time, and what
-  depends on omega3 alone, which never changes, is computed once;
+- HK: the 6x6 system shrinks in closed form to one real equation, in whose root all changes are linear; two divisions
+  run at the same time, and what depends on omega3 alone, which never changes, is computed once;
 - BS: one Cayley rotation in closed form, one division, each product that another waits for fused with the sum after it;
 - every component is old + increment.
 """
@@ -16,7 +16,7 @@ from topcli.kernels.fused import fma
 from topcli.kernels.hk_determinant import lagrange_determinant
 from topcli.kernels.hk_lagrange import enter_compensated, hk_lagrange, hk_lagrange_compensated
 from topcli.kernels.increments import first6
-from topcli.kernels.so3 import cayley_increment
+from topcli.kernels.so3 import cayley_added
 from topcli.schemes.compensated import CompensatedOption, compensation_wanted
 from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.limits import LONG_HK, SINGULAR
@@ -125,8 +125,9 @@ def bs_step(state: Floats, h: float, p: Floats) -> Floats:
     d = -0.5 * h
     n1 = fma(-h, a2, m1)
     n2 = fma(h, a1, m2)
-    d1, d2, d3 = cayley_increment(d * n1, d * n2, d * m3, a1, a2, a3)
-    return (n1, n2, m3, a1 + d1, a2 + d2, a3 + d3)
+    # d n1 as fma(-h d, a2, d m1) would be ready sooner, but h d is rounded, and m.a would drift
+    b1, b2, b3 = cayley_added(d * n1, d * n2, d * m3, a1, a2, a3)
+    return (n1, n2, m3, b1, b2, b3)
 
 
 def bs_modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
