@@ -31,15 +31,15 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "src")]
 from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine import native as compiler  # noqa: E402
-from topcli.engine.driver import SIGNATURE, loop_of  # noqa: E402
+from topcli.engine.driver import loop_of  # noqa: E402
 from topcli.engine.ensemble import GROUP, TILE, EnsembleRun  # noqa: E402
-from topcli.engine.lanes import plain_lanes, stages_of  # noqa: E402
+from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
 from twins import hk_block  # noqa: E402
 
-H, STEPS = 0.01, 300
+H, STEPS = 0.01, 2000
 CASES = (
     ("hk", "kowalevski"),
     ("hk+suzuki4", "kowalevski"),
@@ -90,7 +90,7 @@ class Case:
 
     def alone(self) -> float:
         """Nanoseconds per step of one trajectory."""
-        work, steps = self.work[:-1, 0].copy(), 10 * STEPS
+        work, steps = self.work[:-1, 0].copy(), STEPS
         start = time.perf_counter_ns()
         self.loop.drive(work, self.out, self.p, H, steps, steps + 1, steps + 1)
         return (time.perf_counter_ns() - start) / steps
@@ -99,7 +99,7 @@ class Case:
         """Nanoseconds per trajectory-step of a tile."""
         work = self.work.copy()
         start = time.perf_counter_ns()
-        self.lanes(work, self.out, self.p, H, STEPS, STEPS + 1, STEPS + 1)
+        self.lanes(work, self.out, self.p, H, STEPS, STEPS + 1, STEPS + 1, 0)
         spent = (time.perf_counter_ns() - start) / STEPS / TILE
         if not np.isfinite(work).all():
             raise RuntimeError(f"{self.name}: a trajectory left the fast path; its time would tell nothing")
@@ -127,7 +127,7 @@ def measure(repetitions: int) -> list[dict[str, Any]]:
     out, p = np.empty(6), np.ones(1)
 
     def baseline() -> float:
-        work, steps = np.array(GEN), 10 * STEPS
+        work, steps = np.array(GEN), STEPS
         start = time.perf_counter_ns()
         straightforward.drive(work, out, p, H, steps, steps + 1, steps + 1)
         return (time.perf_counter_ns() - start) / steps

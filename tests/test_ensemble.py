@@ -110,7 +110,7 @@ def test_the_stand_in_for_libm_is_noticed() -> None:
     for h, finite in ((0.1, True), (1.0, False)):
         start = stepper.enter(tuple(y.tolist()), h, (1.0,))
         work = [*start, 0.0]
-        drive(work, [0.0] * 6, [1.0, 1.0], h, 1, 1, 1)
+        drive(work, [0.0] * 6, [1.0, 1.0], h, 1, 1, 1, 6)
         assert math.isfinite(work[stepper.width]) == finite
         assert all(map(math.isfinite, stepper.step(start, h, (1.0,))))
 

@@ -20,9 +20,11 @@ from topcli.engine.source import compilable_copy
 from topcli.kernels.fused import fma
 from topcli.kernels.so3 import IN_LANES
 
+SIGNATURE = "pppdqqqq"
+
 _TEMPLATE = """
 def make(step, leave):
-    def drive(work, out, params, h, steps, every, until_record):
+    def drive(work, out, params, h, steps, every, until_record, stride):
         {set_p}
         k = 0
         left = until_record
@@ -67,8 +69,8 @@ def _template(width: int, checked: int, d: int, constants: int, tile: int, stage
         store_s=newline.join(f"work[{i * tile} + j] = s[{i}]" for i in range(width)),
         check=width * tile,
         sum_s=" + ".join(f"s[{i}]" for i in range(checked)),
-        record=newline.join(f"out[k + {i * tile} + j] = y[{i}]" for i in range(d)),
-        row=d * tile,
+        record=newline.join(f"out[k + j * stride + {i}] = y[{i}]" for i in range(d)),
+        row=d,
     )
     scope: dict[str, Any] = {}
     exec(compile(text, f"<lanes {width}/{checked}/{d}/{constants}/{tile}/{stages}>", "exec"), scope)
@@ -79,7 +81,8 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
     """The loop over steps and lanes as a plain Python function over indexable buffers.
 
     ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
-    ``d`` rows of ``tile`` numbers for every recorded step. ``params`` holds the constants, then the fractions of h.
+    ``d`` numbers for every recorded step of a trajectory, whose rows follow each other and begin ``stride`` numbers
+    after those of the trajectory before. ``params`` holds the constants, then the fractions of h.
     """
     inlined = {id(kernel): stand_in for kernel, stand_in in IN_LANES.items()} | {id(fma): fma}
     stage, fractions = stages_of(stepper)
