@@ -2,36 +2,15 @@
    With -ffp-contract=off the results equal the compiled Python bit for bit. */
 #include <math.h>
 
+#include "hk_kowalevski.h"
 #include "rotations.h"
 
 typedef struct { double w1, w2, w3, g1, g2, g3; } state;
 
 static inline __attribute__((always_inline)) state hk_step(state y, double h, double c)
 {
-    const double w1 = y.w1, w2 = y.w2, w3 = y.w3, g1 = y.g1, g2 = y.g2, g3 = y.g3;
-    const double d = 0.5 * h, f = d * c, k = 0.5 * (d * f);
-    const double a = (0.5 * d) * w3, W2 = d * w2, fg2 = f * g2, S = w3 - fg2, half_s = (0.5 * d) * S;
-    const double u = fma(a, w2, w1), q = fma(a, a, 1.0), phi = (0.5 * f) * g3;
-    const double x2 = (1.0 / q) * fma(-u, half_s, phi), t = w2 * half_s;
-    const double b1 = fma(a, x2, w1 + t), b2 = w2 + x2;
-    const double s = half_s + half_s, H = d * phi, v = d * u, n = fma(W2, q, H), js = fma(W2, v, s + s);
-    const double z = a + (a - half_s);
-    const double m11 = fma(a, js, fma(v, v, fma(H, W2, fma(-(k + k), g1, 1.0))));
-    const double m12 = fma(a, n + (H + H), q * v), m21 = W2 * (js + (z - s));
-    const double m22 = fma(W2, n, fma(a, z, fma(-k, g1, 1.0)));
-    const double eta = fma(-g3, b2, g2 * S);
-    const double e2 = fma(-(a + a), eta, fma(g3, b1, -(g1 * S))), e3 = fma(-g2, b1, fma(W2, eta, g1 * b2));
-    const double r = h / fma(-m12, m21, m11 * m22);
-    const double y2 = r * fma(e3, m12, e2 * m22), b = r * fma(e3, m11, e2 * m21);
-    const double two_x2 = fma(0.5 * f, b, x2 + x2);
-    return (state){
-        w1 + fma(a, two_x2, fma(-k * w2, y2, t + t)),
-        w2 + two_x2,
-        w3 - fma(f, y2, fg2 + fg2),
-        g1 + fma(js - s, y2, fma(-n, b, h * eta)),
-        g2 + y2,
-        g3 + fma(-v, y2, q * b),
-    };
+    const six x = hk_change(y.w1, y.w2, y.w3, y.g1, y.g2, y.g3, h, c);
+    return (state){y.w1 + x.x1, y.w2 + x.x2, y.w3 + x.x3, y.g1 + x.y1, y.g2 + x.y2, y.g3 + x.y3};
 }
 
 static inline __attribute__((always_inline)) state hybrid_step(state y, double h, double c)
