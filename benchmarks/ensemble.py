@@ -9,8 +9,8 @@ is recorded. Two threads need two idle CPUs: on a busy machine only the best of 
 ``vector`` is the widest register in the machine code of the loop over the lanes, ``products`` how many vector
 multiplications, fused ones too, stand in it, and ``of limit`` the time that as many take where nothing else does,
 measured here and now, over the loop's: where it is near 1 only fewer products help. Divisions and roots, which take up
-the same units, are not in it. Narrower vectors are measured with NUMBA_CPU_FEATURES set to what an older machine has,
-such as +sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma.
+the same units, are not in it. Narrower vectors are measured with NUMBA_CPU_NAME and NUMBA_CPU_FEATURES set to an older
+machine's: haswell and +sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma.
 """
 
 from __future__ import annotations
