@@ -6,6 +6,7 @@ of single runs, which tells the step of the failure; it then stays where it is, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,7 @@ class Tile:
         self.alive = np.zeros(run.tile, dtype=bool)
         self.alive[: self.count] = True
         self.done = 0
+        self.uncounted = stepper.width - len(stepper.counters)
         self.work = np.zeros((stepper.width + 1, run.tile))
         p = tuple(run.p.tolist())
         begun = run.y0[first:stop].tolist()
@@ -103,22 +105,24 @@ class Tile:
             self.work[:-1, j] = work
         else:
             self.alive[j] = False
-            self._ended(j, loop.failure(work), self.done - steps - taken, work)
+            self._ended(j, loop.failure(work), self.done - steps - taken, work[self.uncounted :].tolist())
         return reached
 
-    def _ended(self, j: int, outcome: Outcome, step: int, work: Array) -> None:
-        names = self.stepper.counters
-        counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
-        self.run.endings[self.first + j] = Ending(outcome, step, step * self.run.h, counts)
+    def _ended(self, j: int, outcome: Outcome, step: int, counts: Sequence[float]) -> None:
+        named = dict(zip(self.stepper.counters, map(int, counts), strict=True))
+        self.run.endings[self.first + j] = Ending(outcome, step, step * self.run.h, named)
 
     def end(self) -> None:
         """Note how the living trajectories ended and where they are."""
         run, leave = self.run, self.stepper.leave
         p = tuple(run.p.tolist())
         completed = self.done >= run.N
-        for j in np.flatnonzero(self.alive):
-            self._ended(int(j), Outcome.COMPLETED if completed else Outcome.INTERRUPTED, self.done, self.work[:-1, j])
-            if completed and run.last_n[self.first + j] != run.N:  # step N is not among the recorded ones
+        outcome = Outcome.COMPLETED if completed else Outcome.INTERRUPTED
+        counts = self.work[self.uncounted : -1].T.tolist()
+        last_n = run.last_n[self.first : self.first + self.count].tolist()
+        for j in np.flatnonzero(self.alive).tolist():
+            self._ended(j, outcome, self.done, counts[j])
+            if completed and last_n[j] != run.N:  # step N is not among the recorded ones
                 state = tuple(self.work[:-1, j].tolist())
                 run.last[self.first + j] = leave(state, run.h, p) if leave else state
                 run.last_n[self.first + j] = run.N
