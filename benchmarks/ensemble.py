@@ -6,20 +6,25 @@ The baseline is one step of the straightforward HK scheme (block elimination, ``
 loop, as in ``benchmarks/steps.py``; the second ratio is against the same scheme's own step in that loop. Repetitions
 are interleaved; every figure is the median over them of the ratio, with the ratio of the least times beside it. Nothing
 is recorded. Two threads need two idle CPUs: on a busy machine only the best of many short runs tells anything.
-``vector`` is the widest register in the machine code of the loop over the lanes; narrower vectors are measured with
-NUMBA_CPU_FEATURES set to what an older machine has, such as +sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2.
+``vector`` is the widest register in the machine code of the loop over the lanes, ``products`` how many vector
+multiplications, fused ones too, stand in it, and ``of limit`` the time that as many take where nothing else does,
+measured here and now, over the loop's: where it is near 1 only fewer products help. Divisions and roots, which take up
+the same units, are not in it. Narrower vectors are measured with NUMBA_CPU_NAME and NUMBA_CPU_FEATURES set to an older
+machine's: haswell and +sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import re
 import statistics
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +36,15 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "src")]
 from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine import native as compiler  # noqa: E402
-from topcli.engine.driver import SIGNATURE, loop_of  # noqa: E402
+from topcli.engine.driver import loop_of  # noqa: E402
 from topcli.engine.ensemble import GROUP, TILE, EnsembleRun  # noqa: E402
-from topcli.engine.lanes import plain_lanes, stages_of  # noqa: E402
+from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
 from twins import hk_block  # noqa: E402
 
-H, STEPS = 0.01, 300
+H, STEPS = 0.01, 2000
 CASES = (
     ("hk", "kowalevski"),
     ("hk+suzuki4", "kowalevski"),
@@ -55,15 +60,56 @@ CASES = (
 )
 
 
-def vector(lanes: Any) -> str:
-    """The widest vector register that the loop over the lanes uses for arithmetic."""
+@dataclass(frozen=True)
+class Code:
+    """The loop over the lanes in machine code: bits of its widest register, vector products in it."""
+
+    bits: int
+    products: int
+
+
+def code_of(lanes: Any, rows: int) -> Code:
+    """What the machine code of the loop over the lanes tells; its longest stretch without a label is taken for it.
+
+    Where that stretch takes several vectors in turn, it stores several times to each of the ``rows`` of the work.
+    """
     ir = compiler._compile(lanes, SIGNATURE, True).inspect_llvm()
     llvm, _ = compiler._machine()
-    code = compiler._target_machine().emit_assembly(llvm.parse_assembly(ir))
+    text = compiler._target_machine().emit_assembly(llvm.parse_assembly(ir))
+    stretches = re.split(r"^\.?\w+:", text, flags=re.MULTILINE)
     for name, bits in (("zmm", 512), ("ymm", 256), ("xmm", 128)):
-        if re.search(rf"v?(mul|add|sub|div)pd[^\n]*{name}", code):
-            return f"{bits} bits"
-    return "none"
+        product = rf"v?(?:mul|fn?m(?:add|sub)\d*)pd[^\n]*{name}"
+        products, stretch = max((len(re.findall(product, stretch)), stretch) for stretch in stretches)
+        if products:
+            stores = len(re.findall(rf"mov[au]p[ds]\s+%{name}\d+, [^\n]*\((?!%rsp)", stretch))
+            return Code(bits, round(products * rows / max(stores, rows)))
+    return Code(0, 0)
+
+
+CHAIN = 12
+
+
+def products_alone(s: Any, h: float, p: Any) -> Any:
+    """A step of nothing but 6 CHAIN products, of which CHAIN wait for each other."""
+    x1, x2, x3, x4, x5, x6 = s
+    for _ in range(CHAIN):
+        x1, x2, x3, x4, x5, x6 = x1 * h, x2 * h, x3 * h, x4 * h, x5 * h, x6 * h
+    return (x1, x2, x3, x4, x5, x6)
+
+
+class Limit:
+    """The processor's time for a vector product."""
+
+    def __init__(self) -> None:
+        plain = plain_lanes(Stepper(products_alone, 6), 6, 1, TILE)
+        self.lanes = native(plain, SIGNATURE)
+
+    def product(self) -> float:
+        """Nanoseconds per product of one trajectory."""
+        work, out, params = np.ones((7, TILE)), np.empty(6), np.ones(2)
+        start = time.perf_counter_ns()
+        self.lanes(work, out, params, 1.0, STEPS, STEPS + 1, STEPS + 1, 0)
+        return (time.perf_counter_ns() - start) / STEPS / TILE / (6 * CHAIN)
 
 
 class Case:
@@ -79,7 +125,8 @@ class Case:
         self.p = np.array([*p, *stages_of(method)[1]])
         self.loop = loop_of(method, d, len(p))
         plain = plain_lanes(method, d, len(p), TILE)
-        self.lanes, self.vector = native(plain, SIGNATURE), vector(plain)
+        self.lanes, self.code = native(plain, SIGNATURE), code_of(plain, method.width + 1)
+        self.products = self.code.products * len(stages_of(method)[1])
         self.out = np.empty(d * TILE)
         self.y0 = random_states(2 * GROUP * TILE, 3)[:, :d]
         self.work = np.zeros((method.width + 1, TILE))
@@ -99,7 +146,7 @@ class Case:
         """Nanoseconds per trajectory-step of a tile."""
         work = self.work.copy()
         start = time.perf_counter_ns()
-        self.lanes(work, self.out, self.p, H, STEPS, STEPS + 1, STEPS + 1)
+        self.lanes(work, self.out, self.p, H, STEPS, STEPS + 1, STEPS + 1, 0)
         spent = (time.perf_counter_ns() - start) / STEPS / TILE
         if not np.isfinite(work).all():
             raise RuntimeError(f"{self.name}: a trajectory left the fast path; its time would tell nothing")
@@ -132,9 +179,11 @@ def measure(repetitions: int) -> list[dict[str, Any]]:
         straightforward.drive(work, out, p, H, steps, steps + 1, steps + 1)
         return (time.perf_counter_ns() - start) / steps
 
-    cases = [Case(*case) for case in CASES]
+    cases, limit = [Case(*case) for case in CASES], Limit()
     spent: list[tuple[list[float], list[float], list[float]]] = [([], [], []) for _ in cases]
+    product = math.inf
     for repetition in range(repetitions + 1):
+        product = min(product, limit.product())
         for case, (base, alone, together) in zip(cases, spent, strict=True):
             times = baseline(), case.alone(), case.together()
             if repetition:  # the first one warms up
@@ -148,8 +197,10 @@ def measure(repetitions: int) -> list[dict[str, Any]]:
             {
                 "scheme": case.name,
                 "top": case.form,
-                "vector": case.vector,
+                "vector": case.code.bits,
+                "products": case.products,
                 "ns": min(together),
+                "of_limit": case.products * product / min(together) if case.code.bits else None,
                 "to_straightforward_hk": ratio(together, base),
                 "to_itself_alone": ratio(together, alone),
                 "two_threads": ratio([one for one, _ in pairs], [two for _, two in pairs]),
@@ -170,14 +221,23 @@ def main() -> None:
     if arguments.json:
         print(json.dumps({"schema_version": 1, "cpus": os.cpu_count(), "ensembles": rows}, indent=1))
         return
-    header = ("ns", "to straightforward HK (least)", "to itself alone (least)", "two threads (best)", "vector")
+    header = (
+        "ns",
+        "to straightforward HK (least)",
+        "to itself alone (least)",
+        "two threads (best)",
+        "vector",
+        "products",
+        "of limit",
+    )
     print(f"{'per trajectory-step and core':<32}" + "  ".join(header))
     for row in rows:
         base, own, two = row["to_straightforward_hk"], row["to_itself_alone"], row["two_threads"]
         print(
             f"{row['scheme'] + ' / ' + row['top']:<30}{row['ns']:>4.1f}"
             f"{base['median']:>21.3f} ({base['least']:.3f}){own['median']:>16.3f} ({own['least']:.3f})"
-            f"{two['median']:>13.2f} ({two['least']:.2f})  {row['vector']}"
+            f"{two['median']:>13.2f} ({two['least']:.2f}){row['vector']:>9}{row['products']:>10}"
+            + (f"{row['of_limit']:>10.2f}" if row["of_limit"] else "")
         )
 
 

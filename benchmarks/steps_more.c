@@ -3,6 +3,7 @@
    Python bit for bit. */
 #include <math.h>
 
+#include "hk_kowalevski.h"
 #include "rotations.h"
 
 static const double switch_below = -0.8;
@@ -23,34 +24,6 @@ static inline vec rodrigues(double a1, double a2, double a3, double g1, double g
 }
 
 /* ------------------------------------------------------------------------------------------- HK, Kowalevski */
-
-typedef struct { double x1, x2, x3, y1, y2, y3; } six;
-
-static inline six hk_change(double w1, double w2, double w3, double g1, double g2, double g3, double h, double c)
-{
-    const double d = 0.5 * h, f = d * c, e = d * f, k = 0.5 * e;
-    const double W1 = d * w1, W2 = d * w2, W3 = d * w3;
-    const double a = (0.5 * d) * w3, b = 3.0 * a, s = W3 - e * g2, H = k * g3, half = 0.5 * g3;
-    const double q = 1.0 + a * a, rq = 1.0 / q, u = W2 - a * W1, v = W1 + a * W2;
-    const double n = W2 * (1.0 - W3 * a) - b * W1, j = g1 - W2 * g3, m = W1 + W3 * W2, l = W1 - W2 * s;
-    const double P = v * j + u * g2, Q = j - a * g2;
-    const double m11 = q * ((1.0 - e * g1) + W3 * s) + H * n, m12 = q * m + b * H;
-    const double m21 = q * l - k * P, m22 = q * (1.0 + W2 * W2) - k * Q;
-    const double r = 2.0 / (m11 * m22 + m12 * m21);
-    const double b1 = q * (g3 * m - s * (g1 + W3 * g2)) + half * (s * n + (b * e) * g3);
-    const double b2 = q * (W2 * j - g2 * l) + (H * Q - (0.5 * s) * P);
-    const double n2 = b1 * m22 + b2 * m12, n3 = b2 * m11 - b1 * m21;
-    const double F = (0.5 * f) * rq, fg = f * g3;
-    const double two_r1 = 2.0 * (g2 * s - g3 * W2) + rq * (g3 * (v * s - e * g3));
-    return (six){
-        rq * ((w2 - a * w1) * s + a * fg) + r * (F * (a * n3 - u * n2)),
-        rq * (fg - (w1 + a * w2) * s) + r * (F * (n3 + v * n2)),
-        -(2.0 * (f * g2) + r * (f * n2)),
-        two_r1 + r * ((s - (H * rq) * v) * n2 - (W2 + H * rq) * n3),
-        r * n2,
-        r * n3,
-    };
-}
 
 #define LOAD double w1 = y[0], w2 = y[1], w3 = y[2], g1 = y[3], g2 = y[4], g3 = y[5]
 #define STORE y[0] = w1; y[1] = w2; y[2] = w3; y[3] = g1; y[4] = g2; y[5] = g3

@@ -110,7 +110,7 @@ def test_the_stand_in_for_libm_is_noticed() -> None:
     for h, finite in ((0.1, True), (1.0, False)):
         start = stepper.enter(tuple(y.tolist()), h, (1.0,))
         work = [*start, 0.0]
-        drive(work, [0.0] * 6, [1.0, 1.0], h, 1, 1, 1)
+        drive(work, [0.0] * 6, [1.0, 1.0], h, 1, 1, 1, 6)
         assert math.isfinite(work[stepper.width]) == finite
         assert all(map(math.isfinite, stepper.step(start, h, (1.0,))))
 
@@ -194,10 +194,31 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, threads=threads)
         return [(*one, done) for one, done in run]
 
-    one, two = pieces(1), pieces(2)
-    assert one == two
+    one = pieces(1)
+    assert one == pieces(2) == pieces(5)  # five: more than there are tiles to take
     assert [first // TILE for first, *_ in one] == [0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3]
     assert one[-1][-1] == len(y0) * 50
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("broken", [0, 1, 3])
+def test_what_goes_wrong_with_a_piece_is_raised_once_and_ends_the_rest(
+    threads: int, broken: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 10)
+    begun: list[int] = []
+
+    def made(piece: Piece) -> int:
+        begun.append(piece.first // TILE)
+        if begun[-1] == broken:
+            raise OSError(f"no room for tile {broken}")
+        return begun[-1]
+
+    method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
+    run = EnsembleRun(Kowalevski(), method, random_states(4 * TILE, 2), 0.01, 50, made=made, threads=threads)
+    with pytest.raises(OSError, match=f"no room for tile {broken}"):
+        list(run)
+    assert len(begun) == len(set(begun)) <= 4  # no tile twice, and no second chunk
 
 
 @pytest.mark.parametrize("name", ["hk", "dop853"])

@@ -115,6 +115,36 @@ def test_hk_round_off_is_small_and_unbiased() -> None:
     assert bias(local_errors(towards_zero, 300, 0.01)) > 10.0
 
 
+def integrals(y) -> list[Fraction]:
+    """Energy, area integral and gamma² of the top with c = 1, exactly."""
+    w1, w2, w3, g1, g2, g3 = map(Fraction, y)
+    return [
+        (w1**2 + w2**2) + w3**2 / 2 + g1,
+        2 * (w1 * g1 + w2 * g2) + w3 * g3,
+        g1**2 + g2**2 + g3**2,
+    ]
+
+
+def test_hk_round_off_is_unbiased_in_every_integral() -> None:
+    """From states all over the sphere: the mean of the error over its standard deviation, and a biased control."""
+
+    def biases(step) -> list[float]:
+        errors = []
+        for y in random_states(400, seed=8).tolist():
+            exact = twins.hk_general([Fraction(x) for x in y], Fraction(0.01), (Fraction(1),))
+            got = step(tuple(y), 0.01, (1.0,))
+            errors.append([float(a - b) / EPS for a, b in zip(integrals(got), integrals(exact), strict=True)])
+        return [bias(column) for column in np.array(errors).T]
+
+    def truncated(state, h, p):
+        return tuple(math.nextafter(x, 0.0) for x in hk_kowalevski(state, h, p))
+
+    assert max(biases(hk_kowalevski)) < 4.0
+    control = biases(truncated)
+    assert control[0] > 4.0
+    assert control[2] > 10.0
+
+
 @pytest.mark.parametrize("c", [1.0, -0.7, 0.0])
 @pytest.mark.parametrize("h", [1e-3, 0.1, -0.2])
 def test_hybrid_is_its_straightforward_form(c: float, h: float) -> None:

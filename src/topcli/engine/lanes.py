@@ -20,15 +20,18 @@ from topcli.engine.source import compilable_copy
 from topcli.kernels.fused import fma
 from topcli.kernels.so3 import IN_LANES
 
+SIGNATURE = "pppdqqqq"
+
 _TEMPLATE = """
 def make(step, leave):
-    def drive(work, out, params, h, steps, every, until_record):
+    def drive(work, out, params, h, steps, every, until_record, stride):
         {set_p}
         k = 0
         left = until_record
+        {set_part}
         for i in range(steps):
             for stage in range({stages}):
-                part = params[{constants} + stage] * h
+                {each_part}
                 for j in range({tile}):
                     s = step(({work_items}), part, p)
                     {store_s}
@@ -52,22 +55,25 @@ def _same(state: Any, h: float, p: Any) -> Any:
 
 
 @cache
-def _template(width: int, d: int, constants: int, tile: int, stages: int) -> Callable[..., Any]:
+def _template(width: int, checked: int, d: int, constants: int, tile: int, stages: int) -> Callable[..., Any]:
     newline = "\n" + " " * 20
     text = _TEMPLATE.format(
         set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
         constants=constants,
         tile=tile,
         stages=stages,
+        # what depends on h alone is ready before the loop where there is one stage: else every step waits for it
+        set_part=f"part = params[{constants}] * h" if stages == 1 else "",
+        each_part="" if stages == 1 else f"part = params[{constants} + stage] * h",
         work_items="".join(f"work[{i * tile} + j], " for i in range(width)),
         store_s=newline.join(f"work[{i * tile} + j] = s[{i}]" for i in range(width)),
         check=width * tile,
-        sum_s=" + ".join(f"s[{i}]" for i in range(width)),
-        record=newline.join(f"out[k + {i * tile} + j] = y[{i}]" for i in range(d)),
-        row=d * tile,
+        sum_s=" + ".join(f"s[{i}]" for i in range(checked)),
+        record=newline.join(f"out[k + j * stride + {i}] = y[{i}]" for i in range(d)),
+        row=d,
     )
     scope: dict[str, Any] = {}
-    exec(compile(text, f"<lanes {width}/{d}/{constants}/{tile}/{stages}>", "exec"), scope)
+    exec(compile(text, f"<lanes {width}/{checked}/{d}/{constants}/{tile}/{stages}>", "exec"), scope)
     return scope["make"]
 
 
@@ -75,12 +81,15 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
     """The loop over steps and lanes as a plain Python function over indexable buffers.
 
     ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
-    ``d`` rows of ``tile`` numbers for every recorded step. ``params`` holds the constants, then the fractions of h.
+    ``d`` numbers for every recorded step of a trajectory, whose rows follow each other and begin ``stride`` numbers
+    after those of the trajectory before. ``params`` holds the constants, then the fractions of h.
     """
     inlined = {id(kernel): stand_in for kernel, stand_in in IN_LANES.items()} | {id(fma): fma}
     stage, fractions = stages_of(stepper)
     step = compilable_copy(stage, lambda kernel: kernel, inlined)
-    return _template(stepper.width, d, constants, tile, len(fractions))(step, stepper.leave or _same)
+    # all but the counters, which are finite always: a nan that stands for a rare branch may be in any other slot
+    checked = stepper.width - len(stepper.counters)
+    return _template(stepper.width, checked, d, constants, tile, len(fractions))(step, stepper.leave or _same)
 
 
 def stages_of(stepper: Stepper) -> tuple[StepFunction, tuple[float, ...]]:

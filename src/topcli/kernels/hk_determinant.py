@@ -10,35 +10,15 @@ from topcli.contracts import Floats
 from topcli.kernels.dd import two_prod, two_sum
 from topcli.kernels.euler_poisson import implicit_matrix
 from topcli.kernels.fused import fma
+from topcli.kernels.hk_kowalevski import coefficients
 
 
 def kowalevski_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """That of ``hk_kowalevski``'s two equations, with the notation of that file."""
-    w1, w2, w3, g1, g2, g3 = state[0], state[1], state[2], state[3], state[4], state[5]
-    d = 0.5 * h
-    e = d * (d * p[0])
-    k = 0.5 * e
-    W1 = d * w1
-    W2 = d * w2
-    W3 = d * w3
-    a = (0.5 * d) * w3
-    b = 3.0 * a
-    s = W3 - e * g2
-    H = k * g3
-    q = 1.0 + a * a
-    u = W2 - a * W1
-    v = W1 + a * W2
-    n = W2 * (1.0 - W3 * a) - b * W1
-    j = g1 - W2 * g3
-    m = W1 + W3 * W2
-    l = W1 - W2 * s  # noqa: E741
-    P = v * j + u * g2
-    Q = j - a * g2
-    m11 = q * ((1.0 - e * g1) + W3 * s) + H * n
-    m12 = q * m + b * H
-    m21 = q * l - k * P
-    m22 = q * (1.0 + W2 * W2) - k * Q
-    return (m11 * m22 + m12 * m21, abs(m11 * m22) + abs(m12 * m21))
+    """That of ``hk_kowalevski``'s two equations; where it is small, both of its terms are as large."""
+    w, g = (state[0], state[1], state[2]), (state[3], state[4], state[5])
+    m11, m12, m21, m22, _, _, _, _ = coefficients(w, g, h, p[0])
+    term = m11 * m22
+    return (fma(-m12, m21, term), 2.0 * abs(term))
 
 
 def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:

@@ -1,0 +1,128 @@
+"""A tile of an ensemble: trajectories side by side, as many as one call of the compiled loop takes on.
+
+A trajectory whose sum in that loop is not finite is taken back to where its chunk began and goes through the time loop
+of single runs, which tells the step of the failure; it then stays where it is, and its lane repeats a neighbour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.contracts import Array, Ending, Outcome, Stepper
+from topcli.engine.native import Native
+
+if TYPE_CHECKING:
+    from topcli.engine.ensemble import EnsembleRun
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Consecutive recorded rows of neighbouring trajectories.
+
+    ``first`` is the number of the first trajectory, ``n`` (m,) the step numbers, ``states`` (trajectories, m, d);
+    of trajectory ``first + i`` the first ``kept[i]`` rows were reached. ``states`` is a view into a buffer that the
+    next piece made in the same thread overwrites.
+    """
+
+    first: int
+    n: NDArray[np.int64]
+    states: Array
+    kept: NDArray[np.int64]
+
+
+class Tile:
+    """The working states of trajectories ``first`` to ``stop - 1`` of ``run``, and how they advance."""
+
+    def __init__(self, run: EnsembleRun[Any], stepper: Stepper, lanes: Native, first: int, stop: int) -> None:
+        self.run, self.stepper, self.lanes = run, stepper, lanes
+        self.first, self.count = first, stop - first
+        self.alive = np.zeros(run.tile, dtype=bool)
+        self.alive[: self.count] = True
+        self.done = 0
+        self.uncounted = stepper.width - len(stepper.counters)
+        self.work = np.zeros((stepper.width + 1, run.tile))
+        p = tuple(run.p.tolist())
+        begun = run.y0[first:stop].tolist()
+        if stepper.enter:
+            begun = [stepper.enter(tuple(y), run.h, p) for y in begun]
+        self.work[:-1, : self.count] = np.array(begun).T
+        self._fill()
+
+    def _fill(self) -> None:
+        """Let the lanes of no living trajectory repeat one that lives: their numbers must not be extreme ones."""
+        if self.alive.any() and not self.alive.all():
+            self.work[:, ~self.alive] = self.work[:, [int(np.argmax(self.alive))]]
+
+    def initial_piece(self) -> Piece:
+        """The initial states alone."""
+        return Piece(
+            self.first,
+            np.zeros(1, dtype=np.int64),
+            self.run.y0[self.first : self.first + self.count, None],
+            np.ones(self.count, dtype=np.int64),
+        )
+
+    def advance(self, steps: int, until_record: int) -> Piece:
+        """Take so many steps; the rows recorded on the way, before the first step with the initial states."""
+        run, d = self.run, self.run.y0.shape[1]
+        before, self.done = self.done, self.done + steps
+        started = int(before == 0)
+        n = np.arange(before + until_record, self.done + 1, run.every, dtype=np.int64)
+        m = len(n)
+        reached = np.where(self.alive, started + m, 0)
+        saved = self.work[:-1].copy()
+        self.work[-1] = 0.0
+        buffer = run.rows_buffer()
+        if started:
+            buffer[: self.count, 0] = run.y0[self.first : self.first + self.count]
+        out, stride = buffer.reshape(-1)[started * d :], buffer.shape[1] * d
+        self.lanes(self.work, out, run.params, run.h, steps, run.every, until_record, stride)
+        rows = buffer[:, : started + m]
+        for j in np.flatnonzero(~np.isfinite(self.work[-1]) & self.alive):
+            reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), rows[j, started:], steps, until_record)
+        if started:
+            n = np.concatenate([np.zeros(1, dtype=np.int64), n])
+        some = np.flatnonzero(reached[: self.count])
+        at = reached[some] - 1
+        run.last[self.first + some], run.last_n[self.first + some] = rows[some, at], n[at]
+        self._fill()
+        return Piece(self.first, n, rows[: self.count], reached[: self.count])
+
+    def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
+        """Repeat lane ``j``'s steps in the time loop of single runs into ``rows``; the number of rows reached."""
+        run, loop = self.run, self.run.single_loop()
+        out = np.empty(max(rows.size, rows.shape[1]))
+        taken = loop.drive(work, out, run.p, run.h, steps, run.every, until_record)
+        good = steps if taken >= 0 else -taken - 1
+        reached = max(0, (good - until_record) // run.every + 1)
+        rows[:reached] = out[: reached * rows.shape[1]].reshape(reached, rows.shape[1])
+        if taken >= 0:
+            self.work[:-1, j] = work
+        else:
+            self.alive[j] = False
+            self._ended(j, loop.failure(work), self.done - steps - taken, work[self.uncounted :].tolist())
+        return reached
+
+    def _ended(self, j: int, outcome: Outcome, step: int, counts: Sequence[float]) -> None:
+        named = dict(zip(self.stepper.counters, map(int, counts), strict=True))
+        self.run.endings[self.first + j] = Ending(outcome, step, step * self.run.h, named)
+
+    def end(self) -> None:
+        """Note how the living trajectories ended and where they are."""
+        run, leave = self.run, self.stepper.leave
+        p = tuple(run.p.tolist())
+        completed = self.done >= run.N
+        outcome = Outcome.COMPLETED if completed else Outcome.INTERRUPTED
+        counts = self.work[self.uncounted : -1].T.tolist()
+        last_n = run.last_n[self.first : self.first + self.count].tolist()
+        for j in np.flatnonzero(self.alive).tolist():
+            self._ended(j, outcome, self.done, counts[j])
+            if completed and last_n[j] != run.N:  # step N is not among the recorded ones
+                state = tuple(self.work[:-1, j].tolist())
+                run.last[self.first + j] = leave(state, run.h, p) if leave else state
+                run.last_n[self.first + j] = run.N
