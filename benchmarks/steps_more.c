@@ -27,10 +27,21 @@ static inline vec rodrigues(double a1, double a2, double a3, double g1, double g
 
 #define LOAD double w1 = y[0], w2 = y[1], w3 = y[2], g1 = y[3], g2 = y[4], g3 = y[5]
 #define STORE y[0] = w1; y[1] = w2; y[2] = w3; y[3] = g1; y[4] = g2; y[5] = g3
-#define COMPENSATE                                                                            \
-    carried_sum(&w1, &e1, x.x1); carried_sum(&w2, &e2, x.x2); carried_sum(&w3, &e3, x.x3);    \
-    carried_sum(&g1, &e4, x.y1); carried_sum(&g2, &e5, x.y2); carried_sum(&g3, &e6, x.y3)
 #define PLAIN w1 += x.x1; w2 += x.x2; w3 += x.x3; g1 += x.y1; g2 += x.y2; g3 += x.y3
+
+static inline double missing(double h, double a, double b, double u, double v, double rest, double t, double e)
+{
+    const double p = a * b, p_low = fma(a, b, -p), q = u * v, q_low = fma(u, v, -q), s = p - q, back = s - p;
+    const double s_low = (p - (s - back)) + (-q - back), x = h * s, x_low = fma(h, s, -x);
+    return fma(0.5 * h, rest, ((x - t) + e) + fma(h, (p_low - q_low) + s_low, x_low));
+}
+
+static inline void add_up(double *y, double *e, double t, double missed)
+{
+    const double s = *y + t;
+    *e = ((*y - s) + t) + missed;
+    *y = s;
+}
 
 void hk_compensated(double *y, const double *p, double h, long long n)
 {
@@ -39,7 +50,16 @@ void hk_compensated(double *y, const double *p, double h, long long n)
     double e1 = y[6], e2 = y[7], e3 = y[8], e4 = y[9], e5 = y[10], e6 = y[11];
     for (long long i = 0; i < n; i++) {
         const six x = hk_change(w1, w2, w3, g1, g2, g3, h, c);
-        COMPENSATE;
+        const double u1 = fma(2.0, e1, x.x1), u2 = fma(2.0, e2, x.x2), u3 = fma(2.0, e3, x.x3);
+        const double v1 = fma(2.0, e4, x.y1), v2 = fma(2.0, e5, x.y2), v3 = fma(2.0, e6, x.y3);
+        const double j1 = fma(g2, u3, w3 * v2) - fma(g3, u2, w2 * v3), j2 = fma(g3, u1, w1 * v3) - fma(g1, u3, w3 * v1);
+        const double j3 = fma(g1, u2, w2 * v1) - fma(g2, u1, w1 * v2);
+        const double t1 = x.y1 + e4, t2 = x.y2 + e5, t3 = x.y3 + e6;
+        e4 = missing(h, g2, w3, g3, w2, j1, t1, e4);
+        e5 = missing(h, g3, w1, g1, w3, j2, t2, e5);
+        e6 = missing(h, g1, w2, g2, w1, j3, t3, e6);
+        carried_sum(&w1, &e1, x.x1); carried_sum(&w2, &e2, x.x2); carried_sum(&w3, &e3, x.x3);
+        add_up(&g1, &e4, t1, e4); add_up(&g2, &e5, t2, e5); add_up(&g3, &e6, t3, e6);
     }
     STORE;
     y[6] = e1; y[7] = e2; y[8] = e3; y[9] = e4; y[10] = e5; y[11] = e6;

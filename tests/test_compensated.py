@@ -18,7 +18,9 @@ from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import loop_of, plain_loop
 from topcli.engine.loop import Run
 from topcli.errors import ConfigError
-from topcli.kernels.increments import carried_sum
+from topcli.kernels.hk_kowalevski import hk_kowalevski_change
+from topcli.kernels.hk_refined import hk_kowalevski_refined
+from topcli.kernels.increments import carried_sum, compensated6
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.compose import COMPOSITIONS, composable_names, compose
 from topcli.schemes.registry import all_schemes, find_scheme
@@ -123,6 +125,22 @@ def test_composed_hk_against_forty_digits() -> None:
         plain, better = errors(composed, top, GEN, h, exact, n)
     assert better < 10.0
     assert plain > 3.0 * better
+
+
+def test_gammas_change_is_more_than_a_double() -> None:
+    """One Kowalevski step from y + e: gamma is off by h times what carried sums alone, the control, leave."""
+    h, p, random = 0.01, (1.0,), np.random.default_rng(4)
+    carried, misses = compensated6(hk_kowalevski_change), {True: [], False: []}
+    for y0 in random_states(40, seed=9):
+        e0 = 1e-17 * random.normal(size=6)
+        with mp.workdps(40):
+            exact = kahan(Kowalevski.field, [mpf(y) + mpf(e) for y, e in zip(y0, e0, strict=True)], mpf(h), (mpf(1),))
+            for refined, step in ((True, hk_kowalevski_refined), (False, carried)):
+                s = step((*y0.tolist(), *e0.tolist()), h, p)
+                misses[refined].append([float(mpf(s[i]) + mpf(s[i + 6]) - exact[i]) for i in (3, 4, 5)])
+    refined, plain = (np.sqrt(np.mean(np.square(misses[kind]))) for kind in (True, False))
+    assert 0.5 * h * EPS < plain < 2.0 * h * EPS
+    assert refined < 2.0 * h * plain
 
 
 @by_name

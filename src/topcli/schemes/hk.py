@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from topcli.contracts import Stepper, Top
 from topcli.kernels.hk_determinant import kowalevski_determinant
-from topcli.kernels.hk_kowalevski import hk_kowalevski_change
-from topcli.schemes.compensated import CompensatedOption, increment_stepper
+from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.kernels.hk_refined import hk_kowalevski_refined
+from topcli.kernels.increments import first6
+from topcli.schemes.compensated import CompensatedOption, enter_compensated
 from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
@@ -34,7 +36,10 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
 
     Every quadratic term y z of the field becomes (y' z + y z')/2, every linear term its mean. The step is its own
     inverse under h -> -h. It conserves none of the four integrals exactly; their deviations stay bounded, of size h².
+    Compensated, what the change of gamma rounds is carried along as well.
     """
-    return counting(
-        increment_stepper(hk_kowalevski_change, 6, options), NEAR_SINGULAR, small_determinant(kowalevski_determinant)
-    )
+    if options.compensated:
+        stepper = Stepper(hk_kowalevski_refined, 12, enter_compensated, first6, checked=6)
+    else:
+        stepper = Stepper(hk_kowalevski, 6)
+    return counting(stepper, NEAR_SINGULAR, small_determinant(kowalevski_determinant))
