@@ -13,7 +13,7 @@ from topcli.kernels.hk_determinant import kowalevski_determinant
 from topcli.kernels.hk_kowalevski import hk_kowalevski
 from topcli.kernels.hk_refined import hk_kowalevski_refined
 from topcli.kernels.increments import first6
-from topcli.schemes.compensated import CompensatedOption, enter_compensated
+from topcli.schemes.compensated import CompensatedOption, compensation_wanted, enter_compensated
 from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
@@ -38,7 +38,7 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     inverse under h -> -h. It conserves none of the four integrals exactly; their deviations stay bounded, of size h².
     Compensated, what the change of gamma rounds is carried along as well.
     """
-    if options.compensated:
+    if compensation_wanted(options):
         stepper = Stepper(hk_kowalevski_refined, 12, enter_compensated, first6, checked=6)
     else:
         stepper = Stepper(hk_kowalevski, 6)
