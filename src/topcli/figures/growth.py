@@ -11,6 +11,8 @@ import numpy as np
 from topcli.figures.picture import Styles
 
 ULP = 2.0**-52
+CROWDED = 8.0
+"""A curve less than so many times above a grey line takes the room of the line's label, which then stands below."""
 STYLES = {"plain": "-", "compensated": "--"}
 
 
@@ -59,7 +61,10 @@ class GrowthPanel:
             axes.plot(n, corner * (n / n[0]) ** power, color="0.75", linestyle="-", linewidth=0.9, zorder=1.0)
             last = min(float(n[-1]), float(n[0]) * (0.35 * high / corner) ** (1.0 / power))
             at = (last, corner * (last / float(n[0])) ** power)
-            axes.annotate(label, at, xytext=(-2, 3), textcoords="offset points", ha="right", color="0.5")
+            near = int(np.argmin(np.abs(np.log(n / last))))
+            crowded = any(1.0 < data[column][near] / at[1] < CROWDED for column, _ in self.lines)
+            place: dict[str, Any] = {"xytext": (-2, -6), "va": "top"} if crowded else {"xytext": (-2, 3)}
+            axes.annotate(label, at, textcoords="offset points", ha="right", color="0.5", **place)
         self._label(axes, ends, float(axes.get_xlim()[1]))
         axes.set_xlabel("number of steps $N$")
         axes.set_ylabel("drift over $N$ steps (rms)")
