@@ -7,10 +7,10 @@ comparison costs.
 from __future__ import annotations
 
 from topcli.contracts import Floats
-from topcli.kernels.dd import two_prod, two_sum
 from topcli.kernels.euler_poisson import implicit_matrix
 from topcli.kernels.fused import fma
 from topcli.kernels.hk_kowalevski import coefficients
+from topcli.kernels.hk_lagrange import pivot
 
 
 def kowalevski_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
@@ -49,26 +49,7 @@ def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
 
 def lagrange_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
     """What ``hk_lagrange`` divides by to find the change of gamma3; ``p`` is ((A - C)/A, mg z0/A)."""
-    w1, w2, s, g1, g2, g3 = state[0], state[1], state[2], state[3], state[4], state[5]
-    d = 0.5 * h
-    f = d * p[1]
-    K = d * (p[0] * s)
-    D2 = d * s + K
-    S = D2 - K
-    K = D2 - S
-    sk, sk_low = two_prod(S, K)
-    kk, _ = two_prod(K, K)
-    q, _ = two_sum(1.0, kk)
-    rq = 1.0 / q
-    F = f * rq
-    D1 = 1.0 - (fma(d * f, g3, sk_low) + sk)
-    DD = fma(D1, D1, D2 * D2)
-    half = 0.5 * d
-    Q1 = -half * fma(K, w1, w2)
-    Q2 = half * fma(-K, w2, w1)
-    V1 = h * fma(-F, fma(K, g1, g2), -w1)
-    V2 = h * fma(F, fma(K, g2, -g1), w2)
-    T1 = fma(Q1, D1, Q2 * D2)
-    T2 = fma(Q2, D1, -(Q1 * D2))
-    value = fma(-T1, V2, fma(-T2, V1, DD))
+    value, DD, _, _, _, _, _, _, _, _, _, _, _ = pivot(
+        (state[0], state[1], state[2], state[3], state[4], state[5]), h, p
+    )
     return (value, DD + abs(DD - value))

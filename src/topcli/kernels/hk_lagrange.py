@@ -31,10 +31,10 @@ from topcli.kernels.fused import fma
 from topcli.kernels.increments import carried_sum
 
 
-def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float]:
-    """The change of omega1, omega2 and gamma in one HK step; omega3 has none.
+def pivot(state: Floats, h: float, p: Floats) -> Floats:
+    """What y is divided by, with |D|**2, and what else depends on the state and is used again.
 
-    Singular, hence not finite, only for steps far beyond any use.
+    Returns the divisor, DD, b, S, K, 1/(1 + K**2) and its low part, D1, D2, V1, V2, T1, T2.
     """
     w1, w2, s, g1, g2, g3 = state
     d = 0.5 * h
@@ -65,7 +65,20 @@ def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float
     # conj(D) Q/2, and what y and Y are divided by
     T1 = fma(Q1, D1, Q2 * D2)
     T2 = fma(Q2, D1, -(Q1 * D2))
-    rest = 1.0 / fma(-T1, V2, fma(-T2, V1, DD))
+    return (fma(-T1, V2, fma(-T2, V1, DD)), DD, b, S, K, rq, rq_low, D1, D2, V1, V2, T1, T2)
+
+
+def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float]:
+    """The change of omega1, omega2 and gamma in one HK step; omega3 has none.
+
+    Singular, hence not finite, only for steps far beyond any use.
+    """
+    w1, w2, _, g1, g2, g3 = state
+    d = 0.5 * h
+    f = d * p[1]
+    divisor, DD, b, S, K, rq, rq_low, D1, D2, V1, V2, T1, T2 = pivot(state, h, p)
+    F = f * rq
+    rest = 1.0 / divisor
     r = 2.0 / DD
     e = d * g3
     P1 = fma(b, g1, fma(S, g2, -(e * w2)))

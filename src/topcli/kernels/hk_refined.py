@@ -14,16 +14,10 @@ omega as well it would cost a sixth more.
 from __future__ import annotations
 
 from topcli.contracts import Floats
-from topcli.kernels.dd import two_prod, two_sum
+from topcli.kernels.dd import quick_two_sum, two_prod, two_sum
 from topcli.kernels.fused import fma
 from topcli.kernels.hk_kowalevski import hk_kowalevski_change
 from topcli.kernels.increments import carried_sum
-
-
-def _sum(y: float, t: float, missing: float) -> tuple[float, float]:
-    """y + t for |y| >= |t|, and what it lost added to what was missing already (Dekker)."""
-    s = y + t
-    return s, ((y - s) + t) + missing
 
 
 def _missing(h: float, a: float, b: float, u: float, v: float, rest: float, t: float, e: float) -> float:
@@ -51,13 +45,13 @@ def hk_kowalevski_refined(state: Floats, h: float, p: Floats) -> Floats:
     t1 = y1 + e4
     t2 = y2 + e5
     t3 = y3 + e6
-    e4 = _missing(h, g2, w3, g3, w2, j1, t1, e4)
-    e5 = _missing(h, g3, w1, g1, w3, j2, t2, e5)
-    e6 = _missing(h, g1, w2, g2, w1, j3, t3, e6)
+    r1 = _missing(h, g2, w3, g3, w2, j1, t1, e4)
+    r2 = _missing(h, g3, w1, g1, w3, j2, t2, e5)
+    r3 = _missing(h, g1, w2, g2, w1, j3, t3, e6)
     w1, e1 = carried_sum(w1, e1, x1)
     w2, e2 = carried_sum(w2, e2, x2)
     w3, e3 = carried_sum(w3, e3, x3)
-    g1, e4 = _sum(g1, t1, e4)
-    g2, e5 = _sum(g2, t2, e5)
-    g3, e6 = _sum(g3, t3, e6)
-    return (w1, w2, w3, g1, g2, g3, e1, e2, e3, e4, e5, e6)
+    g1, e4 = quick_two_sum(g1, t1)
+    g2, e5 = quick_two_sum(g2, t2)
+    g3, e6 = quick_two_sum(g3, t3)
+    return (w1, w2, w3, g1, g2, g3, e1, e2, e3, e4 + r1, e5 + r2, e6 + r3)

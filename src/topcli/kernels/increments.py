@@ -9,6 +9,7 @@ taken at the rounded state: what that makes of the lost part is smaller by h, an
 from __future__ import annotations
 
 from topcli.contracts import Floats, StepFunction
+from topcli.kernels.dd import quick_two_sum
 
 Change = StepFunction
 """``change(state, h, p)``: new state minus old, a tuple of the state's length."""
@@ -20,9 +21,7 @@ def carried_sum(y: float, e: float, d: float) -> tuple[float, float]:
     Exact for |y| >= |e + d| (Dekker). In the step or two in which a component passes zero r itself may be rounded, by
     no more than the last bit of d, which d is wrong by anyway. An addition is all that the next step waits for.
     """
-    t = d + e
-    s = y + t
-    return s, (y - s) + t
+    return quick_two_sum(y, d + e)
 
 
 def carried_sums(y: Floats, e: Floats, d: Floats) -> tuple[Floats, Floats]:

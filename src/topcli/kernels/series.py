@@ -77,9 +77,9 @@ def arrangement_of(components: int, alpha3: float) -> Arrangement:
     return SYMMETRIC if alpha3 == 0.0 else GENERAL
 
 
-def _mask(o: Operations, upper: float, spare: float = 0.0) -> Vector:
-    """The value in the lanes of gamma."""
-    return o.constant((0.0, 0.0, 0.0, upper, upper, upper, spare, spare)[: o.lanes])
+def _minus(o: Operations) -> Vector:
+    """-1 in the lanes of gamma."""
+    return o.constant((0.0, 0.0, 0.0, -1.0, -1.0, -1.0, 0.0, 0.0)[: o.lanes])
 
 
 def _ones(o: Operations, value: float) -> Vector:
@@ -103,7 +103,7 @@ def _folded(o: Operations, a: Arrangement, sums: list[Vector], alpha: Vector) ->
     first = o.mul(sums[0], alpha)
     if a.folded:
         return o.sub(first, o.permute(sums[0], a.folded))
-    return o.fma(sums[1], _mask(o, -1.0), first) if len(sums) == 2 else first
+    return o.fma(sums[1], _minus(o), first) if len(sums) == 2 else first
 
 
 EARLY = 3
@@ -133,7 +133,7 @@ def expand(
     turns = [tuple(at[k] for k in lanes) for lanes in a.factors]
     factors = _kept(o, a, 0, [y0[0], *(o.permute(y0[0], lanes) for lanes in turns[1:])])
     jacobian = [o.mul(factors[1], alpha), o.mul(factors[0], alpha)]
-    minus = _mask(o, -1.0)
+    minus = _minus(o)
     if len(factors) == 4:
         jacobian += [o.fma(factors[3], minus, beta), o.fma(factors[2], minus, delta)]
     y, missed = o.mul(jacobian[1], factors[1]), None

@@ -60,8 +60,8 @@ class Products:
 
     def pair(self, sums: Sums, x: list[str], z: list[str]) -> None:
         """Add the products of x and z and those of z and x, but for what x gives with itself and z with itself."""
-        total = [self.o.add(one, other) for one, other in zip(x, z, strict=True)]
-        self.gather(sums, total, x if x is z else total)
+        both = [self.o.add(one, other) for one, other in zip(x, z, strict=True)]
+        self.gather(sums, both, x if x is z else both)
 
     def direct(self, m: int) -> Sums:
         """The sums over k = 0..m of the products of y_k and y_(m-k), one by one."""
@@ -110,28 +110,26 @@ def _slopes(o: Text, d: int, lacks: frozenset[str]) -> list[Pair]:
 def expand_all(o: Text, d: int, order: int, lacks: frozenset[str]) -> list[str]:
     """Store the coefficients 1..order of the d series, where 0 is stored; what coefficients 1 round."""
     products = Products(o, d, lacks)
-    slopes: list[Pair] = []
-    for m in range(order):
+    products.gather(products.alone, products.coefficient(0), products.coefficient(0))
+    slopes = _slopes(o, d, lacks)
+    for c, (slope, _) in enumerate(slopes):
+        o.store("y", d + c, slope)
+    for m in range(1, order):
         newest = products.coefficient(m)
         products.gather(products.alone, newest, newest)
-        if m == 0:
-            slopes = _slopes(o, d, lacks)
-            for c, (slope, _) in enumerate(slopes):
-                o.store("y", d + c, slope)
-            continue
         if m < DIRECT:
             sums = products.direct(m)
         else:
             sums = products.by_pairs(m, m + 1 < order)
-            sums = {name: o.sub(total, products.alone[name]) for name, total in sums.items()}
+            sums = {name: o.sub(found, products.alone[name]) for name, found in sums.items()}
         scale = o.constant((1.0 / (m + 1),) * LANES)
         for i in range(3):
-            total = o.mul(sums[f"w{i}"], f"%alpha{i}") if f"w{i}" in sums else None
+            rate = o.mul(sums[f"w{i}"], f"%alpha{i}") if f"w{i}" in sums else None
             for name, c in (("beta", 3 + (i + 1) % 3), ("delta", 3 + (i + 2) % 3)):
                 if d == 6 and f"{name}{i}" not in lacks:
                     pull = newest[c]
-                    total = o.mul(f"%{name}{i}", pull) if total is None else o.fma(f"%{name}{i}", pull, total)
-            o.store("y", (m + 1) * d + i, "zeroinitializer" if total is None else o.mul(total, scale))
+                    rate = o.mul(f"%{name}{i}", pull) if rate is None else o.fma(f"%{name}{i}", pull, rate)
+            o.store("y", (m + 1) * d + i, "zeroinitializer" if rate is None else o.mul(rate, scale))
             if d == 6:
                 o.store("y", (m + 1) * d + 3 + i, o.mul(sums[f"g{i}"], scale))
         o.cut()
