@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
+from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
 from topcli.cli.talk import print_json, print_table, say, say_warnings
 
 PAPER_SCENE = "kowalevski_hk"
@@ -115,7 +115,7 @@ def compare(
     sets: Sets = None,
     as_json: Json = False,
     plot: Annotated[bool, typer.Option("--plot", help="Draw errors and swings over time.")] = False,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figure.")] = Path("results/figures"),
+    out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Compare schemes on one experiment: errors, drifts, reversal, swings, speed."""

@@ -56,6 +56,7 @@ Sets = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the run folders.")]
+FigureOut = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figure.")]
 Force = Annotated[
     bool,
     typer.Option("--force", help="Run again; a different run that stands in the way is kept aside."),

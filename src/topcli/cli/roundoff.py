@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
+from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
 from topcli.cli.talk import print_json, print_table, say, say_warnings
 
 HEADER = (
@@ -79,7 +79,7 @@ def roundoff(
     sets: Sets = None,
     as_json: Json = False,
     plot: Annotated[bool, typer.Option("--plot", help="Draw the drift against the number of steps.")] = False,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figure.")] = Path("results/figures"),
+    out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Measure how round-off grows: a random walk, a bias or nothing; plain and compensated sums, and their cost.

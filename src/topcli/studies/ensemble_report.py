@@ -10,7 +10,7 @@ from topcli.analysis.drift import ROUND_OFF_ULPS
 from topcli.analysis.many import QUANTILES, ManyTally, summary_rows
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.contracts import Ending, Outcome
-from topcli.studies.report import SCHEMA_VERSION, finite, markdown_table, number
+from topcli.studies.report import SCHEMA_VERSION, finite, markdown_table, number, report_head
 
 SHOWN = 20
 """Failures that are listed one by one; the table of trajectories has them all."""
@@ -94,24 +94,12 @@ def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
 
 def ensemble_markdown(report: dict[str, Any]) -> str:
     """``report.md``: the same content for a reader."""
-    counters = ", ".join(f"{name.replace('_', ' ')}: {count}" for name, count in report["counters"].items())
     listed = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
     failed = report["outcomes"].get("blew_up", 0) + report["outcomes"].get("no_convergence", 0)
     if failed > len(listed):
         listed.append(f"- and {failed - len(listed)} more")
     lines = [
-        f"# {report['name']}",
-        "",
-        f"{report['top_title']}, scheme **{report['scheme']}** ({report['scheme_title']}), "
-        f"{report['trajectories']} trajectories, h = {report['h']!r}, N = {report['N']}. "
-        "All quantities are dimensionless.",
-        "",
-        f"**{report['outcome']}**: {report['message']}.",
-        *(["", *listed] if listed else []),
-        *(["", f"Counters, all trajectories together: {counters}."] if counters else []),
-        "",
-        "## Conservation laws",
-        "",
+        *report_head(report, f"{report['trajectories']} trajectories, ", listed, ", all trajectories together"),
         *markdown_table(ensemble_table(report)),
         "",
         "Deviations of each trajectory are from its own first value, over its recorded rows; the lines give quantiles "

@@ -114,20 +114,31 @@ def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:
     return [ruled[0], "|" + " --- |" * len(lines[0]), *ruled[1:]]
 
 
-def report_markdown(report: dict[str, Any]) -> str:
-    """``report.md``: the same content for a reader."""
+def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] = (), where: str = "") -> list[str]:
+    """The lines that a report of one run and one of an ensemble begin with, down to the table of invariants.
+
+    ``extent`` stands before h, ``listed`` below the outcome, ``where`` behind the word counters.
+    """
     counters = ", ".join(f"{name.replace('_', ' ')}: {count}" for name, count in report["counters"].items())
-    lines = [
+    return [
         f"# {report['name']}",
         "",
         f"{report['top_title']}, scheme **{report['scheme']}** ({report['scheme_title']}), "
-        f"h = {report['h']!r}, N = {report['N']}. All quantities are dimensionless.",
+        f"{extent}h = {report['h']!r}, N = {report['N']}. All quantities are dimensionless.",
         "",
         f"**{report['outcome']}**: {report['message']}.",
-        *(["", f"Counters: {counters}."] if counters else []),
+        *(["", *listed] if listed else []),
+        *(["", f"Counters{where}: {counters}."] if counters else []),
         "",
         "## Conservation laws",
         "",
+    ]
+
+
+def report_markdown(report: dict[str, Any]) -> str:
+    """``report.md``: the same content for a reader."""
+    lines = [
+        *report_head(report),
         *markdown_table(invariant_table(report)),
         "",
         *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
