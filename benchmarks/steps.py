@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import statistics
 import sys
 import tempfile
 import time
@@ -26,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from c_peer import compiled
+from ratios import ratio_rows, show_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "src")]
@@ -121,12 +121,7 @@ def compare(
         if not (np.array_equal(end, ends[scheme]) if exact else np.allclose(end, ends[scheme], rtol=0, atol=1e-12)):
             raise RuntimeError(f"{scheme}: {name} computes something else: {end} against {ends[scheme]}")
     spent = timed(forms, repetitions)
-    rows = []
-    for name in forms:
-        ratios = [a / b for a, b in zip(spent[scheme], spent[name], strict=True)]
-        low, middle, high = statistics.quantiles(ratios, n=4)
-        rows.append({"form": name, "ns": statistics.median(spent[name]), "ratio": middle, "quartiles": [low, high]})
-    return {"scheme": scheme, "baseline": next(iter(twins)), "forms": rows}
+    return {"scheme": scheme, "baseline": next(iter(twins)), "forms": ratio_rows(spent, scheme)}
 
 
 def window_means(stepper: Stepper, y0: np.ndarray, h: float, windows: int, length: int) -> np.ndarray:
@@ -182,9 +177,7 @@ def show(results: dict[str, Any]) -> None:
         print(f"skipped: {name}")
     for table in results["steps"]:
         print(f"\n{table['scheme']:<28}{'ns/step':>9}   {table['scheme']}'s time over this (quartiles)")
-        for row in table["forms"]:
-            low, high = row["quartiles"]
-            print(f"  {row['form']:<26}{row['ns']:>9.2f}   {row['ratio']:.3f} ({low:.3f} to {high:.3f})")
+        show_rows(table["forms"])
     for row in results["round_off"]:
         print(
             f"round-off of gamma², {row['form']}, h = {row['h']}: {row['rms'][0]:.1e} after {row['lag_steps'][0]:.0e} "

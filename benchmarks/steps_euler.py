@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import statistics
 import sys
 import tempfile
 import time
@@ -20,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from c_peer import compiled
+from ratios import ratio_rows, show_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
@@ -83,19 +83,14 @@ def main() -> None:
                 forms[name](y, STEPS)
                 if repetition:  # the first one warms up
                     spent[name].append((time.perf_counter_ns() - start) / STEPS)
-    rows = []
-    for name, times in spent.items():
-        low, middle, high = statistics.quantiles([a / b for a, b in zip(spent["topcli"], times, strict=True)], n=4)
-        rows.append({"form": name, "ns": statistics.median(times), "ratio": middle, "quartiles": [low, high]})
+    rows = ratio_rows(spent, "topcli")
     if arguments.json:
         print(json.dumps({"schema_version": 1, "scheme": "hk", "top": "euler", "forms": rows}, indent=1))
         return
     if len(rows) == 1:
         print("gcc: not found; the comparison with C is left out")
     print(f"{'hk, euler':<28}{'ns/step':>9}   topcli's time over this (quartiles)")
-    for row in rows:
-        low, high = row["quartiles"]
-        print(f"  {row['form']:<26}{row['ns']:>9.2f}   {row['ratio']:.3f} ({low:.3f} to {high:.3f})")
+    show_rows(rows)
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import statistics
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from c_peer import compiled
+from ratios import ratio_rows, show_rows
 from steps import Run, in_engine, last, timed, without_check
 
 from topcli.schemes.registry import find_scheme
@@ -43,12 +43,7 @@ def compare(c_forms: dict[str, Run], repetitions: int) -> list[dict[str, Any]]:
         if not same:
             raise RuntimeError(f"bs: {name} computes something else: {end} against {ends['bs']}")
     spent = timed(forms, repetitions)
-    rows = []
-    for name in forms:
-        ratios = [a / b for a, b in zip(spent["bs"], spent[name], strict=True)]
-        low, middle, high = statistics.quantiles(ratios, n=4)
-        rows.append({"form": name, "ns": statistics.median(spent[name]), "ratio": middle, "quartiles": [low, high]})
-    return rows
+    return ratio_rows(spent, "bs")
 
 
 def main() -> None:
@@ -68,9 +63,7 @@ def main() -> None:
     for line in results["skipped"]:
         print(f"skipped: {line}")
     print(f"{'bs of the Lagrange top':<28}{'ns/step':>9}   bs's time over this (quartiles); bar {BAR}")
-    for row in rows:
-        low, high = row["quartiles"]
-        print(f"  {row['form']:<26}{row['ns']:>9.2f}   {row['ratio']:.3f} ({low:.3f} to {high:.3f})")
+    show_rows(rows)
 
 
 if __name__ == "__main__":
