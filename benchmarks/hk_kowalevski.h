@@ -1,4 +1,4 @@
-/* The change of (omega, gamma) in one HK step of the Kowalevski top, as in topcli/kernels/hk_kowalevski.py. */
+/* The change of (omega, gamma) in one HK step of the Kowalevski top, as in topcli/schemes/kowalevski/hk.py. */
 #include <math.h>
 
 typedef struct { double x1, x2, x3, y1, y2, y3; } six;

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from topcli.arithmetic.rotations import cayley_increment
 from topcli.contracts import Floats, Stepper
-from topcli.kernels.so3 import cayley_increment
 
 
 def kick_turn_step(s: Floats, h: float, p: Floats) -> Floats:

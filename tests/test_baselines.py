@@ -14,7 +14,7 @@ from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Run, nanoseconds_per_step
-from topcli.schemes.baselines import VECTORS, rk2_step, rk4_step
+from topcli.schemes.any_top.runge_kutta import VECTORS, rk2_step, rk4_step
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy

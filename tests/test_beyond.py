@@ -12,7 +12,8 @@ from steppers import RK2
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Ending, Floats, Outcome, Stepper
 from topcli.engine.loop import Run
-from topcli.kernels.four_integrals import (
+from topcli.schemes.kowalevski.dg4 import wanted_and_short
+from topcli.schemes.kowalevski.four_integrals import (
     combination,
     components,
     factorized,
@@ -23,8 +24,7 @@ from topcli.kernels.four_integrals import (
     solved,
     xi_of,
 )
-from topcli.kernels.hk_kowalevski import hk_kowalevski
-from topcli.schemes.dg4 import wanted_and_short
+from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski, field
 

@@ -13,16 +13,15 @@ from mpmath import mp, mpf
 
 from conftest import GEN, PAPER, random_states
 from test_contract import TRIALS, gen
+from topcli.arithmetic.increments import carried_sum, compensated6
 from topcli.config.load import experiment_from
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import loop_of, plain_loop
 from topcli.engine.loop import Run
 from topcli.errors import ConfigError
-from topcli.kernels.hk_kowalevski import hk_kowalevski_change
-from topcli.kernels.hk_refined import hk_kowalevski_refined
-from topcli.kernels.increments import carried_sum, compensated6
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.compose import COMPOSITIONS, composable_names, compose
+from topcli.schemes.kowalevski.hk import hk_kowalevski_change, hk_kowalevski_refined
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy

@@ -9,22 +9,16 @@ import pytest
 
 from conftest import GEN
 from steppers import physical
+from topcli.arithmetic.complex_plane import root_nearest
 from topcli.contracts import Ending, Floats, Outcome, Stepper, Top
 from topcli.engine.loop import Run
-from topcli.kernels.euler import hk_increment
-from topcli.kernels.euler_poisson import hk_heavy
-from topcli.kernels.hk_determinant import (
-    euler_determinant,
-    heavy_determinant,
-    kowalevski_determinant,
-    lagrange_determinant,
-)
-from topcli.kernels.hk_kowalevski import hk_kowalevski
-from topcli.kernels.hk_lagrange import hk_lagrange
-from topcli.kernels.roots import root_nearest
-from topcli.schemes.bohlin import bohlin_step, method_c
 from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR
-from topcli.schemes.hybrid import hybrid_step
+from topcli.schemes.euler.hk import euler_determinant, hk_increment
+from topcli.schemes.heavy.hk import heavy_determinant, hk_heavy
+from topcli.schemes.kowalevski.bohlin import bohlin_step, method_c
+from topcli.schemes.kowalevski.hk import hk_kowalevski, kowalevski_determinant
+from topcli.schemes.kowalevski.hybrid import hybrid_step
+from topcli.schemes.lagrange.hk import hk_lagrange, lagrange_determinant
 from topcli.schemes.registry import find_scheme
 from topcli.studies.report import warning_of
 from topcli.studies.stress.general import singular_step

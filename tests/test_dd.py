@@ -9,7 +9,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from topcli.kernels import dd, taylor
+from topcli.analysis import reference_series as taylor
+from topcli.arithmetic import double_double as dd
 
 U = Fraction(1, 2**53)
 ordinary = st.floats(-1e40, 1e40).filter(lambda x: x == 0 or abs(x) > 1e-40)

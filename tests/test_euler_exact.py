@@ -18,10 +18,10 @@ from mpmath import mp, mpf
 from conftest import GEN
 from test_euler import random_tops
 from topcli.analysis.reference import reference_states
+from topcli.arithmetic.elliptic import DIGITS, carlson_rc, carlson_rf, carlson_rj, jacobi, to_dd
 from topcli.contracts import Outcome, Sampler, Top
 from topcli.engine.loop import Run
 from topcli.errors import RunError
-from topcli.kernels.elliptic import DIGITS, carlson_rc, carlson_rf, carlson_rj, jacobi, to_dd
 from topcli.schemes.registry import find_scheme
 from topcli.tops.euler import Euler, EulerGamma
 
@@ -279,7 +279,7 @@ def test_the_digits_of_the_small_are_lost_by_scipy() -> None:
 
 
 def test_the_decimal_pi() -> None:
-    from topcli.kernels.elliptic import PI
+    from topcli.arithmetic.elliptic import PI
 
     with mp.workdps(110):
         assert abs(mpf(str(PI)) - mp.pi) < mpf(10) ** -99

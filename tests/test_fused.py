@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from topcli.arithmetic.fused import fma
 from topcli.engine.native import native
-from topcli.kernels.fused import fma
 
 SPECIAL = (0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324, -5e-324, 1e308, -1e308, 1.0)
 

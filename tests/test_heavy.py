@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 
 from conftest import GEN, PAPER, random_states
 from topcli.analysis.reference import reference_states
+from topcli.arithmetic.linear import solve3
+from topcli.arithmetic.rotations import resolvent
 from topcli.contracts import Top
 from topcli.engine.loop import Run
-from topcli.kernels.euler_poisson import hk_heavy, resolvent, solve3
-from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.schemes.heavy.hk import hk_heavy
+from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.registry import find_scheme
 from topcli.tops.heavy import Heavy, field
 from topcli.tops.kowalevski import Kowalevski

@@ -15,8 +15,8 @@ from conftest import GEN, PAPER, random_states
 from steppers import physical
 from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.loop import Run
-from topcli.kernels.hk_kowalevski import hk_kowalevski
-from topcli.schemes.bohlin import SWITCH_BELOW, method_b_single, method_b_switch
+from topcli.schemes.kowalevski.bohlin import SWITCH_BELOW, method_b_single, method_b_switch
+from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski, field
 

@@ -14,8 +14,8 @@ from steppers import physical
 from test_beyond import DELONE, deviations, error_at, ran, stepper
 from topcli.analysis.drift import trend
 from topcli.contracts import Floats, Outcome, Stepper
-from topcli.kernels.carried import enter_carried
-from topcli.schemes.hybrid_sym import hybrid_sym_step
+from topcli.schemes.kowalevski.carried_xi import enter_carried
+from topcli.schemes.kowalevski.hybrid_sym import hybrid_sym_step
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 

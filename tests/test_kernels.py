@@ -13,15 +13,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from conftest import random_states
+from topcli.arithmetic.complex_plane import root_nearest, root_sign, turn_added, turn_increment
+from topcli.arithmetic.rotations import SMALL_ANGLE_SQ, cayley_added, cayley_increment, rodrigues_increment, sinc_cosc
 from topcli.engine.native import native
-from topcli.kernels.roots import root_nearest, root_sign, turn_added, turn_increment
-from topcli.kernels.so3 import (
-    SMALL_ANGLE_SQ,
-    cayley_added,
-    cayley_increment,
-    rodrigues_increment,
-    sinc_cosc,
-)
 from twins import cayley_matrix, exactly, polar_root_sign, rotation_matrix
 
 EPS = 2.0**-52

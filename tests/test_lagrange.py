@@ -17,13 +17,13 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Invariant, Method, Top
 from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
-from topcli.kernels.hk_lagrange import hk_lagrange
-from topcli.kernels.oscillation import jacobi
-from topcli.schemes.lagrange import bs_step, hk_corrections
+from topcli.schemes.lagrange.bs import bs_step
+from topcli.schemes.lagrange.exact import body_states, inertial_states, nutation_bs, nutation_hk
+from topcli.schemes.lagrange.hk import hk_corrections, hk_lagrange
+from topcli.schemes.lagrange.oscillation import jacobi
 from topcli.schemes.registry import find_scheme
 from topcli.studies.simulate import simulate
 from topcli.tops.lagrange import Lagrange, LagrangeInertial, to_body, to_inertial, units
-from topcli.tops.lagrange_exact import body_states, inertial_states, nutation_bs, nutation_hk
 
 EPS = float(np.finfo(float).eps)
 INERTIAL = LagrangeInertial()

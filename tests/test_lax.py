@@ -31,7 +31,7 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
-from topcli.kernels.euler_poisson import midpoint
+from topcli.schemes.any_top.midpoint import midpoint
 from topcli.studies.lax import lax_experiment, lax_study
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

@@ -12,8 +12,7 @@ from steppers import RK2
 from topcli.contracts import Floats, Outcome, Stepper, Top
 from topcli.engine.driver import plain_loop
 from topcli.engine.loop import Run
-from topcli.kernels.euler_poisson import midpoint
-from topcli.schemes.midpoint import enter_inertial, leave_inertial, midpoint_step
+from topcli.schemes.any_top.midpoint import enter_inertial, leave_inertial, midpoint, midpoint_step
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import find_scheme
 from topcli.tops.heavy import Heavy

@@ -12,8 +12,8 @@ from test_beyond import DELONE, deviations, gradients, ran, stepper
 from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome
-from topcli.kernels.four_integrals import fourth_column, xi_of
-from topcli.kernels.lie_poisson import (
+from topcli.schemes.kowalevski.four_integrals import fourth_column, xi_of
+from topcli.schemes.kowalevski.lie_poisson import (
     bracket,
     field_of,
     field_of_m,
@@ -21,7 +21,7 @@ from topcli.kernels.lie_poisson import (
     newton_matrix,
     newton_solved,
 )
-from topcli.schemes.midpoint4 import enter, midpoint4_step
+from topcli.schemes.kowalevski.midpoint4 import enter, midpoint4_step
 from topcli.tops.kowalevski import Kowalevski, field
 
 M = np.diag([2.0, 2.0, 1.0, 1.0, 1.0, 1.0])

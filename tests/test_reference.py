@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from topcli.analysis import reference
+from topcli.analysis import reference_series as taylor
 from topcli.analysis.reference import ORDER, REACH, coefficients, reference_states
 from topcli.contracts import EulerPoisson, Top
 from topcli.errors import RunError
-from topcli.kernels import taylor
 from topcli.tops.kowalevski import Kowalevski
 
 GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)

@@ -40,7 +40,7 @@ make("explodes-and-says-so", limits={"delone": "It squares.", "far beyond": "It 
 MODEST = '''
 import topcli
 from topcli.contracts import Stepper
-from topcli.kernels.hk_kowalevski import hk_kowalevski
+from topcli.schemes.kowalevski.hk import hk_kowalevski
 
 @topcli.scheme("modest", top="kowalevski", title="too modest", order=2, explicit=True, self_adjoint=True,
                citation="none", equations="none", limits={"delone": "It says that it cannot."})

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from conftest import GEN, PAPER, random_states
+from plain_vectors import Plain, advance
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Block, Outcome, Top
 from topcli.engine import native
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
-from topcli.kernels import series_loop as loop_text
-from topcli.kernels.series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of, expand
-from topcli.kernels.vector_plain import Plain, advance
 from topcli.schemes.registry import find_scheme
-from topcli.schemes.taylor import ORDERS, Tolerance, build, careful, order_of, quotients
+from topcli.schemes.taylor import time_loop as loop_text
+from topcli.schemes.taylor.scheme import ORDERS, Tolerance, build, careful, order_of, quotients
+from topcli.schemes.taylor.series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of, expand
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -274,7 +274,7 @@ def test_the_first_coefficient_is_to_more_than_a_double(monkeypatch: pytest.Monk
         return float(np.exp(np.mean(np.log(errors))))
 
     carefully = error()
-    monkeypatch.setattr("topcli.schemes.taylor.careful", lambda order: False)
+    monkeypatch.setattr("topcli.schemes.taylor.scheme.careful", lambda order: False)
     assert carefully < 0.7 * error()
 
 

@@ -12,7 +12,7 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Top
 from topcli.engine.batch import ORDERS, batch_order, taylor_batch
 from topcli.engine.loop import Run
-from topcli.schemes.taylor import Tolerance, build
+from topcli.schemes.taylor.scheme import Tolerance, build
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

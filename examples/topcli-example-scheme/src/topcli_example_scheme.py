@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import topcli
+from topcli.arithmetic.fused import fma
 from topcli.contracts import Floats, Stepper
-from topcli.kernels.fused import fma
 
 
 def turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, float, float]:

@@ -1,6 +1,6 @@
 """The independent reference: the motion of the stated equations, to an ulp of the state's size.
 
-A Taylor series integrator of order 37 in double-double arithmetic (``kernels.taylor``), which shares nothing
+A Taylor series integrator of order 37 in double-double arithmetic (``reference_series``), which shares nothing
 with the schemes it judges. Order and step follow Jorba and Zou, Experimental Mathematics 14 (2005) 99-117,
 for a relative local error of 1e-31.
 """
@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from topcli.analysis.reference_series import DONE, GRID, MORE, STEP_TOO_SMALL, advance
+from topcli.arithmetic.double_double import dd_div, two_sum
 from topcli.contracts import Array, EulerPoisson, Top
 from topcli.errors import RunError
-from topcli.kernels.dd import dd_div, two_sum
-from topcli.kernels.taylor import DONE, GRID, MORE, STEP_TOO_SMALL, advance
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native
@@ -43,7 +43,7 @@ def _compiled() -> Native:
 
 
 def coefficients(equations: EulerPoisson) -> Array:
-    """The quotients of the equations as double-doubles, shape (18,), laid out as ``kernels.taylor`` says.
+    """The quotients of the equations as double-doubles, shape (18,), laid out as ``reference_series`` says.
 
     The moments and mg(x0, y0, z0) are taken as exact; no quotient is rounded to a double. Raises RunError
     when one is not finite.

@@ -16,8 +16,9 @@ import numpy as np
 from topcli.contracts import Array, Top
 from topcli.engine.driver import SIGNATURE
 from topcli.engine.native import Native, native_text
-from topcli.kernels.series_batch import ALPHA, BETA, COUNT, DELTA, HI, LANES, LEVEL, SLOTS, TIME, UNIT, batch_loop
-from topcli.schemes.taylor import log2_of, quotients, scales
+from topcli.schemes.taylor.batch import ALPHA, BETA, COUNT, DELTA, HI, LEVEL, SLOTS, TIME, UNIT, batch_loop
+from topcli.schemes.taylor.batch_coefficients import LANES
+from topcli.schemes.taylor.scheme import log2_of, quotients, scales
 
 ORDERS = (12, 28)
 """The least and the greatest order."""

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from topcli.arithmetic.branches import rarely
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
 from topcli.engine.native import CompileError, native, native_text
 from topcli.errors import SchemeCodeError
-from topcli.kernels.branches import rarely
 
 SIGNATURE = "pppdqqq"
 

@@ -15,10 +15,10 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+from topcli.arithmetic.fused import fma
+from topcli.arithmetic.rotations import IN_LANES
 from topcli.contracts import StepFunction, Stepper
 from topcli.engine.source import compilable_copy
-from topcli.kernels.fused import fma
-from topcli.kernels.so3 import IN_LANES
 
 SIGNATURE = "pppdqqqq"
 

@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 
 from topcli import __version__
+from topcli.arithmetic.branches import rarely
+from topcli.arithmetic.fused import fma
 from topcli.engine.source import compilable_copy, fingerprint
-from topcli.kernels.branches import rarely
-from topcli.kernels.fused import fma
 
 CACHE_ENTRIES = 512
 """The newest entries that the cache keeps; older ones are removed."""

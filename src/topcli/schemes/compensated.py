@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from topcli.arithmetic.increments import Change, compensated3, compensated6, first3, first6, plain3, plain6
 from topcli.contracts import Floats, Stepper
-from topcli.kernels.increments import Change, compensated3, compensated6, first3, first6, plain3, plain6
 
 
 class CompensatedOption(BaseModel):

@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from topcli.arithmetic.branches import rarely
 from topcli.contracts import Floats, Stepper
-from topcli.kernels.branches import rarely
 
 Event = Callable[[Floats, Floats, float, Floats], bool]
 """``event(old, new, h, p)``: whether to count the step from the working state ``old`` to ``new``."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import pkgutil
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -22,23 +24,6 @@ from topcli.errors import UnknownNameError, UsageError, nearest
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
-BUILT_IN = (
-    "topcli.schemes.hk",
-    "topcli.schemes.bohlin",
-    "topcli.schemes.hybrid",
-    "topcli.schemes.hybrid_sym",
-    "topcli.schemes.hybrid_xi",
-    "topcli.schemes.dg4",
-    "topcli.schemes.midpoint4",
-    "topcli.schemes.projected",
-    "topcli.schemes.hk_heavy",
-    "topcli.schemes.midpoint",
-    "topcli.schemes.baselines",
-    "topcli.schemes.euler",
-    "topcli.schemes.euler_exact",
-    "topcli.schemes.lagrange",
-    "topcli.schemes.taylor",
-)
 
 Build = Callable[[Any, Any], Method]
 
@@ -113,6 +98,29 @@ def scheme(
     return register
 
 
+@cache
+def _modules() -> tuple[str, ...]:
+    """Names of the built-in modules that may register schemes: all that lie in a folder beside this file."""
+    root = Path(__file__).parent
+    return tuple(
+        f"topcli.schemes.{folder.name}.{module.name}"
+        for folder in pkgutil.iter_modules([str(root)])
+        if folder.ispkg
+        for module in pkgutil.iter_modules([str(root / folder.name)])
+    )
+
+
+def _likely_first(name: str, top: str) -> list[str]:
+    """``_modules()``, first those named after the scheme, then those in the folder of its top."""
+    file, family = name.replace("-", "_"), re.split(r"[+/]", top)[0]
+
+    def rank(module: str) -> tuple[bool, bool]:
+        folder, stem = module.split(".")[-2:]
+        return file not in (folder, stem), folder != family
+
+    return sorted(_modules(), key=rank)
+
+
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import one plugin whole or not at all: what a failing one had registered is taken back."""
     global _origin
@@ -134,7 +142,7 @@ def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> Plugin
 @cache
 def plugin_failures() -> tuple[PluginFailure, ...]:
     """Import the built-in schemes and the plugins of the entry-point group; the plugins that failed."""
-    for module in BUILT_IN:
+    for module in _modules():
         import_module(module)
     failures = []
     found: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
@@ -190,7 +198,7 @@ def find_scheme(name: str, top: str) -> Scheme:
         return compose(find_scheme(base, top), composition)
     key = (name.lower(), top)
     # names are unique, so the first module that registers this one settles it: the others need not be imported
-    for module in BUILT_IN:
+    for module in _likely_first(*key):
         import_module(module)
         if key in _schemes:
             return _schemes[key]

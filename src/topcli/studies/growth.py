@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from topcli.analysis.roundoff import block_weights, doubling_lags, structure
+from topcli.arithmetic.increments import compensated6, first6
+from topcli.arithmetic.rotations import cayley_increment, cayley_turned
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.source import fingerprint
-from topcli.kernels.increments import compensated6, first6
-from topcli.kernels.so3 import cayley_increment, cayley_turned
 from topcli.schemes.compensated import enter_compensated
 from topcli.studies.roundoff import copies_followed, sampling_of
 from topcli.studies.run import method_fingerprint

@@ -24,7 +24,7 @@ from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.errors import UsageError
-from topcli.kernels.euler_poisson import midpoint
+from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.compare import under_scheme
 from topcli.studies.report import finite

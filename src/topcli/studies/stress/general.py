@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from topcli.contracts import Floats, Top
-from topcli.kernels.hk_determinant import heavy_determinant
+from topcli.schemes.heavy.hk import heavy_determinant
 from topcli.studies.stress.case import Case, config
 from topcli.studies.stress.checks import does_not_drift, keeps_order, returns, stays_bounded
 

@@ -1,0 +1,156 @@
+"""Elliptic integrals to many digits for constants, Jacobi's functions in double precision for the times between.
+
+A phase that grows with time is followed without loss: its constants come from Carlson's integrals in decimal
+arithmetic, the phase is reduced by its period in double-double arithmetic, and only the remainder is a double. The
+error of sn, cn and dn is then some ulp however long the time and however close to a separatrix, where the
+complementary parameter m1 = 1 - k² is what must not be rounded.
+
+Sources: Carlson, Numer. Algorithms 10 (1995) 13-26 (R_F, R_C, R_J by duplication; R_J with the sum of DLMF 19.36);
+Bulirsch, Numer. Math. 7 (1965) 78-90 (sn, cn, dn by Landen's transformation from m1).
+"""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+from typing import Any
+
+import numpy as np
+
+from topcli.arithmetic.double_double import dd_add, quick_two_sum
+from topcli.contracts import Array
+
+DIGITS = 80
+"""Decimal digits to compute constants with: sums of products of four doubles are exact."""
+DUPLICATION_LIMIT = Decimal("3e-7")
+"""Carlson's series are of order six: this deviation leaves a relative error of 1e-39."""
+PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798")
+DD = tuple[float, float]
+
+
+def to_dd(x: Decimal) -> DD:
+    """``x`` as an unevaluated sum of two doubles."""
+    high = float(x)
+    return high, float(x - Decimal(high))
+
+
+def carlson_rf(x: Decimal, y: Decimal, z: Decimal) -> Decimal:
+    """R_F(x, y, z) for arguments >= 0 of which at most one is 0 (Carlson 1995, eq. 2.1 and 4.1)."""
+    mean = (x + y + z) / 3
+    while max(abs(mean - x), abs(mean - y), abs(mean - z)) >= mean * Decimal("1e-11"):
+        sx, sy, sz = x.sqrt(), y.sqrt(), z.sqrt()
+        step = sx * sy + sy * sz + sz * sx
+        x, y, z = (x + step) / 4, (y + step) / 4, (z + step) / 4
+        mean = (x + y + z) / 3
+    X, Y = 1 - x / mean, 1 - y / mean
+    Z = -X - Y
+    e2, e3 = X * Y - Z * Z, X * Y * Z
+    series = 1 - e2 / 10 + e3 / 14 + e2 * e2 / 24 - 3 * e2 * e3 / 44 - 5 * e2**3 / 208 + 3 * e3 * e3 / 104
+    return series / mean.sqrt()
+
+
+def carlson_rc(x: Decimal, y: Decimal) -> Decimal:
+    """R_C(x, y) = R_F(x, y, y) for x >= 0, y > 0."""
+    return carlson_rf(x, y, y)
+
+
+def carlson_rj(x: Decimal, y: Decimal, z: Decimal, p: Decimal) -> Decimal:
+    """R_J(x, y, z, p) for x, y, z >= 0, of which at most one is 0, and p > 0."""
+    mean = (x + y + z + 2 * p) / 5
+    delta = (p - x) * (p - y) * (p - z)
+    total, power = Decimal(0), Decimal(1)
+    while max(abs(mean - x), abs(mean - y), abs(mean - z), abs(mean - p)) > DUPLICATION_LIMIT * mean:
+        rx, ry, rz, rp = x.sqrt(), y.sqrt(), z.sqrt(), p.sqrt()
+        d = (rp + rx) * (rp + ry) * (rp + rz)
+        total += power / d * carlson_rc(Decimal(1), 1 + delta * power**3 / (d * d))
+        step = rx * ry + ry * rz + rz * rx
+        x, y, z, p = (x + step) / 4, (y + step) / 4, (z + step) / 4, (p + step) / 4
+        mean = (x + y + z + 2 * p) / 5
+        power /= 4
+    dx, dy, dz = 1 - x / mean, 1 - y / mean, 1 - z / mean
+    dp = -(dx + dy + dz) / 2
+    e2 = dx * dy + dy * dz + dz * dx - 3 * dp * dp
+    e3 = dx * dy * dz + 2 * e2 * dp + 4 * dp**3
+    e4 = (2 * dx * dy * dz + e2 * dp + 3 * dp**3) * dp
+    e5 = dx * dy * dz * dp * dp
+    series = 1 - 3 * e2 / 14 + e3 / 6 + 9 * e2 * e2 / 88 - 3 * e4 / 22 - 9 * e2 * e3 / 52 + 3 * e5 / 26
+    return power * series / (mean * mean.sqrt()) + 6 * total
+
+
+def _halves(a: Any) -> tuple[Any, Any]:
+    """``(top, bottom)`` of at most 26 bits each with top + bottom = a exactly (Veltkamp); |a| < 2^996."""
+    t = 134217729.0 * a  # 2^27 + 1
+    top = t - (t - a)
+    return top, a - top
+
+
+def _exact_product(a: Any, b: Any) -> tuple[Any, Any]:
+    """a b in double-double, elementwise, without the fused operation, which arrays do not have (Dekker)."""
+    p = a * b
+    a1, a2 = _halves(a)
+    b1, b2 = _halves(b)
+    return p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2
+
+
+def multiple(step: DD, n: Array) -> tuple[Array, Array]:
+    """``n`` times ``step`` for whole numbers n as floats, shape (m,), in double-double."""
+    hi, lo = step
+    p, e = _exact_product(hi, n)
+    th, tl = quick_two_sum(p, lo * n)  # type: ignore[arg-type]
+    return quick_two_sum(th, tl + e)  # type: ignore[return-value]
+
+
+def add(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
+    """a + b in double-double, elementwise."""
+    return dd_add(*a, *b)
+
+
+def reduce(u: tuple[Array, Array], period: DD) -> tuple[Array, tuple[Array, Array]]:
+    """``(j, r)`` with u = j period + r and |r| <= period/2, elementwise; r in double-double."""
+    j = np.round(u[0] / period[0])
+    return j, add(u, multiple(period, -j))
+
+
+def _by_landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
+    """sn, cn, dn for |u| <= K/2 and 0 < m1 <= 1, each to some ulp of its own size."""
+    a, root = 1.0, m1
+    ladder = []
+    while True:
+        root = math.sqrt(root)
+        ladder.append((a, root))
+        middle = 0.5 * (a + root)
+        if abs(a - root) <= 1e-9 * a:
+            break
+        root *= a
+        a = middle
+    tiny = np.abs(u) < 1e-9
+    angle = np.where(tiny, 1.0, middle * u)
+    b = np.cos(angle) / np.sin(angle)
+    c = middle * b
+    dn = np.ones_like(u)
+    for a, root in reversed(ladder):
+        b = c * b
+        c = c * dn
+        dn = (root + b) / (a + b)
+        b = c / a
+    sn = np.copysign(1.0 / np.sqrt(c * c + 1.0), angle)
+    return np.where(tiny, u, sn), np.where(tiny, 1.0, c * sn), np.where(tiny, 1.0, dn)
+
+
+def jacobi(r: tuple[Array, Array], quarter: DD | None, m1: float) -> tuple[Array, Array, Array]:
+    """sn, cn, dn of ``r`` (double-double, |r| <= K) for the complementary parameter ``m1``.
+
+    ``quarter`` is K, or None for m1 = 0, where it is infinite. Beyond K/2 the functions are those of K - |r|, so that
+    cn keeps its digits where it is small.
+    """
+    if quarter is None:
+        decay = np.exp(-np.abs(r[0]))
+        sech = 2.0 * decay / (1.0 + decay * decay)
+        return np.tanh(r[0]), sech, sech
+    sign = np.where(r[0] < 0.0, -1.0, 1.0)
+    size = (sign * r[0], sign * r[1])
+    far = size[0] > 0.5 * quarter[0]
+    rest = add(quarter, (-size[0], -size[1]))
+    s, c, d = _by_landen(np.where(far, rest[0], size[0]), m1)
+    k1 = math.sqrt(m1)
+    return sign * np.where(far, c / d, s), np.where(far, k1 * s / d, c), np.where(far, k1 / d, d)

@@ -1,0 +1,125 @@
+"""Rotations of a vector given by a small rotation vector: the increments of Cayley and of Rodrigues.
+
+The equation is Poisson's, dgamma/dt = gamma x omega, so a positive angle turns *against* the rotation
+vector. Both functions return the **change** of the vector and not the turned vector: the change is of the
+size of the angle, its rounding errors are as much smaller than the vector's own last bit, and the one
+addition ``gamma + change`` that is left rounds without bias. That keeps |gamma| within a random walk of
+round-off where the absolute form drifts.
+"""
+
+from __future__ import annotations
+
+import math
+
+from topcli.arithmetic.branches import rarely
+from topcli.arithmetic.fused import fma
+
+Pair = tuple[float, float]
+Vector = tuple[float, float, float]
+SMALL_ANGLE_SQ = 0.6168502750680849
+"""(pi/4)**2: up to here the polynomials below are accurate to the last bit or so."""
+
+
+def cayley_quotient(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, Vector]:
+    """``cayley_increment`` as a factor and what it multiplies."""
+    b1 = fma(g2, a3, -(g3 * a2))
+    b2 = fma(g3, a1, -(g1 * a3))
+    b3 = fma(g1, a2, -(g2 * a1))
+    r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
+    return r, (b1 + fma(b2, a3, -(b3 * a2)), b2 + fma(b3, a1, -(b1 * a3)), b3 + fma(b1, a2, -(b2 * a1)))
+
+
+def cayley_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """The d that solves d = (2 g + d) x a: one BS step g' - g = (g' + g) x a (Sogo, Method A).
+
+    ``a`` is h/2 omega for the BS scheme and h/4 (omega' + omega) for the modified one. In closed form,
+    because a is normal to b = g x a, d = 2 (b + b x a) / (1 + a.a).
+    """
+    r, (x1, x2, x3) = cayley_quotient(a1, a2, a3, g1, g2, g3)
+    return (r * x1, r * x2, r * x3)
+
+
+def cayley_added(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """g + ``cayley_increment``, rounded once."""
+    r, (x1, x2, x3) = cayley_quotient(a1, a2, a3, g1, g2, g3)
+    return (fma(r, x1, g1), fma(r, x2, g2), fma(r, x3, g3))
+
+
+def cayley_turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """The turned vector g + ``cayley_increment`` as a product of matrix and vector, which drifts: for comparison only.
+
+    ((1 - a.a) g + 2 a (a.g) + 2 g x a)/(1 + a.a), written as one would: 1 - a.a and 1 + a.a are rounded apart from each
+    other, and where a.a hardly changes from step to step so do their errors.
+    """
+    r = 1.0 / (1.0 + a1 * a1 + a2 * a2 + a3 * a3)
+    t = 1.0 - a1 * a1 - a2 * a2 - a3 * a3
+    k = 2.0 * (a1 * g1 + a2 * g2 + a3 * g3)
+    return (
+        r * (t * g1 + (k * a1 + 2.0 * (g2 * a3 - g3 * a2))),
+        r * (t * g2 + (k * a2 + 2.0 * (g3 * a1 - g1 * a3))),
+        r * (t * g3 + (k * a3 + 2.0 * (g1 * a2 - g2 * a1))),
+    )
+
+
+def sinc_cosc_polynomials(t: float) -> Pair:
+    """``sinc_cosc`` up to SMALL_ANGLE_SQ; exactly 1 and 1/2 at 0 (fdlibm's polynomials).
+
+    Split so that four operations one after the other are waited for; each result is rounded twice at its own size.
+    """
+    u = t * t
+    low = fma(t, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
+    mid = fma(t, 2.75573137070700676789e-06, -1.98412698298579493134e-04)
+    high = fma(t, 1.58969099521155010221e-10, -2.50507602534068634195e-08)
+    sinc = fma(t * u, fma(u, high, mid), fma(t, low, 1.0))
+    low = fma(t, 1.38888888888741095749e-03, -4.16666666666666019037e-02)
+    mid = fma(t, 2.75573143513906633035e-07, -2.48015872894767294178e-05)
+    high = fma(t, 1.13596475577881948265e-11, -2.08757232129817482790e-09)
+    return sinc, fma(t * u, fma(u, high, mid), fma(t, low, 0.5))
+
+
+def sinc_cosc(t: float) -> Pair:
+    """sin(x)/x and (1 - cos(x))/x**2 as functions of t = x*x >= 0: polynomials, then libm."""
+    if rarely(not t <= SMALL_ANGLE_SQ):
+        x = math.sqrt(t)
+        half = math.sin(0.5 * x)
+        return math.sin(x) / x, 2.0 * half * half / t
+    return sinc_cosc_polynomials(t)
+
+
+def sinc_cosc_small(t: float) -> Pair:
+    """``sinc_cosc`` where it needs no libm, nan beyond."""
+    sinc, cosc = sinc_cosc_polynomials(t)
+    return (sinc, cosc) if t <= SMALL_ANGLE_SQ else (math.nan, math.nan)
+
+
+IN_LANES = {sinc_cosc: sinc_cosc_small}
+"""What stands in for a kernel where several trajectories share a vector: a call of libm behind a branch would then be
+made for every one of them at every step. A nan says that the one trajectory must be stepped by itself."""
+
+
+def rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """R(a) g - g for the rotation of Sogo's Method C by the angle |a| about a; exactly zero at a = 0.
+
+    R(a) g - g = S b + K (b x a) with b = g x a, S = sin|a|/|a| and K = (1 - cos|a|)/|a|**2. Neither
+    needs the axis a/|a|, which does not exist at a = 0.
+    """
+    sinc, cosc = sinc_cosc(a1 * a1 + fma(a2, a2, a3 * a3))
+    b1 = fma(g2, a3, -(g3 * a2))
+    b2 = fma(g3, a1, -(g1 * a3))
+    b3 = fma(g1, a2, -(g2 * a1))
+    return (
+        sinc * b1 + cosc * fma(b2, a3, -(b3 * a2)),
+        sinc * b2 + cosc * fma(b3, a1, -(b1 * a3)),
+        sinc * b3 + cosc * fma(b1, a2, -(b2 * a1)),
+    )
+
+
+def resolvent(a1: float, a2: float, a3: float, b1: float, b2: float, b3: float) -> Vector:
+    """The z that solves z - z x a = b: z = (b + b x a + (a.b) a) / (1 + a.a)."""
+    r = 1.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3))
+    k = a1 * b1 + a2 * b2 + a3 * b3
+    return (
+        r * (b1 + (b2 * a3 - b3 * a2) + k * a1),
+        r * (b2 + (b3 * a1 - b1 * a3) + k * a2),
+        r * (b3 + (b1 * a2 - b2 * a1) + k * a3),
+    )

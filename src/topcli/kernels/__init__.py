@@ -1,1 +1,0 @@
-"""Scalar functions on floats: compiled by the engine, runnable as plain Python."""

@@ -1,0 +1,66 @@
+"""SciPy's adaptive method DOP853, for every top."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from topcli.contracts import Array, Floats, Stepper, Top
+from topcli.schemes.preserved import polynomial_invariants
+from topcli.schemes.registry import scheme
+
+
+class Tolerances(BaseModel):
+    """The tolerances of an adaptive method: its error per step is kept below ``atol + rtol |y|``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rtol: float = Field(default=1e-12, ge=2.5e-14, description="relative tolerance per step, at least 2.5e-14")
+    atol: float = Field(default=1e-14, ge=0.0, description="absolute tolerance per step")
+
+
+@scheme(
+    "dop853",
+    top=None,
+    title="Dormand and Prince's method of order 8 (SciPy)",
+    order=8,
+    explicit=True,
+    self_adjoint=False,
+    adaptive=True,
+    conserves=lambda top: polynomial_invariants(top, 1),
+    citation="Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993; scipy.integrate.DOP853",
+    equations="DOP853 from t to t + h, in as many steps of its own as the tolerances ask for",
+    options=Tolerances,
+)
+def build_dop853(top: Top, options: Tolerances) -> Stepper:
+    """The adaptive integrator that most people would reach for, with tolerances instead of a step size.
+
+    It chooses its own steps within each h and ends on t = n h exactly, so that an h longer than its own steps costs
+    it least. What it learnt about its step size is carried along. It runs in the interpreter, some thousand times
+    slower than the compiled steps. Where its steps shrink below round-off the run ends as `no_convergence`.
+    """
+    from scipy.integrate import DOP853
+
+    field, d = top.field, len(top.components)
+
+    def step(s: Floats, h: float, p: Floats) -> Floats:
+        def rates(_: float, y: Array) -> Floats:
+            return field(tuple(y.tolist()), p)
+
+        first = min(s[d], abs(h)) or None
+        with np.errstate(over="ignore", invalid="ignore"):
+            solver = DOP853(rates, 0.0, np.array(s[:d]), h, rtol=options.rtol, atol=options.atol, first_step=first)
+            while solver.status == "running":
+                solver.step()
+        settled = 0.0 if solver.status == "finished" else math.nan
+        return (*solver.y.tolist(), float(solver.h_abs), settled, s[d + 2] + solver.nfev)
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (*y, 0.0, 0.0, 0.0)
+
+    def leave(s: Floats, h: float, p: Floats) -> Floats:
+        return s[:d]
+
+    return Stepper(step, d + 3, enter, leave, ("evaluations",), plain=True, iterative=True)

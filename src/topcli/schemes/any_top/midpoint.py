@@ -1,0 +1,162 @@
+"""The implicit midpoint rule for every top with gravity.
+
+The step is written for the general Euler-Poisson equations. The six coefficients of the top at hand are carried in
+the working state, so that one piece of machine code serves all tops. Bobenko and Suris' inertial form of Lagrange's
+top, m' = p x a, a' = m x a, is the same equations with omega = -m, gamma = a, equal moments and g = p.
+
+What makes it fast:
+- given the mean omega Poisson's equation is Cayley's rotation in closed form: Newton has three unknowns, not six;
+- its 3x3 systems are solved by Cramer's rule, the columns of the matrix from one reciprocal of 1 + |h omega/2|²;
+- two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would leave errors of one sign above round-off.
+"""
+
+from __future__ import annotations
+
+import math
+
+from topcli.arithmetic.double_double import two_sum
+from topcli.arithmetic.increments import carried_sums, first6
+from topcli.arithmetic.linear import solve3
+from topcli.arithmetic.rotations import Vector, cayley_increment
+from topcli.contracts import Floats, Stepper, Top
+from topcli.schemes.compensated import CompensatedOption, compensation_wanted
+from topcli.schemes.heavy.linear_system import implicit_matrix
+from topcli.schemes.limits import LONG_NEWTON
+from topcli.schemes.preserved import polynomial_invariants
+from topcli.schemes.registry import scheme
+from topcli.tops import TOPS
+
+INERTIAL = "lagrange/inertial"
+FORMS = tuple(form for form in ("heavy", "kowalevski", "lagrange", INERTIAL) if form in TOPS)
+NEWTON = 25
+"""Newton iterations before a step is given up; three or four are the rule."""
+SETTLED = 2.0**-33
+"""The last change, in units of omega, that ends the iteration: Newton squares it, far below the last bit."""
+
+
+def angular_acceleration(o1: float, o2: float, o3: float, q1: float, q2: float, q3: float, p: Floats) -> Vector:
+    """I^-1 (I omega x omega + gamma x g) at omega = o, gamma = q.
+
+    The differences of moments carry their own rounding errors along: the three must add up to zero, or the energy
+    would drift by an ulp per unit time.
+    """
+    A, B, C, x, y, z = p
+    k1, r1 = two_sum(B, -C)
+    k2, r2 = two_sum(C, -A)
+    k3, r3 = two_sum(A, -B)
+    o23, o31, o12 = o2 * o3, o3 * o1, o1 * o2
+    return (
+        ((k1 * o23 + r1 * o23) + (q2 * z - q3 * y)) / A,
+        ((k2 * o31 + r2 * o31) + (q3 * x - q1 * z)) / B,
+        ((k3 * o12 + r3 * o12) + (q1 * y - q2 * x)) / C,
+    )
+
+
+def midpoint_change(
+    state: Floats, h: float, p: Floats
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """The change in one step of the implicit midpoint rule; ``p`` is (A, B, C, mg x0, mg y0, mg z0).
+
+    Returns the change, then 0.0 or, when Newton's iteration did not settle, nan, then the number of iterations.
+
+    Given the mean omega, Poisson's equation is Cayley's rotation of gamma; Newton's iteration finds the half change
+    v of omega. At its end omega's change is computed afresh from the equations, so that what is left of the
+    iteration's error is of the size of a rounding error of the change.
+    """
+    w1, w2, w3, g1, g2, g3 = state
+    A, B, C, x, y, z = p
+    d = 0.5 * h
+    gravity = (abs(x) + abs(y) + abs(z)) * (abs(g1) + abs(g2) + abs(g3)) * (1.0 / A + 1.0 / B + 1.0 / C)
+    tolerance = SETTLED * (abs(w1) + abs(w2) + abs(w3) + abs(d) * gravity)
+    v1, v2, v3 = 0.0, 0.0, 0.0
+    status = math.nan
+    iterations = 0.0
+    for _ in range(NEWTON):
+        iterations += 1.0
+        o1, o2, o3 = w1 + v1, w2 + v2, w3 + v3
+        a1, a2, a3 = d * o1, d * o2, d * o3
+        b1, b2, b3 = cayley_increment(a1, a2, a3, g1, g2, g3)
+        q1, q2, q3 = g1 + 0.5 * b1, g2 + 0.5 * b2, g3 + 0.5 * b3
+        f1, f2, f3 = angular_acceleration(o1, o2, o3, q1, q2, q3, p)
+        e1, e2, e3 = solve3(implicit_matrix((a1, a2, a3), (q1, q2, q3), d, p), d * f1 - v1, d * f2 - v2, d * f3 - v3)
+        v1, v2, v3 = v1 + e1, v2 + e2, v3 + e3
+        if abs(e1) + abs(e2) + abs(e3) <= tolerance:
+            status = 0.0
+            break
+    o1, o2, o3 = w1 + v1, w2 + v2, w3 + v3
+    b1, b2, b3 = cayley_increment(d * o1, d * o2, d * o3, g1, g2, g3)
+    f1, f2, f3 = angular_acceleration(o1, o2, o3, g1 + 0.5 * b1, g2 + 0.5 * b2, g3 + 0.5 * b3, p)
+    return (h * f1, h * f2, h * f3, b1, b2, b3, status, iterations)
+
+
+def midpoint(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float, float, float, float]:
+    """One step of the implicit midpoint rule: the new state, then status and iterations of ``midpoint_change``."""
+    w1, w2, w3, g1, g2, g3 = state
+    x1, x2, x3, y1, y2, y3, status, iterations = midpoint_change(state, h, p)
+    return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, status, iterations)
+
+
+WIDTH = 14
+"""omega, gamma; A, B, C, mg(x0, y0, z0); whether the iteration settled; the iterations so far."""
+
+
+def midpoint_step(s: Floats, h: float, p: Floats) -> Floats:
+    """One step of the working state."""
+    w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, _, iterations = s
+    x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
+    return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, A, B, C, x, y, z, status, iterations + more)
+
+
+def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
+    """One step of the working state with what the sums have lost, before the status."""
+    w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, e1, e2, e3, e4, e5, e6, _, iterations = s
+    x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
+    new, lost = carried_sums((w1, w2, w3, g1, g2, g3), (e1, e2, e3, e4, e5, e6), (x1, x2, x3, y1, y2, y3))
+    return (*new, A, B, C, x, y, z, *lost, status, iterations + more)
+
+
+def enter_inertial(y: Floats, h: float, p: Floats) -> Floats:
+    """The working state of the inertial frame's m and a."""
+    return (-y[0], -y[1], -y[2], y[3], y[4], y[5], 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+
+
+def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
+    """The inertial frame's m and a."""
+    return (-s[0], -s[1], -s[2], s[3], s[4], s[5])
+
+
+@scheme(
+    "midpoint",
+    top=FORMS,
+    title="Implicit midpoint rule",
+    order=2,
+    explicit=False,
+    self_adjoint=True,
+    conserves=lambda top: polynomial_invariants(top, 2),
+    citation="Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)",
+    equations="y' - y = h f((y' + y)/2) for EulerPoisson",
+    options=CompensatedOption,
+    limits=lambda top: {"singular-step": LONG_NEWTON} if top.form == "heavy" else {},
+)
+def build(top: Top, options: CompensatedOption) -> Stepper:
+    """Solved by Newton's iteration to round-off; a step that does not settle ends the run as `no_convergence`.
+
+    Its own inverse under h -> -h. Every quadratic integral is conserved exactly, for any top: gamma², m·gamma and the
+    energy. Kowalevski's k² is of degree four and only stays close.
+    """
+    equations = top.euler_poisson()
+    coefficients = (*equations.moments, *equations.gravity)
+
+    def enter_body(y: Floats, h: float, p: Floats) -> Floats:
+        return (*y, *coefficients, 0.0, 0.0)
+
+    inertial = top.form == INERTIAL
+    enter, leave = (enter_inertial, leave_inertial) if inertial else (enter_body, first6)
+    if not compensation_wanted(options):
+        return Stepper(midpoint_step, WIDTH, enter, leave, ("iterations",), iterative=True)
+
+    def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
+        s = enter(y, h, p)
+        return (*s[:12], *(0.0,) * 6, *s[12:])
+
+    return Stepper(compensated_step, WIDTH + 6, enter_compensated, leave, ("iterations",), iterative=True)

@@ -1,0 +1,1 @@
+"""Schemes and closed forms of the Euler top."""

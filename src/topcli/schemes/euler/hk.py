@@ -1,0 +1,206 @@
+"""The scheme of Hirota and Kimura (Kahan's method) for the Euler top, without and with the vertical gamma.
+
+Notation: d = h/2, alpha_1 = (B - C)/A and so on in turn, c_i = d alpha_i, u_i = c_i omega_j omega_k (half of Euler's
+rule), i, j, k cyclic. The matrix of both HK and Newton's method for the midpoint rule is
+M = 1 - [c_i (omega_k e_j + omega_j e_k)]. With b_i = c_j c_k omega_i² and v_i = omega_i + u_i, M x = r is solved by
+
+    x_i = ((1 - b_i) r_i + c_i (v_k r_j + v_j r_k))/Delta,    Delta = 1 - (b_1 + b_2 + b_3) - 2 u_1 c_2 c_3 omega_1.
+
+Every function returns omega' - omega (or half of it): the only rounding at the size of omega itself is one addition, so
+that round-off is a random walk. A step is a closed form with one division, and gamma's starts beside it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from topcli.arithmetic.fused import fma
+from topcli.arithmetic.rotations import Vector
+from topcli.contracts import Array, Floats, Invariant, Stepper, Top
+from topcli.schemes.compensated import CompensatedOption, compensation_wanted, increment_stepper
+from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.euler.omega_gamma import CITATION, FORMS, omega_change
+from topcli.schemes.limits import SINGULAR
+from topcli.schemes.registry import scheme
+from topcli.tops.euler import Euler
+
+
+def hk_quotient(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> tuple[float, Vector]:
+    """2/Delta and what it is multiplied by in the change of the HK scheme: the solution of M x = 2 u, in closed form.
+
+    With c_i v_j u_k and its kin multiplied out the numerators are u_i (1 + b_i) + c_i (omega_j u_k + omega_k u_j). The
+    last term could be omega_i (b_j + b_k), but b's coefficients are rounded, the same in every step, and what that does
+    would add up. What the division waits for stands first: the rest is then computed while it runs.
+    """
+    a1 = (c2 * c3) * w1
+    t1 = (2.0 * c1) * w2
+    a2 = (c3 * c1) * w2
+    a3 = (c1 * c2) * w3
+    b2 = a2 * w2
+    b3 = a3 * w3
+    t1 = t1 * w3
+    r = 2.0 / (fma(-a1, t1, fma(-a1, w1, 1.0)) - (b2 + b3))
+    b1 = a1 * w1
+    u1 = 0.5 * t1
+    u2 = c2 * (w3 * w1)
+    u3 = c3 * (w1 * w2)
+    return r, (
+        fma(c1, fma(w2, u3, w3 * u2), fma(b1, u1, u1)),
+        fma(c2, fma(w3, u1, w1 * u3), fma(b2, u2, u2)),
+        fma(c3, fma(w1, u2, w2 * u1), fma(b3, u3, u3)),
+    )
+
+
+def hk_increment(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> Vector:
+    """omega' - omega of the HK scheme."""
+    r, (n1, n2, n3) = hk_quotient(w1, w2, w3, c1, c2, c3)
+    return (r * n1, r * n2, r * n3)
+
+
+def hk_gamma_increment(
+    a1: float, a2: float, a3: float, x1: float, x2: float, x3: float, g1: float, g2: float, g3: float
+) -> Vector:
+    """gamma' - gamma of the HK scheme, linear once omega' is known: y - y x a = gamma x (2 a + x).
+
+    ``a`` is d omega and ``x`` is d (omega' - omega). The solution is y = (b + b x a + a (a.b))/(1 + a.a).
+    """
+    s1 = fma(2.0, a1, x1)
+    s2 = fma(2.0, a2, x2)
+    s3 = fma(2.0, a3, x3)
+    b1 = fma(g2, s3, -(g3 * s2))
+    b2 = fma(g3, s1, -(g1 * s3))
+    b3 = fma(g1, s2, -(g2 * s1))
+    r = 1.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
+    along = a1 * b1 + fma(a2, b2, a3 * b3)
+    return (
+        r * fma(a1, along, b1 + fma(b2, a3, -(b3 * a2))),
+        r * fma(a2, along, b2 + fma(b3, a1, -(b1 * a3))),
+        r * fma(a3, along, b3 + fma(b1, a2, -(b2 * a1))),
+    )
+
+
+def hk_step(s: Floats, h: float, p: Floats) -> Floats:
+    """The HK step, p = (A, B, C, alpha_1, alpha_2, alpha_3); each component is rounded once."""
+    w1, w2, w3 = s
+    d = 0.5 * h
+    r, (n1, n2, n3) = hk_quotient(w1, w2, w3, d * p[3], d * p[4], d * p[5])
+    return (fma(r, n1, w1), fma(r, n2, w2), fma(r, n3, w3))
+
+
+def hk_gamma_step(s: Floats, h: float, p: Floats) -> Floats:
+    """The HK step with gamma carried along; omega is that of ``hk_step``."""
+    w1, w2, w3, g1, g2, g3 = s
+    d = 0.5 * h
+    r, (n1, n2, n3) = hk_quotient(w1, w2, w3, d * p[3], d * p[4], d * p[5])
+    f = d * r
+    y1, y2, y3 = hk_gamma_increment(d * w1, d * w2, d * w3, f * n1, f * n2, f * n3, g1, g2, g3)
+    return (fma(r, n1, w1), fma(r, n2, w2), fma(r, n3, w3), g1 + y1, g2 + y2, g3 + y3)
+
+
+def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
+    """Delta of ``hk_quotient``; ``p`` is (A, B, C, alpha1, alpha2, alpha3)."""
+    w1, w2, w3 = state[0], state[1], state[2]
+    d = 0.5 * h
+    c1, c2, c3 = d * p[3], d * p[4], d * p[5]
+    a1 = (c2 * c3) * w1
+    a2 = (c3 * c1) * w2
+    a3 = (c1 * c2) * w3
+    b2 = a2 * w2
+    b3 = a3 * w3
+    t1 = ((2.0 * c1) * w2) * w3
+    value = fma(-a1, t1, fma(-a1, w1, 1.0)) - (b2 + b3)
+    return (value, (1.0 + abs(a1 * w1)) + ((abs(b2) + abs(b3)) + abs(a1 * t1)))
+
+
+GAMMA_GROWS = (
+    "omega stays bounded, as the modified integrals have it, but gamma's linear map has nothing that holds its "
+    "length: with steps of about a turn it grows without bound."
+)
+
+
+def hk_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vector:
+    """HK: every product y z becomes (y' z + y z')/2."""
+    return hk_increment(w1, w2, w3, d * p[3], d * p[4], d * p[5])
+
+
+def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:
+    """The change of omega and gamma in an HK step."""
+    w1, w2, w3, g1, g2, g3 = s
+    d = 0.5 * h
+    x1, x2, x3 = hk_change(w1, w2, w3, d, p)
+    y1, y2, y3 = hk_gamma_increment(d * w1, d * w2, d * w3, d * x1, d * x2, d * x3, g1, g2, g3)
+    return (x1, x2, x3, y1, y2, y3)
+
+
+def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Invariant, ...]:
+    """The exact integrals of the HK map (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011).
+
+    With K_i = 1 - (h/2)² alpha_j alpha_k omega_i², m²/K_i, m·omega/K_i and K_i/K_j are conserved. m² and m·omega are
+    divided by the mean K of the three. K_1/K_2 = 1 + (h/2)² alpha_3 q with
+    q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2, and it is q that is given: it keeps its digits however small h is,
+    and becomes an integral of the motion as h -> 0.
+    """
+    alpha = np.array(top.constants()[3:])
+    pairs = (0.5 * h) ** 2 * np.roll(alpha, -1) * np.roll(alpha, -2)
+
+    def k(y: Array) -> Array:
+        return 1.0 - pairs * y[:, :3] ** 2
+
+    def over_mean(invariant: Invariant, subject: str) -> Invariant:
+        def value(y: Array) -> Array:
+            return invariant.value(y) / k(y).mean(axis=1)
+
+        def scale(y: Array) -> Array:
+            return invariant.scale(y) / np.abs(k(y)).mean(axis=1)
+
+        meaning = f"{subject} over the mean of K1, K2, K3"
+        return Invariant(
+            f"modified_{invariant.name}", f"{invariant.symbol}/K", f"{invariant.tex}/K", meaning, value, scale
+        )
+
+    def ratio(i: int, j: int) -> Invariant:
+        def value(y: Array) -> Array:
+            return (alpha[i] * y[:, j] ** 2 - alpha[j] * y[:, i] ** 2) / k(y)[:, j]
+
+        def scale(y: Array) -> Array:
+            return (np.abs(alpha[i]) * y[:, j] ** 2 + np.abs(alpha[j]) * y[:, i] ** 2) / np.abs(k(y)[:, j])
+
+        a, b = i + 1, j + 1
+        meaning = f"(K{a}/K{b} - 1)/((h/2)² α{6 - a - b})"
+        return Invariant(f"modified_k{a}{b}", f"κ{a}{b}", rf"\kappa_{{{a}{b}}}", meaning, value, scale)
+
+    m_sq, m_omega = top.invariants()[:2]
+    return (
+        over_mean(m_sq, "m²"),
+        over_mean(m_omega, "m·ω"),
+        ratio(0, 1),
+        ratio(1, 2),
+        ratio(2, 0),
+    )
+
+
+@scheme(
+    "hk",
+    top=FORMS,
+    title="Hirota-Kimura scheme",
+    order=2,
+    explicit=True,
+    self_adjoint=True,
+    modified=hk_integrals,
+    citation="Hirota, Kimura 2000; " + CITATION,
+    equations="the first difference equations of section 1.2; gamma as in dEulerPoisson, last term corrected",
+    options=CompensatedOption,
+    limits=lambda top: {"singular-step": SINGULAR} | ({} if len(top.components) == 3 else {"resonance": GAMMA_GROWS}),
+)
+def build_hk(top: Top, options: CompensatedOption) -> Stepper:
+    """Every product of two components y z becomes (y' z + y z')/2: linear in the new state, solved in closed form.
+
+    m² and m·omega are not conserved, but m²/K and m·omega/K are, with K = 1 + O(h²): their errors are of size h² and
+    return to zero. With gamma carried, gamma² and m·gamma are conserved no better.
+    """
+    d = len(top.components)
+    if compensation_wanted(options):
+        made = increment_stepper(omega_change(hk_change) if d == 3 else hk_gamma_change, d, options)
+    else:
+        made = Stepper(hk_step if d == 3 else hk_gamma_step, d)
+    return counting(made, NEAR_SINGULAR, small_determinant(euler_determinant), branch=True)

@@ -1,0 +1,336 @@
+"""The Lagrange top in closed form: its motion, and the nutation under the HK and the BS map.
+
+Everything rests on one motion, that of m' = nu p x a, a' = m x a, with p = e_z: the inertial form has nu = 1, and the
+body frame is the same with m = -omega, a = gamma in a frame that turns by alpha omega3 about the axis. With P = m.p,
+S = m.a, N = a², E = m²/2 + nu u, the nutation u = a.p moves by
+
+    u'² = 2 (E - nu u)(N - u²) - S² - N P² + 2 S P u.
+
+The angle of the horizontal part of a, with chi' = (N P - S u)/(N - u²), or of m, with theta' = nu (S - P u)/(2 E -
+2 nu u - P²), is the integral of a periodic analytic function, whose Fourier series is summed until it has converged
+to round-off; of the two the one whose denominator stays further from zero is taken, and the other vector follows from
+it without a second integral. Not covered: motions asymptotic to the upright one, and motions that are planar to within
+about 1e-4 but not exactly: their angles turn by almost half a turn at once. They are refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal, localcontext
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.arithmetic.elliptic import DIGITS
+from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
+from topcli.errors import RunError
+from topcli.schemes.lagrange.oscillation import TURN, Oscillation, oscillation
+from topcli.schemes.registry import scheme
+from topcli.tops.lagrange import Lagrange
+
+MAX_SAMPLES = 1 << 15
+_NOTHING = 1e-26
+"""Squares below this, relative to the largest, are zeros left over from decimal arithmetic."""
+
+
+def _dot(x: Sequence[Decimal], y: Sequence[Decimal]) -> Decimal:
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+def _least(low: Decimal, high: Decimal) -> float:
+    """The smaller of two squares relative to the larger, zero when it is nothing but rounding."""
+    small, large = min(low, high), max(low, high)
+    return float(small / large) if large > 0 and small > large * Decimal(_NOTHING) else 0.0
+
+
+@dataclass(frozen=True)
+class _Constants:
+    """What the geometry of one motion needs, rounded once; pairs are the values where u is lowest and highest."""
+
+    nutation: Oscillation
+    nu: float
+    P: float
+    S: float
+    lower: float
+    upper: float
+    down: tuple[float, float]
+    """sqrt(N) + u."""
+    up: tuple[float, float]
+    """sqrt(N) - u."""
+    momentum: tuple[float, float]
+    """The square of the horizontal part of m, 2 (E - nu u) - P²."""
+    axis_turn: tuple[float, float]
+    """N P - S u."""
+    momentum_turn: tuple[float, float]
+    """S - P u."""
+    axis_least: float
+    momentum_least: float
+    """The least square of the horizontal part of a, and of m, relative to the largest."""
+
+    def squares(self, rise: Array, fall: Array) -> tuple[Array, Array]:
+        """The squares of the horizontal parts of a and m: sums and products of terms that are not negative."""
+        axis = (self.up[1] + fall) * (self.down[0] + rise)
+        if self.nu > 0.0:
+            return axis, self.momentum[1] + 2.0 * self.nu * fall
+        return axis, self.momentum[0] - 2.0 * self.nu * rise
+
+    def turns(self, rise: Array, fall: Array) -> tuple[Array, Array]:
+        """N P - S u and S - P u, from the nearer end."""
+        near = rise < fall
+        axis = np.where(near, self.axis_turn[0] - self.S * rise, self.axis_turn[1] + self.S * fall)
+        return axis, np.where(near, self.momentum_turn[0] - self.P * rise, self.momentum_turn[1] + self.P * fall)
+
+    def heights(self, rise: Array, fall: Array) -> Array:
+        """u, from the nearer end."""
+        return np.where(rise < fall, self.lower + rise, self.upper - fall)
+
+
+@lru_cache(maxsize=64)
+def _constants(y0: Floats, h: float, nu: float) -> _Constants:
+    with localcontext() as context:
+        context.prec = DIGITS
+        m, a = [Decimal(v) for v in y0[:3]], [Decimal(v) for v in y0[3:]]
+        g, P, S, N = Decimal(nu), m[2], _dot(m, a), _dot(a, a)
+        E = _dot(m, m) / 2 + g * a[2]
+        root = N.sqrt()
+        q = [Decimal(0), 2 * g, -2 * E, 2 * S * P - 2 * g * N, 2 * E * N - S * S - N * P * P]
+        rising = m[0] * a[1] - m[1] * a[0] >= 0
+        nutation = oscillation(q, a[2], rising, -root, Decimal(h))
+        ends = (nutation.lower, nutation.upper)
+        up, down = [root - u for u in ends], [root + u for u in ends]
+        momentum = [2 * (E - g * u) - P * P for u in ends]
+
+        def pair(values: Sequence[Decimal], floor: Decimal) -> tuple[float, float]:
+            low, high = (float(max(v, floor)) for v in values)
+            return low, high
+
+        nothing, anything = Decimal(0), Decimal("-Infinity")
+        return _Constants(
+            nutation,
+            nu,
+            float(P),
+            float(S),
+            float(ends[0]),
+            float(ends[1]),
+            pair(down, nothing),
+            pair(up, nothing),
+            pair(momentum, nothing),
+            pair([N * P - S * u for u in ends], anything),
+            pair([S - P * u for u in ends], anything),
+            _least(up[0] * down[0], up[1] * down[1]),
+            _least(momentum[0], momentum[1]),
+        )
+
+
+@dataclass(frozen=True)
+class _Angle:
+    """An angle whose rate has the period of the nutation: mean rate per step, and the series of the rest."""
+
+    mean: float
+    harmonics: NDArray[np.complex128]
+
+    def periodic(self, phase: NDArray[np.uint64]) -> Array:
+        """The periodic part at the phases (m,)."""
+        z = np.exp(phase.view(np.int64) * (4j * math.pi / TURN))
+        total: NDArray[np.complex128] = np.zeros(len(z), dtype=np.complex128)
+        for coefficient in self.harmonics[::-1]:
+            total = (total + coefficient) * z
+        return total.real
+
+
+def _rate(c: _Constants, by_axis: bool, phase: NDArray[np.uint64]) -> Array:
+    rise, fall, *_ = c.nutation.at(phase)
+    square = c.squares(rise, fall)[0 if by_axis else 1]
+    turn = c.turns(rise, fall)[0 if by_axis else 1]
+    return turn / square if by_axis else c.nu * turn / square
+
+
+@lru_cache(maxsize=64)
+def _angle(c: _Constants, by_axis: bool, h: float) -> _Angle:
+    """The integral of the rate by the trapezoidal rule on ever more samples; ValueError when there are too many."""
+    samples = 32
+    while samples <= MAX_SAMPLES:
+        phase = np.arange(samples, dtype=np.uint64) * np.uint64(TURN // 2 // samples)
+        rate = _rate(c, by_axis, phase)
+        series = np.fft.rfft(rate) / samples
+        frequency = 2.0 * math.pi / c.nutation.period
+        order = np.arange(1, samples // 2)
+        harmonics = 2.0 * series[1 : samples // 2] / (1j * order * frequency)
+        round_off = 1e-16 * (1.0 + float(np.abs(rate).max()) / frequency)
+        if np.abs(harmonics[samples // 4 :]).max() <= round_off:
+            kept = np.flatnonzero(np.abs(harmonics) > 0.01 * round_off)
+            return _Angle(float(series[0].real) * h, harmonics[: kept[-1] + 1 if len(kept) else 0])
+        samples *= 2
+    raise ValueError("the axis and the angular momentum both pass too close to the vertical, in almost planar motion")
+
+
+def _motion(y0: Floats, h: float, n: NDArray[np.int64], nu: float) -> Array:
+    """(m, a) after n steps (m,): the solution of m' = nu p x a, a' = m x a from ``y0``, shape (m, 6)."""
+    c = _constants(y0, h, nu)
+    phase, begin = c.nutation.phases(n), c.nutation.phases(np.zeros(1, dtype=np.int64))
+    rise, fall, rate, sn, cn = c.nutation.at(phase)
+    axis_sq, momentum_sq = c.squares(rise, fall)
+    axis_now, momentum_now = complex(y0[3], y0[4]), complex(y0[0], y0[1])
+    if c.axis_least == c.momentum_least == 0.0:
+        # at rest upright, or swinging in a plane: the horizontal parts keep their lines and change their signs
+        first, second = (sn, cn) if nu > 0.0 else (cn, sn)
+        _, _, _, sn0, cn0 = c.nutation.at(begin)
+        sign0, other0 = (sn0[0], cn0[0]) if nu > 0.0 else (cn0[0], sn0[0])
+        along = axis_now * np.sign(sign0) if axis_now else 1j * momentum_now * np.sign(other0)
+        along = along / abs(along) if along else 0.0
+        a = along * np.sqrt(axis_sq) * np.sign(first)
+        m = -1j * along * np.sqrt(momentum_sq) * np.sign(second)
+    else:
+        by_axis = c.axis_least >= c.momentum_least
+        angle = _angle(c, by_axis, h)
+        turned = np.exp(1j * (angle.mean * n + (angle.periodic(phase) - angle.periodic(begin))))
+        momentum_turn = c.turns(rise, fall)[1]
+        if by_axis:
+            length = np.sqrt(axis_sq)
+            turned = turned * (axis_now / abs(axis_now))
+            a, m = turned * length, turned * (momentum_turn - 1j * rate) / length
+        else:
+            length = np.sqrt(momentum_sq)
+            turned = turned * (momentum_now / abs(momentum_now))
+            m, a = turned * length, turned * (momentum_turn + 1j * rate) / length
+    height = c.heights(rise, fall)
+    return np.column_stack([m.real, m.imag, np.full(len(n), c.P), a.real, a.imag, height])
+
+
+def inertial_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
+    """The motion of the inertial form after n steps (m,) from ``y0`` (6,), shape (m, 6).
+
+    Raises RunError for a motion that has no closed form here (see the module).
+    """
+    try:
+        return _motion(tuple(map(float, y0)), float(h), n, float(p[0]))
+    except ValueError as error:
+        raise RunError(f"lagrange, scheme exact: {error}") from error
+
+
+def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
+    """The motion of the body form after n steps (m,) from ``y0`` (6,), shape (m, 6); ``p`` as the top gives it.
+
+    In a frame that turns by alpha omega3 about the axis, m = -omega and a = gamma move as in the inertial frame, but
+    with (1 - alpha) omega3 for omega3. Raises RunError as ``inertial_states`` does.
+    """
+    alpha, nu = float(p[0]), float(p[1])
+    w1, w2, s, *gamma = map(float, y0)
+    spin = s - alpha * s
+    try:
+        found = _motion((-w1, -w2, -spin, *gamma), float(h), n, nu)
+    except ValueError as error:
+        raise RunError(f"lagrange, scheme exact: {error}") from error
+    turned = np.exp(-1j * (alpha * s * h) * n)
+    omega = -(found[:, 0] + 1j * found[:, 1]) * turned
+    vertical = (found[:, 3] + 1j * found[:, 4]) * turned
+    return np.column_stack([omega.real, omega.imag, np.full(len(n), s), vertical.real, vertical.imag, found[:, 5]])
+
+
+def nutation_bs(y0: Sequence[float], h: float, n: NDArray[np.int64]) -> Array:
+    """The nutation a.p of the BS map (Sogo, L1, L2) after n steps (m,) from (m, a) = ``y0`` (6,), in closed form.
+
+    With D = (a x m).p and E the map's own energy, Y = D + h (N - u²)/2 obeys Y² = 2 (E - u)(N - u²) - S² - N P² +
+    2 S P u + h² (N - u²)²/4, and a step is a translation on that elliptic curve. Raises ValueError where the motion has
+    no period.
+    """
+    with localcontext() as context:
+        context.prec = DIGITS
+        m, a, H = [Decimal(float(v)) for v in y0[:3]], [Decimal(float(v)) for v in y0[3:]], Decimal(h)
+        P, S, N, u = m[2], _dot(m, a), _dot(a, a), a[2]
+        D = a[0] * m[1] - a[1] * m[0]
+        E = _dot(m, m) / 2 + u + H * D / 2
+        k = H * H / 4
+        q = [k, Decimal(2), -2 * E - 2 * k * N, 2 * S * P - 2 * N, 2 * E * N - S * S - N * P * P + k * N * N]
+        moved = oscillation(q, u, H * (D + H * (N - u * u) / 2) <= 0, -N.sqrt(), None)
+    return _sampled(moved, n)
+
+
+def nutation_hk(top: Lagrange, y0: Sequence[float], h: float, n: NDArray[np.int64]) -> Array:
+    """The nutation gamma3 of the HK map after n steps (m,) from (omega, gamma) = ``y0`` (6,), in closed form.
+
+    With u, v, r (scaled |omega|², omega.gamma and |gamma|² of the horizontal parts) quadratic polynomials c, b, a of
+    z = (h/2)² nu gamma3 (Kimura, Hirota 2000), (h/2)³ nu (omega2 gamma1 - omega1 gamma2) is a root of c a - b², and a
+    step is a translation on that elliptic curve. Raises ValueError for mu = 0 and where the motion has no period.
+    """
+    if top.mu == 0.0:
+        raise ValueError("nutation_hk: mu = 0 is the free top, whose nutation under HK is not elliptic")
+    with localcontext() as context:
+        context.prec = DIGITS
+        w1, w2, s, g1, g2, g3 = (Decimal(float(v)) for v in y0)
+        A, C, d = Decimal(top.A), Decimal(top.C), Decimal(h) / 2
+        K, S, f = d * (A - C) / A * s, d * s, d * d * Decimal(top.mu) / A
+        u, v, r = d * d * (w1 * w1 + w2 * w2), d * f * (w1 * g1 + w2 * g2), f * f * (g1 * g1 + g2 * g2)
+        z, T, KK = f * g3, 1 + K * S, 1 + K * K
+        y = z + K * S - 1
+        J = (v + K * u + K + S) / y
+        R = y * r + 2 * v * (K * z + S * KK) + u * ((K * K - 1) * z + KK * T) + (z + T) * (y * y + (K + S) ** 2)
+        c2 = y * (1 + u + J * J) / R
+        c1, b1, b2, a2 = 2 * T * c2, J - 2 * K * T * c2, -K * c2, KK * c2
+        a1 = 2 + 2 * T * (1 - K * K) * c2 - 2 * K * b1
+        c0, b0, a0 = u - c1 * z - c2 * z * z, v - b1 * z - b2 * z * z, r - a1 * z - a2 * z * z
+        q = [
+            c2 * a2 - b2 * b2,
+            c2 * a1 + c1 * a2 - 2 * b2 * b1,
+            c2 * a0 + c1 * a1 + c0 * a2 - 2 * b2 * b0 - b1 * b1,
+            c1 * a0 + c0 * a1 - 2 * b1 * b0,
+            c0 * a0 - b0 * b0,
+        ]
+        if not a2 < 0:
+            raise ValueError(f"nutation_hk: the step h = {h!r} is too large for this motion")
+        # in gamma3 itself; where gamma1² + gamma2² vanishes Q = -b² <= 0
+        q = [c * f ** (2 - i) for i, c in enumerate(q)]
+        width = (a1 * a1 - 4 * a2 * a0).sqrt()
+        low = min((-a1 - width) / (2 * a2 * f), (-a1 + width) / (2 * a2 * f))
+        moved = oscillation(q, g3, (w2 * g1 - w1 * g2) * d >= 0, low, None)
+    return _sampled(moved, n)
+
+
+def _sampled(moved: Oscillation, n: NDArray[np.int64]) -> Array:
+    rise, fall, *_ = moved.at(moved.phases(n))
+    return np.where(rise < fall, float(moved.lower) + rise, float(moved.upper) - fall)
+
+
+@scheme(
+    "exact",
+    top="lagrange",
+    title="closed form by elliptic functions",
+    order=None,
+    explicit=True,
+    self_adjoint=True,
+    conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
+    citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
+    equations="(Euler), (Poisson) with A = B, x0 = y0 = 0",
+    limits={
+        "sleeping-threshold": "Asymptotic to the upright top, or within 1e-6 of it at the edge of stability, the "
+        "period is infinite or too long to resolve; such motions are refused.",
+    },
+)
+def build_exact(top: Top, options: NoOptions) -> Sampler:
+    """gamma3 by Jacobi functions, the angle by the Fourier series of its rate; to round-off at any time.
+
+    Motions asymptotic to the upright top have no period and are refused, and so are almost planar ones.
+    """
+    return Sampler(body_states)
+
+
+@scheme(
+    "exact",
+    top="lagrange/inertial",
+    title="closed form by elliptic functions",
+    order=None,
+    explicit=True,
+    self_adjoint=True,
+    conserves=("a_sq", "m_p", "m_a", "energy"),
+    citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
+    equations="m' = p x a, a' = m x a",
+)
+def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
+    """a.p by Jacobi functions, the precession by the Fourier series of its rate; to round-off at any time.
+
+    Motions asymptotic to the upright top have no period and are refused, and so are almost planar ones.
+    """
+    return Sampler(inertial_states)

@@ -1,0 +1,202 @@
+"""Motion of x with (dx/dt)² = Q(x), Q a polynomial of degree at most four, between two simple roots: its closed form.
+
+The constants of the motion (invariants, roots, periods, phases) are computed once, in decimal arithmetic of
+``DIGITS`` digits, so that nearly equal roots cost no accuracy; the elliptic functions are then evaluated in doubles at
+phases that are reduced exactly. The form is that of Biermann and Weierstrass (Whittaker and Watson, section 20.6): with
+r the root from which the motion rises,
+
+    x(t) = r + (Q'(r)/4)/(wp(t) - Q''(r)/24),    g2 = a0 a4 - 4 a1 a3 + 3 a2²,
+    g3 = a0 a2 a4 + 2 a1 a2 a3 - a2³ - a0 a3² - a1² a4,    Q = a0 x⁴ + 4 a1 x³ + 6 a2 x² + 4 a3 x + a4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal, localcontext
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.arithmetic.elliptic import DIGITS, carlson_rf
+from topcli.contracts import Array
+
+TURN = 1 << 64
+"""Phases are whole numbers of 2^-64 turns, a turn being the period 4K of sn, two periods of x: they wrap exactly."""
+
+
+def horner(q: Sequence[Decimal], x: Decimal) -> Decimal:
+    """The polynomial with coefficients ``q``, highest degree first, at x."""
+    value = q[0]
+    for coefficient in q[1:]:
+        value = value * x + coefficient
+    return value
+
+
+def derivative(q: Sequence[Decimal]) -> list[Decimal]:
+    """The coefficients of the derivative."""
+    return [c * (len(q) - 1 - i) for i, c in enumerate(q[:-1])]
+
+
+def cubic_roots(g2: Decimal, g3: Decimal) -> tuple[Decimal, Decimal, Decimal]:
+    """The roots e1 >= e2 >= e3 of 4 e³ - g2 e - g3, all real, to ``DIGITS`` digits (half of them if nearly double).
+
+    Raises ValueError when they are not all real.
+    """
+    if not g2 > 0 or (27 * g3 * g3 - g2**3) > g2**3 * Decimal(10) ** (6 - DIGITS):
+        raise ValueError("oscillation: the cubic has complex roots")
+
+    def outer(start: Decimal) -> Decimal:
+        x = start  # beyond the root, where Newton's iteration is monotone
+        for _ in range(300):
+            slope = 12 * x * x - g2
+            step = (4 * x**3 - g2 * x - g3) / slope if slope > 0 else Decimal(0)
+            if abs(step) <= abs(x) * Decimal(10) ** (2 - DIGITS):
+                break
+            x -= step
+        return x
+
+    bound = (g2 / 3).sqrt()
+    e1, e3 = outer(bound), outer(-bound)
+    return e1, -e1 - e3, e3
+
+
+def jacobi(u: Array, kc2: float) -> tuple[Array, Array, Array]:
+    """sn, cn, dn at real ``u`` (n,), |u| of the order of a period, from kc2 = 1 - k² in (0, 1].
+
+    Descending Landen transformation started from the complementary modulus (Bulirsch, Numer. Math. 7, 1965), which
+    keeps its digits where k is nearly 1.
+    """
+    emc, a, d = kc2, 1.0, np.ones_like(u)
+    ratios, moduli = [], []
+    while True:
+        ratios.append(a)
+        emc = emc**0.5
+        moduli.append(emc)
+        c = 0.5 * (a + emc)
+        if abs(a - emc) <= 1e-9 * a:
+            break
+        emc *= a
+        a = c
+    sn, cn = np.sin(c * u), np.cos(c * u)
+    zero = sn == 0.0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        b = cn / sn
+        x = c * b
+        for a, m in zip(reversed(ratios), reversed(moduli), strict=True):
+            b = b * x
+            x = x * d
+            d = (m + b) / (a + b)
+            b = x / a
+        size = 1.0 / np.sqrt(x * x + 1.0)
+        s = np.where(sn >= 0.0, size, -size)
+        return (
+            np.where(zero, 0.0, s),
+            np.where(zero, np.where(cn > 0.0, 1.0, -1.0), x * s),
+            np.where(zero, 1.0, d),
+        )
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """One motion, sampled at equal steps: what ``oscillation`` found; phases in units of 2^-64 turns.
+
+    ``lower`` and ``upper`` are the turning points; ``gap`` is their difference, which is 0 for a resting x. With
+    s = sn, x - lower = gap s² (1 + bend)/(1 + bend s²).
+    """
+
+    lower: Decimal
+    upper: Decimal
+    gap: float
+    bend: float
+    """(e3 - Q''(r)/24)/(e1 - e3)."""
+    kc2: float
+    """The complementary parameter (e1 - e2)/(e1 - e3)."""
+    quarter: float
+    """The quarter period K of sn."""
+    period: float
+    """The period of x in time."""
+    start: int
+    step: int
+
+    def phases(self, n: NDArray[np.int64]) -> NDArray[np.uint64]:
+        """The phases after n (m,) steps, n of either sign."""
+        return np.uint64(self.start) + n.astype(np.int64).view(np.uint64) * np.uint64(self.step)
+
+    def at(self, phase: NDArray[np.uint64]) -> tuple[Array, Array, Array, Array, Array]:
+        """x - lower, upper - x, dx/dt, sn and cn at the phases (m,); the first two free of cancellation."""
+        if self.gap == 0.0:
+            still = np.zeros(len(phase))
+            return still, still, still, still, still + 1.0
+        sn, cn, dn = jacobi(phase.view(np.int64) * (4.0 * self.quarter / TURN), self.kc2)
+        below = 1.0 + self.bend * sn * sn
+        rise = self.gap * (1.0 + self.bend) * sn * sn / below
+        fall = self.gap * cn * cn / below
+        rate = self.gap * (1.0 + self.bend) * 2.0 * sn * cn * dn / (below * below)
+        return rise, fall, rate * (2.0 * self.quarter / self.period), sn, cn
+
+
+def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, step: Decimal | None) -> Oscillation:
+    """The motion with (dx/dt)² = Q(x) from ``x0``, rising or falling, sampled every ``step`` of time.
+
+    ``q`` holds five coefficients, the highest first; Q(x0) >= 0, Q(low) <= 0, and there is one root between them.
+    ``step`` None is the step by which a map with the biquadratic invariant of Q moves: wp(step) = (a1² - a0 a2)/a0.
+    Raises ValueError for a motion that has no period (asymptotic to a resting one) or does not fit what is said.
+    """
+    with localcontext() as context:
+        context.prec = DIGITS
+        slope, bending = derivative(q), derivative(derivative(q))
+        a0, a1, a2, a3, a4 = q[0], q[1] / 4, q[2] / 6, q[3] / 4, q[4]
+        here, tilt = horner(q, x0), horner(slope, x0)
+        tiny = Decimal(10) ** (10 - DIGITS)
+        size = sum(abs(c * x0 ** (4 - i)) for i, c in enumerate(q)) + abs(a4)
+        if abs(here) <= tiny * size and abs(tilt) <= tiny * sum(map(abs, slope)):
+            return Oscillation(x0, x0, 0.0, 0.0, 1.0, 1.0, 1.0, 0, 0)  # at rest
+        e1, e2, e3 = cubic_roots(
+            a0 * a4 - 4 * a1 * a3 + 3 * a2 * a2,
+            a0 * a2 * a4 + 2 * a1 * a2 * a3 - a2**3 - a0 * a3 * a3 - a1 * a1 * a4,
+        )
+        if not e1 - e2 > abs(e1) * Decimal(10) ** (8 - DIGITS // 2):
+            raise ValueError("oscillation: the motion tends to rest and has no period; it has no closed form here")
+        r = x0 if abs(here) <= tiny * size and tilt > 0 else _root_between(q, low, x0)
+        scale, c = horner(slope, r) / 4, horner(bending, r) / 24
+        half = carlson_rf(Decimal(0), e1 - e2, e1 - e3)
+
+        def time_of(p: Decimal) -> Decimal:
+            """The t in (0, half] with wp(t) = p."""
+            return carlson_rf(max(p - e1, Decimal(0)), p - e2, p - e3)
+
+        begin = time_of(c + scale / (x0 - r)) if x0 != r else Decimal(0)
+        if step is None:
+            step = time_of((a1 * a1 - a0 * a2) / a0)
+        bend, gap = (e3 - c) / (e1 - e3), scale / (e1 - c)
+        period = 2 * half
+
+        def turns(t: Decimal) -> int:
+            return int((t / (2 * period) * TURN).to_integral_value()) % TURN
+
+        return Oscillation(
+            lower=r,
+            upper=r + gap,
+            gap=float(gap),
+            bend=float(bend),
+            kc2=float((e1 - e2) / (e1 - e3)),
+            quarter=float(half * (e1 - e3).sqrt()),
+            period=float(period),
+            start=turns(begin if rising else -begin),
+            step=turns(step),
+        )
+
+
+def _root_between(q: Sequence[Decimal], low: Decimal, high: Decimal) -> Decimal:
+    """The root of Q between ``low``, where Q <= 0, and ``high``, where Q >= 0, by bisection."""
+    nothing = sum(map(abs, q)) * Decimal(10) ** (10 - DIGITS)
+    if horner(q, low) > nothing or horner(q, high) < -nothing:
+        raise ValueError("oscillation: Q has no sign change where the motion should turn")
+    for _ in range(4 * DIGITS):
+        middle = (low + high) / 2
+        if horner(q, middle) >= 0:
+            high = middle
+        else:
+            low = middle
+    return (low + high) / 2

@@ -1,0 +1,1 @@
+"""Taylor series of high order: the scheme, its recurrences, and their machine code."""

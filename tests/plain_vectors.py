@@ -1,0 +1,175 @@
+"""The vector operations of ``series`` executed with Python's floats, and the time loop around them.
+
+The twin of the machine code, bit for bit, to test it with: slow, because it rounds its fused products by fractions.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, MutableSequence
+from fractions import Fraction
+
+from topcli.schemes.taylor.llvm_vectors import POWER, ROUNDING
+from topcli.schemes.taylor.series import Arrangement, expand, tail
+from topcli.schemes.taylor.time_loop import BUDGET, EXACT, LAG, LEVEL, PART, STEP, TABLES, TIME
+from topcli.schemes.taylor.vectors import two_sum
+
+Vector = tuple[float, ...]
+
+
+Either = float | Vector
+
+
+def fused(x: float, y: float, z: float) -> float:
+    """X y + z, rounded once."""
+    try:
+        total = Fraction(x) * Fraction(y) + Fraction(z)
+        return float(total) if total else x * y + z
+    except (ValueError, OverflowError):  # inf and nan
+        return x * y + z
+
+
+def bits(x: float) -> int:
+    """The 64 bits of x as a signed integer."""
+    return struct.unpack("<q", struct.pack("<d", x))[0]
+
+
+def each(operation: Callable[..., float], *operands: Either) -> Either:
+    """An operation on scalars, or lane by lane on vectors."""
+    if isinstance(operands[0], tuple):
+        return tuple(operation(*lane) for lane in zip(*operands, strict=True))
+    return operation(*operands)
+
+
+class Plain:
+    """The operations, executed."""
+
+    def __init__(self, lanes: int, *, fuse: bool = True) -> None:
+        self.lanes, self.fuse = lanes, fuse
+        self.kept: dict[tuple[str, int], Vector] = {}
+
+    def constant(self, values: Vector) -> Vector:
+        """See ``Operations``; so all the following."""
+        return values
+
+    def splat(self, x: float) -> Vector:
+        """A scalar in every lane."""
+        return (x,) * self.lanes
+
+    def number(self, x: float) -> float:
+        """Itself."""
+        return x
+
+    def add(self, x: Either, y: Either) -> Either:
+        """The sum."""
+        return each(lambda a, b: a + b, x, y)
+
+    def sub(self, x: Either, y: Either) -> Either:
+        """The difference."""
+        return each(lambda a, b: a - b, x, y)
+
+    def mul(self, x: Either, y: Either) -> Either:
+        """The product."""
+        return each(lambda a, b: a * b, x, y)
+
+    def fma(self, x: Either, y: Either, z: Either) -> Either:
+        """x y + z, rounded once; twice without ``fuse``."""
+        return each(fused if self.fuse else lambda a, b, c: a * b + c, x, y, z)
+
+    def negative(self, x: Vector) -> Vector:
+        """-x."""
+        return tuple(-value for value in x)
+
+    def permute(self, x: Vector, lanes: tuple[int, ...]) -> Vector:
+        """The lanes of x at the indices; 0.0 at -1."""
+        return tuple(x[k] if k >= 0 else 0.0 for k in lanes)
+
+    def store(self, name: str, index: int, x: Vector) -> None:
+        """Keep x."""
+        self.kept[name, index] = x
+
+    def load(self, name: str, index: int) -> Vector:
+        """What was kept."""
+        return self.kept[name, index]
+
+    def cut(self) -> None:
+        """Nothing: here all is done in the order in which it stands."""
+
+    def logarithm(self, x: Vector) -> float:
+        """From the exponent, and the mantissa taken for its logarithm."""
+        largest = max(bits(abs(value)) for value in x)
+        return self.fma(float(largest), 2.0**-52, -1023.0)  # type: ignore[return-value]
+
+    def power(self, x: float) -> float:
+        """The exponent, and a parabola for the mantissa."""
+        moved = x + (ROUNDING + 1023.0)
+        part = x - (moved - (ROUNDING + 1023.0))
+        two = struct.unpack("<d", struct.pack("<q", bits(moved) << 52 & (1 << 63) - 1))[0]
+        return two * self.fma(part, self.fma(part, *POWER), 1.0)  # type: ignore[operator,arg-type]
+
+    def least(self, x: float, y: float) -> float:
+        """The smaller one, y when one is nan."""
+        return x if x < y else y
+
+    def largest(self, x: float, y: float) -> float:
+        """The larger one, y when one is nan."""
+        return x if x > y else y
+
+
+def advance(
+    a: Arrangement,
+    d: int,
+    order: int,
+    work: MutableSequence[float],
+    out: MutableSequence[float],
+    h: float,
+    steps: int,
+    every: int,
+    until: int,
+    *,
+    careful: bool = False,
+    fuse: bool = True,
+) -> int:
+    """What ``series_loop`` makes in machine code; see there."""
+    o, n, base = Plain(a.lanes, fuse=fuse), a.lanes, 2 * a.lanes
+    at = base + TABLES
+    hi, lo = tuple(work[:n]), tuple(work[n:base])
+    step, part, lag = int(work[base + STEP]), work[base + PART], work[base + LAG]
+    alpha, beta, delta, unit = (tuple(work[at + k * n : at + (k + 1) * n]) for k in range(4))
+    scaled = h * work[base + TIME]
+    row, place, done = until, 0, 0
+    for _ in range(BUDGET):
+        natural, late, missed = expand(
+            o, a, order, (hi, lo if careful else None), (alpha, beta, delta), work[base + LEVEL]
+        )
+        capped = min(natural * (1.0 / abs(scaled)), 2.0**40)
+        reach = float(math.floor(capped)) if capped >= EXACT else part + ((capped + EXACT) - EXACT)
+        if not late < 1024.0 or not reach > part:
+            if late < 1024.0:
+                work[at + 4 * n] = math.nan
+            return -1 - max(step, 0)
+        while row <= steps and row - step <= reach:
+            main, small = tail(o, order, ((row - step) - part) * scaled - lag, missed)
+            physical = o.mul(o.add(hi, o.add(main, o.add(small, lo))), unit)
+            out[place : place + d] = [physical[k] for k in a.places]  # type: ignore[index]
+            row, place = row + every, place + d
+        done = steps
+        if steps - step <= reach:
+            break
+        move = (reach - part) * scaled
+        exact = move - lag
+        rest = o.fma(reach - part, scaled, -move)
+        main, small = tail(o, order, exact, missed)
+        lag = ((exact - move) + lag) - rest  # type: ignore[operator]
+        new, lost = two_sum(o, hi, main)
+        small = o.add(small, o.add(lo, lost))
+        hi = o.add(new, small)
+        lo = o.sub(small, o.sub(hi, new))
+        passed = math.floor(reach)
+        step, part = step + passed, reach - passed
+        work[at + 4 * n + 1] += 1.0
+        done = step
+    work[:n], work[n:base] = hi, lo  # type: ignore[call-overload]
+    work[base + STEP], work[base + PART], work[base + LAG] = float(step - done), part, lag
+    return done
