@@ -26,8 +26,8 @@ sys.path[:0] = [str(ROOT / "src")]
 
 from topcli.contracts import Scheme  # noqa: E402
 from topcli.engine.driver import loop_of  # noqa: E402
-from topcli.schemes.compose import COMPOSITIONS, composable_names, compose  # noqa: E402
-from topcli.schemes.registry import find_scheme  # noqa: E402
+from topcli.schemes.compose import COMPOSITIONS, compose  # noqa: E402
+from topcli.schemes.registry import composable_names, find_scheme  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402
 
 GEN = np.array((0.7, -0.4, 1.3, 0.6, 0.48, 0.64))

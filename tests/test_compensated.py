@@ -20,9 +20,9 @@ from topcli.engine.driver import loop_of, plain_loop
 from topcli.engine.loop import Run
 from topcli.errors import ConfigError
 from topcli.schemes.compensated import CompensatedOption
-from topcli.schemes.compose import COMPOSITIONS, composable_names, compose
+from topcli.schemes.compose import COMPOSITIONS, compose
 from topcli.schemes.kowalevski.hk import hk_kowalevski_change, hk_kowalevski_refined
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import all_schemes, composable_names, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

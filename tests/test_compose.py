@@ -19,7 +19,7 @@ from topcli.engine.driver import plain_loop
 from topcli.engine.loop import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, composed_step, obstacle
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import all_schemes, composed, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -248,7 +248,7 @@ def rescaled(s, h, p):
 )
 def test_bases_that_do_not_serve(change: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says) as told:
-        compose(replace(SPLIT, **change), "suzuki4")
+        composed(replace(SPLIT, **change), "suzuki4")
     assert "schemes for kowalevski that can: " in str(told.value)
     assert " hk," in str(told.value)
     assert len(str(told.value).splitlines()) == 1

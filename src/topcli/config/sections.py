@@ -12,8 +12,8 @@ from topcli.config.document import KeyPath, describe
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.contracts import Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest
-from topcli.schemes.compose import COMPOSITIONS, compose
-from topcli.schemes.registry import find_scheme, names_for
+from topcli.schemes.compose import COMPOSITIONS
+from topcli.schemes.registry import composed, find_scheme, names_for
 from topcli.tops import kinds, top_class
 
 UNIT_TOLERANCE = 1e-12
@@ -51,7 +51,7 @@ def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme
         scheme = find_scheme(name, cls.form)
         if "compose" in given:
             where = ("scheme", "compose")
-            scheme = compose(scheme, composition)
+            scheme = composed(scheme, composition)
     except UsageError as error:
         problems.add(where, str(error), unknown_name=isinstance(error, UnknownNameError))
         return None

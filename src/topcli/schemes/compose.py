@@ -25,7 +25,6 @@ from pydantic import ValidationError
 
 from topcli.contracts import Block, Floats, Method, Sampler, Scheme, StepFunction, Stepper, Top
 from topcli.errors import UnknownNameError, UsageError, nearest
-from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 
 BASE_ORDER = 2
@@ -129,7 +128,7 @@ def compose(base: Scheme, name: str) -> Scheme:
 
     Invariants that the base conserves survive, because they do not depend on the length of a step; its modified
     integrals do depend on it, and are lost. Options are the base's. Raises UnknownNameError for an unknown
-    composition, and UsageError for a base that cannot be composed, naming those that can.
+    composition, and UsageError for a base that cannot be composed.
     """
     return _composed(base, find_composition(name))
 
@@ -138,10 +137,7 @@ def compose(base: Scheme, name: str) -> Scheme:
 def _composed(base: Scheme, composition: Composition) -> Scheme:
     reason = obstacle(base)
     if reason:
-        raise UsageError(
-            f"scheme {base.name!r} cannot be composed: it {reason}; "
-            f"schemes for {base.top} that can: {', '.join(composable_names(base.top)) or 'none'}"
-        )
+        raise UsageError(f"scheme {base.name!r} cannot be composed: it {reason}")
 
     def build(top: Any, options: Any) -> Method:
         method = base.build(top, options)
@@ -191,11 +187,6 @@ def obstacle(base: Scheme) -> str:
     if base.order != BASE_ORDER:
         return f"has order {base.order}, and the compositions are for order {BASE_ORDER}"
     return ""
-
-
-def composable_names(form: str) -> list[str]:
-    """Names of the registered schemes for the form of a top that can be composed."""
-    return [scheme.name for scheme in all_schemes() if scheme.top == form and not obstacle(scheme)]
 
 
 def _method_obstacle(method: Method, top: Top) -> str:

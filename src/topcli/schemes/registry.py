@@ -21,6 +21,7 @@ from pydantic import BaseModel
 
 from topcli.contracts import Invariant, Method, NoOptions, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
@@ -193,9 +194,7 @@ def find_scheme(name: str, top: str) -> Scheme:
     """
     base, plus, composition = name.rpartition("+")
     if plus:
-        from topcli.schemes.compose import compose
-
-        return compose(find_scheme(base, top), composition)
+        return composed(find_scheme(base, top), composition)
     key = (name.lower(), top)
     # names are unique, so the first module that registers this one settles it: the others need not be imported
     for module in _likely_first(*key):
@@ -212,6 +211,22 @@ def find_scheme(name: str, top: str) -> Scheme:
             f"schemes for {top}: {', '.join(names_for(top)) or 'none'}"
         )
     raise UnknownNameError(f"unknown scheme {name!r}; {nearest(name, names_for(top))}")
+
+
+def composed(base: Scheme, name: str) -> Scheme:
+    """``base`` under the composition ``name``, as ``compose`` makes it; its refusal also names schemes that can be."""
+    find_composition(name)
+    if reason := obstacle(base):
+        raise UsageError(
+            f"scheme {base.name!r} cannot be composed: it {reason}; "
+            f"schemes for {base.top} that can: {', '.join(composable_names(base.top)) or 'none'}"
+        )
+    return compose(base, name)
+
+
+def composable_names(form: str) -> list[str]:
+    """Names of the registered schemes for the form of a top that can be composed."""
+    return [scheme.name for scheme in all_schemes() if scheme.top == form and not obstacle(scheme)]
 
 
 def names_for(top: str) -> list[str]:

@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Sampler, Scheme, Stepper
 from topcli.errors import UsageError
-from topcli.schemes.compose import COMPOSITIONS, composable_names
-from topcli.schemes.registry import SchemeMisfitError, find_scheme, names_for
+from topcli.schemes.compose import COMPOSITIONS
+from topcli.schemes.registry import SchemeMisfitError, composable_names, find_scheme, names_for
 from topcli.store.provenance import environment, installed
 from topcli.studies.bench.competitors import (
     Competitor,
