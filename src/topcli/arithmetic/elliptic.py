@@ -16,9 +16,9 @@ from decimal import Decimal
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.arithmetic.double_double import dd_add, quick_two_sum
-from topcli.contracts import Array
 
 DIGITS = 80
 """Decimal digits to compute constants with: sums of products of four doubles are exact."""
@@ -26,6 +26,7 @@ DUPLICATION_LIMIT = Decimal("3e-7")
 """Carlson's series are of order six: this deviation leaves a relative error of 1e-39."""
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798")
 DD = tuple[float, float]
+Array = NDArray[np.floating[Any]]
 
 
 def to_dd(x: Decimal) -> DD:

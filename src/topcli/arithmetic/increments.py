@@ -8,9 +8,12 @@ taken at the rounded state: what that makes of the lost part is smaller by h, an
 
 from __future__ import annotations
 
-from topcli.arithmetic.double_double import quick_two_sum
-from topcli.contracts import Floats, StepFunction
+from collections.abc import Callable
 
+from topcli.arithmetic.double_double import quick_two_sum
+
+Floats = tuple[float, ...]
+StepFunction = Callable[[Floats, float, Floats], Floats]
 Change = StepFunction
 """``change(state, h, p)``: new state minus old, a tuple of the state's length."""
 
