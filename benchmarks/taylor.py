@@ -1,4 +1,4 @@
-"""The Taylor series against heyoka's: time at equal error, one trajectory and eight at once, over several processes.
+"""The Taylor series against heyoka's: time at equal error, over several processes.
 
     python benchmarks/taylor.py [--json] [--processes 5]
 
@@ -28,7 +28,6 @@ sys.path[:0] = [str(ROOT / "src")]
 
 from topcli.analysis.reference import reference_states  # noqa: E402
 from topcli.contracts import Top  # noqa: E402
-from topcli.engine.batch import batch_code, prepared  # noqa: E402
 from topcli.engine.driver import loop_of  # noqa: E402
 from topcli.schemes.taylor.scheme import Tolerance, build  # noqa: E402
 from topcli.tops.heavy import Heavy  # noqa: E402
@@ -42,18 +41,9 @@ SCENES: dict[str, tuple[Top, tuple[float, ...], float]] = {
     "kowalevski other": (Kowalevski(), (-0.3, 1.1, 0.4, 0.6, -0.64, 0.48), 1000.0),
     "heavy regular": (Heavy(), (2.0, 0.5, 0.3, -0.6, -0.48, -0.64), 1000.0),
 }
-BATCH = 200.0
-"""The time that batches run for."""
 MINE = tuple(10.0**-k for k in range(4, 18))
 THEIRS = tuple(10.0**-k for k in range(4, 19))
 REPETITIONS = 12
-
-
-def batch_states() -> np.ndarray:
-    """Eight states of a Kowalevski top, drawn on the unit sphere and in the unit cube."""
-    draw = np.random.default_rng(5)
-    omega, gamma = draw.uniform(-1.5, 1.5, (8, 3)), draw.normal(size=(8, 3))
-    return np.hstack([omega, gamma / np.linalg.norm(gamma, axis=1)[:, None]])
 
 
 def equations(top: Top, hy: Any) -> list[Any]:
@@ -119,32 +109,6 @@ def heyoka_calls(hy: Any, top: Top, y0: tuple[float, ...], t: float, tol: float,
     return all_of_them, last
 
 
-def batch_call(top: Top, y0: np.ndarray, tol: float) -> Any:
-    """Eight trajectories to t = BATCH: their states (8, 6)."""
-    code, first = batch_code(top, tol), prepared(top, y0, tol)
-    out, p = np.empty((6, 8)), np.array(top.constants())
-
-    def call() -> np.ndarray:
-        code(first.copy().reshape(-1), out.reshape(-1), p, BATCH, 1, 1, 1)
-        return out.T
-
-    return call
-
-
-def heyoka_batch_call(hy: Any, top: Top, y0: np.ndarray, tol: float, careful: bool) -> Any:
-    """The same by heyoka, with as many lanes as there are trajectories (its recommended number with AVX-512)."""
-    stepper = hy.taylor_adaptive_batch(equations(top, hy), y0.T.copy(), tol=tol, high_accuracy=careful)
-    start = y0.T.copy()
-
-    def call() -> np.ndarray:
-        stepper.set_time(0.0)
-        stepper.state[:] = start
-        stepper.propagate_until(BATCH)
-        return stepper.state.T
-
-    return call
-
-
 def measured() -> dict[str, dict[str, list[tuple[float, float]]]]:
     """In this process: for each scene and each code (error, milliseconds) at each tolerance."""
     try:
@@ -167,13 +131,6 @@ def measured() -> dict[str, dict[str, list[tuple[float, float]]]]:
                     name = f"heyoka{' accurate' * careful} @{tol}"
                     calls[name] = heyoka_calls(hy, top, y0, t, tol, careful)[kind]
             note(f"{scene}, {('every t = n', 'the end')[kind]}", calls, reference)
-    top, states = Kowalevski(), batch_states()
-    exact = np.array([reference_states(top, y, np.array([BATCH]))[0] for y in states])
-    calls = {f"topcli @{tol}": batch_call(top, states, tol) for tol in MINE}
-    for tol in THEIRS if hy else ():
-        for careful in (False, True):
-            calls[f"heyoka{' accurate' * careful} @{tol}"] = heyoka_batch_call(hy, top, states, tol, careful)
-    note("batch of eight, kowalevski", calls, exact)
     return found
 
 
