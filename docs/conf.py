@@ -1,0 +1,25 @@
+"""Sphinx settings of the documentation: MyST pages, the pydata theme, formulas by a bundled MathJax."""
+
+from importlib.metadata import version as version_of
+
+project = "topcli"
+author = "the topcli authors"
+copyright = author
+version = release = version_of("topcli")
+
+extensions = ["myst_parser", "sphinx.ext.mathjax", "sphinx-mathjax-offline"]
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build"]
+
+html_theme = "pydata_sphinx_theme"
+html_title = "topcli"
+html_show_sourcelink = False
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_prev_next": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+nitpicky = True
