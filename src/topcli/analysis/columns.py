@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Invariant, Top
-from topcli.errors import UsageError, nearest
+from topcli.errors import UsageError, nearest, quoted
 
 
 def column_names(top: Top) -> list[str]:
@@ -43,5 +43,5 @@ def columns(
             with np.errstate(over="ignore", invalid="ignore"):
                 made[name] = invariants[name].value(states)
         else:
-            raise UsageError(f"no column {name!r}; {nearest(name, ['n', 't', *top.components, *invariants])}")
+            raise UsageError(f"no column {quoted(name)}; {nearest(name, ['n', 't', *top.components, *invariants])}")
     return made

@@ -74,7 +74,7 @@ def bench(
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Measure speed against error over ladders of h and of tolerances; name the fastest at each error."""
-    from topcli.errors import UsageError
+    from topcli.errors import UsageError, quoted
     from topcli.schemes.registry import find_scheme
     from topcli.store.provenance import now
     from topcli.store.run_folder import require_writable
@@ -93,7 +93,7 @@ def bench(
     for name in schemes or ():
         if all(any(name == left for left, _ in field.left_out) for field in fields):
             find_scheme(name, problems[0].top.form)  # says what it fits
-            raise UsageError(f"scheme {name!r} cannot be measured: {fields[0].left_out[0][1]}")
+            raise UsageError(f"scheme {quoted(name)} cannot be measured: {fields[0].left_out[0][1]}")
     require_bench_folder(out)
     require_writable(out)
     teller = ProgressTeller(len(problems), as_json)

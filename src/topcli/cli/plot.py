@@ -35,7 +35,7 @@ def plot(
     as_json: Json = False,
 ) -> None:
     """Draw figures as PNG and PDF, with the plotted data as Parquet beside them."""
-    from topcli.errors import UsageError
+    from topcli.errors import UsageError, shortened
     from topcli.figures.catalogue import FIGURES, figure_spec
     from topcli.figures.make import make_figure
     from topcli.figures.picture import IMAGE_FORMATS, NothingMeasuredError
@@ -44,7 +44,9 @@ def plot(
         raise UsageError(f"name figures or say --all, one of the two; figures: {', '.join(FIGURES)}, {STRESS}")
     wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
     if wrong:
-        raise UsageError(f"--format {wrong[0]}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}")
+        raise UsageError(
+            f"--format {shortened(wrong[0])}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}"
+        )
     wanted = [name.lower() for name in names or ()]
     with_stress = STRESS in wanted
     specs = list(FIGURES.values()) if every else [figure_spec(name) for name in wanted if name != STRESS]

@@ -11,7 +11,7 @@ import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
 from topcli.cli.talk import ProgressTeller, print_json, print_table, say, say_warnings
-from topcli.errors import TopcliError, UsageError
+from topcli.errors import TopcliError, UsageError, shortened
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -196,7 +196,7 @@ def run(
     its folder; --resume continues it, and also a run that was killed, and ends as if it had never been stopped.
     """
     if output_format not in (None, "parquet", "csv"):
-        raise UsageError(f"--format {output_format}: not a format of a series; choose parquet or csv")
+        raise UsageError(f"--format {shortened(output_format)}: not a format of a series; choose parquet or csv")
     if resume and force:
         raise UsageError("--resume continues a run and --force repeats it: give one of them")
     if not checkpoint_every >= 0.0:

@@ -25,14 +25,16 @@ def complete_case(incomplete: str) -> list[str]:
 
 def _options(sets: list[str]) -> dict[str, Any]:
     """Options of schemes given by ``--set scheme.KEY=VALUE``. Raises UsageError for anything else."""
-    from topcli.config.overrides import parse_override
+    from topcli.config.overrides import override_label, parse_override
     from topcli.errors import UsageError
 
     options: dict[str, Any] = {}
     for text in sets:
         path, value = parse_override(text)
         if path[0] != "scheme" or len(path) != 2 or path[1] in ("name", "compose"):
-            raise UsageError(f"--set {text}: only options of schemes can be set, as scheme.KEY=VALUE; a case is fixed")
+            raise UsageError(
+                f"{override_label(text)}: only options of schemes can be set, as scheme.KEY=VALUE; a case is fixed"
+            )
         options[str(path[1])] = value
     return options
 

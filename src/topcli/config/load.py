@@ -13,7 +13,7 @@ from topcli.config.models import Config, Experiment, duration_fault, name_fault
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, validate
 from topcli.config.sections import check_columns, read_initial, read_scheme, read_top
-from topcli.errors import ConfigError, UnknownNameError, nearest
+from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -105,7 +105,7 @@ def find_config(source: Path | str) -> Path:
             return scene
     files = [text + suffix for suffix in SUFFIXES if Path(text + suffix).is_file()]
     near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes)
-    raise UnknownNameError(f"no packaged scene is called {text!r} (files end in .yaml, .yml or .toml); {near}")
+    raise UnknownNameError(f"no packaged scene is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
 
 
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:

@@ -18,7 +18,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from topcli.contracts import Invariant, Method, NoOptions, Scheme, Top
-from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
@@ -200,10 +200,10 @@ def find_scheme(name: str, top: str) -> Scheme:
     fits = sorted(kind for known, kind in _schemes if known == name.lower())
     if fits:
         raise SchemeMisfitError(
-            f"scheme {name!r} does not fit top {top!r}; it fits {', '.join(fits)}; "
+            f"scheme {quoted(name)} does not fit top {top!r}; it fits {', '.join(fits)}; "
             f"schemes for {top}: {', '.join(names_for(top)) or 'none'}"
         )
-    raise UnknownNameError(f"unknown scheme {name!r}; {nearest(name, names_for(top))}")
+    raise UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, names_for(top))}")
 
 
 def names_for(top: str) -> list[str]:

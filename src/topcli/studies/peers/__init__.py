@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def find_peers(names: Sequence[str]) -> list[Peer]:
     found = []
     for name in names:
         if name.lower() not in PEERS:
-            raise UnknownNameError(f"--against: unknown peer {name!r}; {nearest(name, PEERS)}")
+            raise UnknownNameError(f"--against: unknown peer {quoted(name)}; {nearest(name, PEERS)}")
         if PEERS[name.lower()] in found:
-            raise UsageError(f"--against: peer {name!r} is named twice")
+            raise UsageError(f"--against: peer {quoted(name)} is named twice")
         found.append(PEERS[name.lower()])
     return found
 
