@@ -17,6 +17,18 @@ def column_names(top: Top) -> list[str]:
     return ["n", "t", *top.components, *(invariant.name for invariant in top.invariants())]
 
 
+_ASCII = str.maketrans({"²": "^2", "·": ".", "γ": "gamma", "ω": "omega", "κ": "kappa", "₃": "3"})
+
+
+def spellings(name: str, symbol: str) -> list[str]:
+    """Ways to write an invariant where a column is named: its name, its symbol, and that in ASCII.
+
+    >>> spellings("gamma_sq", "γ²")
+    ['gamma_sq', 'γ²', 'gamma^2']
+    """
+    return list(dict.fromkeys((name, symbol, symbol.translate(_ASCII))))
+
+
 def columns(
     top: Top,
     n: NDArray[np.int64],

@@ -101,7 +101,7 @@ def _header(scheme: dict[str, Any]) -> str:
 def compare(
     schemes: Annotated[
         list[str],
-        typer.Argument(metavar="SCHEME SCHEME...", help="Names of schemes.", autocompletion=complete_scheme),
+        typer.Argument(metavar="SCHEME", help="Names of schemes.", autocompletion=complete_scheme),
     ],
     config: Annotated[
         str,
@@ -118,7 +118,7 @@ def compare(
     out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Compare schemes on one experiment: errors, drifts, reversal, swings, speed."""
+    """Compare schemes: errors, drifts, reversal, swings, speed."""
     from topcli.config.load import load_experiment
     from topcli.store.run_folder import require_writable
     from topcli.studies.compare import compare_schemes

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from topcli.cli.options import Force, Json, complete_figure
-from topcli.cli.talk import ProgressTeller, print_json, say
+from topcli.cli.talk import ProgressTeller, emit, print_json, say
 
 STRESS = "stress"
 """The figure that is made from a study of its own and not from run folders."""
@@ -17,24 +17,30 @@ STRESS = "stress"
 def plot(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="FIGURE...", help="Names of figures.", autocompletion=complete_figure),
+        typer.Argument(metavar="FIGURE", help="Names of figures.", autocompletion=complete_figure),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="All figures but stress, which takes long.")] = False,
     formats: Annotated[
-        list[str] | None, typer.Option("--format", help="png or pdf; may be given twice. Default: both.")
+        list[str] | None,
+        typer.Option("--format", metavar="FORMAT", help="png or pdf; may be given twice. Default: both."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figures.")] = Path("results/figures"),
     results: Annotated[Path, typer.Option("--results", metavar="DIR", help="Folder of the run folders.")] = Path(
         "results"
     ),
     configs: Annotated[
-        Path,
-        typer.Option("--configs", metavar="DIR", help="Folder of the configs; packaged scenes where it has none."),
-    ] = Path("configs"),
+        Path | None,
+        typer.Option(
+            "--configs",
+            metavar="DIR",
+            help="Folder of the configs; packaged scenes where it has none.",
+            show_default="configs",
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Draw figures as PNG and PDF, with the plotted data as Parquet beside them."""
+    """Draw figures as PNG and PDF, with their data as Parquet."""
     from topcli.errors import UsageError, shortened
     from topcli.figures.catalogue import FIGURES, figure_spec
     from topcli.figures.make import make_figure
@@ -47,6 +53,8 @@ def plot(
         raise UsageError(
             f"--format {shortened(wrong[0])}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}"
         )
+    if configs is not None and not configs.is_dir():
+        raise UsageError(f"--configs {configs}: no such folder")
     wanted = [name.lower() for name in names or ()]
     with_stress = STRESS in wanted
     specs = list(FIGURES.values()) if every else [figure_spec(name) for name in wanted if name != STRESS]
@@ -61,7 +69,7 @@ def plot(
         teller.close()
         made.append(one)
         if not as_json:
-            print(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
+            emit(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
     for spec in specs:
         teller.begin(spec.scene)
         try:
@@ -69,7 +77,7 @@ def plot(
                 spec,
                 out=out,
                 results=results,
-                configs=configs,
+                configs=Path("configs") if configs is None else configs,
                 formats=tuple(dict.fromkeys(formats or IMAGE_FORMATS)),
                 force=force,
                 progress=teller,
@@ -83,7 +91,7 @@ def plot(
         teller.close()
         made.append(one)
         if not as_json:
-            print(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
+            emit(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
     if as_json:
         figures = [{"name": m.name, "status": m.status, "files": [str(path) for path in m.files]} for m in made]
         print_json("plot", {"figures": figures})

@@ -42,17 +42,14 @@ def emit_prose(text: str, indent: str = "") -> None:
 
 def print_json(command: str, content: dict[str, Any]) -> None:
     """Print the one JSON document of a command: ``schema_version``, ``command`` and its ``content``."""
-    document = {"schema_version": 1, "command": command, **content}
-    print(json_text(document))
+    print_document({"schema_version": 1, "command": command, **content})
 
 
-def json_text(document: dict[str, Any]) -> str:
-    """JSON without control characters: those that JSON would leave as they are become its own escapes."""
-    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
-    return "\n".join(
-        line if line.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
-        for line in text.split("\n")
-    )
+def print_document(document: dict[str, Any]) -> None:
+    """Print JSON; control characters that it would leave as they are become its own escapes."""
+    for line in json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False).split("\n"):
+        safe = line if line.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
+        print(safe)
 
 
 def say(line: str) -> None:
@@ -60,6 +57,12 @@ def say(line: str) -> None:
     for part in _wrapped(clipped(printable(line), 990), sys.stderr):
         print(part, file=sys.stderr)
     sys.stderr.flush()
+
+
+def say_text(text: str) -> None:
+    """Print a text of several lines on stderr as it is."""
+    for line in text.splitlines():
+        print(printable(line), file=sys.stderr)
 
 
 def say_error(error: TopcliError, where: str = "") -> None:
@@ -97,6 +100,11 @@ def on_terminal() -> bool:
 def screen_width() -> int:
     """Characters in a line of the terminal."""
     return max(40, shutil.get_terminal_size().columns)
+
+
+def prose_width() -> int:
+    """Characters in a line of prose on stdout: at most 100."""
+    return min(100, screen_width()) if sys.stdout.isatty() else 100
 
 
 def print_table(

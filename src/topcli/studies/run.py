@@ -111,7 +111,8 @@ def plan_run(
             raise UsageError(
                 f"{target}: holds a different experiment (digest {str(standing.manifest['digest'])[:8]}, this one "
                 f"{digest[:8]}); nothing was written",
-                "choose --set name=... or --out, or --force to keep the earlier run aside and put this one in its place",
+                "choose --set name=... or --out, or --force to keep the earlier run aside and put this one in "
+                "its place",
             )
         action = f"will continue from step {source.done}" if source else "will run"
         return Plan(standing, False, f"{action}, and keep the different run that is there aside")
