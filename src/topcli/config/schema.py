@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from topcli.analysis.columns import spellings
-from topcli.config.ensemble_schema import ensemble_schema
+from topcli.config.ensemble_schema import any_ensemble_schema, ensemble_schema
 from topcli.config.models import Config
 from topcli.config.sections import AUTO
 from topcli.contracts import Scheme, Top
@@ -33,7 +33,7 @@ def config_schema() -> Schema:
         ]
     }
     properties["initial"] |= {"type": "object"}
-    properties["ensemble"] = {"type": ["object", "null"], "description": properties["ensemble"]["description"]}
+    properties["ensemble"] = any_ensemble_schema() | {"description": properties["ensemble"]["description"]}
     schema["required"].remove("initial")
     schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
     properties["scheme"] |= {"type": ["string", "object"]}

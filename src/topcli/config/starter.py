@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
-from topcli.config.draws import energy_of
+from topcli.config.draws import draw_examples
 from topcli.config.emit import flow
 from topcli.config.models import Config, Output
 from topcli.contracts import Scheme, Top
@@ -124,15 +124,11 @@ def _initial(cls: type[Top]) -> list[Line]:
 
 def _ensemble(cls: type[Top], toml: bool) -> list[str]:
     """A block to uncomment: many trajectories instead of one."""
-    free = next(name for name in cls.vectors if name not in cls.unit_vectors)
-    unit = next(iter(cls.unit_vectors), "")
-    kinds = "sphere: RADIUS, near: DISTANCE" + (", energy: E" if energy_of(cls.new()) else "")
-    lines = ["many trajectories instead of one; see docs/ensembles.md"]
-    if toml:
-        lines += ["[ensemble.random]", "count = 100", "seed = 0", f"{free} = {{sphere = 2}}  # or {kinds[16:]}"]
-        lines += [f'{unit} = "sphere"  # or {{near = ANGLE}}'] if unit else []
-    else:
-        lines += ["ensemble:", "  random:", "    count: 100", "    seed: 0"]
-        lines += [f"    {free}: {{sphere: 2}}  # or {kinds[16:]}"]
-        lines += [f"    {unit}: sphere  # or {{near: ANGLE}}"] if unit else []
-    return [f"# {line}" for line in lines]
+    lines = ["[ensemble.random]"] if toml else ["ensemble:", "  random:"]
+    indent, sign = ("", " = ") if toml else ("    ", ": ")
+    lines += [f"{indent}{key}{sign}{value}" for key, value in (("count", 100), ("seed", 0))]
+    for name in cls.vectors:
+        first, *others = draw_examples(cls, name)
+        text = '"sphere"' if toml and first == "sphere" else first
+        lines.append(f"{indent}{name}{sign}{text.replace(': ', sign)}  # or {', '.join(others).replace(': ', sign)}")
+    return [f"# {line}" for line in ["many trajectories instead of one; see docs/ensembles.md", *lines]]

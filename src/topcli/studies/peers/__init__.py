@@ -19,6 +19,7 @@ class Peer:
 
     ``varies`` says that its speed differs from process to process, so that it counts as its best of several.
     ``patience`` is how many times the usual seconds a call may take; what runs in the interpreter needs more.
+    The extra of the same name installs what it requires; ``needs`` says what must be there before.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Peer:
     requires: tuple[str, ...]
     varies: bool = False
     patience: float = 1.0
+    needs: str = ""
 
 
 PEERS: dict[str, Peer] = {
@@ -53,6 +55,7 @@ PEERS: dict[str, Peer] = {
             "topcli.studies.peers.numbalsoda_ode",
             ("numbalsoda", "numba"),
             patience=5.0,
+            needs="needs CMake and a Fortran compiler",
         ),
     )
 }
@@ -73,4 +76,6 @@ def find_peers(names: Sequence[str]) -> list[Peer]:
 def missing(peer: Peer) -> str:
     """Why ``peer`` cannot be measured here; empty when all that it requires is installed."""
     absent = [package for package in peer.requires if find_spec(package) is None]
-    return f"{' and '.join(absent)} not installed; pip install 'topcli[peers]' has it" if absent else ""
+    if not absent:
+        return ""
+    return f"{' and '.join(absent)} not installed; run pip install 'topcli[{peer.name}]'{peer.needs and f' ({peer.needs})'}"
