@@ -78,4 +78,5 @@ def missing(peer: Peer) -> str:
     absent = [package for package in peer.requires if find_spec(package) is None]
     if not absent:
         return ""
-    return f"{' and '.join(absent)} not installed; run pip install 'topcli[{peer.name}]'{peer.needs and f' ({peer.needs})'}"
+    needs = f" ({peer.needs})" if peer.needs else ""
+    return f"{' and '.join(absent)} not installed; run pip install 'topcli[{peer.name}]'{needs}"
