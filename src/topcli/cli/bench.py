@@ -37,7 +37,7 @@ def _tell(result: dict[str, Any], all_points: bool) -> None:
         emit_prose(f"in closed form, {row['name']}: distance from the reference {told}")
     emit()
     if all_points:
-        print_table(*point_lines(result), numbers=(2, 3, 4, 5, 6), title=f"{result['name']}: every point")
+        print_table(*point_lines(result), numbers=(2, 3, 4, 5, 6), keys=2, title=f"{result['name']}: every point")
         emit()
         for line in ladder_lines(result):
             emit_prose(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,9 +35,8 @@ def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_j
         print_json(f"list {kind}", {kind: items})
     elif items:
         header = [column.replace("_", "-") for column in columns]
-        numbers = [
-            i for i, column in enumerate(columns) if all(type(item[column]) in (int, float) for item in items) and i
-        ]
+        kinds = [{type(item[column]) for item in items} - {type(None)} for column in columns]
+        numbers = [i for i, kind in enumerate(kinds) if kind and kind <= {int, float}]
         print_table(header, [[_cell(item[column]) for column in columns] for item in items], numbers=numbers)
     else:
         say(nothing or f"no {kind}")
@@ -49,7 +49,7 @@ def _cell(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "–"
-    return shortened(value if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value), 200)
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 @list_app.command(cls=Command, name="tops")
@@ -69,8 +69,11 @@ def list_tops(as_json: Json = False) -> None:
         }
         for top in TOPS.values()
     ]
-    shown = [{**item, "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]} for item in items]
-    _print_list("tops", items if as_json else shown, ["form", "title", "parameters", "invariants"], as_json)
+    shown = [
+        {**item, "top": item["form"], "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]}
+        for item in items
+    ]
+    _print_list("tops", items if as_json else shown, ["top", "title", "parameters", "invariants"], as_json)
 
 
 @list_app.command(cls=Command, name="schemes")
@@ -189,6 +192,16 @@ def list_figures(as_json: Json = False) -> None:
     _print_list("figures", items, ["name", "scene", "title"], as_json)
 
 
+def _short(item: dict[str, Any]) -> dict[str, Any]:
+    """A run for the table: other programs may have written its manifest, which may hold anything."""
+    cells = {
+        key: value if isinstance(value, int | float) else shortened(str(value))
+        for key, value in item.items()
+        if key != "name"
+    }
+    return item | cells | {"ended": _local_time(item["ended"])}
+
+
 def _local_time(stamp: object) -> str:
     """A timestamp of a manifest to the minute, in local time; anything else as it is, shortened."""
     from datetime import datetime
@@ -211,7 +224,7 @@ def list_runs(
     from topcli.store.run_folder import stored_runs
 
     folder = Path("results") if out is None else out
-    if out is not None and not out.is_dir():
+    if out is not None and not os.path.isdir(out):
         raise UsageError(f"--out {out}: no such folder")
     items: list[dict[str, Any]] = [
         {
@@ -225,7 +238,7 @@ def list_runs(
         }
         for run in stored_runs(folder)
     ]
-    shown = items if as_json else [{**item, "ended": _local_time(item["ended"])} for item in items]
+    shown = items if as_json else [_short(item) for item in items]
     columns = ["name", "outcome", "scheme", "h", "N", "digest", "ended"]
     _print_list("runs", shown, columns, as_json, f"no finished runs in {folder}")
 
@@ -318,7 +331,9 @@ def init(
         raise UsageError(f"{path}: a config is YAML or TOML; give a name ending in .yaml or .toml")
     text = starter_config(top, scheme, schema_path.name, toml=path.suffix == ".toml")
     schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
-    taken = [one for one, ours in ((path, ""), (schema_path, schema_text)) if one.exists() and not _holds(one, ours)]
+    taken = [
+        one for one, ours in ((path, ""), (schema_path, schema_text)) if os.path.exists(one) and not _holds(one, ours)
+    ]
     if taken and not force:
         raise UsageError(f"{taken[0]}: exists already; choose another name or folder, or --force to overwrite it")
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -53,7 +54,7 @@ def plot(
         raise UsageError(
             f"--format {shortened(wrong[0])}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}"
         )
-    if configs is not None and not configs.is_dir():
+    if configs is not None and not os.path.isdir(configs):
         raise UsageError(f"--configs {configs}: no such folder")
     wanted = [name.lower() for name in names or ()]
     with_stress = STRESS in wanted

@@ -116,7 +116,9 @@ def roundoff(
             f"{experiment.scheme.name} on {experiment.name}: {found['top']}, h = {found['h']:g}, "
             f"{found['steps']} steps, {copies} copies"
         )
-        print_table(HEADER, sorted(rows, key=lambda row: order.index(row[0])), title, numbers=(2, 3, 4, 6, 7, 8))
+        print_table(
+            HEADER, sorted(rows, key=lambda row: order.index(row[0])), title, numbers=(2, 3, 4, 6, 7, 8), keys=2
+        )
         if not found["claimed"]:
             say(
                 f"{experiment.scheme.name} claims no invariant exactly: drifts of means over long windows, by which "

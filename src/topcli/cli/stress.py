@@ -60,7 +60,7 @@ def _list(trials: list[dict[str, Any]]) -> None:
         meaning = {"ok": "", "limit": "declared limit"}.get(one["verdict"], one["verdict"].upper())
         rows.append([one["scheme"], one["top"], one["case"], what, shorten(one["why"], 100), meaning])
     header = ["scheme", "top", "case", "outcome", "why", ""]
-    print_table(header, rows, numbers=False)
+    print_table(header, rows, numbers=False, keys=3)
 
 
 def _summary(data: dict[str, Any]) -> str:
@@ -95,7 +95,7 @@ def stress(
 
     Exits with 4 if a scheme breaks without declaring it as its limit, or declares a limit that it outlives.
     """
-    from topcli.errors import UsageError, nearest
+    from topcli.errors import UsageError, nearest, shortened
     from topcli.store.run_folder import require_writable
     from topcli.studies.stress.record import stress_data, stress_source, write_stress
     from topcli.studies.stress.suite import chosen
@@ -107,7 +107,9 @@ def stress(
     for key in options:
         known = {name for scheme in used for name in scheme.options.model_fields}
         if key not in known:
-            raise UsageError(f"--set scheme.{key}: none of the schemes has this option; {nearest(key, known)}")
+            raise UsageError(
+                f"--set scheme.{shortened(key)}: none of the schemes has this option; {nearest(key, known)}"
+            )
     whole = not (schemes or cases or top or options)
     if whole:
         require_writable(out)

@@ -17,10 +17,11 @@ def table_lines(
     right: Collection[int] = (),
     width: int | None = None,
     rule: bool = False,
+    keys: int = 1,
 ) -> list[str]:
     """Lines of a table, none longer than ``width``.
 
-    A table that is too wide is printed in blocks of columns, each of which begins with the first column. Cells are
+    A table that is too wide is printed in blocks of columns, each of which begins with those that name a row. Cells are
     wrapped at words; a word is broken only where it alone does not fit.
 
     Parameters
@@ -35,13 +36,19 @@ def table_lines(
         Characters in a line; None for no limit.
     rule : bool
         Draw a line under the header.
+    keys : int
+        Leading columns that name a row.
     """
     table = [header, *rows] if header else list(rows)
-    count = len(table[0]) if table else 0
+    if not table:
+        return []
+    count = len(table[0])
     natural = [max(len(row[i]) for row in table) for i in range(count)]
-    least = natural if width is None else _least(table, natural, right, width)
+    least = natural
+    if width is not None:
+        least, keys = _least(table, natural, right, width, keys)
     lines: list[str] = []
-    for block in _blocks(least, width):
+    for block in _blocks(least, width, keys):
         widths = {i: least[i] for i in block}
         _widen(widths, natural, width)
         lines += [""] if lines else []
@@ -52,29 +59,34 @@ def table_lines(
     return lines
 
 
-def _least(table: Sequence[Sequence[str]], natural: list[int], right: Collection[int], width: int) -> list[int]:
-    """Narrowest width of each column: that of its longest word, of prose a comfortable one, and at most what fits."""
-    least = []
-    for i in range(len(natural)):
-        word = max((len(part) for row in table for part in row[i].split()), default=0)
-        if i in right:  # numbers stay whole, with their errors and units; only the header is wrapped
-            word = max(word, *(len(row[i]) for row in table[1:] or table))
-        else:
-            word = max(word, min(natural[i], COMFORTABLE))
-        most = width if len(natural) == 1 else (width - GAP) // 2 if i == 0 else width - GAP - least[0]
-        least.append(min(word, most))
-    return least
+def _least(
+    table: Sequence[Sequence[str]], natural: Sequence[int], right: Collection[int], width: int, keys: int
+) -> tuple[list[int], int]:
+    """Narrowest width of each column, and the number of columns that name a row: all ``keys`` only if there is room.
+
+    A column is as wide as its longest word, prose is comfortable, and any column fits beside those that name a row.
+    """
+    words = [max((len(part) for row in table for part in row[i].split()), default=0) for i in range(len(natural))]
+    for i in right:  # numbers stay whole, with their errors and units; only the header is wrapped
+        words[i] = max(words[i], *(len(row[i]) for row in table[1:] or table))
+    least = [word if i in right else max(word, min(natural[i], COMFORTABLE)) for i, word in enumerate(words)]
+    longest = max(words[keys:], default=-GAP)
+    if sum(least[:keys]) + GAP * keys > min(width * 2 // 3, width - longest) or keys >= len(words):
+        keys = 1
+        longest = min(max(words[1:], default=-GAP), width - GAP - min(words[0], (width - GAP) // 2))
+        least[0] = min(least[0], width - GAP - longest)
+    room = width - sum(least[:keys]) - GAP * keys
+    return [*least[:keys], *(min(one, room) for one in least[keys:])], keys
 
 
-def _blocks(least: Sequence[int], width: int | None) -> list[list[int]]:
-    """Columns of each block: the first one, and as many others as fit."""
-    if not least:
-        return []
-    blocks = [[0]]
-    for i in range(1, len(least)):
+def _blocks(least: Sequence[int], width: int | None, keys: int) -> list[list[int]]:
+    """Columns of each block: those that name a row, and as many others as fit."""
+    first = list(range(min(keys, len(least))))
+    blocks = [[*first]]
+    for i in range(len(first), len(least)):
         used = sum(least[j] + GAP for j in blocks[-1]) + least[i]
-        if width is not None and used > width and len(blocks[-1]) > 1:
-            blocks.append([0])
+        if width is not None and used > width and len(blocks[-1]) > len(first):
+            blocks.append([*first])
         blocks[-1].append(i)
     return blocks
 

@@ -73,8 +73,12 @@ def say_error(error: TopcliError, where: str = "") -> None:
         say(line)
 
 
+def _terminal(stream: TextIO) -> bool:
+    return stream.isatty()
+
+
 def _wrapped(line: str, stream: TextIO, indent: str = "") -> list[str]:
-    if not stream.isatty() or len(indent + line) <= (width := screen_width()):
+    if not _terminal(stream) or len(indent + line) <= (width := screen_width()):
         return [indent + line]
     return wrap(
         line,
@@ -94,7 +98,7 @@ def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
 
 def on_terminal() -> bool:
     """True if stdout is a terminal that can show more than plain lines."""
-    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+    return _terminal(sys.stdout) and os.environ.get("TERM") != "dumb"
 
 
 def screen_width() -> int:
@@ -104,7 +108,7 @@ def screen_width() -> int:
 
 def prose_width() -> int:
     """Characters in a line of prose on stdout: at most 100."""
-    return min(100, screen_width()) if sys.stdout.isatty() else 100
+    return min(100, screen_width()) if _terminal(sys.stdout) else 100
 
 
 def print_table(
@@ -112,17 +116,19 @@ def print_table(
     rows: Sequence[Sequence[str]],
     title: str = "",
     numbers: bool | Collection[int] = True,
+    keys: int = 1,
 ) -> None:
     """Print a table: ruled and fitted to its width on a terminal, plain aligned columns in whole lines elsewhere.
 
-    ``numbers`` are the indices of the right-aligned columns: all but the first by default, none if False.
+    ``numbers`` are the indices of the right-aligned columns: all but the first by default, none if False. The first
+    ``keys`` columns name a row.
     """
     right = range(1, len(header)) if numbers is True else numbers or ()
     table = [[printable(cell) for cell in row] for row in (header, *rows)]
-    width = screen_width() if sys.stdout.isatty() else None
+    width = screen_width() if _terminal(sys.stdout) else None
     if title:
         emit_prose(title)
-    for line in table_lines(table[0], table[1:], right, width, rule=on_terminal()):
+    for line in table_lines(table[0], table[1:], right, width, rule=on_terminal(), keys=keys):
         print(line)
 
 
@@ -198,7 +204,7 @@ class ProgressTeller:
     def _tell(self, now: float, done: int, total: int) -> None:
         name = printable(self._name)
         label = f"[{self._index}/{self._runs}] {name}" if self._runs > 1 else name
-        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+        if _terminal(sys.stderr) and os.environ.get("TERM") != "dumb":
             self._show_bar(label, now, done, total)
         elif now - self._told > min(max(15.0, 0.2 * (now - self._began)), 600.0):
             self._told = now

@@ -127,7 +127,7 @@ def find_config(source: Path | str) -> Path:
     for name, scene in scenes.items():
         if name.lower().replace("-", "_") == wanted:
             return scene
-    files = [text + suffix for suffix in SUFFIXES if Path(text + suffix).is_file()]
+    files = [text + suffix for suffix in SUFFIXES if os.path.isfile(text + suffix)]
     near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes)
     raise UnknownNameError(f"no packaged scene is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
 

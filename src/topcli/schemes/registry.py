@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -153,7 +154,7 @@ def load_scheme_file(path: Path) -> None:
     Raises UsageError when the file cannot be read or imported, or registers nothing.
     """
     plugin_failures()
-    if not path.is_file():
+    if not os.path.isfile(path):  # False also for what cannot be a path
         raise UsageError(f"scheme file {path}: no such file")
     name = "topcli_scheme_file_" + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(name, path)
