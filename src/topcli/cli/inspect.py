@@ -149,18 +149,17 @@ def list_scenes(top: OnlyTop = None, as_json: Json = False) -> None:
     """List the packaged scenes, which every command takes by name."""
     from topcli.config.load import scenes
 
-    found = scenes(top)
     items: list[dict[str, Any]] = [
         {
             "name": name,
-            "top": one.top.form,
+            "top": first.top.form,
             "scheme": first.scheme.name,
             "h": first.h,
             "N": first.N,
-            "trajectories": 1 if one is first else one.count,
+            "trajectories": count,
             "about": about,
         }
-        for name, one, first, about in found
+        for name, first, count, about in scenes(top)
     ]
     _print_list("scenes", items, ["name", "top", "scheme", "h", "N", "about"], as_json)
 

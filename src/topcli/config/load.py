@@ -89,19 +89,17 @@ def scene_files() -> dict[str, Path]:
     return {path.stem: path for path in sorted(SCENES.iterdir()) if path.suffix in SUFFIXES}
 
 
-def scenes(
-    top: str | None = None,
-) -> Iterator[tuple[str, Experiment | EnsembleExperiment, Experiment, str]]:
-    """The packaged scenes, those of ``top`` where one is named: name, what it is, its first run, and a sentence.
+def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]:
+    """The packaged scenes, those of ``top`` where one is named: name, first trajectory, their number, a sentence.
 
     Raises UnknownNameError for an unknown top.
     """
     wanted = [form.form for form in forms(top)] if top else list(TOPS)
     for name, path in scene_files().items():
         one = load_any(path)
-        first = one if isinstance(one, Experiment) else one.first
+        first, count = (one, 1) if isinstance(one, Experiment) else (one.first, one.count)
         if first.top.form in wanted:
-            yield name, one, first, _first_sentence(path)
+            yield name, first, count, _first_sentence(path)
 
 
 def _first_sentence(path: Path) -> str:
