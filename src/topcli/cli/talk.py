@@ -65,10 +65,10 @@ def say_text(text: str) -> None:
         print(printable(line), file=sys.stderr)
 
 
-def say_error(error: TopcliError, where: str = "") -> None:
+def say_error(error: TopcliError) -> None:
     """Print the lines of an error, the first one with the prefix of all errors."""
     first, *others = error.lines or ("",)
-    say(f"error: {where}{first}")
+    say(f"error: {first}")
     for line in others:
         say(line)
 

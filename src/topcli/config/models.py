@@ -80,7 +80,7 @@ class Output(BaseModel):
     every: Count = Field(default=1, description="record every so many steps (1 to N)")
     columns: Columns | None = Field(
         default=None,
-        description="the columns to record, of n, t, the components and the invariants; all when absent",
+        description="the columns to record, by name or symbol: n, t, components, invariants; all when absent",
         json_schema_extra={"minItems": 1, "uniqueItems": True},
     )
 
