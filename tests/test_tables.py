@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conftest import ROOT
 from topcli.cli import talk
 from topcli.cli.tables import table_lines
 
@@ -113,6 +114,12 @@ def test_text_is_left_aligned_and_numbers_right_aligned(cli) -> None:
             edge, beyond = (row[end - 1], row[end : end + 1]) if right else (row[start], row[start - 1])
             assert edge != " ", name
             assert beyond in (" ", ""), name
+
+
+def test_the_table_of_the_readme_is_real(cli) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for line in cli("list", "compositions").out.splitlines():
+        assert f"    {line}\n" in readme
 
 
 cells = st.text("abc xyz0123456789.-", max_size=30).map(lambda text: " ".join(text.split()))

@@ -77,7 +77,9 @@ def test_a_form_is_a_name_of_a_top_wherever_one_is_named(cli, form: str) -> None
     experiment = experiment_from(data)
     assert type(experiment.top) is cls
     assert experiment.resolved()["top"]["kind"] == cls.kind
-    assert fits(config_schema(), data)
+    schema = config_schema()
+    assert fits(schema, data)
+    assert not fits(schema, data | {"scheme": "zzz"})
     for command in ("schemes", "cases", "scenes"):
         found = cli("list", command, "--top", form, "--json").json()[command]
         assert found
