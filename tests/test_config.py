@@ -177,7 +177,7 @@ def test_overrides() -> None:
         ("h.x=1", "--set h.x=1: h is 0.001, not a section; set h as a whole"),
         ("initial.gamma=[1,0", "--set initial.gamma=[1,0: YAML: expected ',' or ']'"),
         ("initial.gamma=[1,1,0]", "--set initial.gamma=[1,1,0]: initial.gamma: must be a unit vector"),
-        ("h=!!float 3", "--set h=!!float 3: tags such as"),
+        ("h=!!float 3", "--set h=!!float 3: YAML: tags such as"),
         ("name=a/b", "--set name=a/b: name: must not hold a path separator"),
         ("name=1e3", "--set name=1e3: name: must be text (in quotes"),
         ("output.every=50001", "--set output.every=50001: output.every: must be at most N = 50000"),

@@ -24,21 +24,17 @@ def _drop_output() -> None:
 
 
 def main() -> None:
-    """Run the command line and leave with its exit code; a user's mistake is told without a traceback."""
+    """Run the command line and exit with its code; a user's mistake is reported without a traceback."""
     gc.set_threshold(100_000, 50, 50)  # start-up makes many objects and no garbage
     _prepare_streams()
     code: int | str | None = 0
     try:
-        from topcli.cli.app import app
-        from topcli.errors import TopcliError
+        from topcli.cli.app import call
 
         try:
-            app(prog_name="topcli")
+            code = call()
         except SystemExit as leaving:
             code = leaving.code
-        except TopcliError as error:
-            print(f"error: {error}", file=sys.stderr)
-            code = error.exit_code
         sys.stdout.flush()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -53,8 +49,10 @@ def main() -> None:
     except Exception:
         import traceback
 
-        traceback.print_exc()
-        print("\ninternal error: this is a bug in topcli, please report it with the lines above", file=sys.stderr)
+        from topcli.cli.talk import say, say_text
+
+        say_text(traceback.format_exc())
+        say("internal error: this is a bug in topcli; please report it with the lines above")
         code = 70
     sys.exit(code)
 

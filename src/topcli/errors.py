@@ -1,7 +1,7 @@
-"""What a user can do wrong, and what a run can do wrong: messages without tracebacks.
+"""Mistakes of a user and failures of a run: messages without tracebacks, safe to print.
 
 Every error carries a message of one to three lines that says what is wrong, where, and what would be
-right. The command line prints the message and leaves with the error's exit code:
+right. The command line prints the message and exits with the error's code:
 
 ====  =========================================================
 code  meaning
@@ -11,7 +11,7 @@ code  meaning
 2     wrong usage or wrong configuration
 3     part of a sweep failed
 4     a stated tolerance or claim was violated
-70    a bug of topcli, told with a traceback
+70    an internal error: a bug in topcli, printed with a traceback
 130   interrupted
 ====  =========================================================
 """
@@ -21,11 +21,54 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+NAME_LENGTH = 60
+"""Longest name or value that a message repeats."""
+MESSAGE_LENGTH = 900
+"""Longest message; what a command puts before it stays below 1,000 characters in all."""
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with an escape for every character that a terminal would obey: controls, newlines, bidi marks.
+
+    >>> print(printable("a\\x1b[31m\\n\\u202eb"))
+    a\\x1b[31m\\n\\u202eb
+    """
+    if text.isprintable():
+        return text
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
+def shortened(text: str, length: int = NAME_LENGTH) -> str:
+    """Beginning of ``text``, with dots where more than ``length`` characters are cut."""
+    return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def quoted(name: str) -> str:
+    """A name from the user as messages repeat it: quoted, short and printable."""
+    return repr(shortened(name))
+
+
+def clipped(text: str, length: int = MESSAGE_LENGTH) -> str:
+    """``text`` without its middle where it is longer than ``length``: the place and the reason are at its ends."""
+    if len(text) <= length:
+        return text
+    tail = (length - 5) // 2
+    return f"{text[: length - 5 - tail]} ... {text[-tail:]}"
+
 
 class TopcliError(Exception):
-    """A failure to be told in a few lines; ``exit_code`` is what the process leaves with."""
+    """A failure reported in a few ``lines``, printable and of bounded length; ``exit_code`` ends the process."""
 
     exit_code = 1
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__(*lines)
+        self.lines = tuple(map(printable, lines))
+        if len(str(self)) > MESSAGE_LENGTH:
+            self.lines = tuple(clipped(line, MESSAGE_LENGTH // len(lines) - 1) for line in self.lines)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
 
 
 class UsageError(TopcliError):
@@ -51,13 +94,13 @@ class RunError(TopcliError):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Half a sentence that helps with a misspelt ``name``: the nearest of the ``known`` ones, or all of them.
+    """Half a sentence that helps with a misspelt ``name``: the nearest of the ``known`` names, or all of them.
 
     >>> nearest("hkk", ["hk", "hybrid"])
     "did you mean 'hk'?"
     """
     names = sorted(known)
-    close = difflib.get_close_matches(name.lower(), names, n=2, cutoff=0.6)
+    close = difflib.get_close_matches(name[:NAME_LENGTH].lower(), names, n=2, cutoff=0.6)
     if close:
         return "did you mean " + " or ".join(repr(c) for c in close) + "?"
     return "known: " + ", ".join(names)

@@ -9,12 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Invariant, Top
-from topcli.errors import UsageError, nearest
+from topcli.errors import UsageError, nearest, quoted
 
 
 def column_names(top: Top) -> list[str]:
     """All columns that a run of ``top`` can record, in their order."""
     return ["n", "t", *top.components, *(invariant.name for invariant in top.invariants())]
+
+
+_ASCII = str.maketrans({"²": "^2", "·": ".", "γ": "gamma", "ω": "omega", "κ": "kappa", "₃": "3"})
+
+
+def spellings(name: str, symbol: str) -> list[str]:
+    """Ways to write an invariant where a column is named: its name, its symbol, and that in ASCII.
+
+    >>> spellings("gamma_sq", "γ²")
+    ['gamma_sq', 'γ²', 'gamma^2']
+    """
+    return list(dict.fromkeys((name, symbol, symbol.translate(_ASCII))))
 
 
 def columns(
@@ -43,5 +55,5 @@ def columns(
             with np.errstate(over="ignore", invalid="ignore"):
                 made[name] = invariants[name].value(states)
         else:
-            raise UsageError(f"no column {name!r}; {nearest(name, ['n', 't', *top.components, *invariants])}")
+            raise UsageError(f"no column {quoted(name)}; {nearest(name, ['n', 't', *top.components, *invariants])}")
     return made

@@ -1,12 +1,16 @@
-"""The typer application: the commands by name, each in its own module."""
+"""The typer application: the commands by name, each in its own module, and one style for mistakes in their use."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import re
+from typing import Annotated, Any
 
 import typer
 
 from topcli.cli import bench, compare, inspect, lax, plot, roundoff, run, stress
+from topcli.cli.command import Command
+from topcli.cli.talk import emit, say, say_error, say_text
+from topcli.errors import TopcliError, clipped
 
 app = typer.Typer(
     name="topcli",
@@ -16,15 +20,44 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Numerical experiments on discrete spinning tops: run, measure, compare, draw.",
     epilog="Exit codes: 0 fine, 1 a run failed, 2 wrong usage or config, 3 part of several runs failed, "
-    "4 a stated tolerance was violated, 130 interrupted.",
+    "4 a stated tolerance was violated, 70 an internal error, 130 interrupted.",
 )
+
+
+def call() -> int | str | None:
+    """Run the command line and return its exit code. Mistakes in its use are reported in a line or three."""
+    try:
+        return app(prog_name="topcli", standalone_mode=False)
+    except TopcliError as error:
+        say_error(error)
+        return error.exit_code
+    except Exception as error:
+        # typer's own errors have no common class that it exports in every version
+        code = getattr(error, "exit_code", None)
+        if code is None or not hasattr(error, "format_message"):
+            raise
+        _say_usage(error)
+        return code
+
+
+def _say_usage(error: Any) -> None:
+    """Report a mistake that typer found as all others are reported."""
+    message = error.format_message().strip()
+    if "\n" in message:  # the help, of a command that was given nothing
+        say_text(message)
+        return
+    message = clipped(message, 240).removesuffix(".").replace(". Did you mean", "; did you mean")
+    message = re.sub(r" \(Possible options: (.*)\)$", r"; did you mean \1?", message)
+    ctx = getattr(error, "ctx", None)
+    hint = f" (see {ctx.command_path} --help)" if ctx is not None else ""
+    say(f"error: {message[:1].lower()}{message[1:]}{hint}")
 
 
 def _print_version(asked: bool) -> None:
     if asked:
         from topcli import __version__
 
-        print(f"topcli {__version__}")
+        emit(f"topcli {__version__}")
         raise typer.Exit
 
 
@@ -37,15 +70,15 @@ def _topcli(
     pass
 
 
-app.command("run")(run.run)
-app.command("compare")(compare.compare)
-app.command("bench")(bench.bench)
-app.command("plot")(plot.plot)
-app.command("lax")(lax.lax)
-app.command("roundoff")(roundoff.roundoff)
-app.command("stress")(stress.stress)
+app.command("run", cls=Command)(run.run)
+app.command("compare", cls=Command)(compare.compare)
+app.command("bench", cls=Command)(bench.bench)
+app.command("plot", cls=Command)(plot.plot)
+app.command("lax", cls=Command)(lax.lax)
+app.command("roundoff", cls=Command)(roundoff.roundoff)
+app.command("stress", cls=Command)(stress.stress)
 app.add_typer(inspect.list_app, name="list")
-app.command("show")(inspect.show)
-app.command("init")(inspect.init)
-app.command("schema")(inspect.schema)
-app.command("doctor")(inspect.doctor)
+app.command("show", cls=Command)(inspect.show)
+app.command("init", cls=Command)(inspect.init)
+app.command("schema", cls=Command)(inspect.schema)
+app.command("doctor", cls=Command)(inspect.doctor)

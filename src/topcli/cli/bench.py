@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
-from topcli.cli.talk import ProgressTeller, print_json, print_table, say, say_warnings
+from topcli.cli.talk import ProgressTeller, emit, emit_prose, print_json, print_table, say, say_warnings
 
 
 def _complete_scene(incomplete: str) -> list[str]:
@@ -23,30 +23,31 @@ def _tell(result: dict[str, Any], all_points: bool) -> None:
     from topcli.studies.report import number
 
     span = f"t from 0 to {result['duration']:g}, CPU time per unit of time"
-    print_table(*decade_lines(result), title=f"{result['name']}: {result['title']}, {span}")
-    print()
+    print_table(*decade_lines(result), numbers=(0, 3, 6, 7, 8), title=f"{result['name']}: {result['title']}, {span}")
+    emit()
     for row in result["decades"]:
-        print(row["words"])
+        emit_prose(row["words"])
     reached = [row for row in result["decades"] if row["peer"]]
     if reached and result["goal"]:
         met = sum(row["ratio"] is not None and row["ratio"] >= result["goal"] for row in reached)
         goal = f"at least {result['goal']:g} times faster than the best peer"
-        print(f"{goal} at {met} of the {len(reached)} decades that a peer reaches")
+        emit_prose(f"{goal} at {met} of the {len(reached)} decades that a peer reaches")
     for row in result["closed_forms"]:
         told = f"{number(row['error'])}, {microseconds(row['seconds_per_state'])} µs a state"
-        print(f"in closed form, {row['name']}: distance from the reference {told}")
-    print()
+        emit_prose(f"in closed form, {row['name']}: distance from the reference {told}")
+    emit()
     if all_points:
-        print_table(*point_lines(result), title=f"{result['name']}: every point")
-        print()
-        print("\n".join(ladder_lines(result)))
-        print()
+        print_table(*point_lines(result), numbers=(2, 3, 4, 5, 6), keys=2, title=f"{result['name']}: every point")
+        emit()
+        for line in ladder_lines(result):
+            emit_prose(line)
+        emit()
 
 
 def bench(
     schemes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="SCHEME...", help="Names of schemes; all by default.", autocompletion=complete_scheme),
+        typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
     ] = None,
     scenes: Annotated[
         list[str] | None,
@@ -60,21 +61,32 @@ def bench(
     against: Annotated[
         str, typer.Option("--against", metavar="PEER,...", help="Peers: all, none, or names with commas.")
     ] = "all",
-    budget: Annotated[float, typer.Option("--budget", help="CPU seconds that one run may take.", min=1e-4)] = 0.06,
-    repetitions: Annotated[int, typer.Option("--repetitions", help="Repetitions of a quick run.", min=1)] = 7,
+    budget: Annotated[
+        float, typer.Option("--budget", metavar="SECONDS", help="CPU seconds that one run may take.", min=1e-4)
+    ] = 0.06,
+    repetitions: Annotated[
+        int, typer.Option("--repetitions", metavar="COUNT", help="Repetitions of a quick run.", min=1)
+    ] = 7,
     processes: Annotated[
-        int, typer.Option("--processes", help="Processes for a peer whose speed varies between them.", min=1)
+        int,
+        typer.Option(
+            "--processes", metavar="COUNT", help="Processes for a peer whose speed varies between them.", min=1
+        ),
     ] = 5,
     samples: Annotated[
-        int, typer.Option("--samples", help="Times at which the error is looked at.", min=1, max=100_000)
+        int,
+        typer.Option("--samples", metavar="COUNT", help="Times at which the error is looked at.", min=1, max=100_000),
     ] = 100,
     all_points: Annotated[bool, typer.Option("--points", help="Print every point, not the front alone.")] = False,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the results.")] = Path("results/bench"),
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Measure speed against error over ladders of h and of tolerances; name the fastest at each error."""
-    from topcli.errors import UsageError
+    """Measure speed against error and name the fastest schemes.
+
+    Every scheme and peer climbs a ladder of step sizes or tolerances.
+    """
+    from topcli.errors import UsageError, quoted
     from topcli.schemes.registry import find_scheme
     from topcli.store.provenance import now
     from topcli.store.run_folder import require_writable
@@ -93,7 +105,7 @@ def bench(
     for name in schemes or ():
         if all(any(name == left for left, _ in field.left_out) for field in fields):
             find_scheme(name, problems[0].top.form)  # says what it fits
-            raise UsageError(f"scheme {name!r} cannot be measured: {fields[0].left_out[0][1]}")
+            raise UsageError(f"scheme {quoted(name)} cannot be measured: {fields[0].left_out[0][1]}")
     require_bench_folder(out)
     require_writable(out)
     teller = ProgressTeller(len(problems), as_json)

@@ -77,14 +77,14 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
 
 def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     """Options that ``--set scheme.KEY=VALUE`` gives to every scheme that has them, and the other overrides."""
-    from topcli.config.overrides import parse_override
+    from topcli.config.overrides import override_label, parse_override
     from topcli.errors import UsageError
 
     options, others = {}, []
     for text in sets:
         path, value = parse_override(text)
         if path == ("scheme",):
-            raise UsageError(f"--set {text}: the schemes to compare are named on the command line")
+            raise UsageError(f"{override_label(text)}: the schemes to compare are named on the command line")
         if path[0] == "scheme" and len(path) == 2 and path[1] != "name":
             options[path[1]] = value
         else:
@@ -101,7 +101,7 @@ def _header(scheme: dict[str, Any]) -> str:
 def compare(
     schemes: Annotated[
         list[str],
-        typer.Argument(metavar="SCHEME SCHEME...", help="Names of schemes.", autocompletion=complete_scheme),
+        typer.Argument(metavar="SCHEME", help="Names of schemes.", autocompletion=complete_scheme),
     ],
     config: Annotated[
         str,
@@ -118,7 +118,7 @@ def compare(
     out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Compare schemes on one experiment: errors, drifts, reversal, swings, speed."""
+    """Compare schemes: errors, drifts, reversal, swings, speed."""
     from topcli.config.load import load_experiment
     from topcli.store.run_folder import require_writable
     from topcli.studies.compare import compare_schemes

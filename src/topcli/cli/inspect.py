@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from topcli.cli.command import Command
 from topcli.cli.options import (
     Json,
-    Out,
     SchemeFiles,
     Sets,
     complete_config,
@@ -17,21 +18,28 @@ from topcli.cli.options import (
     complete_top,
     load_scheme_files,
 )
-from topcli.cli.talk import print_json, print_table, say
+from topcli.cli.talk import emit, emit_text, print_document, print_json, print_table, prose_width, say
+from topcli.errors import shortened
 
 list_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, compositions, figures or runs."
+    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, scenes, cases, figures or runs."
 )
 
+OnlyTop = Annotated[
+    str | None, typer.Option("--top", metavar="TOP", help="Only those for this top.", autocompletion=complete_top)
+]
 
-def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_json: bool) -> None:
+
+def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_json: bool, nothing: str = "") -> None:
     if as_json:
         print_json(f"list {kind}", {kind: items})
     elif items:
         header = [column.replace("_", "-") for column in columns]
-        print_table(header, [[_cell(item[column]) for column in columns] for item in items], numbers=False)
+        kinds = [{type(item[column]) for item in items} - {type(None)} for column in columns]
+        numbers = [i for i, kind in enumerate(kinds) if kind and kind <= {int, float}]
+        print_table(header, [[_cell(item[column]) for column in columns] for item in items], numbers=numbers)
     else:
-        say(f"no {kind}")
+        say(nothing or f"no {kind}")
 
 
 def _cell(value: object) -> str:
@@ -41,12 +49,12 @@ def _cell(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "–"
-    return str(value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-@list_app.command("tops")
+@list_app.command(cls=Command, name="tops")
 def list_tops(as_json: Json = False) -> None:
-    """The tops, with their parameters, state and invariants."""
+    """List the tops with their parameters and invariants."""
     from topcli.tops import TOPS
 
     items = [
@@ -61,22 +69,26 @@ def list_tops(as_json: Json = False) -> None:
         }
         for top in TOPS.values()
     ]
-    shown = [{**item, "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]} for item in items]
-    _print_list("tops", items if as_json else shown, ["form", "title", "parameters", "invariants"], as_json)
+    shown = [
+        {**item, "top": item["form"], "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]}
+        for item in items
+    ]
+    _print_list("tops", items if as_json else shown, ["top", "title", "parameters", "invariants"], as_json)
 
 
-@list_app.command("schemes")
+@list_app.command(cls=Command, name="schemes")
 def list_schemes(
-    top: Annotated[
-        str | None, typer.Option("--top", help="Only those for this top.", autocompletion=complete_top)
-    ] = None,
+    top: OnlyTop = None,
     as_json: Json = False,
     as_markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the documentation page of the schemes.")
     ] = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """The registered schemes with their declared traits; plugins that failed are named on stderr."""
+    """List the schemes with their declared traits.
+
+    Plugins that failed are named on stderr.
+    """
     from topcli.schemes.registry import all_schemes, plugin_failures
     from topcli.tops import forms
 
@@ -85,7 +97,7 @@ def list_schemes(
     if as_markdown:
         from topcli.studies.scheme_page import schemes_page
 
-        print(schemes_page(), end="")
+        emit_text(schemes_page())
         return
     items = [
         {
@@ -110,9 +122,12 @@ def list_schemes(
     _print_list("schemes", items, ["name", "top", "order", "self_adjoint", "conserves", "origin"], as_json)
 
 
-@list_app.command("compositions")
+@list_app.command(cls=Command, name="compositions")
 def list_compositions(as_json: Json = False) -> None:
-    """The compositions that raise the order of a self-adjoint scheme: write scheme+composition, such as hk+suzuki4."""
+    """List the compositions that raise a scheme's order.
+
+    Write scheme+composition, such as hk+suzuki4; the scheme must be self-adjoint.
+    """
     from topcli.schemes.compose import COMPOSITIONS
 
     items: list[dict[str, Any]] = [
@@ -129,18 +144,44 @@ def list_compositions(as_json: Json = False) -> None:
     _print_list("compositions", items, ["name", "order", "stages", "title", "citation"], as_json)
 
 
-@list_app.command("cases")
-def list_cases(as_json: Json = False) -> None:
-    """The hard cases of ``topcli stress``, each with its question."""
+@list_app.command(cls=Command, name="scenes")
+def list_scenes(top: OnlyTop = None, as_json: Json = False) -> None:
+    """List the packaged scenes, which every command takes by name."""
+    from topcli.config.load import scenes
+
+    items: list[dict[str, Any]] = [
+        {
+            "name": name,
+            "top": first.top.form,
+            "scheme": first.scheme.name,
+            "h": first.h,
+            "N": first.N,
+            "trajectories": count,
+            "about": about,
+        }
+        for name, first, count, about in scenes(top)
+    ]
+    _print_list("scenes", items, ["name", "top", "scheme", "h", "N", "about"], as_json)
+
+
+@list_app.command(cls=Command, name="cases")
+def list_cases(top: OnlyTop = None, as_json: Json = False) -> None:
+    """List the hard cases of topcli stress."""
     from topcli.studies.stress import CASES
+    from topcli.tops import forms
 
-    items: list[dict[str, Any]] = [{"name": case.name, "top": case.form, "question": case.question} for case in CASES]
-    _print_list("cases", items, ["name", "top", "question"], as_json)
+    wanted = [form.form for form in forms(top)] if top else None
+    items: list[dict[str, Any]] = [
+        {"name": case.name, "top": case.form, "question": case.question}
+        for case in CASES
+        if wanted is None or case.form in wanted
+    ]
+    _print_list("cases", items, ["name", "top", "question"], as_json, f"no hard cases for {top}")
 
 
-@list_app.command("figures")
+@list_app.command(cls=Command, name="figures")
 def list_figures(as_json: Json = False) -> None:
-    """The figures that ``topcli plot`` draws."""
+    """List the figures that topcli plot draws."""
     from topcli.figures.catalogue import FIGURES
 
     items: list[dict[str, Any]] = [
@@ -150,11 +191,40 @@ def list_figures(as_json: Json = False) -> None:
     _print_list("figures", items, ["name", "scene", "title"], as_json)
 
 
-@list_app.command("runs")
-def list_runs(out: Out = Path("results"), as_json: Json = False) -> None:
-    """The finished runs in a folder of run folders."""
+def _short(item: dict[str, Any]) -> dict[str, Any]:
+    """A run for the table: other programs may have written its manifest, which may hold anything."""
+    cells = {
+        key: value if isinstance(value, int | float) else shortened(str(value))
+        for key, value in item.items()
+        if key != "name"
+    }
+    return item | cells | {"ended": _local_time(item["ended"])}
+
+
+def _local_time(stamp: object) -> str:
+    """A timestamp of a manifest to the minute, in local time; anything else as it is, shortened."""
+    from datetime import datetime
+
+    try:
+        return datetime.fromisoformat(str(stamp)).astimezone().strftime("%Y-%m-%d %H:%M")
+    except (ValueError, OverflowError, OSError):
+        return shortened(str(stamp))
+
+
+@list_app.command(cls=Command, name="runs")
+def list_runs(
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder of the run folders.", show_default="results")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List the finished runs in a folder."""
+    from topcli.errors import UsageError
     from topcli.store.run_folder import stored_runs
 
+    folder = Path("results") if out is None else out
+    if out is not None and not os.path.isdir(out):
+        raise UsageError(f"--out {out}: no such folder")
     items: list[dict[str, Any]] = [
         {
             "name": run.folder.name,
@@ -165,9 +235,11 @@ def list_runs(out: Out = Path("results"), as_json: Json = False) -> None:
             "digest": run.manifest["digest"][:8],
             "ended": run.manifest["ended"],
         }
-        for run in stored_runs(out)
+        for run in stored_runs(folder)
     ]
-    _print_list("runs", items, ["name", "outcome", "scheme", "h", "N", "digest", "ended"], as_json)
+    shown = items if as_json else [_short(item) for item in items]
+    columns = ["name", "outcome", "scheme", "h", "N", "digest", "ended"]
+    _print_list("runs", shown, columns, as_json, f"no finished runs in {folder}")
 
 
 def _show_scheme(name: str, as_json: bool) -> bool:
@@ -178,7 +250,7 @@ def _show_scheme(name: str, as_json: bool) -> bool:
     if as_json and found:
         print_json("show", {"schemes": [scheme_data(scheme) for scheme in found]})
     elif found:
-        print("\n\n".join(map(scheme_text, found)))
+        emit_text("\n\n".join(scheme_text(scheme, prose_width()) for scheme in found))
     return bool(found)
 
 
@@ -200,7 +272,7 @@ def show(
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Show a config as it will run, with every default; or a scheme: what it is, claims, and where it fails."""
+    """Show a config with every default, or describe a scheme."""
     from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
@@ -210,7 +282,7 @@ def show(
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
     else:
-        print(experiment.to_yaml(), end="")
+        emit_text(experiment.to_yaml())
 
 
 def _holds(path: Path, text: str) -> bool:
@@ -222,25 +294,45 @@ def _holds(path: Path, text: str) -> bool:
 
 
 def init(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="The config to write.")] = Path("experiment.yaml"),
-    top: Annotated[str, typer.Option("--top", help="Which top.", autocompletion=complete_top)] = "kowalevski",
-    scheme: Annotated[str, typer.Option("--scheme", help="Which scheme.", autocompletion=complete_scheme)] = "hybrid",
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="The config to write, .yaml or .toml.")] = Path(
+        "experiment.yaml"
+    ),
+    top: Annotated[
+        str, typer.Option("--top", metavar="TOP", help="Which top.", autocompletion=complete_top)
+    ] = "kowalevski",
+    scheme: Annotated[
+        str | None,
+        typer.Option(
+            "--scheme",
+            metavar="SCHEME",
+            help="Which scheme; by default hybrid, hk, or the first that fits the top.",
+            autocompletion=complete_scheme,
+        ),
+    ] = None,
+    scheme_files: SchemeFiles = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> None:
-    """Write a commented starter config, and its JSON Schema beside it for the editor."""
+    """Write a commented starter config and its JSON Schema.
+
+    The schema is written beside the config, where editors find it.
+    """
     import json
 
+    from topcli.config.files import SUFFIXES
     from topcli.config.schema import config_schema
     from topcli.config.starter import starter_config
     from topcli.errors import UsageError
     from topcli.store.run_folder import write_whole
 
+    load_scheme_files(scheme_files)
     schema_path = path.with_name("topcli.schema.json")
-    if path.suffix not in (".yaml", ".yml"):
-        raise UsageError(f"{path}: the starter config is YAML; give a name ending in .yaml")
-    text = starter_config(top, scheme, schema_path.name)
+    if path.suffix not in SUFFIXES:
+        raise UsageError(f"{path}: a config is YAML or TOML; give a name ending in .yaml or .toml")
+    text = starter_config(top, scheme, schema_path.name, toml=path.suffix == ".toml")
     schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
-    taken = [one for one, ours in ((path, ""), (schema_path, schema_text)) if one.exists() and not _holds(one, ours)]
+    taken = [
+        one for one, ours in ((path, ""), (schema_path, schema_text)) if os.path.exists(one) and not _holds(one, ours)
+    ]
     if taken and not force:
         raise UsageError(f"{taken[0]}: exists already; choose another name or folder, or --force to overwrite it")
     try:
@@ -249,21 +341,19 @@ def init(
         write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
-    print(path)
+    emit(str(path))
     say(f"wrote {path} and {schema_path}; run it with: topcli run {path}")
 
 
 def schema() -> None:
     """Print the JSON Schema of the config."""
-    import json
-
     from topcli.config.schema import config_schema
 
-    print(json.dumps(config_schema(), indent=1, ensure_ascii=False))
+    print_document(config_schema())
 
 
 def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
-    """Report versions, CPU, threads, the cache of compiled code, and plugins with their errors."""
+    """Report versions, CPU, cache of compiled code, plugins."""
     from topcli.errors import UsageError
     from topcli.studies.doctor import diagnosis
 
@@ -283,6 +373,4 @@ def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
     rows += [["CPU threads", str(found["threads"])]]
     rows += [[f"plugin {plugin['name']}", plugin["state"]] for plugin in found["plugins"]] or [["plugins", "none"]]
     rows += [["problems", "; ".join(found["problems"]) or "none"]]
-    width = max(len(row[0]) for row in rows)
-    for key, value in rows:
-        print(f"{key.ljust(width)}  {value}")
+    print_table([], rows, numbers=False)

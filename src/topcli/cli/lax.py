@@ -15,7 +15,7 @@ from topcli.cli.options import (
     complete_top,
     load_scheme_files,
 )
-from topcli.cli.talk import print_json, print_table, say
+from topcli.cli.talk import emit, print_json, print_table, say
 
 
 def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
@@ -42,13 +42,13 @@ def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
     ]
 
 
-def _print(found: dict[str, Any], title: str) -> None:
+def _report(found: dict[str, Any], title: str) -> None:
     from topcli.studies.report import number
 
     forms, runs = found["forms"], found["runs"]
     names = [form["form"] for form in forms]
     print_table(["", *names], _form_lines(forms), title)
-    print()
+    emit()
     header = ["", *(f"{name}: {what}" for name in names for what in ("tr L^k", "eigenvalues"))]
     lines = [
         [run["scheme"], *(number(form[key]) for form in run["forms"] for key in ("drift", "eigenvalue_shift"))]
@@ -65,7 +65,7 @@ def lax(
     schemes: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[SCHEME...]",
+            metavar="SCHEME",
             help="Schemes to follow the spectrum under; all but adaptive ones by default.",
             autocompletion=complete_scheme,
         ),
@@ -83,7 +83,10 @@ def lax(
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Check the Lax forms of a top: dL/dt = [M, L], the spectrum of L and its drift under each scheme."""
+    """Check the Lax forms of a top and the spectrum of L.
+
+    Tests dL/dt = [M, L] along the motion, and how far the spectrum of L drifts under each scheme.
+    """
     from topcli.studies.lax import default_schemes, lax_experiment, lax_study
 
     load_scheme_files(scheme_files)
@@ -92,7 +95,7 @@ def lax(
     if as_json:
         print_json("lax", found)
     else:
-        _print(found, f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}")
+        _report(found, f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}")
     failed = [run for run in found["runs"] if run["outcome"] != "completed"]
     for run in failed:
         say(f"error: {run['scheme']}: {run['message']}")

@@ -24,10 +24,10 @@ def complete_scheme(incomplete: str) -> list[str]:
 
 
 def complete_top(incomplete: str) -> list[str]:
-    """Kinds of tops that begin with ``incomplete``."""
-    from topcli.tops import kinds
+    """Names of tops that begin with ``incomplete``."""
+    from topcli.tops import top_names
 
-    return [name for name in sorted(kinds()) if name.startswith(incomplete.lower())]
+    return [name for name in sorted(top_names()) if name.startswith(incomplete.lower())]
 
 
 def complete_figure(incomplete: str) -> list[str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from topcli.cli.options import Force, Json, complete_figure
-from topcli.cli.talk import ProgressTeller, print_json, say
+from topcli.cli.talk import ProgressTeller, emit, print_json, say
 
 STRESS = "stress"
 """The figure that is made from a study of its own and not from run folders."""
@@ -17,25 +18,31 @@ STRESS = "stress"
 def plot(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="FIGURE...", help="Names of figures.", autocompletion=complete_figure),
+        typer.Argument(metavar="FIGURE", help="Names of figures.", autocompletion=complete_figure),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="All figures but stress, which takes long.")] = False,
     formats: Annotated[
-        list[str] | None, typer.Option("--format", help="png or pdf; may be given twice. Default: both.")
+        list[str] | None,
+        typer.Option("--format", metavar="FORMAT", help="png or pdf; may be given twice. Default: both."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figures.")] = Path("results/figures"),
     results: Annotated[Path, typer.Option("--results", metavar="DIR", help="Folder of the run folders.")] = Path(
         "results"
     ),
     configs: Annotated[
-        Path,
-        typer.Option("--configs", metavar="DIR", help="Folder of the configs; packaged scenes where it has none."),
-    ] = Path("configs"),
+        Path | None,
+        typer.Option(
+            "--configs",
+            metavar="DIR",
+            help="Folder of the configs; packaged scenes where it has none.",
+            show_default="configs",
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Draw figures as PNG and PDF, with the plotted data as Parquet beside them."""
-    from topcli.errors import UsageError
+    """Draw figures as PNG and PDF, with their data as Parquet."""
+    from topcli.errors import UsageError, shortened
     from topcli.figures.catalogue import FIGURES, figure_spec
     from topcli.figures.make import make_figure
     from topcli.figures.picture import IMAGE_FORMATS, NothingMeasuredError
@@ -44,7 +51,11 @@ def plot(
         raise UsageError(f"name figures or say --all, one of the two; figures: {', '.join(FIGURES)}, {STRESS}")
     wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
     if wrong:
-        raise UsageError(f"--format {wrong[0]}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}")
+        raise UsageError(
+            f"--format {shortened(wrong[0])}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}"
+        )
+    if configs is not None and not os.path.isdir(configs):
+        raise UsageError(f"--configs {configs}: no such folder")
     wanted = [name.lower() for name in names or ()]
     with_stress = STRESS in wanted
     specs = list(FIGURES.values()) if every else [figure_spec(name) for name in wanted if name != STRESS]
@@ -59,7 +70,7 @@ def plot(
         teller.close()
         made.append(one)
         if not as_json:
-            print(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
+            emit(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
     for spec in specs:
         teller.begin(spec.scene)
         try:
@@ -67,7 +78,7 @@ def plot(
                 spec,
                 out=out,
                 results=results,
-                configs=configs,
+                configs=Path("configs") if configs is None else configs,
                 formats=tuple(dict.fromkeys(formats or IMAGE_FORMATS)),
                 force=force,
                 progress=teller,
@@ -81,7 +92,7 @@ def plot(
         teller.close()
         made.append(one)
         if not as_json:
-            print(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
+            emit(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
     if as_json:
         figures = [{"name": m.name, "status": m.status, "files": [str(path) for path in m.files]} for m in made]
         print_json("plot", {"figures": figures})

@@ -70,11 +70,11 @@ def roundoff(
     ] = 8,
     max_exponent: Annotated[
         float | None,
-        typer.Option("--max-exponent", metavar="X", help="Leave with 4 when an exponent is above this, by two errors."),
+        typer.Option("--max-exponent", metavar="X", help="Exit with 4 if an exponent is above this, by two errors."),
     ] = None,
     max_drift: Annotated[
         float | None,
-        typer.Option("--max-drift", metavar="X", help="Leave with 4 when a drift of any copy is above this."),
+        typer.Option("--max-drift", metavar="X", help="Exit with 4 if a drift of any copy is above this."),
     ] = None,
     sets: Sets = None,
     as_json: Json = False,
@@ -82,9 +82,10 @@ def roundoff(
     out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Measure how round-off grows: a random walk, a bias or nothing; plain and compensated sums, and their cost.
+    """Measure how round-off grows, and what compensation costs.
 
-    Tolerances are asked of the compensated form where a scheme has one.
+    It grows as a random walk, with a bias, or not at all, with plain and with compensated sums. Tolerances are
+    those of the compensated form where a scheme has one.
     """
     from topcli.errors import UsageError
     from topcli.store.run_folder import require_writable
@@ -115,10 +116,14 @@ def roundoff(
             f"{experiment.scheme.name} on {experiment.name}: {found['top']}, h = {found['h']:g}, "
             f"{found['steps']} steps, {copies} copies"
         )
-        print_table(HEADER, sorted(rows, key=lambda row: order.index(row[0])), title)
+        print_table(
+            HEADER, sorted(rows, key=lambda row: order.index(row[0])), title, numbers=(2, 3, 4, 6, 7, 8), keys=2
+        )
         if not found["claimed"]:
-            say(f"{experiment.scheme.name} claims no invariant exactly: drifts of means over long windows, by which")
-            say("the copies differ from the motion that they have in common")
+            say(
+                f"{experiment.scheme.name} claims no invariant exactly: drifts of means over long windows, by which "
+                "the copies differ from the motion that they have in common"
+            )
         for file in files:
             say(f"wrote {file}")
     for form in failed:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
-from topcli.cli.talk import ProgressTeller, print_json, print_table, say, say_warnings
-from topcli.errors import TopcliError, UsageError
+from topcli.cli.talk import ProgressTeller, emit, print_json, print_table, say, say_error, say_warnings
+from topcli.errors import TopcliError, UsageError, shortened
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -162,14 +162,14 @@ def run(
     configs: Annotated[
         list[str],
         typer.Argument(
-            metavar="CONFIG...",
+            metavar="CONFIG",
             help="Config files, or names of packaged scenes.",
             autocompletion=complete_config,
         ),
     ],
     sets: Sets = None,
     out: Out = Path("results"),
-    output_format: Annotated[str | None, typer.Option("--format", help="parquet or csv.")] = None,
+    output_format: Annotated[str | None, typer.Option("--format", metavar="FORMAT", help="parquet or csv.")] = None,
     force: Force = False,
     resume: Annotated[
         bool,
@@ -178,25 +178,30 @@ def run(
     checkpoint_every: Annotated[
         float,
         typer.Option(
-            "--checkpoint-every", metavar="SECONDS", help="Seconds between checkpoints; 0: as often as can be."
+            "--checkpoint-every",
+            metavar="SECONDS",
+            help="Seconds between checkpoints; 0 writes one after every chunk.",
         ),
     ] = 10.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the configs and say what would be done.")] = False,
     as_json: Json = False,
     threads: Annotated[
-        int | None, typer.Option("--threads", min=1, help="Threads for ensembles; all CPUs by default.")
+        int | None,
+        typer.Option("--threads", metavar="COUNT", min=1, help="Threads for ensembles; all CPUs by default."),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")] = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Run experiments and ensembles: time series and a report on the conservation laws, in one folder each.
+    """Run experiments and report on their conservation laws.
+
+    Each experiment or ensemble gets a folder with its time series and the report.
 
     A long run writes checkpoints. Ctrl-C or SIGTERM ends it as interrupted (exit code 130), with what was recorded in
     its folder; --resume continues it, and also a run that was killed, and ends as if it had never been stopped.
     """
     if output_format not in (None, "parquet", "csv"):
-        raise UsageError(f"--format {output_format}: not a format of a series; choose parquet or csv")
+        raise UsageError(f"--format {shortened(output_format)}: not a format of a series; choose parquet or csv")
     if resume and force:
         raise UsageError("--resume continues a run and --force repeats it: give one of them")
     if not checkpoint_every >= 0.0:
@@ -217,7 +222,7 @@ def run(
                     told.append(plan)
                     codes.append(0)
                     if not (as_json or quiet):
-                        print(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
+                        emit(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
                     continue
                 teller.begin(experiment.name)
                 result = _run(experiment, out, how, teller, interruption)
@@ -232,7 +237,7 @@ def run(
                     say(f"error: {experiment.name}: {what}; what came before is kept{more}")
             except TopcliError as error:
                 teller.close()
-                say(f"error: {error}")
+                say_error(error)
                 told.append({"config": config, "error": str(error), "exit_code": error.exit_code})
                 codes.append(error.exit_code)
             if codes[-1] == 130 or (codes[-1] and fail_fast):

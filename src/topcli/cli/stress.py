@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from textwrap import fill, shorten
+from textwrap import shorten
 from typing import Annotated, Any
 
 import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, complete_scheme, complete_top, load_scheme_files
-from topcli.cli.talk import ProgressTeller, on_terminal, print_json, print_table, say
+from topcli.cli.talk import ProgressTeller, emit, emit_prose, on_terminal, print_json, print_table, say
 
 MARKS = {"held": "·", "degraded": "o", "broke": "X", "not tried": " "}
 SHOWN = 40
@@ -25,14 +25,16 @@ def complete_case(incomplete: str) -> list[str]:
 
 def _options(sets: list[str]) -> dict[str, Any]:
     """Options of schemes given by ``--set scheme.KEY=VALUE``. Raises UsageError for anything else."""
-    from topcli.config.overrides import parse_override
+    from topcli.config.overrides import override_label, parse_override
     from topcli.errors import UsageError
 
     options: dict[str, Any] = {}
     for text in sets:
         path, value = parse_override(text)
         if path[0] != "scheme" or len(path) != 2 or path[1] in ("name", "compose"):
-            raise UsageError(f"--set {text}: only options of schemes can be set, as scheme.KEY=VALUE; a case is fixed")
+            raise UsageError(
+                f"{override_label(text)}: only options of schemes can be set, as scheme.KEY=VALUE; a case is fixed"
+            )
         options[str(path[1])] = value
     return options
 
@@ -47,9 +49,8 @@ def _grid(data: dict[str, Any], top: str) -> None:
     header = [top, *(str(number) for number in range(1, len(cases) + 1))]
     rows = [[scheme, *(row.get(case, " ") for case in cases)] for scheme, row in marks.items()]
     print_table(header, rows)
-    legend = ", ".join(f"{number}\u00a0{case}" for number, case in enumerate(cases, 1))
-    text = fill(legend, 110, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
-    print(text.replace("\u00a0", " ") + "\n")
+    emit_prose(", ".join(f"{number}={case}" for number, case in enumerate(cases, 1)), indent="  ")
+    emit()
 
 
 def _list(trials: list[dict[str, Any]]) -> None:
@@ -59,12 +60,7 @@ def _list(trials: list[dict[str, Any]]) -> None:
         meaning = {"ok": "", "limit": "declared limit"}.get(one["verdict"], one["verdict"].upper())
         rows.append([one["scheme"], one["top"], one["case"], what, shorten(one["why"], 100), meaning])
     header = ["scheme", "top", "case", "outcome", "why", ""]
-    if on_terminal():
-        print_table(header, rows, numbers=False)
-        return
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-    for row in [header, *rows]:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    print_table(header, rows, numbers=False, keys=3)
 
 
 def _summary(data: dict[str, Any]) -> str:
@@ -76,14 +72,15 @@ def _summary(data: dict[str, Any]) -> str:
 def stress(
     schemes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="SCHEME...", help="Names of schemes; all by default.", autocompletion=complete_scheme),
+        typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
     ] = None,
     cases: Annotated[
         list[str] | None,
         typer.Option("--case", metavar="CASE", help="Only this case; may be repeated.", autocompletion=complete_case),
     ] = None,
     top: Annotated[
-        str | None, typer.Option("--top", help="Only schemes and cases of this top.", autocompletion=complete_top)
+        str | None,
+        typer.Option("--top", metavar="TOP", help="Only schemes and cases of this top.", autocompletion=complete_top),
     ] = None,
     sets: Annotated[
         list[str] | None,
@@ -94,11 +91,11 @@ def stress(
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Put schemes to hard cases: what holds, what degrades, what breaks where, and whether the scheme says so.
+    """Test schemes in hard cases: what holds and what breaks.
 
-    Leaves with 4 when a scheme breaks without declaring it as its limit, or declares a limit that it outlives.
+    Exits with 4 if a scheme breaks without declaring it as its limit, or declares a limit that it outlives.
     """
-    from topcli.errors import UsageError, nearest
+    from topcli.errors import UsageError, nearest, shortened
     from topcli.store.run_folder import require_writable
     from topcli.studies.stress.record import stress_data, stress_source, write_stress
     from topcli.studies.stress.suite import chosen
@@ -110,7 +107,9 @@ def stress(
     for key in options:
         known = {name for scheme in used for name in scheme.options.model_fields}
         if key not in known:
-            raise UsageError(f"--set scheme.{key}: none of the schemes has this option; {nearest(key, known)}")
+            raise UsageError(
+                f"--set scheme.{shortened(key)}: none of the schemes has this option; {nearest(key, known)}"
+            )
     whole = not (schemes or cases or top or options)
     if whole:
         require_writable(out)
@@ -128,11 +127,12 @@ def stress(
         if not every:
             for form in dict.fromkeys(one["top"] for one in trials):
                 _grid(data, form)
-            print("· held   o degraded   X broke   (blank: not tried, or not a case of it)\n")
+            emit("· held   o degraded   X broke   (blank: not tried, or not a case of it)")
+            emit()
         listed = [one for one in trials if every or one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"]
         _list(listed)
         if on_terminal():
-            print()
+            emit()
         say(_summary(data))
         for file in files:
             say(f"wrote {file}; draw it with: topcli plot stress")

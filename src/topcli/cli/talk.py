@@ -1,4 +1,7 @@
-"""How the command line speaks: data on stdout, talk on stderr, tables and progress only on a terminal."""
+"""The one place that prints: data on stdout, talk on stderr, rules and progress bars only on a terminal.
+
+Whatever is printed passes ``printable``: names and files may hold anything, and a terminal obeys what it reads.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,82 @@ import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection, Sequence
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, TextIO
+
+from topcli.cli.tables import table_lines
+from topcli.errors import TopcliError, clipped, printable
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
 
 
+def emit(line: str = "") -> None:
+    """Print one line of data on stdout."""
+    print(printable(line))
+
+
+def emit_text(text: str) -> None:
+    """Print a text of several lines on stdout as it is."""
+    for line in text.splitlines():
+        emit(line)
+
+
+def emit_prose(text: str, indent: str = "") -> None:
+    """Print a sentence or two on stdout, wrapped at words on a terminal."""
+    emit_text("\n".join(_wrapped(printable(text), sys.stdout, indent)))
+
+
 def print_json(command: str, content: dict[str, Any]) -> None:
     """Print the one JSON document of a command: ``schema_version``, ``command`` and its ``content``."""
-    document = {"schema_version": 1, "command": command, **content}
-    print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
+    print_document({"schema_version": 1, "command": command, **content})
+
+
+def print_document(document: dict[str, Any]) -> None:
+    """Print JSON; control characters that it would leave as they are become its own escapes."""
+    for line in json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False).split("\n"):
+        safe = line if line.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
+        print(safe)
 
 
 def say(line: str) -> None:
-    """Print a line of talk."""
-    print(line, file=sys.stderr, flush=True)
+    """Print a line of talk on stderr, wrapped at words on a terminal."""
+    for part in _wrapped(clipped(printable(line), 990), sys.stderr):
+        print(part, file=sys.stderr)
+    sys.stderr.flush()
+
+
+def say_text(text: str) -> None:
+    """Print a text of several lines on stderr as it is."""
+    for line in text.splitlines():
+        print(printable(line), file=sys.stderr)
+
+
+def say_error(error: TopcliError) -> None:
+    """Print the lines of an error, the first one with the prefix of all errors."""
+    first, *others = error.lines or ("",)
+    say(f"error: {first}")
+    for line in others:
+        say(line)
+
+
+def _terminal(stream: TextIO) -> bool:
+    return stream.isatty()
+
+
+def _wrapped(line: str, stream: TextIO, indent: str = "") -> list[str]:
+    if not _terminal(stream) or len(indent + line) <= (width := screen_width()):
+        return [indent + line]
+    return wrap(
+        line,
+        width,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
@@ -35,37 +97,39 @@ def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
 
 
 def on_terminal() -> bool:
-    """Whether stdout is a terminal that can show more than plain lines."""
-    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+    """True if stdout is a terminal that can show more than plain lines."""
+    return _terminal(sys.stdout) and os.environ.get("TERM") != "dumb"
 
 
-def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str = "", numbers: bool = True) -> None:
-    """Print a table: ruled on a terminal, plain aligned columns elsewhere.
+def screen_width() -> int:
+    """Characters in a line of the terminal."""
+    return max(40, shutil.get_terminal_size().columns)
 
-    The first column is left-aligned, and so are the others unless they are ``numbers``.
+
+def prose_width() -> int:
+    """Characters in a line of prose on stdout: at most 100."""
+    return min(100, screen_width()) if _terminal(sys.stdout) else 100
+
+
+def print_table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    title: str = "",
+    numbers: bool | Collection[int] = True,
+    keys: int = 1,
+) -> None:
+    """Print a table: ruled and fitted to its width on a terminal, plain aligned columns in whole lines elsewhere.
+
+    ``numbers`` are the indices of the right-aligned columns: all but the first by default, none if False. The first
+    ``keys`` columns name a row.
     """
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-    fits = sum(widths) + 3 * len(widths) <= shutil.get_terminal_size().columns
-    if on_terminal() and (fits or not numbers):  # a number broken over two lines misleads
-        from rich import box
-        from rich.console import Console
-        from rich.table import Table
-
-        table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-        for i, name in enumerate(header):
-            table.add_column(name, justify="right" if i and numbers else "left", overflow="fold")
-        for row in rows:
-            table.add_row(*row)
-        Console(highlight=False).print(table)
-        return
+    right = range(1, len(header)) if numbers is True else numbers or ()
+    table = [[printable(cell) for cell in row] for row in (header, *rows)]
+    width = screen_width() if _terminal(sys.stdout) else None
     if title:
-        print(title)
-    for row in [header, *rows]:
-        cells = [
-            row[0].ljust(widths[0]),
-            *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
-        ]
-        print("  ".join(cells).rstrip())
+        emit_prose(title)
+    for line in table_lines(table[0], table[1:], right, width, rule=on_terminal(), keys=keys):
+        print(line)
 
 
 def spell_seconds(seconds: float) -> str:
@@ -138,8 +202,9 @@ class ProgressTeller:
             self._quiet = True
 
     def _tell(self, now: float, done: int, total: int) -> None:
-        label = f"[{self._index}/{self._runs}] {self._name}" if self._runs > 1 else self._name
-        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+        name = printable(self._name)
+        label = f"[{self._index}/{self._runs}] {name}" if self._runs > 1 else name
+        if _terminal(sys.stderr) and os.environ.get("TERM") != "dumb":
             self._show_bar(label, now, done, total)
         elif now - self._told > min(max(15.0, 0.2 * (now - self._began)), 600.0):
             self._told = now
@@ -152,10 +217,10 @@ class ProgressTeller:
             from rich.progress import BarColumn, Progress, TextColumn
 
             self._bar = Progress(
-                TextColumn("{task.description}"),
+                TextColumn("{task.description}", markup=False),
                 BarColumn(),
-                TextColumn("{task.fields[percent]}  {task.fields[pace]}"),
-                console=Console(stderr=True),
+                TextColumn("{task.fields[percent]}  {task.fields[pace]}", markup=False),
+                console=Console(stderr=True, markup=False, emoji=False, highlight=False),
                 transient=True,
             )
             self._bar.start()

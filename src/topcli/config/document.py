@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from topcli.errors import ConfigError
+from topcli.errors import NAME_LENGTH, ConfigError, quoted, shortened
 
 KeyPath = tuple[str | int, ...]
 
@@ -45,7 +45,7 @@ def key_text(path: KeyPath) -> str:
         if isinstance(part, int):
             text += f"[{part}]"
         else:
-            simple = part.isprintable() and len(part) <= 60
+            simple = part.isprintable() and len(part) <= NAME_LENGTH
             text += ("." if text else "") + (part if simple else describe(part))
     return text
 
@@ -62,14 +62,13 @@ def describe(value: object) -> str:
         case bool():
             return "true" if value else "false"
         case str():
-            return "the text " + (repr(value) if len(value) <= 60 else repr(value[:57]) + "...")
+            return f"the text {quoted(value)}"
         case list():
             return "a list"
         case dict():
             return "a section"
         case _:
-            text = repr(value)
-            return text if len(text) <= 60 else text[:57] + "..."
+            return shortened(repr(value))
 
 
 def plain(value: object, document: Document, path: KeyPath = ()) -> Any:

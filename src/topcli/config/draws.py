@@ -51,6 +51,13 @@ def energy_of(top: Top) -> tuple[Invariant, float] | None:
     return None
 
 
+def draw_examples(cls: type[Top], vector: str) -> list[str]:
+    """An example of each way to draw ``vector``, as a config writes it."""
+    if vector in cls.unit_vectors:
+        return ["sphere", "{near: 0.1}"]
+    return ["{sphere: 2}", "{near: 0.1}", *(["{energy: 1.5}"] if energy_of(cls.new()) else [])]
+
+
 def directions(u: Array) -> Array:
     """Points (m, 3) of the unit sphere, uniform in area, from uniform numbers (m, 2), by Archimedes' theorem."""
     z = 2.0 * u[:, 0] - 1.0

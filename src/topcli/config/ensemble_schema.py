@@ -8,12 +8,35 @@ from topcli.config.draws import energy_of
 from topcli.config.ensemble import MAX_TRAJECTORIES, Random, Section, Spaced
 from topcli.config.members import SOURCES
 from topcli.contracts import Top
+from topcli.tops import TOPS
 
 Schema = dict[str, Any]
 
 
+def any_ensemble_schema() -> Schema:
+    """The section for a top that is not known: its keys and their types, for the vectors and parameters of all."""
+    classes = list(TOPS.values())
+    vectors = list(dict.fromkeys(name for cls in classes for name in cls.vectors))
+    draws: Schema = {}
+    for name in vectors:
+        ways = [way for cls in classes if name in cls.vectors for way in _draw(cls, name)["anyOf"]]
+        draws[name] = {"anyOf": [way for i, way in enumerate(ways) if way not in ways[:i]]}
+    known = [key for cls in classes for key in _axes(cls)]
+    initial: Schema = {name: {"type": "array"} for name in vectors} | {"normalize": {"type": "boolean"}}
+    return _section(initial, draws, list(dict.fromkeys(known)))
+
+
 def ensemble_schema(cls: type[Top], initial: Schema) -> Schema:
     """The section for the tops of class ``cls``, of which ``initial`` are the keys of an initial state."""
+    return _section(initial, {name: _draw(cls, name) for name in cls.vectors}, _axes(cls))
+
+
+def _axes(cls: type[Top]) -> list[str]:
+    """Keys of a grid."""
+    return [*cls.components, *(f"top.{name}" for name in cls.model_fields)]
+
+
+def _section(initial: Schema, draws: Schema, known: list[str]) -> Schema:
     described = {key: field.description for key, field in Section.model_fields.items()}
     count: Schema = {"type": "integer", "minimum": 1, "maximum": MAX_TRAJECTORIES}
     spaced: Schema = {
@@ -26,8 +49,6 @@ def ensemble_schema(cls: type[Top], initial: Schema) -> Schema:
         },
     }
     axis: Schema = {"anyOf": [{"type": "array", "items": {"type": "number"}, "minItems": 1}, spaced]}
-    known = [*cls.components, *(f"top.{name}" for name in cls.model_fields)]
-    draws = {name: _draw(cls, name) for name in cls.vectors}
     seed = {"type": "integer", "minimum": 0, "default": 0, "description": Random.model_fields["seed"].description}
     properties: Schema = {
         "states": {

@@ -10,7 +10,7 @@ from pathlib import Path
 from topcli.config.document import Document, KeyPath, describe, plain
 from topcli.config.toml_text import parse_toml
 from topcli.config.yaml_text import parse_yaml
-from topcli.errors import ConfigError
+from topcli.errors import ConfigError, quoted, shortened
 
 MAX_BYTES = 1_000_000
 SUFFIXES = (".yaml", ".yml", ".toml")
@@ -35,7 +35,7 @@ def read_text(path: Path) -> str:
         raise ConfigError(f"{path}: no such file{_files_nearby(path)}") from None
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise ConfigError(f"{str(path)!r}: cannot be read: {reason}") from None
+        raise ConfigError(f"{path}: cannot be read: {reason}") from None
     if b"\0" in content:
         raise ConfigError(f"{path}: is a binary file; a config is UTF-8 text")
     try:
@@ -58,8 +58,8 @@ def _files_nearby(path: Path) -> str:
     stems = {Path(name).stem: name for name in names}
     close = [stems[stem] for stem in difflib.get_close_matches(path.stem, stems, n=2)]
     if close:
-        return f"; did you mean {' or '.join(map(repr, close))}?"
-    return f"; there are {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}" if names else ""
+        return f"; did you mean {' or '.join(map(quoted, close))}?"
+    return f"; there are {', '.join(map(shortened, names[:5]))}{', ...' if len(names) > 5 else ''}" if names else ""
 
 
 def read_document(path: Path) -> Document:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +13,9 @@ from topcli.config.files import SUFFIXES, read_document
 from topcli.config.models import Config, Experiment, duration_fault, name_fault
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, validate
-from topcli.config.sections import check_columns, read_initial, read_scheme, read_top
-from topcli.errors import ConfigError, UnknownNameError, nearest
+from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
+from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
+from topcli.tops import TOPS, forms
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -87,6 +89,26 @@ def scene_files() -> dict[str, Path]:
     return {path.stem: path for path in sorted(SCENES.iterdir()) if path.suffix in SUFFIXES}
 
 
+def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]:
+    """The packaged scenes, those of ``top`` where one is named: name, first trajectory, their number, a sentence.
+
+    Raises UnknownNameError for an unknown top.
+    """
+    wanted = [form.form for form in forms(top)] if top else list(TOPS)
+    for name, path in scene_files().items():
+        one = load_any(path)
+        first, count = (one, 1) if isinstance(one, Experiment) else (one.first, one.count)
+        if first.top.form in wanted:
+            yield name, first, count, _first_sentence(path)
+
+
+def _first_sentence(path: Path) -> str:
+    """The first sentence of the comment that a config begins with; empty where there is none."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines())
+    words = " ".join(line.removeprefix("#").strip() for line in lines)
+    return words.split(". ")[0].removesuffix(".")
+
+
 def find_config(source: Path | str) -> Path:
     """The file of ``source``: itself when it is named like a config, else the scene of that name.
 
@@ -103,9 +125,9 @@ def find_config(source: Path | str) -> Path:
     for name, scene in scenes.items():
         if name.lower().replace("-", "_") == wanted:
             return scene
-    files = [text + suffix for suffix in SUFFIXES if Path(text + suffix).is_file()]
+    files = [text + suffix for suffix in SUFFIXES if os.path.isfile(text + suffix)]
     near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes)
-    raise UnknownNameError(f"no packaged scene is called {text!r} (files end in .yaml, .yml or .toml); {near}")
+    raise UnknownNameError(f"no packaged scene is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
 
 
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
@@ -120,7 +142,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
     if many is not None:
         data.setdefault("initial", {})
     config = validate(Config, data, (), problems)
-    cls = top = state = scheme = members = None
+    cls = top = state = scheme = members = columns = None
     initial = data.get("initial")
     if "top" in data:
         named = initial
@@ -146,8 +168,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
             problems.add(("N",), too_long)
         if top and scheme:
             integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
-            known = ["n", "t", *top.components, *(integral.name for integral in integrals)]
-            check_columns(config.output.columns, known, problems)
+            columns = read_columns(config.output.columns, top.components, integrals, problems)
     problems.raise_any()
     # what is missing here has been raised as a problem
     assert config is not None
@@ -162,7 +183,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         options=scheme[1],
         h=config.h,
         N=config.N,
-        output=config.output,
+        output=config.output.model_copy(update={"columns": columns}),
     )
     if members is None:
         return experiment

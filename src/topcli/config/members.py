@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from topcli.config.document import Document, KeyPath, describe
-from topcli.config.draws import Draw, draw_states, energy_of
+from topcli.config.draws import Draw, draw_examples, draw_states, energy_of
 from topcli.config.ensemble import MAX_TRAJECTORIES, Group, Members, Random, Section, Spaced
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.config.sections import number_of, read_initial, read_vector
 from topcli.contracts import Array, Top
-from topcli.errors import nearest
 
 SOURCES = ("states", "grid", "random")
 ABSOLUTE = ("sphere", "energy")
@@ -41,13 +40,13 @@ def read_members(
     """
     path: KeyPath = ("ensemble",)
     if not isinstance(raw, dict):
-        problems.add(path, f"must be a section with one of {', '.join(SOURCES)}, not {describe(raw)}")
+        problems.add(path, f"must be a section with one of {', '.join(SOURCES)}, not {describe(raw)}; {_example(cls)}")
         return None
     section = validate(Section, raw, path, problems)
     given = [key for key in SOURCES if raw.get(key) is not None]
     if len(given) != 1:
-        told = f"has {' and '.join(given)}" if given else "has none of them"
-        problems.add(path, f"must have one of {', '.join(SOURCES)}, and {told}")
+        found_text = f"has {' and '.join(given)}" if given else "has none of them"
+        problems.add(path, f"must have one of {', '.join(SOURCES)}, and {found_text}; {_example(cls)}")
         return None
     if not isinstance(initial, dict):
         problems.add(("initial",), f"must be a section with {', '.join(cls.vectors)}, not {describe(initial)}")
@@ -66,6 +65,23 @@ def read_members(
     return Members(found[0], {source: found[1], "store": section.store}, kept)
 
 
+def _example(cls: type[Top], source: str = "random") -> str:
+    """Half a sentence with an example of a ``source`` of initial states."""
+    first = next(iter(cls.vectors))
+    if source == "states":
+        return f"for example [{{{first}: [1, 0, 0]}}, {{{first}: [0, 1, 0]}}]"
+    if source == "grid":
+        return f"for example {{{cls.components[0]}: {{start: 0, stop: 1, count: 11}}}}"
+    drawn = ", ".join(f"{name}: {draw_examples(cls, name)[0]}" for name in cls.vectors)
+    return f"for example random: {{count: 100, {drawn}}}"
+
+
+def _draw_forms(cls: type[Top], name: str) -> str:
+    """The ways to draw the vector ``name``, each as an example."""
+    *others, last = [f"{name}: {example}" for example in draw_examples(cls, name)]
+    return f"{', '.join(others)} or {last}"
+
+
 def _floats(value: Any) -> Any:
     """Plain data with whole numbers as floats, which is what they are used as."""
     if isinstance(value, list):
@@ -79,7 +95,11 @@ def _listed(
 ) -> tuple[tuple[Group, ...], Any] | None:
     path: KeyPath = ("ensemble", "states")
     if not isinstance(raw, list) or not raw:
-        problems.add(path, f"must be a list of initial states, not {describe(raw) if raw != [] else 'an empty one'}")
+        problems.add(
+            path,
+            f"must be a list of initial states, not {describe(raw) if raw != [] else 'an empty one'}; "
+            + _example(cls, "states"),
+        )
         return None
     states = []
     for index, given in enumerate(raw):
@@ -114,7 +134,7 @@ def _gridded(
     known = [*cls.components, *order[: -len(cls.components)]]
     if not isinstance(raw, dict) or not raw:
         given = describe(raw) if raw != {} else "an empty one"
-        problems.add(path, f"must be a section with some of {', '.join(known)}, not {given}")
+        problems.add(path, f"must be a section with some of {', '.join(known)}, not {given}; {_example(cls, 'grid')}")
         return None
     axes: dict[str, list[float]] = {}
     kept: dict[str, Any] = {}
@@ -154,7 +174,11 @@ def _axis(raw: object, path: KeyPath, problems: Problems) -> tuple[list[float], 
         return None if spaced is None else (spaced.values(), spaced.model_dump())
     if not isinstance(raw, list) or not raw:
         given = describe(raw) if raw != [] else "an empty list"
-        problems.add(path, f"must be a list of numbers, or a section with start, stop and count, not {given}")
+        problems.add(
+            path,
+            f"must be a list of numbers, or a section with start, stop and count, not {given}; "
+            "for example [0.1, 0.2] or {start: 0, stop: 1, count: 11}",
+        )
         return None
     numbers = [number_of(value) for value in raw]
     for value, number in zip(raw, numbers, strict=True):
@@ -216,12 +240,12 @@ def _drawn(
 ) -> tuple[tuple[Group, ...], Any] | None:
     path: KeyPath = ("ensemble", "random")
     if not isinstance(raw, dict):
-        problems.add(path, f"must be a section with count and some of {', '.join(cls.vectors)}, not {describe(raw)}")
+        problems.add(path, f"must be a section with count and vectors, not {describe(raw)}; {_example(cls)}")
         return None
     spec = validate(Random, raw, path, problems, beside=cls.vectors)
     draws = [_draw(raw[name], cls, top, name, problems) for name in cls.vectors if name in raw]
     if not draws:
-        problems.add(path, f"draws nothing; say how to draw {' or '.join(cls.vectors)}, such as sphere or near")
+        problems.add(path, f"no vector is random; {_example(cls)}")
         return None
     chosen = tuple(draw for draw in draws if draw is not None)
     if spec is None or len(chosen) < len(draws):
@@ -253,21 +277,21 @@ def _draw(raw: object, cls: type[Top], top: Top, name: str, problems: Problems) 
     if raw == "sphere" and unit:
         return Draw(name, "sphere", 1.0)
     if isinstance(raw, str) or not isinstance(raw, dict):
-        hint = nearest(raw, kinds) if isinstance(raw, str) and raw not in kinds else f"write {kinds[0]}: NUMBER"
-        wanted = "sphere, or a section with near" if unit else f"a section with one of {', '.join(kinds)}"
-        problems.add(path, f"must be {wanted}, not {describe(raw)}; {hint}")
+        problems.add(path, f"{describe(raw)} does not say how to draw it; write {_draw_forms(cls, name)}")
         return None
     for key in raw:
         if key not in kinds:
-            problems.add((*path, key), unknown_key(key, kinds))
+            problems.add((*path, key), f"{unknown_key(key, kinds)} (write {_draw_forms(cls, name)})")
             return None
     if len(raw) != 1:
-        problems.add(path, f"must have one of {', '.join(kinds)}, not {len(raw)} of them")
+        problems.add(
+            path, f"must have one of {', '.join(kinds)}, not {len(raw)} of them; write {_draw_forms(cls, name)}"
+        )
         return None
     ((kind, value),) = raw.items()
     size = number_of(value)
     if size is None or not math.isfinite(size):
-        problems.add((*path, kind), f"must be a finite number, not {describe(value)}")
+        problems.add((*path, kind), f"must be a finite number, not {describe(value)}; write {_draw_forms(cls, name)}")
         return None
     if kind == "energy" and energy_of(top) is None:
         problems.add((*path, kind), f"the top {cls.form} has no energy among its invariants")

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
 from topcli.contracts import Invariant, Method, Scheme, Top
+from topcli.errors import quoted
 
 MAX_STEPS = 10**12
 MAX_NAME = 100
@@ -22,19 +23,19 @@ def name_fault(value: str) -> str:
     if not value.strip():
         return "must not be empty"
     if any(unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp") for letter in value):
-        return f"must not hold control characters: {value[:40]!r}"
+        return f"must not hold control characters: {quoted(value)}"
     if len(value) > MAX_NAME or len(value.encode()) > MAX_NAME_BYTES:
         return f"must have at most {MAX_NAME} characters ({MAX_NAME_BYTES} bytes), not {len(value)}"
     if "/" in value or "\\" in value:
-        return f"must not hold a path separator: {value!r}"
+        return f"must not hold a path separator: {quoted(value)}"
     if odd := next((letter for letter in value if letter in '<>:"|?*'), None):
-        return f"must not hold {odd!r}, which not every system allows in a file's name: {value!r}"
+        return f"must not hold {odd!r}, which not every system allows in a file's name: {quoted(value)}"
     if value.lower() == "figures":
         return "must not be 'figures': the folder of that name holds the pictures"
     if value[0] in ".-":
-        return f"must not start with a dot or a dash: {value!r}"
+        return f"must not start with a dot or a dash: {quoted(value)}"
     if value != value.strip():
-        return f"must not start or end with a space: {value!r}"
+        return f"must not start or end with a space: {quoted(value)}"
     return ""
 
 
@@ -60,7 +61,7 @@ def _columns(value: tuple[str, ...]) -> tuple[str, ...]:
         raise ValueError("must name at least one column; leave the key out to record all")
     for index, name in enumerate(value):
         if name in value[:index]:
-            raise ValueError(f"names {name!r} twice")
+            raise ValueError(f"names {quoted(name)} twice")
     return value
 
 
@@ -79,7 +80,7 @@ class Output(BaseModel):
     every: Count = Field(default=1, description="record every so many steps (1 to N)")
     columns: Columns | None = Field(
         default=None,
-        description="the columns to record, of n, t, the components and the invariants; all when absent",
+        description="the columns to record, by name or symbol: n, t, components, invariants; all when absent",
         json_schema_extra={"minItems": 1, "uniqueItems": True},
     )
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from topcli.config.document import Document, describe, key_text, plain
-from topcli.errors import ConfigError
+from topcli.errors import ConfigError, quoted, shortened
 
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _POSITION = re.compile(r"^(:\d+)*: ")
@@ -29,7 +29,7 @@ def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
     if not equals:
         raise ConfigError(f"{label}: expected key=value, such as --set h=0.01")
     if not all(_KEY.fullmatch(part) for part in path):
-        raise ConfigError(f"{label}: {key!r} is not a key; expected key=value with a key such as h or top.c0")
+        raise ConfigError(f"{label}: {quoted(key)} is not a key; expected key=value with a key such as h or top.c0")
     if not value.strip():
         raise ConfigError(f"{label}: no value is given; expected key=value, such as --set h=0.01")
     from topcli.config.yaml_text import parse_yaml
@@ -43,7 +43,7 @@ def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
 
 def override_label(text: str) -> str:
     """How messages name an override."""
-    shown = text if len(text) <= 60 else text[:57] + "..."
+    shown = shortened(text)
     return f"--set {shown}" if shown.isprintable() else f"--set {shown!r}"
 
 

@@ -36,10 +36,10 @@ class Problems:
         """Raise the first three: UnknownNameError where all are unknown names, else ConfigError."""
         if not self.messages:
             return
-        text = "\n".join(self.messages[:SHOWN])
+        lines = self.messages[:SHOWN]
         if len(self.messages) > SHOWN:
-            text += f" (and {len(self.messages) - SHOWN} more)"
-        raise UnknownNameError(text) if self.unknown_names == len(self.messages) else ConfigError(text)
+            lines[-1] += f" (and {len(self.messages) - SHOWN} more)"
+        raise UnknownNameError(*lines) if self.unknown_names == len(self.messages) else ConfigError(*lines)
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from topcli.config.ensemble_schema import ensemble_schema
+from topcli.analysis.columns import spellings
+from topcli.config.ensemble_schema import any_ensemble_schema, ensemble_schema
 from topcli.config.models import Config
 from topcli.config.sections import AUTO
 from topcli.contracts import Scheme, Top
 from topcli.schemes.compose import COMPOSITIONS, obstacle
 from topcli.schemes.registry import all_schemes
-from topcli.tops import TOPS, forms, kinds
+from topcli.tops import TOPS, forms, top_names
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -23,7 +24,7 @@ def config_schema() -> Schema:
     vectors, the schemes that step it, and the columns.
     """
     schema = Config.model_json_schema()
-    known = kinds()
+    known = top_names()
     properties = schema["properties"]
     properties["top"] |= {
         "anyOf": [
@@ -32,7 +33,7 @@ def config_schema() -> Schema:
         ]
     }
     properties["initial"] |= {"type": "object"}
-    properties["ensemble"] = {"type": ["object", "null"], "description": properties["ensemble"]["description"]}
+    properties["ensemble"] = any_ensemble_schema() | {"description": properties["ensemble"]["description"]}
     schema["required"].remove("initial")
     schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
     properties["scheme"] |= {"type": ["string", "object"]}
@@ -50,11 +51,12 @@ def config_schema() -> Schema:
 
 def _for_top(cls: type[Top]) -> Schema:
     """What the sections hold when the top is of class ``cls``."""
-    kind = {"const": cls.kind}
-    named = {"type": "object", "required": ["kind"], "properties": {"kind": kind}}
+    kind: Schema = {"const": cls.kind}
     schemes = [scheme for scheme in all_schemes() if scheme.top == cls.form]
-    columns = ["n", "t", *cls.components, *(invariant.name for invariant in cls.new().invariants())]
-    items: Schema = {"anyOf": [{"enum": columns}, {"pattern": "^modified_"}]}
+    top = cls.new()
+    integrals = [*top.invariants(), *(one for s in schemes if s.modified for one in s.modified(top, 0.01, s.options()))]
+    columns = ["n", "t", *cls.components, *(text for one in integrals for text in spellings(one.name, one.symbol))]
+    items: Schema = {"anyOf": [{"enum": list(dict.fromkeys(columns))}, {"pattern": "^modified_"}]}
     initial = {name: _vector(cls, name) for name in cls.vectors}
     complete: Schema = {"anyOf": [{"required": ["ensemble"]}, {"properties": {"initial": {"required": list(initial)}}}]}
     normalize = {
@@ -62,13 +64,16 @@ def _for_top(cls: type[Top]) -> Schema:
         "default": False,
         "description": f"scale {', '.join(cls.unit_vectors) or 'the unit vectors'} to unit length",
     }
-    condition: Schema = {"required": ["top"], "properties": {"top": {"anyOf": [kind, named]}}}
+    condition = _is_top(kind)
     others = {name for form in forms(cls.kind) for name in form.vectors} - set(initial)
     if len(forms(cls.kind)) > 1:
         condition["required"].append("initial")
         condition["properties"]["initial"] = {"required": list(initial)}
         if others:
             condition["properties"]["initial"]["not"] = {"anyOf": [{"required": [name]} for name in sorted(others)]}
+    if cls.form != cls.kind:  # the form's own name leaves nothing for the vectors to choose
+        condition = {"anyOf": [condition, _is_top({"const": cls.form})]}
+        kind = {"enum": [cls.kind, cls.form]}
     return {
         "if": condition,
         "then": {
@@ -86,6 +91,12 @@ def _for_top(cls: type[Top]) -> Schema:
             **complete,
         },
     }
+
+
+def _is_top(name: Schema) -> Schema:
+    """A config whose top has this ``name``, bare or in a section."""
+    named: Schema = {"type": "object", "required": ["kind"], "properties": {"kind": name}}
+    return {"required": ["top"], "properties": {"top": {"anyOf": [name, named]}}}
 
 
 def _scheme(scheme: Scheme) -> Schema:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pydantic import BaseModel
 
+from topcli.analysis.columns import spellings
 from topcli.config.document import KeyPath, describe
 from topcli.config.problems import Problems, unknown_key, validate
-from topcli.contracts import Scheme, Top
-from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.contracts import Invariant, Scheme, Top
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import composed, find_scheme, names_for
-from topcli.tops import kinds, top_class
+from topcli.tops import top_class, top_names
 
 UNIT_TOLERANCE = 1e-12
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
@@ -25,7 +26,7 @@ def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top
 
     The vectors named in ``initial`` choose among the forms of a top.
     """
-    section = _named_section(raw, "top", "kind", kinds, problems)
+    section = _named_section(raw, "top", "kind", top_names, problems)
     if section is None:
         return None, None
     kind, where, parameters = section
@@ -190,8 +191,24 @@ def _unit(vector: list[float], normalize: bool, path: KeyPath, problems: Problem
     return None
 
 
-def check_columns(columns: tuple[str, ...] | None, known: list[str], problems: Problems) -> None:
-    """Note every column that is not among the ``known`` ones."""
-    for name in columns or ():
-        if name not in known:
-            problems.add(("output", "columns"), f"unknown column {name[:40]!r}; {nearest(name[:40], known)}")
+def read_columns(
+    given: tuple[str, ...] | None, components: Sequence[str], integrals: Sequence[Invariant], problems: Problems
+) -> tuple[str, ...] | None:
+    """Names of the ``given`` columns, each of which may be a name or the symbol that reports print."""
+    if given is None:
+        return None
+    plain = {name: name for name in ("n", "t", *components)}
+    names = {text: one.name for one in integrals for text in spellings(one.name, one.symbol)} | plain
+    found: list[str] = []
+    for text in given:
+        name = names.get(text)
+        if name is None:
+            near = nearest(text, names)
+            if near.startswith("known"):
+                near = f"known: {', '.join([*plain, *(f'{one.name} ({one.symbol})' for one in integrals)])}"
+            problems.add(("output", "columns"), f"unknown column {quoted(text)}; {near}")
+        elif name in found:
+            problems.add(("output", "columns"), f"names {quoted(name)} twice")
+        else:
+            found.append(name)
+    return tuple(found)

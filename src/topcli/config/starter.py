@@ -1,76 +1,134 @@
-"""The commented config that a new experiment starts from."""
+"""The commented config that a new experiment starts from, in YAML or TOML."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
+from topcli.config.draws import draw_examples
 from topcli.config.emit import flow
 from topcli.config.models import Config, Output
-from topcli.contracts import Top
+from topcli.contracts import Scheme, Top
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.tops import top_class
 
 SCHEMA_FILE = "topcli.schema.json"
-_VECTOR = "[2, 0, 0]"
-_UNIT_VECTOR = "[auto, 0, 1e-3]"
+DEFAULT_SCHEMES = ("hybrid", "hk")
+"""The scheme of a starter config where none is asked for: the first of these that the top has."""
+_VECTOR = [2, 0, 0]
+_UNIT_VECTOR = ["auto", 0, 1e-3]
+
+Line = tuple[str, Any, str]
+"""A key, its value (None: commented out), and a note."""
 
 
-def starter_config(top: str = "kowalevski", scheme: str = "hybrid", schema: str = SCHEMA_FILE) -> str:
-    """A commented config for ``top`` and ``scheme``, which loads; optional keys stand with their defaults.
+def starter_config(
+    top: str = "kowalevski", scheme: str | None = None, schema: str = SCHEMA_FILE, toml: bool = False
+) -> str:
+    """A commented config for ``top`` and ``scheme``, which loads; optional keys are given with their defaults.
 
     ``schema`` is the path of the JSON Schema that the editor's modeline names.
     Raises UnknownNameError with the nearest names, or UsageError for a scheme that does not fit the top.
     """
     cls = top_class(top)
-    found = find_scheme(scheme, cls.form)
-    described = {key: field.description for key, field in Config.model_fields.items()}
-    lines = [
-        f"# yaml-language-server: $schema={schema}",
-        f"# {found.title}, for the {cls.title}.",
-        f"# {found.citation}",
-        "",
-        f"name: {cls.kind}_{found.name}".replace("-", "_") + f"  # {described['name']}",
-        "",
-        "top:",
-        f"  kind: {cls.kind}",
-        *_fields(cls),
-        "",
-        "initial:",
-        *_initial(cls),
-        "",
-        f"# one of {', '.join(names_for(cls.form))}",
-        "scheme:",
-        f"  name: {found.name}",
-        *_fields(found.options),
-        "",
-        f"h: 0.001  # {described['h']}",
-        f"N: 50000  # {described['N']}",
-        "",
-        "output:",
-        *_fields(Output),
-    ]
-    return "\n".join(lines) + "\n"
+    names = names_for(cls.form)
+    found = find_scheme(scheme or next((name for name in DEFAULT_SCHEMES if name in names), names[0]), cls.form)
+    write = _toml if toml else _yaml
+    return "\n".join(write(cls, found, schema)) + "\n"
 
 
-def _fields(model: type[BaseModel]) -> list[str]:
+def _yaml(cls: type[Top], scheme: Scheme, schema: str) -> list[str]:
+    lines = [f"# yaml-language-server: $schema={schema}", *_about(cls, scheme), ""]
+    for title, comment, section in _sections(cls, scheme):
+        lines += [f"# {comment}"] if comment else []
+        lines += [f"{title}:"] if title else []
+        for key, value, note in section:
+            text = f"{key}:" if value is None else f"{key}: {flow(value)}"
+            lines.append("  " * bool(title) + "# " * (value is None) + text + (f"  # {note}" if note else ""))
+        lines.append("")
+        if title == "initial":
+            lines += [*_ensemble(cls, toml=False), ""]
+    return lines[:-1]
+
+
+def _toml(cls: type[Top], scheme: Scheme, schema: str) -> list[str]:
+    lines = [f"#:schema {schema}", *_about(cls, scheme), ""]
+    sections = _sections(cls, scheme)
+    for title, comment, section in sorted(sections, key=lambda one: bool(one[0])):  # a bare key cannot follow a table
+        lines += [f"# {comment}"] if comment else []
+        lines += [f"[{title}]"] if title else []
+        for key, value, note in section:
+            text = f"{key} =" if value is None else f"{key} = {_toml_value(value)}"
+            lines.append("# " * (value is None) + text + (f"  # {note}" if note else ""))
+        lines.append("")
+        if title == "initial":
+            lines += [*_ensemble(cls, toml=True), ""]
+    return lines[:-1]
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml_value, value)) + "]"
+    return flow(value)
+
+
+def _about(cls: type[Top], scheme: Scheme) -> list[str]:
+    return [f"# {scheme.title}, for the {cls.title}.", f"# {scheme.citation}"]
+
+
+def _sections(cls: type[Top], scheme: Scheme) -> Sequence[tuple[str, str, list[Line]]]:
+    """Sections of the config: title (empty for keys of the top level), comment, lines."""
+    described = {key: field.description or "" for key, field in Config.model_fields.items()}
+    # the vectors choose the form of the state; where another form has the same ones only its own name does
+    kind = cls.kind if top_class(cls.kind, list(cls.vectors)) is cls else cls.form
+    name = f"{cls.form}_{scheme.name}".translate(str.maketrans("-/+", "___"))
+    return (
+        ("", "", [("name", name, described["name"])]),
+        ("top", "", [("kind", kind, ""), *_fields(cls)]),
+        ("initial", "", _initial(cls)),
+        ("scheme", f"one of {', '.join(names_for(cls.form))}", [("name", scheme.name, ""), *_fields(scheme.options)]),
+        ("", "", [("h", 0.001, described["h"]), ("N", 50000, described["N"])]),
+        ("output", "", _fields(Output)),
+    )
+
+
+def _fields(model: type[BaseModel]) -> list[Line]:
     """A line for each field with its default and description; commented out where the default is none."""
-    lines = []
-    for key, field in model.model_fields.items():
-        value = None if field.is_required() else field.get_default(call_default_factory=True)
-        note = f"  # {field.description}" if field.description else ""
-        lines.append(f"  # {key}:{note}" if value is None else f"  {key}: {flow(to_jsonable_python(value))}{note}")
-    return lines
+    return [
+        (
+            key,
+            None if field.is_required() else to_jsonable_python(field.get_default(call_default_factory=True)),
+            field.description or "",
+        )
+        for key, field in model.model_fields.items()
+    ]
 
 
-def _initial(cls: type[Top]) -> list[str]:
+def _initial(cls: type[Top]) -> list[Line]:
     """The vectors of the initial state."""
-    lines = []
+    lines: list[Line] = []
     for name, (start, stop) in cls.vectors.items():
         unit = name in cls.unit_vectors
         names = ", ".join(cls.components[start:stop])
         note = f"({names}); auto completes it to a unit vector, -auto with a minus sign" if unit else f"({names})"
-        lines.append(f"  {name}: {_UNIT_VECTOR if unit else _VECTOR}  # {note}")
+        lines.append((name, list(_UNIT_VECTOR if unit else _VECTOR), note))
     if cls.unit_vectors:
-        lines.append(f"  normalize: false  # true scales {', '.join(cls.unit_vectors)} to unit length")
+        lines.append(("normalize", False, f"true scales {', '.join(cls.unit_vectors)} to unit length"))
     return lines
+
+
+def _ensemble(cls: type[Top], toml: bool) -> list[str]:
+    """A block to uncomment: many trajectories instead of one."""
+    lines = ["[ensemble.random]"] if toml else ["ensemble:", "  random:"]
+    indent, sign = ("", " = ") if toml else ("    ", ": ")
+    lines += [f"{indent}{key}{sign}{value}" for key, value in (("count", 100), ("seed", 0))]
+    for name in cls.vectors:
+        first, *others = draw_examples(cls, name)
+        text = '"sphere"' if toml and first == "sphere" else first
+        lines.append(f"{indent}{name}{sign}{text.replace(': ', sign)}  # or {', '.join(others).replace(': ', sign)}")
+    return [f"# {line}" for line in ["many trajectories instead of one; see docs/ensembles.md", *lines]]

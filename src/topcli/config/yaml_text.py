@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, NoReturn
 
 from topcli.config.document import MAX_DEPTH, MAX_NODES, KeyPath, describe, key_text
 from topcli.config.scalars import resolve_scalar
-from topcli.errors import ConfigError
+from topcli.errors import NAME_LENGTH, ConfigError, quoted, shortened
 
 Lines = dict[KeyPath, int]
 
@@ -26,12 +27,30 @@ def parse_yaml(text: str, label: str) -> tuple[Any, Lines]:
     return builder.document(), builder.lines
 
 
+@cache
+def _scanner() -> type:
+    """ruamel.yaml's scanner without tags: they are refused anyway, and decoding one takes quadratic time."""
+    from ruamel.yaml.scanner import Scanner, ScannerError
+
+    class Tagless(Scanner):
+        def scan_tag(self) -> Any:
+            tag = ""
+            while len(tag) <= NAME_LENGTH and (letter := self.reader.peek(len(tag))) not in "\0 \t\r\n":
+                tag += letter
+            problem = f"tags such as {quoted(tag)} are not allowed; write the plain value"
+            raise ScannerError(None, None, problem, self.reader.get_mark())
+
+    return Tagless
+
+
 def _events(text: str, label: str) -> Iterator[Any]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError
     from ruamel.yaml.reader import ReaderError
 
-    events = YAML(typ="safe", pure=True).parse(text)
+    parser = YAML(typ="safe", pure=True)
+    parser.Scanner = _scanner()
+    events = parser.parse(text)
     while True:
         try:
             event = next(events)
@@ -101,9 +120,6 @@ class _Builder:
         kind = _kind(event)
         if kind == "Alias":
             return self.alias(event, path)
-        if event.ctag is not None:
-            tag = str(event.ctag)[:40]
-            self.refuse(event, f"tags such as {tag!r} are not allowed; write the plain value")
         anchor = None
         if event.anchor is not None:
             anchor = self.anchors[event.anchor] = _Anchor()
@@ -131,11 +147,11 @@ class _Builder:
             self.refuse(event, f"nested deeper than {MAX_DEPTH} levels")
 
     def alias(self, event: Any, path: KeyPath) -> Any:
-        anchor = self.anchors.get(event.anchor)
+        anchor, name = self.anchors.get(event.anchor), shortened(event.anchor)
         if anchor is None:
-            self.refuse(event, f"alias *{event.anchor}: no anchor &{event.anchor} stands before it")
+            self.refuse(event, f"alias *{name}: no anchor &{name} comes before it")
         if not anchor.ready:
-            self.refuse(event, f"alias *{event.anchor} stands inside its own anchor; write the value out")
+            self.refuse(event, f"alias *{name} is inside its own anchor; write the value out")
         self.count(event, anchor.nodes, len(path) + anchor.height)
         return anchor.value
 

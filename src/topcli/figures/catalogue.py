@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from topcli.contracts import Array
-from topcli.errors import UnknownNameError, nearest
+from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.growth import GrowthPanel
 from topcli.figures.picture import Drawable, Line, Panel
 from topcli.figures.polhodes import Polhodes
@@ -192,4 +192,4 @@ def figure_spec(name: str) -> FigureSpec:
     try:
         return FIGURES[name.lower()]
     except KeyError:
-        raise UnknownNameError(f"unknown figure {name!r}; {nearest(name, FIGURES)}") from None
+        raise UnknownNameError(f"unknown figure {quoted(name)}; {nearest(name, FIGURES)}") from None

@@ -24,7 +24,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from topcli.contracts import Block, Floats, Method, Sampler, Scheme, StepFunction, Stepper, Top
-from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.tops import TOPS
 
 BASE_ORDER = 2
@@ -99,7 +99,7 @@ def find_composition(name: str) -> Composition:
     """The composition called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
     found = COMPOSITIONS.get(name.lower())
     if found is None:
-        raise UnknownNameError(f"unknown composition {name!r}; {nearest(name, COMPOSITIONS)}")
+        raise UnknownNameError(f"unknown composition {quoted(name)}; {nearest(name, COMPOSITIONS)}")
     return found
 
 

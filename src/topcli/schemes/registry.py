@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import os
 import pkgutil
 import re
 import sys
@@ -20,7 +21,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from topcli.contracts import Invariant, Method, NoOptions, Scheme, Top
-from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.tops import TOPS
 
@@ -162,7 +163,7 @@ def load_scheme_file(path: Path) -> None:
     Raises UsageError when the file cannot be read or imported, or registers nothing.
     """
     plugin_failures()
-    if not path.is_file():
+    if not os.path.isfile(path):  # False also for what cannot be a path
         raise UsageError(f"scheme file {path}: no such file")
     name = "topcli_scheme_file_" + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(name, path)
@@ -207,10 +208,10 @@ def find_scheme(name: str, top: str) -> Scheme:
     fits = sorted(kind for known, kind in _schemes if known == name.lower())
     if fits:
         raise SchemeMisfitError(
-            f"scheme {name!r} does not fit top {top!r}; it fits {', '.join(fits)}; "
+            f"scheme {quoted(name)} does not fit top {top!r}; it fits {', '.join(fits)}; "
             f"schemes for {top}: {', '.join(names_for(top)) or 'none'}"
         )
-    raise UnknownNameError(f"unknown scheme {name!r}; {nearest(name, names_for(top))}")
+    raise UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, names_for(top))}")
 
 
 def composed(base: Scheme, name: str) -> Scheme:

@@ -17,7 +17,7 @@ from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method
 from topcli.engine.loop import nanoseconds_per_step
-from topcli.errors import UsageError, nearest
+from topcli.errors import UsageError, nearest, quoted
 from topcli.schemes.registry import find_scheme
 from topcli.studies.report import finite
 from topcli.studies.simulate import trajectory_of
@@ -137,7 +137,7 @@ def compare_schemes(
     used = [one.scheme.name for one in experiments]
     repeated = sorted({name for name in used if used.count(name) > 1})
     if repeated:
-        raise UsageError(f"scheme {repeated[0]!r} is named twice")
+        raise UsageError(f"scheme {quoted(repeated[0])} is named twice")
     rows = experiment.N // experiment.output.every + 1
     if rows > MAX_ROWS:
         raise UsageError(

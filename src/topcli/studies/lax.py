@@ -22,8 +22,8 @@ from topcli.analysis.reference import BODY, reference_states
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array
-from topcli.errors import UsageError
+from topcli.contracts import Array, Top
+from topcli.errors import UsageError, shortened
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.compare import under_scheme
@@ -47,19 +47,18 @@ NO_PAIR = (
 )
 
 
-def lax_experiment(kind: str, config: str | None, sets: Sequence[str]) -> Experiment:
-    """The experiment to check: that of ``config``, which must be of the top ``kind``, or a state in general position.
+def lax_experiment(name: str, config: str | None, sets: Sequence[str]) -> Experiment:
+    """The experiment to check: that of ``config``, which must be of the top ``name``, or a state in general position.
 
     Raises UsageError for a config of another top or a state that is not omega, gamma.
     """
-    top = forms(kind)[0]
+    top = forms(name)[0]
     if config is not None:
         experiment = load_experiment(config, sets)
         if experiment.top.kind != top.kind:
-            raise UsageError(f"lax: {config} is of the top {experiment.top.kind!r}, not {top.kind!r}")
+            raise UsageError(f"lax: {shortened(config)} is of the top {experiment.top.kind!r}, not {top.kind!r}")
     else:
-        if not set(top.vectors) <= set(INITIAL):
-            raise UsageError(f"lax: give the initial state of the top {top.kind!r} by --config")
+        _require_body(top)
         names = names_for(top.form)
         experiment = experiment_from(
             {
@@ -71,13 +70,18 @@ def lax_experiment(kind: str, config: str | None, sets: Sequence[str]) -> Experi
             },
             sets,
         )
-    components = tuple(experiment.top.components)
-    if components not in (BODY, BODY[:3]):
-        raise UsageError(
-            f"lax: the matrices are written for omega and gamma, not for ({', '.join(components)}); "
-            "give a config with the state in the body frame"
-        )
+    _require_body(type(experiment.top))
     return experiment
+
+
+def _require_body(top: type[Top]) -> None:
+    """Raise UsageError for a top whose state is not omega, or omega and gamma."""
+    if tuple(top.components) not in (BODY, BODY[:3]):
+        other = next((form.form for form in forms(top.kind) if tuple(form.components) in (BODY, BODY[:3])), "")
+        raise UsageError(
+            f"lax: the matrices are written for omega and gamma, not for ({', '.join(top.components)}) of the top "
+            f"{top.form}; {f'take the top {other}, or ' if other else ''}give a config with the state in the body frame"
+        )
 
 
 def default_schemes(experiment: Experiment) -> list[str]:

@@ -143,8 +143,8 @@ def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
         told = difference(other.about.get("config", {}), experiment.resolved())
         why = f"is of a different experiment ({told})"
     raise UsageError(
-        f"{other.folder}: the unfinished run, at step {other.done}, {why}; nothing was written and it is kept\n"
-        "resume it with the config and code that it was begun with, or start afresh without --resume"
+        f"{other.folder}: the unfinished run, at step {other.done}, {why}; nothing was written and it is kept",
+        "resume it with the config and code that it was begun with, or start again without --resume",
     )
 
 

@@ -102,16 +102,17 @@ def plan_run(
     if standing is None:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise UsageError(
-                f"{target}: exists and is no finished run; nothing was written\n"
-                "move it away, or choose another folder with --out or another name with --set name=..."
+                f"{target}: exists and is no finished run; nothing was written",
+                "move it away, or choose another folder with --out or another name with --set name=...",
             )
         return Plan(None, False, f"will continue from step {source.done}" if source else "will run")
     if not standing.same_experiment(digest):
         if not force and source is None:
             raise UsageError(
                 f"{target}: holds a different experiment (digest {str(standing.manifest['digest'])[:8]}, this one "
-                f"{digest[:8]}); nothing was written\nchoose --set name=... or --out, or --force to keep the earlier "
-                "run aside and put this one in its place"
+                f"{digest[:8]}); nothing was written",
+                "choose --set name=... or --out, or --force to keep the earlier run aside and put this one in "
+                "its place",
             )
         action = f"will continue from step {source.done}" if source else "will run"
         return Plan(standing, False, f"{action}, and keep the different run that is there aside")

@@ -115,14 +115,14 @@ def schemes_page(schemes: Sequence[Scheme] | None = None) -> str:
     return "\n".join([HEAD, *lines]).rstrip() + "\n"
 
 
-def scheme_text(scheme: Scheme) -> str:
-    """The same for a terminal."""
+def scheme_text(scheme: Scheme, width: int = 100) -> str:
+    """The same for a terminal, in lines of at most ``width`` characters."""
     from textwrap import fill, indent
 
-    lines = [f"{scheme.name} ({scheme.top}): {scheme.title}", ""]
-    lines += [fill(part, 100) + "\n" for part in scheme.doc.split("\n\n")]
-    lines += [fill(f"{label}: {text}", 100, subsequent_indent="  ") for label, text in _traits(scheme)]
+    lines = [fill(f"{scheme.name} ({scheme.top}): {scheme.title}", width), ""]
+    lines += [fill(part, width) + "\n" for part in scheme.doc.split("\n\n")]
+    lines += [fill(f"{label}: {text}", width, subsequent_indent="  ") for label, text in _traits(scheme)]
     limits = _limits(scheme)
     lines.append("limits:" if limits else "limits: none known")
-    lines += [indent(fill(f"{key}: {text}", 96, subsequent_indent="  "), "  ") for key, text in limits]
+    lines += [indent(fill(f"{key}: {text}", width - 4, subsequent_indent="  "), "  ") for key, text in limits]
     return "\n".join(lines)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from topcli.contracts import Top
-from topcli.errors import UnknownNameError, nearest
+from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -20,26 +20,29 @@ TOPS: dict[str, type[Top]] = {
 }
 
 
-def kinds() -> list[str]:
-    """The names that a config may use for a top."""
-    return list(dict.fromkeys(top.kind for top in TOPS.values()))
+def top_names() -> list[str]:
+    """Names of the tops, wherever one is named: each kind, and each form that differs from its kind."""
+    return list(dict.fromkeys(name for top in TOPS.values() for name in (top.kind, top.form)))
 
 
-def forms(kind: str) -> list[type[Top]]:
-    """The forms of the top called ``kind`` (matched without case), its own first.
+def forms(name: str) -> list[type[Top]]:
+    """Forms of the top called ``name``, matched without case: all those of a kind, its own first, or one form.
 
     Raises UnknownNameError with the nearest names.
     """
-    found = [top for top in TOPS.values() if top.kind == kind.lower()]
+    wanted = name.lower()
+    found = [top for top in TOPS.values() if top.kind == wanted]
+    if not found and wanted in TOPS:
+        return [TOPS[wanted]]
     if not found:
-        raise UnknownNameError(f"unknown top {kind!r}; {nearest(kind, kinds())}")
+        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}")
     return found
 
 
-def top_class(kind: str, vectors: Collection[str] = ()) -> type[Top]:
-    """The form of the top called ``kind`` whose initial state has the ``vectors``; its own form when none fits.
+def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
+    """The form of the top called ``name`` whose initial state has the ``vectors``; its own form when none fits.
 
     Raises UnknownNameError with the nearest names.
     """
-    found = forms(kind)
+    found = forms(name)
     return next((top for top in found if set(top.vectors) == set(vectors)), found[0])

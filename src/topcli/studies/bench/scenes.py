@@ -10,7 +10,7 @@ import numpy as np
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
-from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 INTERVALS = 100
 """Errors are looked at at so many evenly spaced times, the same for all competitors."""
@@ -80,7 +80,7 @@ def bench_problems(
     for name in names:
         scene = SCENES.get(name.lower().replace("_", "-"))
         if scene is None:
-            raise UnknownNameError(f"--scene: unknown scene {name!r}; {nearest(name, SCENES)}")
+            raise UnknownNameError(f"--scene: unknown scene {quoted(name)}; {nearest(name, SCENES)}")
         experiment = load_experiment(scene.config)
         problems.append(Problem(scene.name, scene.title, experiment, scene.duration, intervals, scene.goal))
     for config in configs:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from topcli.errors import UnknownNameError, UsageError, nearest
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class Peer:
 
     ``varies`` says that its speed differs from process to process, so that it counts as its best of several.
     ``patience`` is how many times the usual seconds a call may take; what runs in the interpreter needs more.
+    The extra of the same name installs what it requires; ``needs`` says what must be there before.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Peer:
     requires: tuple[str, ...]
     varies: bool = False
     patience: float = 1.0
+    needs: str = ""
 
 
 PEERS: dict[str, Peer] = {
@@ -53,6 +55,7 @@ PEERS: dict[str, Peer] = {
             "topcli.studies.peers.numbalsoda_ode",
             ("numbalsoda", "numba"),
             patience=5.0,
+            needs="needs CMake and a Fortran compiler",
         ),
     )
 }
@@ -63,9 +66,9 @@ def find_peers(names: Sequence[str]) -> list[Peer]:
     found = []
     for name in names:
         if name.lower() not in PEERS:
-            raise UnknownNameError(f"--against: unknown peer {name!r}; {nearest(name, PEERS)}")
+            raise UnknownNameError(f"--against: unknown peer {quoted(name)}; {nearest(name, PEERS)}")
         if PEERS[name.lower()] in found:
-            raise UsageError(f"--against: peer {name!r} is named twice")
+            raise UsageError(f"--against: peer {quoted(name)} is named twice")
         found.append(PEERS[name.lower()])
     return found
 
@@ -73,4 +76,7 @@ def find_peers(names: Sequence[str]) -> list[Peer]:
 def missing(peer: Peer) -> str:
     """Why ``peer`` cannot be measured here; empty when all that it requires is installed."""
     absent = [package for package in peer.requires if find_spec(package) is None]
-    return f"{' and '.join(absent)} not installed; pip install 'topcli[peers]' has it" if absent else ""
+    if not absent:
+        return ""
+    needs = f" ({peer.needs})" if peer.needs else ""
+    return f"{' and '.join(absent)} not installed; run pip install 'topcli[{peer.name}]'{needs}"

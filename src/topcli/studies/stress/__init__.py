@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from topcli.errors import UnknownNameError, nearest
+from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.studies.stress.case import Case
 from topcli.studies.stress.kowalevski import KOWALEVSKI
 from topcli.studies.stress.others import OTHERS
@@ -19,5 +19,5 @@ def cases_named(name: str) -> list[Case]:
     """The cases called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
     found = [case for case in CASES if case.name == name.lower()]
     if not found:
-        raise UnknownNameError(f"unknown case {name!r}; {nearest(name, case_names())}")
+        raise UnknownNameError(f"unknown case {quoted(name)}; {nearest(name, case_names())}")
     return found

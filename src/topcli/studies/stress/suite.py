@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Scheme
-from topcli.errors import ConfigError, RunError, UsageError, nearest
+from topcli.errors import ConfigError, RunError, UsageError, nearest, shortened
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress import CASES, case_names, cases_named
 from topcli.studies.stress.case import Case, Finding, Result, Trial, Workshop
@@ -93,7 +93,7 @@ def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tup
     wanted = [case for name in dict.fromkeys(cases) for case in cases_named(name)] if cases else list(CASES)
     wanted = [case for case in wanted if case.form in fits]
     if not wanted:
-        raise UsageError(f"--case {cases[0]}: no such case for {top}; {nearest(cases[0], _names_for(fits))}")
+        raise UsageError(f"--case {shortened(cases[0])}: no such case for {top}; {nearest(cases[0], _names_for(fits))}")
     used: list[Scheme] = []
     if schemes:
         for name in dict.fromkeys(name.lower() for name in schemes):
@@ -103,7 +103,9 @@ def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tup
     asked = {case.form for case in wanted}
     used = [scheme for scheme in used if scheme.top in asked]
     if not used:
-        raise UsageError(f"none of the schemes {', '.join(schemes)} has one of the cases; see topcli list cases")
+        raise UsageError(
+            f"none of the schemes {shortened(', '.join(schemes))} has one of the cases; see topcli list cases"
+        )
     return used, wanted
 
 
