@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from test_ensemble_config import BASE, ensemble, loaded, states
-from topcli.config.draws import draw_states, energy_of
+from topcli.config.draws import Drawn, energy_of
 from topcli.tops import TOPS
 
 
@@ -87,5 +87,5 @@ def test_an_energy_below_the_saddle_leaves_part_of_the_sphere() -> None:
     """With E = 0 and V = c0 gamma1, gamma1 is uniform in [-1, 0]."""
     drawn = states(ensemble(random={"count": 20_000, "gamma": "sphere", "omega": {"energy": 0.0}}))
     assert drawn[:, 3].max() <= 0.0
+    assert sum(map(len, Drawn(TOPS["kowalevski"].new(), np.zeros(6), (), 3, 1).blocks(2))) == 3
     assert within(drawn[:, 3], -1 / 2, 1 / 12)
-    assert draw_states(TOPS["kowalevski"].new(), np.zeros(6), (), 3, 1) is not None

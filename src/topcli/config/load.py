@@ -136,7 +136,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
 
         parameters = data["top"] if isinstance(data["top"], dict) else {}
         members = read_members(many, initial, cls, top, parameters, problems) if top else None
-        state = tuple(members.groups[0].states[0].tolist()) if members else None
+        state = members.groups[0].state(0) if members else None
     elif cls and "initial" in data:
         state = read_initial(initial, cls, problems)
     if config:

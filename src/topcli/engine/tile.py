@@ -6,14 +6,13 @@ of single runs, which tells the step of the failure; it then stays where it is, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Outcome, Stepper
+from topcli.contracts import Array, Outcome, Stepper
 from topcli.engine.native import Native
 
 if TYPE_CHECKING:
@@ -105,24 +104,20 @@ class Tile:
             self.work[:-1, j] = work
         else:
             self.alive[j] = False
-            self._ended(j, loop.failure(work), self.done - steps - taken, work[self.uncounted :].tolist())
+            step = self.done - steps - taken
+            run.endings.put(self.first + j, loop.failure(work), step, work[self.uncounted :])
         return reached
-
-    def _ended(self, j: int, outcome: Outcome, step: int, counts: Sequence[float]) -> None:
-        named = dict(zip(self.stepper.counters, map(int, counts), strict=True))
-        self.run.endings[self.first + j] = Ending(outcome, step, step * self.run.h, named)
 
     def end(self) -> None:
         """Note how the living trajectories ended and where they are."""
         run, leave = self.run, self.stepper.leave
-        p = tuple(run.p.tolist())
+        living = np.flatnonzero(self.alive)
         completed = self.done >= run.N
         outcome = Outcome.COMPLETED if completed else Outcome.INTERRUPTED
-        counts = self.work[self.uncounted : -1].T.tolist()
-        last_n = run.last_n[self.first : self.first + self.count].tolist()
-        for j in np.flatnonzero(self.alive).tolist():
-            self._ended(j, outcome, self.done, counts[j])
-            if completed and last_n[j] != run.N:  # step N is not among the recorded ones
-                state = tuple(self.work[:-1, j].tolist())
-                run.last[self.first + j] = leave(state, run.h, p) if leave else state
-                run.last_n[self.first + j] = run.N
+        run.endings.put(self.first + living, outcome, self.done, self.work[self.uncounted : -1, living].T)
+        unrecorded = living[run.last_n[self.first + living] != run.N] if completed else living[:0]
+        if len(unrecorded):  # step N is not among the recorded ones
+            p = tuple(run.p.tolist())
+            states = self.work[:-1, unrecorded].T.tolist()
+            run.last[self.first + unrecorded] = [leave(tuple(y), run.h, p) for y in states] if leave else states
+            run.last_n[self.first + unrecorded] = run.N
