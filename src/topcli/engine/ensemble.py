@@ -33,7 +33,7 @@ from topcli.engine.endings import Endings
 from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of
 from topcli.engine.loop import Run
 from topcli.engine.native import CompileError, Native, native
-from topcli.engine.tile import Piece, Tile
+from topcli.engine.tile import Piece, Tile, advance_together
 
 TILE = 64
 """Trajectories side by side: enough to hide the latency of a step's longest chain, few enough for the first cache."""
@@ -69,7 +69,8 @@ class EnsembleRun(Generic[Made]):
     """Trajectories of ``method`` from the states ``y0`` (m, d): iterate, then read how they ended.
 
     ``begin(y0)`` puts other trajectories in their place, with the same code, threads and buffers: so a large ensemble
-    runs block by block. ``tile`` is ``tile_of`` the count of all blocks.
+    runs block by block. ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with
+    ``wide`` it may hold those of several, where they are few.
 
     ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads; iterating gives
     (what it returned, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a
@@ -93,9 +94,10 @@ class EnsembleRun(Generic[Made]):
         stop: Callable[[], bool] = lambda: False,
         threads: int | None = None,
         tile: int | None = None,
+        wide: bool = False,
     ) -> None:
         self.top, self.method, self.h, self.N, self.every = top, method, float(h), N, every
-        self.made, self.stop = made, stop
+        self.made, self.stop, self.wide = made, stop, wide
         self.threads = threads or default_threads()
         self.p = np.array(top.constants(), dtype=np.float64)
         self.begin(y0)
@@ -130,14 +132,12 @@ class EnsembleRun(Generic[Made]):
                 self.cached &= self._loop.cached
             return self._loop
 
-    def rows_buffer(self) -> Array:
-        """Room for the rows of one tile and one chunk, one in each thread: pages touched before, and few of them."""
-        try:
-            return self._buffers.rows
-        except AttributeError:
-            rows = min(CHUNK_ROWS, self.N // self.every)
-            self._buffers.rows = np.empty((self.tile, rows + 1, self.y0.shape[1]))
-            return self._buffers.rows
+    def rows_buffer(self, lanes: int, rows: int) -> Array:
+        """Room (lanes, rows, d) for what is recorded, one in each thread: pages touched before, and few of them."""
+        size = lanes * rows * self.y0.shape[1]
+        if len(getattr(self._buffers, "room", ())) < size:
+            self._buffers.room = np.empty(size)
+        return self._buffers.room[:size].reshape(lanes, rows, -1)
 
     @property
     def side_by_side(self) -> bool:
@@ -172,11 +172,11 @@ class EnsembleRun(Generic[Made]):
             until_record = every - done % every
             steps = min(N - done, CHUNK_STEPS, until_record + (CHUNK_ROWS - 1) * every)
 
-            def advance(tile: Tile, steps: int = steps, until_record: int = until_record) -> Made:
-                return self.made(tile.advance(steps, until_record))
+            def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Made:
+                return self.made(advance_together(tiles, steps, until_record))
 
             start = time.perf_counter()
-            pieces = self._shared_out(advance, living, pool)
+            pieces = self._shared_out(advance, self._neighbours(living, 1 + steps // every), pool)
             self.run_seconds += time.perf_counter() - start
             done += steps
             for piece in pieces:
@@ -188,10 +188,25 @@ class EnsembleRun(Generic[Made]):
         for tile in group:
             tile.end()
 
+    def _neighbours(self, tiles: Sequence[Tile], rows: int) -> list[list[Tile]]:
+        """The tiles one by one, or if ``wide`` as many at a time as are adjacent and leave no thread idle.
+
+        A piece of few ``rows`` costs its consumer as much as one of a few hundred.
+        """
+        most = min(len(tiles) // self.threads, CHUNK_ROWS // rows) if self.wide else 1
+        made: list[list[Tile]] = []
+        for tile in tiles:
+            last = made[-1] if made else []
+            if last and len(last) < most and last[-1].first + self.tile == tile.first:
+                last.append(tile)
+            else:
+                made.append([tile])
+        return made
+
     def _shared_out(
-        self, advance: Callable[[Tile], Made], tiles: Sequence[Tile], pool: ThreadPoolExecutor
+        self, advance: Callable[[list[Tile]], Made], tiles: Sequence[list[Tile]], pool: ThreadPoolExecutor
     ) -> list[Made]:
-        """What ``advance`` makes of each tile: every thread, this one too, takes the next tile as long as there is one.
+        """What ``advance`` makes of each: every thread, this one too, takes the next one as long as there is one.
 
         One task a thread and not one a tile: with two threads a task costs as much as 500 steps of a trajectory.
         """

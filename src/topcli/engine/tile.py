@@ -6,6 +6,7 @@ of single runs, which tells the step of the failure; it then stays where it is, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -66,31 +67,28 @@ class Tile:
             np.ones(self.count, dtype=np.int64),
         )
 
-    def advance(self, steps: int, until_record: int) -> Piece:
-        """Take so many steps; the rows recorded on the way, before the first step with the initial states."""
+    def advance(self, n: NDArray[np.int64], steps: int, until_record: int, buffer: Array) -> NDArray[np.int64]:
+        """Take ``steps`` steps, with the rows of step numbers ``n`` (m,) recorded into ``buffer`` (tile, m, d).
+
+        The first rows of all are the initial states. Return the number of rows that each trajectory reached.
+        """
         run, d = self.run, self.run.y0.shape[1]
         before, self.done = self.done, self.done + steps
         started = int(before == 0)
-        n = np.arange(before + until_record, self.done + 1, run.every, dtype=np.int64)
-        m = len(n)
-        reached = np.where(self.alive, started + m, 0)
+        reached = np.where(self.alive, len(n), 0)
         saved = self.work[:-1].copy()
         self.work[-1] = 0.0
-        buffer = run.rows_buffer()
         if started:
             buffer[: self.count, 0] = run.y0[self.first : self.first + self.count]
         out, stride = buffer.reshape(-1)[started * d :], buffer.shape[1] * d
         self.lanes(self.work, out, run.params, run.h, steps, run.every, until_record, stride)
-        rows = buffer[:, : started + m]
         for j in np.flatnonzero(~np.isfinite(self.work[-1]) & self.alive):
-            reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), rows[j, started:], steps, until_record)
-        if started:
-            n = np.concatenate([np.zeros(1, dtype=np.int64), n])
+            reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), buffer[j, started:], steps, until_record)
         some = np.flatnonzero(reached[: self.count])
         at = reached[some] - 1
-        run.last[self.first + some], run.last_n[self.first + some] = rows[some, at], n[at]
+        run.last[self.first + some], run.last_n[self.first + some] = buffer[some, at], n[at]
         self._fill()
-        return Piece(self.first, n, rows[: self.count], reached[: self.count])
+        return reached[: self.count]
 
     def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
         """Repeat lane ``j``'s steps in the time loop of single runs into ``rows``; the number of rows reached."""
@@ -121,3 +119,16 @@ class Tile:
             states = self.work[:-1, unrecorded].T.tolist()
             run.last[self.first + unrecorded] = [leave(tuple(y), run.h, p) for y in states] if leave else states
             run.last_n[self.first + unrecorded] = run.N
+
+
+def advance_together(tiles: Sequence[Tile], steps: int, until_record: int) -> Piece:
+    """Take ``steps`` steps with each of neighbouring ``tiles``; the piece of all rows recorded on the way."""
+    first = tiles[0]
+    run, done = first.run, first.done
+    n = np.arange(done + until_record, done + steps + 1, run.every, dtype=np.int64)
+    if done == 0:
+        n = np.concatenate([np.zeros(1, dtype=np.int64), n])
+    buffer = run.rows_buffer(len(tiles) * run.tile, len(n))
+    each = buffer.reshape(len(tiles), run.tile, len(n), -1)
+    kept = [tile.advance(n, steps, until_record, rows) for tile, rows in zip(tiles, each, strict=True)]
+    return Piece(first.first, n, buffer[: sum(map(len, kept))], np.concatenate(kept))

@@ -73,6 +73,7 @@ class GroupRun(Generic[Made]):
             stop=stop,
             threads=threads,
             tile=tile_of(group.count),
+            wide=experiment.store != "trajectories",  # whose row groups are tiles
         )
 
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
