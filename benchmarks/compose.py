@@ -22,7 +22,9 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "src")]
+sys.path[:0] = [str(ROOT / "benchmarks"), str(ROOT / "src")]
+
+from ratios import quartiles  # noqa: E402
 
 from topcli.contracts import Scheme  # noqa: E402
 from topcli.engine.driver import loop_of  # noqa: E402
@@ -61,7 +63,7 @@ def measure(base: str, repetitions: int) -> list[dict[str, Any]]:
     spent = timed(schemes, repetitions)
     rows = []
     for name, (_, stages) in schemes.items():
-        low, middle, high = statistics.quantiles([a / b for a, b in zip(spent[name], spent[base], strict=True)], n=4)
+        low, middle, high = quartiles([a / b for a, b in zip(spent[name], spent[base], strict=True)])
         ns = statistics.median(spent[name])
         rows.append({"scheme": name, "stages": stages, "ns": ns, "ratio": middle, "quartiles": [low, high]})
     return rows

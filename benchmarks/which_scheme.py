@@ -72,8 +72,10 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=Path("results"))
     results = parser.parse_args().results
     found = {report["name"]: report for _, report in stored_benches(results / "bench")}
+    if not found:
+        sys.exit(f"{results / 'bench'}: nothing measured; run topcli bench first, or name the folder with --results")
     PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), found), encoding="utf-8")
-    print(f"{PAGE}: {', '.join(found) or 'nothing measured'}")
+    print(f"{PAGE}: {', '.join(found)}")
     if (results / "figures" / FIGURE).is_file():
         _copy_small(results / "figures" / FIGURE, ROOT / "docs" / "images" / FIGURE)
 

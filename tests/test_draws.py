@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
 from test_ensemble_config import BASE, ensemble, loaded, states
-from topcli.config.draws import draw_states, energy_of
+from topcli.config.draws import Drawn, energy_of
+from topcli.config.ensemble import Combined
 from topcli.tops import TOPS
 
 
@@ -87,5 +89,23 @@ def test_an_energy_below_the_saddle_leaves_part_of_the_sphere() -> None:
     """With E = 0 and V = c0 gamma1, gamma1 is uniform in [-1, 0]."""
     drawn = states(ensemble(random={"count": 20_000, "gamma": "sphere", "omega": {"energy": 0.0}}))
     assert drawn[:, 3].max() <= 0.0
+    assert sum(map(len, Drawn(TOPS["kowalevski"].new(), np.zeros(6), (), 3, 1).blocks(2))) == 3
     assert within(drawn[:, 3], -1 / 2, 1 / 12)
-    assert draw_states(TOPS["kowalevski"].new(), np.zeros(6), (), 3, 1) is not None
+
+
+@pytest.mark.parametrize("size", [1, 300, 1024, 5000])
+def test_blocks_are_the_whole_in_order(size: int) -> None:
+    """Whatever becomes of the candidates, none is lost between two blocks."""
+    drawn = ensemble(random={"count": 3000, "gamma": "sphere", "omega": {"energy": 0.0}}).members.groups[0]
+    blocks = list(drawn.source.blocks(size))
+    assert {len(block) for block in blocks[:-1]} <= {size}
+    assert np.array_equal(np.concatenate(blocks), drawn.states)
+    assert drawn.count == len(drawn.states) == 3000
+    assert drawn.state(2047) == tuple(drawn.states[2047].tolist())
+
+
+def test_blocks_of_a_grid_are_the_product_in_order() -> None:
+    pieces = (np.array([[1.0], [2.0], [3.0]]), np.array([[4.0, 5.0], [6.0, 7.0]]), np.array([[8.0]]))
+    rows = [[*a, *b, *c] for a, b, c in itertools.product(*(piece.tolist() for piece in pieces))]
+    for size in (1, 4, 6, 100):
+        assert np.concatenate(list(Combined(pieces).blocks(size))).tolist() == rows

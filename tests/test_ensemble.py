@@ -201,6 +201,30 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
+def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also around a tile that is left out because all of it failed."""
+    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 20)
+    scheme = find_scheme("rk2", "kowalevski")
+    y0 = random_states(6 * TILE + 5, 6)
+    y0[2 * TILE : 3 * TILE, :3] = 1e200
+    y0[7, :3] = 1e200
+    method, sizes = scheme.build(Kowalevski(), scheme.options()), []
+    options = {"threads": threads, "wide": True}
+    some = (0, 7, 8, 2 * TILE, 3 * TILE, 5 * TILE + 1, 6 * TILE + 4)
+    assert_same(Kowalevski(), method, y0, 0.01, 50, 5, lanes=some, **options)
+
+    def made(piece: Piece) -> None:
+        assert len(piece.states) == len(piece.kept)
+        sizes.append(len(piece.kept))
+
+    for _ in EnsembleRun(Kowalevski(), method, y0, 0.01, 50, 5, made=made, **options):
+        pass
+    first = [7 * TILE - 59] if threads == 1 else [3 * TILE, 3 * TILE, 5]
+    later = [2 * TILE, 3 * TILE + 5] if threads == 1 else [2 * TILE, 3 * TILE, 5]
+    assert sorted(sizes) == sorted([*first, *later, *later])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("broken", [0, 1, 3])
 def test_what_goes_wrong_with_a_piece_is_raised_once_and_ends_the_rest(
     threads: int, broken: int, monkeypatch: pytest.MonkeyPatch

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.many import ManyTally, summary_rows
+from topcli.analysis.many import EnsembleSummary, ManyTally
 from topcli.analysis.trajectory import Trajectory
-from topcli.contracts import Array, Ending, Invariant, Outcome, Top
+from topcli.contracts import Array, Invariant, Outcome, Top
+from topcli.engine.endings import Endings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +27,7 @@ class Ensemble:
     ``n`` (m,) are the recorded step numbers, ``t = n*h`` exactly, and ``states`` (trajectories, m, d), nan from where
     a trajectory ended early; m is 0 when the rows were not stored. ``initial`` and ``last`` (trajectories, d) are
     there always: ``last`` is the state at step N, or the last recorded one of a trajectory that ended early, at step
-    ``last_n``. ``endings`` tells how each ended, ``tops`` under which parameters it ran. Seconds are of this machine.
+    ``last_n``. ``endings`` says how each ended, ``tops`` under which parameters it ran. Seconds are of this machine.
     """
 
     tops: tuple[Top, ...]
@@ -37,7 +38,7 @@ class Ensemble:
     initial: Array
     last: Array
     last_n: NDArray[np.int64]
-    endings: tuple[Ending, ...]
+    endings: Endings
     tallies: tuple[ManyTally, ...]
     table: dict[str, NDArray[Any]]
     modified: tuple[tuple[Invariant, ...], ...]
@@ -53,7 +54,7 @@ class Ensemble:
     @property
     def outcomes(self) -> dict[Outcome, int]:
         """How many trajectories ended in which way."""
-        return dict(Counter(ending.outcome for ending in self.endings))
+        return self.endings.outcomes
 
     def __len__(self) -> int:
         return len(self.endings)
@@ -101,8 +102,11 @@ class Ensemble:
         """A row for each invariant: quantiles of its deviations over the trajectories, and how many are exact."""
         import pandas as pd
 
+        summary = EnsembleSummary(io.BytesIO())
+        for tally in self.tallies:
+            summary.add(tally)
         rows = []
-        for row in summary_rows(self.tallies):
+        for row in summary.rows():
             measures = {key: value for key, value in row.items() if isinstance(value, dict)}
             flat = {key: value for key, value in row.items() if key not in measures}
             rows.append(

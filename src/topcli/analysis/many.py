@@ -7,7 +7,9 @@ the recorded rows; the deviation at the end; and whether the largest is within t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import errno
+import io
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from topcli.analysis.drift import round_off_bound
 from topcli.contracts import Array, Invariant
 
+Spool = io.BufferedRandom | io.BytesIO
 QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
 MEASURES = ("max_deviation", "rms_deviation", "final_deviation")
 
@@ -43,7 +46,7 @@ class ManyTally:
         if not m:
             return
         here = slice(first, first + count)
-        beyond = np.arange(m) >= kept[:, None]
+        beyond = None if (kept == m).all() else np.arange(m) >= kept[:, None]
         flat = np.ascontiguousarray(states).reshape(count * m, d)
         fresh = (self._rows[here] == 0) & (kept > 0)
         with np.errstate(all="ignore"):  # huge states: the figures say that they are not finite
@@ -51,9 +54,10 @@ class ManyTally:
                 values = invariant.value(flat).reshape(count, m)
                 self.first[i, here] = np.where(fresh, values[:, 0], self.first[i, here])
                 deviation = values - self.first[i, here, None]
-                deviation[beyond] = 0.0
                 scale = invariant.scale(flat).reshape(count, m)
-                scale[beyond] = 0.0
+                if beyond is not None:
+                    deviation[beyond] = 0.0
+                    scale[beyond] = 0.0
                 largest = np.maximum(deviation.max(axis=1), -deviation.min(axis=1))
                 self.max_deviation[i, here] = np.maximum(self.max_deviation[i, here], largest)
                 self._scale[i, here] = np.maximum(self._scale[i, here], scale.max(axis=1))
@@ -95,41 +99,75 @@ class ManyTally:
         return self._steps > 0
 
 
-def joined_columns(tallies: Sequence[ManyTally]) -> dict[str, Array]:
-    """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation`` and ``_final_deviation``, each (trajectories,).
+def measure_columns(tally: ManyTally) -> dict[str, Array]:
+    """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation`` and ``_final_deviation``, each (trajectories,)."""
+    figures = {name: getattr(tally, name) for name in ("first", *MEASURES)}
+    return {
+        f"{invariant.name}_{name}": values[i]
+        for i, invariant in enumerate(tally.invariants)
+        for name, values in figures.items()
+    }
 
-    The tallies have the same invariants, of different tops.
+
+class EnsembleSummary:
+    """What a report says of the invariants of an ensemble, gathered tally by tally.
+
+    Quantiles need all values: they wait in ``spool``, an empty binary file that the caller opens and closes. ``rows``
+    reads them back one measure at a time, so that nine bytes a trajectory are in memory then, and none before.
     """
-    made: dict[str, Array] = {}
-    for i, invariant in enumerate(tallies[0].invariants):
-        for name in ("first", *MEASURES):
-            made[f"{invariant.name}_{name}"] = np.concatenate([getattr(tally, name)[i] for tally in tallies])
-    return made
+
+    def __init__(self, spool: Spool) -> None:
+        self._spool = spool
+        self._counts: list[int] = []
+        self._invariants: tuple[Invariant, ...] = ()
+        self._judged, self._within = 0, np.zeros(0, dtype=np.int64)
+
+    def add(self, tally: ManyTally) -> None:
+        """Take in a finished tally; all have the same invariants, of different tops. Raises OSError."""
+        if not self._counts:
+            self._invariants, self._within = tally.invariants, np.zeros(len(tally.invariants), dtype=np.int64)
+        within, judged = tally.within_round_off, tally.judged
+        self._within += within.sum(axis=1)
+        self._judged += int(judged.sum())
+        self._counts.append(len(judged))
+        self._spool.write(np.stack([getattr(tally, name) for name in MEASURES]).tobytes())
+
+    def _values(self, measure: int, invariant: int) -> Array:
+        """A measure of an invariant over all trajectories (m,)."""
+        made = np.empty(sum(self._counts))
+        rows, filled, start = len(self._invariants), 0, 0
+        for count in self._counts:
+            self._spool.seek(start + 8 * count * (measure * rows + invariant))
+            if self._spool.readinto(made[filled : filled + count].data) < 8 * count:
+                raise OSError(errno.EIO, "the deviations that were set aside cannot be read back")
+            filled += count
+            start += 8 * count * len(MEASURES) * rows
+        return made
+
+    def rows(self) -> list[dict[str, Any]]:
+        """For each invariant: quantiles of its measures over the trajectories, and how many are exact."""
+        return [
+            {
+                "name": invariant.name,
+                "symbol": invariant.symbol,
+                "judged": self._judged,
+                "within_round_off": int(self._within[i]),
+                **{measure: quantiles(self._values(k, i)) for k, measure in enumerate(MEASURES)},
+            }
+            for i, invariant in enumerate(self._invariants)
+        ]
 
 
 def quantiles(values: Array) -> dict[str, float | None]:
-    """The quantiles of the magnitudes of ``values`` (m,); nan is left out, and None stands for a set with no number."""
-    known = np.abs(values[~np.isnan(values)])
+    """The quantiles of the magnitudes of ``values`` (m,); nan is left out, and None stands for a set with no number.
+
+    ``values`` serves as room to work in.
+    """
+    np.abs(values, out=values)
+    missing = np.isnan(values)
+    known = values[~missing] if missing.any() else values
     if not len(known):
         return dict.fromkeys(QUANTILES)
     # of what was seen, not between: a mean of an infinity and a number says nothing
-    found = np.quantile(known, list(QUANTILES.values()), method="inverted_cdf")
+    found = np.quantile(known, list(QUANTILES.values()), method="inverted_cdf", overwrite_input=True)
     return dict(zip(QUANTILES, found.tolist(), strict=True))
-
-
-def summary_rows(tallies: Sequence[ManyTally]) -> list[dict[str, Any]]:
-    """For each invariant what the report says of it: quantiles over the trajectories, and how many are exact."""
-    columns: Mapping[str, Array] = joined_columns(tallies)
-    exact: Iterable[NDArray[np.bool_]] = [tally.within_round_off for tally in tallies]
-    within = np.concatenate(list(exact), axis=1)
-    judged = int(np.concatenate([tally.judged for tally in tallies]).sum())
-    return [
-        {
-            "name": invariant.name,
-            "symbol": invariant.symbol,
-            "judged": judged,
-            "within_round_off": int(within[i].sum()),
-            **{measure: quantiles(columns[f"{invariant.name}_{measure}"]) for measure in MEASURES},
-        }
-        for i, invariant in enumerate(tallies[0].invariants)
-    ]

@@ -39,11 +39,10 @@ def complete_figure(incomplete: str) -> list[str]:
 
 def complete_config(incomplete: str) -> list[str]:
     """Config files in the working folder's ``configs`` and the packaged scenes that begin with ``incomplete``."""
-    from topcli.config.load import SCENES
+    from topcli.config.load import scene_files
 
     near = [str(path) for path in sorted(Path("configs").glob("*.*"))]
-    packaged = [path.stem for path in sorted(SCENES.glob("*.*"))]
-    return [name for name in [*near, *packaged] if name.startswith(incomplete)]
+    return [name for name in [*near, *scene_files()] if name.startswith(incomplete)]
 
 
 Sets = Annotated[

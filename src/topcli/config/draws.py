@@ -14,6 +14,7 @@ their sphere that the energy allows.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -102,36 +103,56 @@ def _on_shell(top: Top, states: Array, where: slice, energy: float) -> NDArray[n
     return possible
 
 
-def draw_states(top: Top, centre: Array, draws: tuple[Draw, ...], count: int, seed: int) -> Array | None:
-    """``count`` states (count, d) around ``centre`` (d,), those of its vectors drawn that ``draws`` name.
+def _candidates(top: Top, centre: Array, draws: tuple[Draw, ...], numbers: Array) -> Array:
+    """The states (k, d) that come of uniform ``numbers`` (m, total): all, or those that have the energy asked for."""
+    states = np.tile(centre, (len(numbers), 1))
+    possible = np.ones(len(numbers), dtype=bool)
+    at = 0
+    for draw in sorted(draws, key=lambda draw: draw.kind == "energy"):  # the energy depends on the others
+        where = slice(*top.vectors[draw.vector])
+        u = numbers[:, at : at + NUMBERS[draw.kind]]
+        at += NUMBERS[draw.kind]
+        if draw.kind == "near":
+            around = cap if draw.vector in top.unit_vectors else ball
+            states[:, where] = around(centre[where], draw.size, u)
+        else:
+            states[:, where] = directions(u)
+        if draw.kind == "sphere":
+            states[:, where] *= draw.size
+        elif draw.kind == "energy":
+            possible &= _on_shell(top, states, where, draw.size)
+    return states[possible]
 
-    None when the energy asked for is below what any candidate has.
-    """
-    generator = np.random.Generator(np.random.PCG64(seed))
-    total = sum(NUMBERS[draw.kind] for draw in draws)
-    found: list[Array] = []
-    have = batches = 0
-    while have < count:
-        numbers = generator.random((BATCH, total))
-        states = np.tile(centre, (BATCH, 1))
-        possible = np.ones(BATCH, dtype=bool)
-        at = 0
-        for draw in sorted(draws, key=lambda draw: draw.kind == "energy"):  # the energy depends on the others
-            where = slice(*top.vectors[draw.vector])
-            u = numbers[:, at : at + NUMBERS[draw.kind]]
-            at += NUMBERS[draw.kind]
-            if draw.kind == "near":
-                around = cap if draw.vector in top.unit_vectors else ball
-                states[:, where] = around(centre[where], draw.size, u)
-            else:
-                states[:, where] = directions(u)
-            if draw.kind == "sphere":
-                states[:, where] *= draw.size
-            elif draw.kind == "energy":
-                possible &= _on_shell(top, states, where, draw.size)
-        found.append(states[possible])
-        have += int(possible.sum())
-        batches += 1
-        if not have and batches == PATIENCE:
-            return None
-    return np.concatenate(found)[:count]
+
+@dataclass(frozen=True)
+class Drawn:
+    """``count`` states around ``centre`` (d,), those of its vectors drawn that ``draws`` name."""
+
+    top: Top
+    centre: Array
+    draws: tuple[Draw, ...]
+    count: int
+    seed: int
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        """The states in order, ``size`` at a time; nothing when no candidate has the energy asked for."""
+        generator = np.random.Generator(np.random.PCG64(self.seed))
+        total = sum(NUMBERS[draw.kind] for draw in self.draws)
+        found: list[Array] = []
+        left, have, batches = self.count, 0, 0
+        while left:
+            found.append(_candidates(self.top, self.centre, self.draws, generator.random((BATCH, total))))
+            have += len(found[-1])
+            batches += 1
+            if not have and left == self.count and batches == PATIENCE:
+                return
+            wanted = min(size, left)
+            if have < wanted:
+                continue
+            states = np.concatenate(found)
+            while left and len(states) >= wanted:
+                yield states[:wanted]
+                states = states[wanted:]
+                left -= wanted
+                wanted = min(size, left)
+            found, have = [states], len(states)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
@@ -15,6 +17,8 @@ from topcli.config.models import Experiment, as_integer
 from topcli.contracts import Array, Top
 
 MAX_TRAJECTORIES = 10**6
+SOUGHT = 1 << 14
+"""States made at a time in search of one of them."""
 Size = Annotated[int, Field(ge=1, le=MAX_TRAJECTORIES), BeforeValidator(as_integer)]
 
 
@@ -62,12 +66,79 @@ class Spaced(BaseModel):
         return np.linspace(self.start, self.stop, self.count).tolist()
 
 
+class Source(Protocol):
+    """Initial states that are made when they are needed, ``count`` in all."""
+
+    @property
+    def count(self) -> int:
+        """The number of states."""
+        ...
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        """The states in order, in arrays (``size``, d), of which the last may be shorter."""
+        ...
+
+
+@dataclass(frozen=True)
+class Listed:
+    """States (m, d) in memory."""
+
+    states: Array
+
+    @property
+    def count(self) -> int:
+        """The number of states."""
+        return len(self.states)
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        """The states in order, ``size`` at a time."""
+        for start in range(0, self.count, size):
+            yield self.states[start : start + size]
+
+
+@dataclass(frozen=True)
+class Combined:
+    """Every combination of a row of each of ``pieces``, side by side; the last piece varies fastest."""
+
+    pieces: tuple[Array, ...]
+
+    @property
+    def count(self) -> int:
+        """The number of states."""
+        return math.prod(map(len, self.pieces))
+
+    def blocks(self, size: int) -> Iterator[Array]:
+        """The states in order, ``size`` at a time."""
+        shape = tuple(map(len, self.pieces))
+        for start in range(0, self.count, size):
+            rows = np.unravel_index(np.arange(start, min(start + size, self.count)), shape)
+            yield np.hstack([piece[row] for piece, row in zip(self.pieces, rows, strict=True)])
+
+
 @dataclass(frozen=True)
 class Group:
-    """Trajectories that share the parameters of the top; ``states`` (m, d) are their initial states."""
+    """Trajectories that share the parameters of the top, and where their initial states come from."""
 
     top: Top
-    states: Array
+    source: Source
+
+    @property
+    def count(self) -> int:
+        """The number of trajectories."""
+        return self.source.count
+
+    @property
+    def states(self) -> Array:
+        """All initial states (m, d) at once."""
+        return next(self.source.blocks(self.count))
+
+    def state(self, index: int) -> tuple[float, ...]:
+        """The initial state of trajectory ``index`` of the group; others before it may have to be drawn first."""
+        for block in self.source.blocks(min(index + 1, SOUGHT)):
+            if index < len(block):
+                return tuple(block[index].tolist())
+            index -= len(block)
+        raise IndexError(f"no trajectory {index} after the last one")
 
 
 @dataclass(frozen=True)
@@ -96,7 +167,7 @@ class EnsembleExperiment:
     @property
     def count(self) -> int:
         """The number of trajectories."""
-        return sum(len(group.states) for group in self.members.groups)
+        return sum(group.count for group in self.members.groups)
 
     @property
     def store(self) -> str:
@@ -111,17 +182,16 @@ class EnsembleExperiment:
 
     def of_group(self, group: Group) -> Experiment:
         """The first trajectory of a group, which has the group's top."""
-        return self.first.model_copy(update={"top": group.top, "y0": tuple(group.states[0].tolist())})
+        return self.first.model_copy(update={"top": group.top, "y0": group.state(0)})
 
     def member(self, index: int) -> Experiment:
         """Trajectory ``index`` (from 0) as an experiment of its own. Raises IndexError."""
         left = index
         for group in self.members.groups:
-            if 0 <= left < len(group.states):
-                y0 = tuple(group.states[left].tolist())
+            if 0 <= left < group.count:
                 name = f"{self.name}_{index}"
-                return self.first.model_copy(update={"name": name, "top": group.top, "y0": y0})
-            left -= len(group.states)
+                return self.first.model_copy(update={"name": name, "top": group.top, "y0": group.state(left)})
+            left -= group.count
         raise IndexError(f"trajectory {index}: there are {self.count}")
 
     def resolved(self) -> dict[str, Any]:

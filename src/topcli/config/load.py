@@ -20,9 +20,6 @@ from topcli.tops import TOPS, forms
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
 
-SCENES = Path(__file__).resolve().parent.parent / "scenes"
-"""The folder of the packaged scenes: configs that are found by their bare name."""
-
 
 def load_experiment(source: Path | str, overrides: Sequence[str] = ()) -> Experiment:
     """The experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
@@ -82,11 +79,19 @@ def _single(document: Document, default_name: str | None) -> Experiment:
     return found
 
 
+def scene_folder() -> Path:
+    """The folder of the scenes: inside the package when a wheel installed it, else ``configs`` of the checkout."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "scenes"
+    return inside if inside.is_dir() else package.parents[1] / "configs"
+
+
 def scene_files() -> dict[str, Path]:
-    """The packaged scenes by name."""
-    if not SCENES.is_dir():
+    """The packaged scenes by name: configs that are found without a path."""
+    folder = scene_folder()
+    if not folder.is_dir():
         return {}
-    return {path.stem: path for path in sorted(SCENES.iterdir()) if path.suffix in SUFFIXES}
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix in SUFFIXES}
 
 
 def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]:
@@ -158,7 +163,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
 
         parameters = data["top"] if isinstance(data["top"], dict) else {}
         members = read_members(many, initial, cls, top, parameters, problems) if top else None
-        state = tuple(members.groups[0].states[0].tolist()) if members else None
+        state = members.groups[0].state(0) if members else None
     elif cls and "initial" in data:
         state = read_initial(initial, cls, problems)
     if config:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from topcli.config.document import Document, KeyPath, describe
-from topcli.config.draws import Draw, draw_examples, draw_states, energy_of
-from topcli.config.ensemble import MAX_TRAJECTORIES, Group, Members, Random, Section, Spaced
+from topcli.config.draws import Draw, Drawn, draw_examples, energy_of
+from topcli.config.ensemble import MAX_TRAJECTORIES, Combined, Group, Listed, Members, Random, Section, Spaced
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.config.sections import number_of, read_initial, read_vector
-from topcli.contracts import Array, Top
+from topcli.contracts import Top
 
 SOURCES = ("states", "grid", "random")
 ABSOLUTE = ("sphere", "energy")
@@ -113,7 +113,7 @@ def _listed(
     if len(states) < len(raw):
         return None
     kept = [{key: _floats(value) for key, value in given.items()} for given in raw]
-    return (Group(top, np.array(states)),), kept
+    return (Group(top, Listed(np.array(states))),), kept
 
 
 def _state(raw: dict[str, Any], cls: type[Top], path: KeyPath, problems: Problems) -> tuple[float, ...] | None:
@@ -191,8 +191,8 @@ def _axis(raw: object, path: KeyPath, problems: Problems) -> tuple[list[float], 
 
 def _combined(
     axes: Mapping[str, list[float]], initial: dict[str, Any], cls: type[Top], path: KeyPath, problems: Problems
-) -> Array | None:
-    """Every combination of the components' values (m, d), the vectors completed as ``initial`` asks for."""
+) -> Combined | None:
+    """Every combination of the components' values, the vectors completed as ``initial`` asks for."""
     before = len(problems.messages)
     for key in initial:
         if key not in (*cls.vectors, "normalize"):
@@ -213,8 +213,8 @@ def _combined(
             else:
                 read_vector(base, cls, name, normalize, problems)
             continue
-        vectors = []
-        for values in itertools.product(*(axes[component] for component in varied)):
+        vectors = np.empty((math.prod(len(axes[component]) for component in varied), len(components)))
+        for row, values in enumerate(itertools.product(*(axes[component] for component in varied))):
             raw = list(base)
             for component, value in zip(varied, values, strict=True):
                 raw[components.index(component)] = value
@@ -227,12 +227,11 @@ def _combined(
                     text = message.removeprefix(f"initial.{name}: ")
                     problems.add(where, f"at {told}: {name}: {text}" if told else text)
                 break
-            vectors.append(vector)
-        pieces.append(np.array(vectors))
+            vectors[row] = vector
+        pieces.append(vectors)
     if len(problems.messages) > before:
         return None
-    indices = np.indices([len(piece) for piece in pieces]).reshape(len(pieces), -1)
-    return np.hstack([piece[index] for piece, index in zip(pieces, indices, strict=True)])
+    return Combined(tuple(pieces))
 
 
 def _drawn(
@@ -254,15 +253,15 @@ def _drawn(
     centre = read_initial({**initial, **free}, cls, problems)
     if centre is None:
         return None
-    states = draw_states(top, np.array(centre), chosen, spec.count, spec.seed)
-    if states is None:
+    drawn = Drawn(top, np.array(centre), chosen, spec.count, spec.seed)
+    if next(drawn.blocks(1), None) is None:
         energy = next(draw for draw in chosen if draw.kind == "energy")
         problems.add(
             (*path, energy.vector, "energy"), f"no state has the energy {energy.size!r}: the potential alone exceeds it"
         )
         return None
     kept = {**spec.model_dump(), **{draw.vector: {draw.kind: draw.size} for draw in chosen}}
-    return (Group(top, states),), kept
+    return (Group(top, drawn),), kept
 
 
 def _draw(raw: object, cls: type[Top], top: Top, name: str, problems: Problems) -> Draw | None:

@@ -27,12 +27,13 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from topcli.contracts import Array, Ending, Method, Outcome, Stepper, Top
+from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, Top
 from topcli.engine.driver import Loop, loop_of, step_refused
+from topcli.engine.endings import Endings
 from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of
 from topcli.engine.loop import Run
 from topcli.engine.native import CompileError, Native, native
-from topcli.engine.tile import Piece, Tile
+from topcli.engine.tile import Piece, Tile, advance_together
 
 TILE = 64
 """Trajectories side by side: enough to hide the latency of a step's longest chain, few enough for the first cache."""
@@ -44,6 +45,9 @@ pieces come depends on it, and must not depend on the machine."""
 CHUNK_ROWS = 512
 """Recorded rows of a trajectory in a piece: what a thread holds in memory is this times TILE."""
 CHUNK_STEPS = 1 << 14
+BLOCK = 1 << 14
+"""Trajectories of a large ensemble that are drawn, run, tallied and written before the next ones: a bound of the
+memory that does not depend on the count. A multiple of GROUP * TILE, so that tiles are those of one large block."""
 
 Made = TypeVar("Made")
 
@@ -56,16 +60,25 @@ def default_threads() -> int:
         return os.cpu_count() or 1
 
 
+def tile_of(count: int) -> int:
+    """Trajectories side by side in an ensemble of ``count``."""
+    return TILE if count > TILE // 2 else SMALL_TILE
+
+
 class EnsembleRun(Generic[Made]):
     """Trajectories of ``method`` from the states ``y0`` (m, d): iterate, then read how they ended.
+
+    ``begin(y0)`` puts other trajectories in their place, with the same code, threads and buffers: so a large ensemble
+    runs block by block. ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with
+    ``wide`` it may hold those of several, where they are few.
 
     ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads; iterating gives
     (what it returned, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a
     trajectory come in the order of time. ``stop()`` is asked between chunks; when it says so, the trajectories that
     are not at their end are ``interrupted``.
 
-    Afterwards ``endings`` holds one Ending a trajectory, and ``last`` (m, d) with ``last_n`` (m,) the state at step N,
-    or the last recorded one of a trajectory that ended before.
+    Afterwards ``endings`` holds an Ending for each trajectory, and ``last`` (m, d) with ``last_n`` (m,) the state at
+    step N, or the last recorded one of a trajectory that ended before.
     """
 
     def __init__(
@@ -80,17 +93,17 @@ class EnsembleRun(Generic[Made]):
         made: Callable[[Piece], Made],
         stop: Callable[[], bool] = lambda: False,
         threads: int | None = None,
+        tile: int | None = None,
+        wide: bool = False,
     ) -> None:
         self.top, self.method, self.h, self.N, self.every = top, method, float(h), N, every
-        self.y0 = np.array(y0, dtype=np.float64, order="C")
-        self.made, self.stop = made, stop
+        self.made, self.stop, self.wide = made, stop, wide
         self.threads = threads or default_threads()
-        m, d = self.y0.shape
         self.p = np.array(top.constants(), dtype=np.float64)
-        self.endings = [Ending(Outcome.INTERRUPTED, 0, 0.0)] * m
-        self.last, self.last_n = self.y0.copy(), np.zeros(m, dtype=np.int64)
+        self.begin(y0)
+        m, d = self.y0.shape
         self.compile_seconds, self.cached, self.run_seconds = 0.0, True, 0.0
-        self.tile = TILE if m > TILE // 2 else SMALL_TILE
+        self.tile = tile or tile_of(m)
         self._lock, self._loop = threading.Lock(), None
         self._buffers = threading.local()
         self.lanes: Native | None = None
@@ -103,22 +116,28 @@ class EnsembleRun(Generic[Made]):
             self.params = np.concatenate([self.p, stages_of(method)[1]])
             self.compile_seconds, self.cached = self.lanes.seconds, self.lanes.cached
 
+    def begin(self, y0: Array) -> None:
+        """Take the initial states ``y0`` (m, d); how the trajectories before them ended is forgotten."""
+        self.y0 = np.array(y0, dtype=np.float64, order="C")
+        m = len(self.y0)
+        self.endings = Endings(m, self.h, () if isinstance(self.method, Sampler) else self.method.counters)
+        self.last, self.last_n = self.y0.copy(), np.zeros(m, dtype=np.int64)
+
     def single_loop(self) -> Loop:
         """The time loop of single runs, made when the first trajectory needs it."""
         with self._lock:
             if self._loop is None:
                 self._loop = loop_of(self.method, self.y0.shape[1], len(self.p))
                 self.compile_seconds += self._loop.seconds
+                self.cached &= self._loop.cached
             return self._loop
 
-    def rows_buffer(self) -> Array:
-        """Room for the rows of one tile and one chunk, one in each thread: pages touched before, and few of them."""
-        try:
-            return self._buffers.rows
-        except AttributeError:
-            rows = min(CHUNK_ROWS, self.N // self.every)
-            self._buffers.rows = np.empty((self.tile, rows + 1, self.y0.shape[1]))
-            return self._buffers.rows
+    def rows_buffer(self, lanes: int, rows: int) -> Array:
+        """Room (lanes, rows, d) for what is recorded, one in each thread: pages touched before, and few of them."""
+        size = lanes * rows * self.y0.shape[1]
+        if len(getattr(self._buffers, "room", ())) < size:
+            self._buffers.room = np.empty(size)
+        return self._buffers.room[:size].reshape(lanes, rows, -1)
 
     @property
     def side_by_side(self) -> bool:
@@ -128,7 +147,7 @@ class EnsembleRun(Generic[Made]):
     @property
     def interrupted(self) -> bool:
         """Whether any trajectory was interrupted."""
-        return any(ending.outcome is Outcome.INTERRUPTED for ending in self.endings)
+        return Outcome.INTERRUPTED in self.endings.outcomes
 
     def __iter__(self) -> Iterator[tuple[Made, int]]:
         """What ``made`` returned and the trajectory-steps done, piece by piece."""
@@ -153,11 +172,11 @@ class EnsembleRun(Generic[Made]):
             until_record = every - done % every
             steps = min(N - done, CHUNK_STEPS, until_record + (CHUNK_ROWS - 1) * every)
 
-            def advance(tile: Tile, steps: int = steps, until_record: int = until_record) -> Made:
-                return self.made(tile.advance(steps, until_record))
+            def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Made:
+                return self.made(advance_together(tiles, steps, until_record))
 
             start = time.perf_counter()
-            pieces = self._shared_out(advance, living, pool)
+            pieces = self._shared_out(advance, self._neighbours(living, 1 + steps // every), pool)
             self.run_seconds += time.perf_counter() - start
             done += steps
             for piece in pieces:
@@ -169,10 +188,25 @@ class EnsembleRun(Generic[Made]):
         for tile in group:
             tile.end()
 
+    def _neighbours(self, tiles: Sequence[Tile], rows: int) -> list[list[Tile]]:
+        """The tiles one by one, or if ``wide`` as many at a time as are adjacent and leave no thread idle.
+
+        A piece of few ``rows`` costs its consumer as much as one of a few hundred.
+        """
+        most = min(len(tiles) // self.threads, CHUNK_ROWS // rows) if self.wide else 1
+        made: list[list[Tile]] = []
+        for tile in tiles:
+            last = made[-1] if made else []
+            if last and len(last) < most and last[-1].first + self.tile == tile.first:
+                last.append(tile)
+            else:
+                made.append([tile])
+        return made
+
     def _shared_out(
-        self, advance: Callable[[Tile], Made], tiles: Sequence[Tile], pool: ThreadPoolExecutor
+        self, advance: Callable[[list[Tile]], Made], tiles: Sequence[list[Tile]], pool: ThreadPoolExecutor
     ) -> list[Made]:
-        """What ``advance`` makes of each tile: every thread, this one too, takes the next tile as long as there is one.
+        """What ``advance`` makes of each: every thread, this one too, takes the next one as long as there is one.
 
         One task a thread and not one a tile: with two threads a task costs as much as 500 steps of a trajectory.
         """
@@ -200,7 +234,7 @@ class EnsembleRun(Generic[Made]):
         """Run trajectory after trajectory in the time loop of single runs."""
         stride = math.gcd(self.every, self.N)  # so that step N is among the rows
         for i, y0 in enumerate(self.y0):
-            run = Run(self.top, self.method, y0, self.h, self.N, stride, self.stop)
+            run = Run(self.top, self.method, y0, self.h, self.N, stride, self.stop, loop=self.single_loop())
             for chunk in run:
                 asked = chunk.n % self.every == 0
                 if len(chunk.n) and (asked[-1] or chunk.n[-1] == self.N):
@@ -211,10 +245,9 @@ class EnsembleRun(Generic[Made]):
                 n = chunk.n[asked]
                 piece = Piece(i, n, chunk.states[asked][None], np.array([len(n)]))
                 yield self.made(piece), i * self.N + chunk.done
-            assert run.ending is not None
-            self.endings[i] = run.ending
+            ending = run.ending
+            assert ending is not None
+            self.endings.put(i, ending.outcome, ending.step, list(ending.counters.values()))
             self.run_seconds += run.run_seconds
-            self.compile_seconds += run.compile_seconds
-            self.cached &= run.cached
-            if run.ending.outcome is Outcome.INTERRUPTED:
+            if ending.outcome is Outcome.INTERRUPTED:
                 return

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Outcome, Stepper
+from topcli.contracts import Array, Outcome, Stepper
 from topcli.engine.native import Native
 
 if TYPE_CHECKING:
@@ -67,31 +67,28 @@ class Tile:
             np.ones(self.count, dtype=np.int64),
         )
 
-    def advance(self, steps: int, until_record: int) -> Piece:
-        """Take so many steps; the rows recorded on the way, before the first step with the initial states."""
+    def advance(self, n: NDArray[np.int64], steps: int, until_record: int, buffer: Array) -> NDArray[np.int64]:
+        """Take ``steps`` steps, with the rows of step numbers ``n`` (m,) recorded into ``buffer`` (tile, m, d).
+
+        The first rows of all are the initial states. Return the number of rows that each trajectory reached.
+        """
         run, d = self.run, self.run.y0.shape[1]
         before, self.done = self.done, self.done + steps
         started = int(before == 0)
-        n = np.arange(before + until_record, self.done + 1, run.every, dtype=np.int64)
-        m = len(n)
-        reached = np.where(self.alive, started + m, 0)
+        reached = np.where(self.alive, len(n), 0)
         saved = self.work[:-1].copy()
         self.work[-1] = 0.0
-        buffer = run.rows_buffer()
         if started:
             buffer[: self.count, 0] = run.y0[self.first : self.first + self.count]
         out, stride = buffer.reshape(-1)[started * d :], buffer.shape[1] * d
         self.lanes(self.work, out, run.params, run.h, steps, run.every, until_record, stride)
-        rows = buffer[:, : started + m]
         for j in np.flatnonzero(~np.isfinite(self.work[-1]) & self.alive):
-            reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), rows[j, started:], steps, until_record)
-        if started:
-            n = np.concatenate([np.zeros(1, dtype=np.int64), n])
+            reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), buffer[j, started:], steps, until_record)
         some = np.flatnonzero(reached[: self.count])
         at = reached[some] - 1
-        run.last[self.first + some], run.last_n[self.first + some] = rows[some, at], n[at]
+        run.last[self.first + some], run.last_n[self.first + some] = buffer[some, at], n[at]
         self._fill()
-        return Piece(self.first, n, rows[: self.count], reached[: self.count])
+        return reached[: self.count]
 
     def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
         """Repeat lane ``j``'s steps in the time loop of single runs into ``rows``; the number of rows reached."""
@@ -105,24 +102,33 @@ class Tile:
             self.work[:-1, j] = work
         else:
             self.alive[j] = False
-            self._ended(j, loop.failure(work), self.done - steps - taken, work[self.uncounted :].tolist())
+            step = self.done - steps - taken
+            run.endings.put(self.first + j, loop.failure(work), step, work[self.uncounted :])
         return reached
-
-    def _ended(self, j: int, outcome: Outcome, step: int, counts: Sequence[float]) -> None:
-        named = dict(zip(self.stepper.counters, map(int, counts), strict=True))
-        self.run.endings[self.first + j] = Ending(outcome, step, step * self.run.h, named)
 
     def end(self) -> None:
         """Note how the living trajectories ended and where they are."""
         run, leave = self.run, self.stepper.leave
-        p = tuple(run.p.tolist())
+        living = np.flatnonzero(self.alive)
         completed = self.done >= run.N
         outcome = Outcome.COMPLETED if completed else Outcome.INTERRUPTED
-        counts = self.work[self.uncounted : -1].T.tolist()
-        last_n = run.last_n[self.first : self.first + self.count].tolist()
-        for j in np.flatnonzero(self.alive).tolist():
-            self._ended(j, outcome, self.done, counts[j])
-            if completed and last_n[j] != run.N:  # step N is not among the recorded ones
-                state = tuple(self.work[:-1, j].tolist())
-                run.last[self.first + j] = leave(state, run.h, p) if leave else state
-                run.last_n[self.first + j] = run.N
+        run.endings.put(self.first + living, outcome, self.done, self.work[self.uncounted : -1, living].T)
+        unrecorded = living[run.last_n[self.first + living] != run.N] if completed else living[:0]
+        if len(unrecorded):  # step N is not among the recorded ones
+            p = tuple(run.p.tolist())
+            states = self.work[:-1, unrecorded].T.tolist()
+            run.last[self.first + unrecorded] = [leave(tuple(y), run.h, p) for y in states] if leave else states
+            run.last_n[self.first + unrecorded] = run.N
+
+
+def advance_together(tiles: Sequence[Tile], steps: int, until_record: int) -> Piece:
+    """Take ``steps`` steps with each of neighbouring ``tiles``; the piece of all rows recorded on the way."""
+    first = tiles[0]
+    run, done = first.run, first.done
+    n = np.arange(done + until_record, done + steps + 1, run.every, dtype=np.int64)
+    if done == 0:
+        n = np.concatenate([np.zeros(1, dtype=np.int64), n])
+    buffer = run.rows_buffer(len(tiles) * run.tile, len(n))
+    each = buffer.reshape(len(tiles), run.tile, len(n), -1)
+    kept = [tile.advance(n, steps, until_record, rows) for tile, rows in zip(tiles, each, strict=True)]
+    return Piece(first.first, n, buffer[: sum(map(len, kept))], np.concatenate(kept))

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from topcli.analysis.drift import ROUND_OFF_ULPS
-from topcli.analysis.many import QUANTILES, ManyTally, summary_rows
+from topcli.analysis.many import QUANTILES
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.contracts import Ending, Outcome
+from topcli.engine.endings import NO_FAILURE, Endings
 from topcli.studies.report import SCHEMA_VERSION, finite, markdown_table, number, report_head
 
 SHOWN = 20
@@ -17,42 +18,66 @@ SHOWN = 20
 TITLES = {"max_deviation": "max deviation", "rms_deviation": "rms deviation", "final_deviation": "deviation at the end"}
 
 
-def overall(endings: Sequence[Ending], N: int) -> tuple[Outcome, str]:
-    """How the ensemble ended, and a line that says so: interrupted, or completed if all are, or the first failure."""
-    counts = Counter(ending.outcome for ending in endings)
-    total = len(endings)
-    words = {
-        Outcome.COMPLETED: "completed",
-        Outcome.BLEW_UP: "blew up",
-        Outcome.NO_CONVERGENCE: "did not converge",
-        Outcome.INTERRUPTED: "interrupted",
-    }
-    if counts[Outcome.COMPLETED] == total:
-        return Outcome.COMPLETED, f"all {total} trajectories completed {N} step{'s' * (N != 1)}"
-    told = ", ".join(f"{counts[outcome]} {word}" for outcome, word in words.items() if counts[outcome])
-    message = f"of {total} trajectories {told}"
-    failed = [i for i, end in enumerate(endings) if end.outcome in (Outcome.BLEW_UP, Outcome.NO_CONVERGENCE)]
-    if failed:
-        message += f"; the first of them, trajectory {failed[0]}, {endings[failed[0]].message}"
-    if counts[Outcome.INTERRUPTED]:
-        return Outcome.INTERRUPTED, message
-    return endings[failed[0]].outcome, message
+WORDS = {
+    Outcome.COMPLETED: "completed",
+    Outcome.BLEW_UP: "blew up",
+    Outcome.NO_CONVERGENCE: "did not converge",
+    Outcome.INTERRUPTED: "interrupted",
+}
+"""Outcomes in words, where their names will not do."""
+
+
+class EndingTally:
+    """How many trajectories of an ensemble of N steps ended in which way, gathered block by block."""
+
+    def __init__(self, N: int) -> None:
+        self.N, self.total = N, 0
+        self.counters: Counter[str] = Counter()
+        self.failures: list[tuple[int, Ending]] = []
+        """The first SHOWN trajectories that failed."""
+        self._counts: Counter[Outcome] = Counter()
+
+    def add(self, endings: Endings) -> None:
+        """Take in the endings of the next trajectories."""
+        self._counts.update(endings.outcomes)
+        self.counters.update(endings.totals)
+        for i in endings.failed[: SHOWN - len(self.failures)].tolist():
+            self.failures.append((self.total + i, endings[i]))
+        self.total += len(endings)
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """How many trajectories ended in which way, of the ways that occur."""
+        return {outcome.value: self._counts[outcome] for outcome in Outcome if self._counts[outcome]}
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the ensemble ended: interrupted, or completed if all are, or as the first failure."""
+        if self._counts[Outcome.INTERRUPTED]:
+            return Outcome.INTERRUPTED
+        return self.failures[0][1].outcome if self.failures else Outcome.COMPLETED
+
+    @property
+    def message(self) -> str:
+        """A line that says how the ensemble ended."""
+        if self._counts[Outcome.COMPLETED] == self.total:
+            return f"all {self.total} trajectories completed {self.N} step{'s' * (self.N != 1)}"
+        named = {outcome: WORDS.get(outcome, outcome.value.replace("_", " ")) for outcome in Outcome}
+        counted = ", ".join(
+            f"{self._counts[outcome]} {word}" for outcome, word in named.items() if self._counts[outcome]
+        )
+        message = f"of {self.total} trajectories {counted}"
+        if self.failures:
+            number, ending = self.failures[0]
+            message += f"; the first of them, trajectory {number}, {ending.message}"
+        return message
 
 
 def ensemble_report(
-    experiment: EnsembleExperiment, endings: Sequence[Ending], tallies: Sequence[ManyTally], seconds: dict[str, Any]
+    experiment: EnsembleExperiment, endings: EndingTally, invariants: Sequence[dict[str, Any]], seconds: dict[str, Any]
 ) -> dict[str, Any]:
-    """The content of ``report.json``."""
+    """The content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
     first = experiment.first
-    outcome, message = overall(endings, first.N)
-    failures = [
-        {"trajectory": i, "outcome": ending.outcome.value, "step": ending.step, "t": ending.t}
-        for i, ending in enumerate(endings)
-        if ending.outcome in (Outcome.BLEW_UP, Outcome.NO_CONVERGENCE)
-    ]
-    counters: Counter[str] = Counter()
-    for ending in endings:
-        counters.update(ending.counters)
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
@@ -65,16 +90,19 @@ def ensemble_report(
             "scheme_title": first.scheme.title,
             "h": first.h,
             "N": first.N,
-            "trajectories": len(endings),
+            "trajectories": endings.total,
             "store": experiment.store,
-            "outcome": outcome.value,
-            "message": message,
-            "outcomes": dict(Counter(ending.outcome.value for ending in endings)),
-            "failures": failures[:SHOWN],
-            "counters": dict(counters),
+            "outcome": endings.outcome.value,
+            "message": endings.message,
+            "outcomes": endings.outcomes,
+            "failures": [
+                {"trajectory": i, "outcome": ending.outcome.value, "step": ending.step, "t": ending.t}
+                for i, ending in endings.failures
+            ],
+            "counters": dict(endings.counters),
             "seconds": seconds,
             "round_off_ulps": ROUND_OFF_ULPS,
-            "invariants": summary_rows(tallies),
+            "invariants": list(invariants),
         }
     )
 
@@ -95,7 +123,7 @@ def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
 def ensemble_markdown(report: dict[str, Any]) -> str:
     """``report.md``: the same content for a reader."""
     listed = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
-    failed = report["outcomes"].get("blew_up", 0) + report["outcomes"].get("no_convergence", 0)
+    failed = sum(count for outcome, count in report["outcomes"].items() if outcome not in NO_FAILURE)
     if failed > len(listed):
         listed.append(f"- and {failed - len(listed)} more")
     lines = [

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.ensemble import Ensemble
-from topcli.config.ensemble import EnsembleExperiment, Group, Members
+from topcli.config.ensemble import EnsembleExperiment, Group, Listed, Members
 from topcli.config.load import any_from, load_any
 from topcli.config.members import SOURCES
 from topcli.config.models import Experiment
 from topcli.config.sections import UNIT_TOLERANCE
 from topcli.contracts import Array, Top
+from topcli.engine.endings import Endings
 from topcli.engine.ensemble import Piece
 from topcli.errors import UsageError
-from topcli.studies.ensemble import GroupRun, trajectory_table
+from topcli.studies.ensemble import GroupRun, varied_parameters
 from topcli.tops import TOPS
 
 MAX_NUMBERS = 5 * 10**8
@@ -46,25 +47,25 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
     offset = 0
     for group in experiment.members.groups:
         one = GroupRun(experiment, group, offset, keep, lambda: False, threads)
-        for _ in one.run:
+        for _ in one.block(group.states):
             pass
-        one.tally.finish(one.run.last)
         runs.append(one)
-        offset += len(group.states)
-    spread = [one for one in runs for _ in one.group.states]
+        offset += group.count
+    varied = varied_parameters(experiment)
+    tables = [one.trajectories(varied) for one in runs]
     return Ensemble(
-        tops=tuple(one.group.top for one in spread),
+        tops=tuple(one.group.top for one in runs for _ in range(one.group.count)),
         scheme=first.scheme.name,
         h=first.h,
         n=np.arange(each, dtype=np.int64) * first.output.every,
         states=states,
-        initial=np.concatenate([one.group.states for one in runs]),
+        initial=np.concatenate([one.run.y0 for one in runs]),
         last=np.concatenate([one.run.last for one in runs]),
         last_n=np.concatenate([one.run.last_n for one in runs]),
-        endings=tuple(ending for one in runs for ending in one.run.endings),
+        endings=Endings.joined([one.run.endings for one in runs]),
         tallies=tuple(one.tally for one in runs),
-        table=trajectory_table(experiment, runs),
-        modified=tuple(one.modified for one in spread),
+        table={name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
+        modified=tuple(one.modified for one in runs for _ in range(one.group.count)),
         compile_seconds=sum(one.run.compile_seconds for one in runs),
         run_seconds=sum(one.run.run_seconds for one in runs),
     )
@@ -89,7 +90,7 @@ def simulate_ensemble(
         topcli.simulate_ensemble("kowalevski_hk", states=array, ensemble={"store": "statistics"})
 
     Raises ConfigError and its kin for what is wrong with the config or the states. Trajectories that blow up do not
-    disturb the others; ``endings`` tells of them.
+    disturb the others; ``endings`` says how each ended.
     """
     if threads is not None and threads < 1:
         raise UsageError(f"threads must be at least 1, not {threads}")
@@ -139,7 +140,9 @@ def _from_states(data: dict[str, Any], states: Any, overrides: Sequence[str]) ->
     d = len(found.top.components)
     if array.shape[1] != d:
         raise UsageError(f"simulate_ensemble: a state of {found.top.kind} has {d} components, not {array.shape[1]}")
-    members = Members((Group(found.top, array),), {**found.members.section, "states": []}, found.members.initial)
+    members = Members(
+        (Group(found.top, Listed(array)),), {**found.members.section, "states": []}, found.members.initial
+    )
     return EnsembleExperiment(found.first, members, found.top)
 
 

@@ -1,0 +1,79 @@
+"""Endings of many trajectories in arrays: a few bytes each, an ``Ending`` only where one is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.contracts import Ending, Outcome
+
+OUTCOMES = tuple(Outcome)
+"""Outcomes by their code in ``Endings.outcome``."""
+CODES = {outcome: code for code, outcome in enumerate(OUTCOMES)}
+NO_FAILURE = (Outcome.COMPLETED, Outcome.INTERRUPTED)
+
+
+class Endings(Sequence[Ending]):
+    """How each of ``count`` trajectories of step ``h`` ended; interrupted before they began, until ``put`` says more.
+
+    ``outcome`` (m,) holds codes, ``step`` (m,) step numbers, ``counts`` (m, counters) the events named in
+    ``counters``; a trajectory that is not ``begun`` (m,) counted none.
+    """
+
+    def __init__(self, count: int, h: float, counters: Sequence[str] = ()) -> None:
+        self.h, self.counters = h, tuple(counters)
+        self.outcome: NDArray[np.int8] = np.full(count, CODES[Outcome.INTERRUPTED], dtype=np.int8)
+        self.step: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
+        self.counts: NDArray[np.int64] = np.zeros((count, len(self.counters)), dtype=np.int64)
+        self.begun: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Endings]) -> Endings:
+        """The endings of ``parts`` one after the other; they have the same step and counters."""
+        made = cls(0, parts[0].h, parts[0].counters)
+        for name in ("outcome", "step", "counts", "begun"):
+            setattr(made, name, np.concatenate([getattr(part, name) for part in parts]))
+        return made
+
+    def put(self, where: Any, outcome: Outcome, step: int, counts: Any) -> None:
+        """Note that the trajectories at ``where`` (an index or several) ended so, with the counts (m, counters)."""
+        self.outcome[where], self.step[where] = CODES[outcome], step
+        self.counts[where], self.begun[where] = counts, True
+
+    @property
+    def failed(self) -> NDArray[np.int64]:
+        """Numbers of the trajectories that ended neither completed nor interrupted."""
+        return np.flatnonzero(~np.isin(self.outcome, [CODES[outcome] for outcome in NO_FAILURE]))
+
+    @property
+    def outcomes(self) -> dict[Outcome, int]:
+        """How many trajectories ended in which way, of the ways that occur."""
+        counts = np.bincount(self.outcome, minlength=len(OUTCOMES)).tolist()
+        return {outcome: count for outcome, count in zip(OUTCOMES, counts, strict=True) if count}
+
+    @property
+    def totals(self) -> dict[str, int]:
+        """The events that all trajectories counted together; empty when none was begun."""
+        if not self.begun.any():
+            return {}
+        return dict(zip(self.counters, self.counts.sum(axis=0).tolist(), strict=True))
+
+    def __len__(self) -> int:
+        return len(self.outcome)
+
+    @overload
+    def __getitem__(self, index: int) -> Ending: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Ending, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Ending | tuple[Ending, ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        step = int(self.step[index])
+        counted = self.counts[index].tolist() if self.begun[index] else []
+        counters = dict(zip(self.counters, counted, strict=False))
+        return Ending(OUTCOMES[self.outcome[index]], step, step * self.h, counters)
