@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from topcli.cli import bench, compare, inspect, lax, plot, roundoff, run, stress
+from topcli.cli import bench, compare, inspect, lax, plot, roundoff, run, stress, verify
 
 app = typer.Typer(
     name="topcli",
@@ -38,6 +38,7 @@ def _topcli(
 
 
 app.command("run")(run.run)
+app.command("verify")(verify.verify)
 app.command("compare")(compare.compare)
 app.command("bench")(bench.bench)
 app.command("plot")(plot.plot)

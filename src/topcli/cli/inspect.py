@@ -152,21 +152,27 @@ def list_figures(as_json: Json = False) -> None:
 
 @list_app.command("runs")
 def list_runs(out: Out = Path("results"), as_json: Json = False) -> None:
-    """The finished runs in a folder of run folders."""
-    from topcli.store.run_folder import stored_runs
+    """The runs in a folder of run folders; one with a bad manifest is listed as damaged."""
+    from topcli.store.manifest import DamagedRun, all_runs
 
-    items: list[dict[str, Any]] = [
-        {
-            "name": run.folder.name,
-            "outcome": run.manifest["outcome"],
-            "scheme": run.manifest["config"]["scheme"]["name"],
-            "h": run.manifest["config"]["h"],
-            "N": run.manifest["config"]["N"],
-            "digest": run.manifest["digest"][:8],
-            "ended": run.manifest["ended"],
-        }
-        for run in stored_runs(out)
-    ]
+    items: list[dict[str, Any]] = []
+    for run in all_runs(out):
+        if isinstance(run, DamagedRun):
+            unknown = dict.fromkeys(("scheme", "h", "N", "digest", "ended"))
+            items.append({"name": run.folder.name, "outcome": "damaged", **unknown, "reason": run.reason})
+            continue
+        config = run.manifest["config"]
+        items.append(
+            {
+                "name": run.folder.name,
+                "outcome": run.manifest["outcome"],
+                "scheme": config["scheme"]["name"],
+                "h": config["h"],
+                "N": config["N"],
+                "digest": run.manifest["digest"][:8],
+                "ended": run.manifest["ended"],
+            }
+        )
     _print_list("runs", items, ["name", "outcome", "scheme", "h", "N", "digest", "ended"], as_json)
 
 

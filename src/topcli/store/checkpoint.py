@@ -20,7 +20,21 @@ from numpy.typing import NDArray
 from topcli.store.series import SeriesMark
 
 CHECKPOINT = "checkpoint.npz"
-VERSION = 1
+TEMPORARY = f".{CHECKPOINT}"
+VERSION = 2
+_ABOUT = {
+    "digest": str,
+    "code": str,
+    "started": str,
+    "run_seconds": float,
+    "resumed": list,
+    "chunks": list,
+    "config": dict,
+    "environment": dict,
+}
+"""What ``about`` holds of which type; a file that says otherwise is damaged."""
+
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, TypeError, RecursionError, MemoryError, NotImplementedError)
 
 
 @dataclass(frozen=True)
@@ -60,6 +74,7 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
         "version": VERSION,
         "done": checkpoint.done,
         "length": checkpoint.series.length,
+        "sha256": checkpoint.series.sha256,
         "columns": list(checkpoint.series.held),
         "about": checkpoint.about,
     }
@@ -73,7 +88,7 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     }
     made = io.BytesIO()
     np.savez(made, **arrays)
-    temporary = folder / f".{CHECKPOINT}"
+    temporary = folder / TEMPORARY
     try:
         with temporary.open("wb") as file:
             file.write(made.getbuffer())
@@ -97,7 +112,13 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
             return None
         held = {name: arrays[f"held_{i}"] for i, name in enumerate(head["columns"])}
         tally = {name.removeprefix("tally_"): values for name, values in arrays.items() if name.startswith("tally_")}
-        mark, rows = SeriesMark(head["length"], held), (arrays["rows_n"], arrays["rows_states"])
+        numbers = (head["done"], head["length"], *head["about"]["chunks"])
+        if not all(isinstance(number, int) and number >= 0 for number in numbers):
+            return None
+        if not all(isinstance(head["about"][key], kind) for key, kind in _ABOUT.items()):
+            return None
+        mark = SeriesMark(head["length"], held, str(head["sha256"]))
+        rows = (arrays["rows_n"], arrays["rows_states"])
         return Checkpoint(head["done"], arrays["work"], tally, mark, rows, head["about"])
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile):
+    except (*_UNREADABLE, zipfile.BadZipFile):
         return None

@@ -17,7 +17,7 @@ from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Invariant
 from topcli.engine.ensemble import EnsembleRun, Piece
 from topcli.store.provenance import Commit, environment, now
-from topcli.store.run_folder import RunWriter, io_failure
+from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter
 from topcli.studies.ensemble_report import ensemble_markdown, ensemble_report
 from topcli.studies.run import Progress, RunResult, method_fingerprint, plan_run
@@ -145,6 +145,7 @@ def run_ensemble(
     out: Path,
     *,
     force: bool = False,
+    retry_failed: bool = False,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
@@ -158,11 +159,11 @@ def run_ensemble(
     Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
     """
     code = ensemble_fingerprint(experiment)
-    plan = plan_run(experiment, out, code, force=force)
+    plan = plan_run(experiment, out, code, force=force, retry_failed=retry_failed)
     if plan.up_to_date and plan.standing is not None:
         return RunResult(plan.standing, plan.standing.report(), "up to date")
     started, suffix = now(), experiment.first.output.format
-    with Commit() as commit, RunWriter(out, experiment.name) as writer:
+    with Commit() as commit, RunWriter(out, experiment.name, displace=force) as writer:
         try:
             resolved, provenance = experiment.resolved(), environment()
             about = {
@@ -189,10 +190,12 @@ def run_ensemble(
                 ended = {"topcli.outcome": report["outcome"], "topcli.message": report["message"]}
                 if series is not None:
                     series.finish(ended)
+                    writer.sha256[path.name] = series.sha256
             each = trajectory_table(experiment, runs)
             with SeriesWriter(table, list(each), about) as trajectories:
                 trajectories.write(each)
                 trajectories.finish(ended)
+            writer.sha256[table.name] = trajectories.sha256
             writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
             writer.write("report.md", ensemble_markdown(report))
             writer.write("config.yaml", experiment.to_yaml())
@@ -217,5 +220,5 @@ def run_ensemble(
                 }
             )
         except OSError as error:
-            raise io_failure(error, out / experiment.name) from error
+            raise writer.failure(error) from error
     return RunResult(stored, report, "ran", writer.set_aside)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, UsageError
+from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
 from topcli.store.provenance import Commit
-from topcli.store.run_folder import MANIFEST, RunWriter, StoredRun, io_failure, stored_runs
+from topcli.store.run_folder import RunWriter
 from topcli.store.table import write_table
 from topcli.studies.bench.front import ratio_text, setting
 from topcli.studies.report import number
@@ -156,7 +157,7 @@ def store_bench(
                 }
             )
         except OSError as error:
-            raise io_failure(error, out / result["name"], "nothing was kept of this bench") from error
+            raise writer.failure(error, "nothing was kept of this bench") from error
     return stored, writer.set_aside
 
 
