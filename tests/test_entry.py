@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -52,7 +53,12 @@ def test_errors_about_files_are_not_about_stdout(
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--out", "x" * 300), ("--out", "/".join(["y" * 200] * 30)), ("--resume", "--out", "x" * 300), ("--out", "locked/r")],
+    [
+        ("--out", "x" * 300),
+        ("--out", "/".join(["y" * 200] * 30)),
+        ("--resume", "--out", "x" * 300),
+        ("--out", "locked/r"),
+    ],
     ids=["name", "path", "resume", "permission"],
 )
 def test_an_output_folder_that_cannot_be_is_refused_before_computing(
@@ -62,7 +68,7 @@ def test_an_output_folder_that_cannot_be_is_refused_before_computing(
     if arguments[-1] == "locked/r":
         stat = os.stat
 
-        def denied(path: object, *rest: object, **options: object) -> os.stat_result:
+        def denied(path: Any, *rest: Any, **options: Any) -> os.stat_result:
             if "locked/r" in str(path):
                 raise PermissionError(13, "Permission denied", str(path))
             return stat(path, *rest, **options)

@@ -154,9 +154,9 @@ def test_a_damaged_checkpoint_is_not_gone_on_from(tmp_path: Path) -> None:
     data[len(data) // 2] ^= 1
     path.write_bytes(bytes(data))
     assert read_checkpoint(left) is None
-    told: list[str] = []
-    run_experiment(small(), tmp_path, resume=True, tell=told.append)
-    assert "nothing to resume" in told[0]
+    with pytest.raises(RunError, match=rf"{CHECKPOINT}: damaged .*; nothing was deleted; run without --resume"):
+        run_experiment(small(), tmp_path, resume=True)
+    assert path.read_bytes() == data
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])

@@ -32,13 +32,15 @@ def _prepare_streams() -> None:
         stream = getattr(sys, name)
         if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (for the whole process)
-        elif isinstance(stream, io.TextIOWrapper) and isinstance(getattr(stream.buffer, "raw", stream.buffer), io.FileIO):
+        elif not isinstance(stream, io.TextIOWrapper):
+            continue
+        elif isinstance(getattr(stream.buffer, "raw", stream.buffer), io.FileIO):
             stream.flush()
             raw = _Pipe(stream.fileno(), "w", closefd=False)
             pipe = raw if stream.write_through else io.BufferedWriter(raw)
             how = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
             setattr(sys, name, io.TextIOWrapper(pipe, stream.encoding, "replace", **how))
-        elif isinstance(stream, io.TextIOWrapper):
+        else:
             stream.reconfigure(errors="replace")
 
 

@@ -1,10 +1,11 @@
 """Checkpoints: what an unfinished run goes on from, as named arrays and plain data in one file, exact to the bit.
 
-``checkpoint.npz`` is written whole or not at all; zip's check sums tell a damaged one.
+``checkpoint.npz`` is written whole or not at all; the SHA-256 of its content, in its last 32 bytes, shows damage.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -92,6 +93,7 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     try:
         with temporary.open("wb") as file:
             file.write(made.getbuffer())
+            file.write(hashlib.sha256(made.getbuffer()).digest())
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
@@ -105,7 +107,10 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
 def read_checkpoint(folder: Path) -> Checkpoint | None:
     """The checkpoint in ``folder``; None when there is none, or a damaged one, or one of another version."""
     try:
-        with np.load(folder / CHECKPOINT, allow_pickle=False) as file:
+        content = (folder / CHECKPOINT).read_bytes()
+        if hashlib.sha256(memoryview(content)[:-32]).digest() != content[-32:]:
+            return None
+        with np.load(io.BytesIO(content[:-32]), allow_pickle=False) as file:
             arrays: Mapping[str, NDArray[Any]] = {name: file[name] for name in file.files}
         head = json.loads(arrays["head"].tobytes())
         if head["version"] != VERSION:

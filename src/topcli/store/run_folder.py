@@ -245,9 +245,14 @@ class RunWriter:
         if self._lock is not None:
             self._lock.release()
 
+    @property
+    def finished(self) -> bool:
+        """True if the folder lacks nothing but its place."""
+        return (self.folder / MANIFEST).exists()
+
     def failure(self, error: OSError, kept: str = "nothing was kept of this run") -> RunError:
         """The error to report when writing failed; says what was really kept."""
-        if (self.folder / MANIFEST).exists():
+        if self.finished:
             kept = f"the finished run is kept in {self.folder}, and --resume puts it in its place"
         elif left := read_checkpoint(self.folder):
             kept = f"{_KEPT} (up to step {left.done})"

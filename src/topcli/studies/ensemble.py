@@ -163,7 +163,7 @@ def run_ensemble(
     if plan.up_to_date and plan.standing is not None:
         return RunResult(plan.standing, plan.standing.report(), "up to date")
     started, suffix = now(), experiment.first.output.format
-    with Commit() as commit, RunWriter(out, experiment.name, displace=force) as writer:
+    with Commit() as commit, RunWriter(out, experiment.name, displace=force or retry_failed) as writer:
         try:
             resolved, provenance = experiment.resolved(), environment()
             about = {

@@ -18,6 +18,7 @@ from topcli.config.models import Experiment
 from topcli.engine.loop import Position, Run
 from topcli.errors import UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, write_checkpoint
+from topcli.store.growing import damaged
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.parts import Part, parts_of, release_reserve, reserve
 from topcli.store.provenance import environment, now
@@ -131,7 +132,7 @@ def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
     """The unfinished run of ``experiment`` by this ``code`` in ``out`` that got furthest; None for none, or no need.
 
     Raises UsageError when another process is running it, or when what is there belongs to a different experiment or
-    other code.
+    other code, and RunError when it is damaged.
     """
     name, digest = experiment.name, experiment.digest
     standing = require_place(out, name)
@@ -144,6 +145,7 @@ def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
     if fitting:
         return max(fitting, key=lambda source: (source.checkpoint is None, source.done))
     if not found:
+        _refuse_damaged(out, name)
         return None
     other = max(found, key=lambda source: (source.about.get("digest") == digest, source.done))
     if other.about.get("digest") == digest:
@@ -155,6 +157,13 @@ def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
         f"{other.folder}: the unfinished run, at step {other.done}, {why}; nothing was written and it is kept\n"
         "resume it with the config and code that it was begun with, or start afresh without --resume"
     )
+
+
+def _refuse_damaged(out: Path, name: str) -> None:
+    """Raises RunError if there is a checkpoint, of which it is known that nothing can be continued from it."""
+    for folder in [*(part.folder for part in parts_of(out, name) if not part.alive), *_standing(out, name)]:
+        if (folder / CHECKPOINT).exists():
+            raise damaged(folder / CHECKPOINT, "or written by another version of topcli")
 
 
 def running_process(experiment: Experiment, out: Path) -> int | None:

@@ -277,8 +277,8 @@ def run_experiment(
         say_what_could_be_resumed(experiment, out, code, tell)
     if "damaged" in plan.action:
         tell(f"{experiment.name}: {plan.action}")
-    identity = {"digest": digest, "code": code}
-    with Commit() as commit, RunWriter(out, experiment.name, identity, source and source.where, force) as writer:
+    identity, displace = {"digest": digest, "code": code}, force or retry_failed
+    with Commit() as commit, RunWriter(out, experiment.name, identity, source and source.where, displace) as writer:
         if writer.complete is not None:
             try:
                 stored = writer.put_in_place(writer.complete.manifest)
@@ -300,9 +300,8 @@ def _saved(
     carry_out: Callable[..., tuple[StoredRun, dict[str, Any]]], checkpoints: Checkpoints, error: OSError
 ) -> RunError:
     """The error to report of a write that failed, after saving what can be saved: as an interrupted run if possible."""
-    writer = checkpoints.writer
-    last = None
-    for last in checkpoints.to_save():
+    writer, last = checkpoints.writer, None
+    for last in [] if writer.finished else checkpoints.to_save():
         with contextlib.suppress(OSError, TopcliError):
             carry_out(last, lambda done, total: None, lambda: True)
             kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
