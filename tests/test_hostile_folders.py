@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import MANIFEST, DamagedRun, look, stored_run
+from topcli.store.manifest import MANIFEST, DamagedRun, look, stored_run, stored_runs
 from topcli.store.parts import LOCK, new_part, owner, parts_of, remove_own
 from topcli.studies import run as run_study
 from topcli.studies.run import run_experiment
@@ -75,6 +76,7 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], str]] = {
     "config text": with_entry("config", "x"),
     "scheme text": with_entry("config.scheme", "hk"),
     "step text": with_entry("step", "x"),
+    "file name of escapes": with_entry("files", {"\x1b[31mred": 3, "series.parquet": 3}),
     "version": with_entry("manifest_version", 99),
     "long words": with_entry("ended", "x" * 100_000),
 }
@@ -92,6 +94,7 @@ def test_a_bad_manifest_is_damage_and_nothing_else(
     found = look(folder)
     assert isinstance(found, DamagedRun)
     assert len(found.reason) < 300
+    assert found.reason.isprintable()
     listed = cli("list", "runs", "--json").json()["runs"]
     assert [(run["name"], run["outcome"]) for run in listed] == [("fine", "completed"), (NAME, "damaged")]
     assert cli("list", "runs").code == 0
@@ -104,6 +107,22 @@ def test_a_bad_manifest_is_damage_and_nothing_else(
     said = cli("verify", NAME)
     assert said.code == 1
     assert said.err.startswith(f"error: results/{NAME}/{MANIFEST}: damaged: ")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_named_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / MANIFEST)
+    assert look(tmp_path) == DamagedRun(tmp_path, f"{MANIFEST}: no regular file")
+
+
+def test_thousands_of_runs_are_listed_at_once(tmp_path: Path) -> None:
+    text = (run_experiment(small(), tmp_path).stored.folder / MANIFEST).read_text()
+    for i in range(2000):
+        (tmp_path / f"run{i}").mkdir()
+        (tmp_path / f"run{i}" / MANIFEST).write_text(text)
+    began = time.process_time()
+    assert len(stored_runs(tmp_path)) == 2001
+    assert time.process_time() - began < 0.6  # typically 0.1; 20,000 runs are to be listed within 2 s
 
 
 LOCKS = {

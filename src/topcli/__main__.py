@@ -38,8 +38,14 @@ def _prepare_streams() -> None:
             stream.flush()
             raw = _Pipe(stream.fileno(), "w", closefd=False)
             pipe = raw if stream.write_through else io.BufferedWriter(raw)
-            how = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
-            setattr(sys, name, io.TextIOWrapper(pipe, stream.encoding, "replace", **how))
+            wrapped = io.TextIOWrapper(
+                pipe,
+                stream.encoding,
+                "replace",
+                line_buffering=stream.line_buffering,
+                write_through=stream.write_through,
+            )
+            setattr(sys, name, wrapped)
         else:
             stream.reconfigure(errors="replace")
 

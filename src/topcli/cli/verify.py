@@ -16,9 +16,10 @@ def verify(
     out: Out = Path("results"),
     as_json: Json = False,
 ) -> None:
-    """Verify the files of runs, finished or not, by their checksums.
+    """Verify the files of runs by their checksums.
 
-    Exits with 0 if every file is whole, with 1 if one is damaged.
+    Of an unfinished run, verify what it can be continued from. Exits with 0 if every file is whole, with 1 if one is
+    damaged.
     """
     from topcli.store.verify import check_runs
 

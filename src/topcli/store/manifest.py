@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,21 +70,29 @@ class DamagedError(ValueError):
     """A file of a run that is not as it was written; the message says in what."""
 
 
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Open a file; of a named pipe, without waiting for somebody to write."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
 def read_json(path: str | Path) -> dict[str, Any]:
     """The JSON object in a file. Raises OSError, and DamagedError for any other content."""
-    with open(path, "rb", buffering=0) as file:
-        if os.fstat(file.fileno()).st_size > _LARGEST_JSON:
+    with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise DamagedError("no regular file")
+        if found.st_size > _LARGEST_JSON:
             raise DamagedError(f"longer than {_LARGEST_JSON} bytes")
         text = file.read()
     try:
-        found = json.loads(text)
+        content = json.loads(text)
     except RecursionError:
         raise DamagedError("nested too deeply") from None
     except ValueError as error:
         raise DamagedError(f"not JSON: {error}") from None
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise DamagedError("not a JSON object")
-    return found
+    return content
 
 
 def _read_manifest(folder: str | Path) -> dict[str, Any]:
@@ -92,7 +101,7 @@ def _read_manifest(folder: str | Path) -> dict[str, Any]:
         _Manifest.model_validate(found)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"]))
+        where = ".".join(map(str, first["loc"])).encode("unicode_escape").decode()
         raise DamagedError(f"{where[:80]}: {first['msg'].lower()}") from None
     if found["series"] not in found["files"]:
         raise DamagedError("series: not among the files")
