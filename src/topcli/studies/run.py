@@ -213,14 +213,12 @@ def _carry_out(
         raise UsageError(f"{writer.folder}: its checkpoint is none of this version of topcli ({error})") from None
     run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
     series = writer.folder / f"series.{experiment.output.format}"
-    writer.sha256[series.name] = _write_series(
-        series, experiment, run, tally, modified, about, progress, checkpoints, start
-    )
+    digest = _write_series(series, experiment, run, tally, modified, about, progress, checkpoints, start)
+    writer.sha256[series.name] = digest
     report = report_data(_summary(experiment, run, checkpoints.about["digest"]), tally.rows())
     writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     writer.write("report.md", report_markdown(report))
     writer.write("config.yaml", experiment.to_yaml())
-    resumed = checkpoints.about["resumed"]
     stored = writer.commit(
         {
             "name": experiment.name,
@@ -234,7 +232,7 @@ def _carry_out(
             "scheme_origin": experiment.scheme.origin,
             "started": checkpoints.about["started"],
             "ended": now(),
-            **({"resumed": resumed} if resumed else {}),
+            **({"resumed": resumed} if (resumed := checkpoints.about["resumed"]) else {}),
             "seconds": report["seconds"],
             "environment": provenance,
             **commit.read(),
