@@ -27,8 +27,8 @@ from topcli.engine import loop
 from topcli.engine.driver import loop_of
 from topcli.store import series
 from topcli.store.checkpoint import read_checkpoint
+from topcli.store.manifest import stored_run
 from topcli.store.parts import parts_of
-from topcli.store.run_folder import stored_run
 from topcli.studies.run import run_experiment
 
 loop.CHUNK_STEPS = 100
@@ -64,9 +64,9 @@ def content(folder: Path) -> dict[str, str]:
 
 
 def whole(folder: Path) -> bool:
-    """Whether everything that the manifest names is there in its full length."""
+    """Whether everything that the manifest names is there with its checksum."""
     run = stored_run(folder)
-    return run is not None and all((folder / n).stat().st_size == s for n, s in run.manifest["files"].items())
+    return run is not None and not run.damage()
 
 
 def reached(out: Path) -> int:

@@ -19,7 +19,7 @@ from topcli.config.load import any_from
 from topcli.contracts import Outcome
 from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
-from topcli.store.run_folder import stored_run
+from topcli.store.manifest import stored_run
 from topcli.store.series import read_series
 from topcli.studies.ensemble import run_ensemble
 from topcli.studies.run import RunResult

@@ -15,7 +15,7 @@ import pytest
 from conftest import ROOT
 from test_cli import process
 from topcli.cli.talk import ProgressTeller, spell_seconds
-from topcli.store.run_folder import stored_runs
+from topcli.store.manifest import stored_runs
 from topcli.store.series import read_series
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")

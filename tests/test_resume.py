@@ -17,7 +17,7 @@ from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.run_folder import stored_run, stored_runs
+from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.series import read_series
 from topcli.studies.run import run_experiment
 

@@ -18,8 +18,8 @@ from resuming import HK, NAME, content, killed, small
 from topcli.errors import RunError, UsageError
 from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
+from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.parts import lock_left, lock_new, new_part, parts_of
-from topcli.store.run_folder import stored_run, stored_runs
 from topcli.store.series import SeriesWriter, read_metadata, read_series
 from topcli.studies.run import run_experiment
 
@@ -30,12 +30,13 @@ def full_after(monkeypatch: pytest.MonkeyPatch, room: int, forever: bool = True)
     """A disk that takes so many bytes of series more, and then nothing, or what has been cut off before."""
     append, used = SeriesWriter._append, [0]
 
-    def limited(self: SeriesWriter, data: bytes) -> None:
-        if used[0] + len(data) > room:
+    def limited(self: SeriesWriter, *pieces: bytes) -> None:
+        size = sum(map(len, pieces))
+        if used[0] + size > room:
             used[0] = room if forever else 0
             raise OSError(errno.ENOSPC, "No space left on device", str(self._path))
-        used[0] += len(data)
-        append(self, data)
+        used[0] += size
+        append(self, *pieces)
 
     monkeypatch.setattr(SeriesWriter, "_append", limited)
 
@@ -153,9 +154,9 @@ def test_a_damaged_checkpoint_is_not_gone_on_from(tmp_path: Path) -> None:
     data[len(data) // 2] ^= 1
     path.write_bytes(bytes(data))
     assert read_checkpoint(left) is None
-    told: list[str] = []
-    run_experiment(small(), tmp_path, resume=True, tell=told.append)
-    assert "nothing to resume" in told[0]
+    with pytest.raises(RunError, match=rf"{CHECKPOINT}: damaged .*; nothing was deleted; run without --resume"):
+        run_experiment(small(), tmp_path, resume=True)
+    assert path.read_bytes() == data
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])

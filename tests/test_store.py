@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +21,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
 from topcli.store import run_folder, series
-from topcli.store.run_folder import RunWriter, stored_run, stored_runs
+from topcli.store.manifest import stored_run, stored_runs
+from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter, read_metadata, read_series
 from topcli.studies import run as run_study
 from topcli.studies.run import run_experiment
@@ -147,7 +149,7 @@ def test_a_full_disk_leaves_nothing_and_loses_nothing(
     earlier = run_experiment(small(), tmp_path)
     before = (earlier.stored.folder / "series.parquet").read_bytes()
 
-    def full(self: SeriesWriter, data: bytes) -> None:
+    def full(self: SeriesWriter, *pieces: bytes) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(SeriesWriter, "_append", full)
@@ -254,13 +256,53 @@ def test_nothing_is_integrated_for_a_refusal(tmp_path: Path, monkeypatch: pytest
 
 
 def test_concurrent_different_experiments_are_both_kept(tmp_path: Path) -> None:
-    """Both start on an empty folder; the one that ends second sets the other aside."""
+    """Both start on an empty folder; the one that ends second gives way, and says so even under -q."""
     command = [sys.executable, "-m", "topcli", "run", str(HK), "--out", str(tmp_path), "--quiet"]
-    running = [subprocess.Popen([*command, "--set", f"N={N}"]) for N in (400_000, 400_001)]
-    assert {process.wait(timeout=120) for process in running} <= {0, 2}
+    running = [
+        subprocess.Popen([*command, "--set", f"N={N}"], stderr=subprocess.PIPE, text=True) for N in (400_000, 400_001)
+    ]
+    said = [process.communicate(timeout=120)[1] for process in running]
+    codes = [process.returncode for process in running]
+    assert codes.count(0) == 1
+    (other,) = (i for i in (0, 1) if codes[i])
     kept = {run.manifest["config"]["N"] for run in stored_runs(tmp_path)}
-    refused = sum(process.returncode == 2 for process in running)
-    assert len(kept) + refused == 2
+    if codes[other] == 2:  # began after the other had ended
+        assert "holds a different experiment" in said[other]
+        assert kept == {400_001 - other}
+    else:
+        assert codes[other] == 1
+        assert "another process has put a different experiment there meanwhile; this run is kept as" in said[other]
+        assert kept == {400_000, 400_001}
+
+
+def test_a_different_run_that_came_meanwhile_stays_and_copies_are_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without --force nobody is displaced, who comes second is kept aside, and of identical runs there is one."""
+    carry_out = run_study._carry_out
+
+    def late(experiment: Experiment, *rest: object) -> object:
+        if experiment.h == 0.002:
+            run_experiment(small(), tmp_path, force=True)
+        return carry_out(experiment, *rest)
+
+    monkeypatch.setattr(run_study, "_carry_out", late)
+    for _ in range(2):
+        shutil.rmtree(tmp_path / "kowalevski_hk", ignore_errors=True)
+        with pytest.raises(RunError, match="different experiment there meanwhile; this run is kept as") as caught:
+            run_experiment(small("h=0.002"), tmp_path)
+        aside = f"kowalevski_hk.{small('h=0.002').digest[:8]}"
+        assert str(caught.value).endswith(aside)
+        assert stored_run(tmp_path / "kowalevski_hk").manifest["config"]["h"] == 0.001
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["kowalevski_hk", aside]
+
+
+def test_forced_runs_in_turn_leave_one_copy_of_each(tmp_path: Path) -> None:
+    for h in (1e-3, 2e-3, 1e-3, 2e-3, 1e-3):
+        run_experiment(small(f"h={h}"), tmp_path, force=True)
+    names = [f"kowalevski_hk.{small(f'h={h}').digest[:8]}" for h in (1e-3, 2e-3)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["kowalevski_hk", *names])
+    assert all(not stored_run(tmp_path / name).damage() for name in names)
 
 
 def test_whoever_came_meanwhile_is_set_aside(tmp_path: Path) -> None:

@@ -6,6 +6,24 @@ import gc
 import io
 import os
 import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer as Buffer
+
+
+class _Pipe(io.FileIO):
+    """A standard stream that swallows what nobody reads any more, as in ``topcli ... | head -1``.
+
+    The command goes on, so that its exit code does not depend on when the reader closed the pipe.
+    """
+
+    def write(self, data: Buffer, /) -> int | None:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            return super().write(data)
 
 
 def _prepare_streams() -> None:
@@ -14,7 +32,21 @@ def _prepare_streams() -> None:
         stream = getattr(sys, name)
         if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (for the whole process)
-        elif isinstance(stream, io.TextIOWrapper):
+        elif not isinstance(stream, io.TextIOWrapper):
+            continue
+        elif isinstance(getattr(stream.buffer, "raw", stream.buffer), io.FileIO):
+            stream.flush()
+            raw = _Pipe(stream.fileno(), "w", closefd=False)
+            pipe = raw if stream.write_through else io.BufferedWriter(raw)
+            wrapped = io.TextIOWrapper(
+                pipe,
+                stream.encoding,
+                "replace",
+                line_buffering=stream.line_buffering,
+                write_through=stream.write_through,
+            )
+            setattr(sys, name, wrapped)
+        else:
             stream.reconfigure(errors="replace")
 
 
@@ -25,6 +57,9 @@ def _drop_output() -> None:
 
 def main() -> None:
     """Run the command line and exit with its code; a user's mistake is reported without a traceback."""
+    if os.name == "nt":
+        print("error: topcli does not run on Windows; use it in WSL, the Windows Subsystem for Linux", file=sys.stderr)
+        sys.exit(2)
     gc.set_threshold(100_000, 50, 50)  # start-up makes many objects and no garbage
     _prepare_streams()
     code: int | str | None = 0
@@ -39,12 +74,12 @@ def main() -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         code = 130
-    except BrokenPipeError:
-        _drop_output()
-        code = 1
     except OSError as error:
-        _drop_output()
-        print(f"error: standard output cannot be written ({error.strerror})", file=sys.stderr)
+        if error.filename is None:  # files have names
+            _drop_output()
+            print(f"error: standard output cannot be written ({error.strerror})", file=sys.stderr)
+        else:
+            print(f"error: {str(error.filename)[:400]}: {(error.strerror or '').lower()}", file=sys.stderr)
         code = 1
     except Exception:
         import traceback

@@ -14,6 +14,9 @@ code  meaning
 70    an internal error: a bug in topcli, printed with a traceback
 130   interrupted
 ====  =========================================================
+
+A reader that closes the pipe (``topcli ... | head -1``) changes none of these: the command goes on to its end without
+printing. On Windows, which topcli does not support, every command exits with 2.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def bench(
         if all(any(name == left for left, _ in field.left_out) for field in fields):
             find_scheme(name, problems[0].top.form)  # says what it fits
             raise UsageError(f"scheme {quoted(name)} cannot be measured: {fields[0].left_out[0][1]}")
-    require_bench_folder(out)
+    require_bench_folder(out, [problem.name for problem in problems])
     require_writable(out)
     teller = ProgressTeller(len(problems), as_json)
     results, failed = [], False

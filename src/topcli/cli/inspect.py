@@ -194,11 +194,11 @@ def list_figures(as_json: Json = False) -> None:
 def _short(item: dict[str, Any]) -> dict[str, Any]:
     """A run for the table: other programs may have written its manifest, which may hold anything."""
     cells = {
-        key: value if isinstance(value, int | float) else shortened(str(value))
+        key: value if value is None or isinstance(value, int | float) else shortened(str(value))
         for key, value in item.items()
         if key != "name"
     }
-    return item | cells | {"ended": _local_time(item["ended"])}
+    return item | cells | {"ended": item["ended"] and _local_time(item["ended"])}
 
 
 def _local_time(stamp: object) -> str:
@@ -218,25 +218,31 @@ def list_runs(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List the finished runs in a folder."""
+    """List the runs in a folder, damaged ones included."""
     from topcli.errors import UsageError
-    from topcli.store.run_folder import stored_runs
+    from topcli.store.manifest import DamagedRun, all_runs
 
     folder = Path("results") if out is None else out
     if out is not None and not os.path.isdir(out):
         raise UsageError(f"--out {out}: no such folder")
-    items: list[dict[str, Any]] = [
-        {
-            "name": run.folder.name,
-            "outcome": run.manifest["outcome"],
-            "scheme": run.manifest["config"]["scheme"]["name"],
-            "h": run.manifest["config"]["h"],
-            "N": run.manifest["config"]["N"],
-            "digest": run.manifest["digest"][:8],
-            "ended": run.manifest["ended"],
-        }
-        for run in stored_runs(folder)
-    ]
+    items: list[dict[str, Any]] = []
+    for run in all_runs(folder):
+        if isinstance(run, DamagedRun):
+            unknown = dict.fromkeys(("scheme", "h", "N", "digest", "ended"))
+            items.append({"name": run.folder.name, "outcome": "damaged", **unknown, "reason": run.reason})
+            continue
+        config = run.manifest["config"]
+        items.append(
+            {
+                "name": run.folder.name,
+                "outcome": run.manifest["outcome"],
+                "scheme": config["scheme"]["name"],
+                "h": config["h"],
+                "N": config["N"],
+                "digest": run.manifest["digest"][:8],
+                "ended": run.manifest["ended"],
+            }
+        )
     shown = items if as_json else [_short(item) for item in items]
     columns = ["name", "outcome", "scheme", "h", "N", "digest", "ended"]
     _print_list("runs", shown, columns, as_json, f"no finished runs in {folder}")

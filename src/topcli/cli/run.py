@@ -62,14 +62,17 @@ def _tell(result: RunResult, labelled: bool) -> None:
         warning = warning_of(report)
     if result.set_aside:
         say(f"kept the earlier, different run as {result.set_aside}")
-    say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({result.status})")
+    status = result.status
+    if status == "up to date" and result.outcome.value != "completed":
+        status = f"not run again: it ended as {result.outcome.value} before; --retry-failed runs it again"
+    say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
     if warning:
         say(f"warning: {report['name']}: {warning}")
     header, *lines = invariant_table(report)
     print_table(header, lines, report["name"] if labelled else "")
 
 
-def _dry_run(experiment: Experiment | EnsembleExperiment, out: Path, force: bool, resume: bool) -> dict[str, Any]:
+def _dry_run(experiment: Experiment | EnsembleExperiment, out: Path, how: How) -> dict[str, Any]:
     from topcli.config.models import Experiment
     from topcli.studies.run import method_fingerprint, plan_run
 
@@ -78,17 +81,18 @@ def _dry_run(experiment: Experiment | EnsembleExperiment, out: Path, force: bool
         from topcli.studies.resume import find_source
 
         code, rows = method_fingerprint(experiment.method()), experiment.N // experiment.output.every + 1
-        source = find_source(experiment, out, code) if resume else None
+        source = find_source(experiment, out, code) if how.resume else None
     else:
         from topcli.studies.ensemble import ensemble_fingerprint
 
-        _refuse_to_resume(resume)
+        _refuse_to_resume(how.resume)
         code, rows = ensemble_fingerprint(experiment), experiment.rows
+    plan = plan_run(experiment, out, code, force=how.force, retry_failed=how.retry_failed, source=source)
     return {
         "config": experiment.resolved(),
         "digest": experiment.digest,
         "folder": str(out / experiment.name),
-        "action": plan_run(experiment, out, code, force=force, source=source).action,
+        "action": plan.action,
         "rows": rows,
     }
 
@@ -99,6 +103,7 @@ class How:
 
     force: bool
     resume: bool
+    retry_failed: bool
     checkpoint_every: float
     threads: int | None
     quiet: bool
@@ -131,6 +136,7 @@ def _run(
             out,
             force=how.force,
             resume=how.resume,
+            retry_failed=how.retry_failed,
             checkpoint_every=how.checkpoint_every,
             progress=teller,
             stop=stop,
@@ -139,7 +145,15 @@ def _run(
     from topcli.studies.ensemble import run_ensemble
 
     _refuse_to_resume(how.resume)
-    return run_ensemble(experiment, out, force=how.force, threads=how.threads, progress=teller, stop=stop)
+    return run_ensemble(
+        experiment,
+        out,
+        force=how.force,
+        retry_failed=how.retry_failed,
+        threads=how.threads,
+        progress=teller,
+        stop=stop,
+    )
 
 
 def _code(result: RunResult) -> int:
@@ -175,6 +189,9 @@ def run(
         bool,
         typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint, bit for bit."),
     ] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Run again what ended before, but not as completed.")
+    ] = False,
     checkpoint_every: Annotated[
         float,
         typer.Option(
@@ -206,7 +223,7 @@ def run(
         raise UsageError("--resume continues a run and --force repeats it: give one of them")
     if not checkpoint_every >= 0.0:
         raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds from 0 on")
-    how = How(force, resume, checkpoint_every, threads, quiet)
+    how = How(force, resume, retry_failed, checkpoint_every, threads, quiet)
     load_scheme_files(scheme_files)
     told: list[dict[str, Any]] = []
     codes: list[int] = []
@@ -218,7 +235,7 @@ def run(
                 if not quiet:
                     say_warnings(experiment)
                 if dry_run:
-                    plan = _dry_run(experiment, out, force, resume)
+                    plan = _dry_run(experiment, out, how)
                     told.append(plan)
                     codes.append(0)
                     if not (as_json or quiet):

@@ -1,10 +1,11 @@
 """Checkpoints: what an unfinished run goes on from, as named arrays and plain data in one file, exact to the bit.
 
-``checkpoint.npz`` is written whole or not at all; zip's check sums tell a damaged one.
+``checkpoint.npz`` is written whole or not at all; the SHA-256 of its content, in its last 32 bytes, shows damage.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -20,7 +21,21 @@ from numpy.typing import NDArray
 from topcli.store.series import SeriesMark
 
 CHECKPOINT = "checkpoint.npz"
-VERSION = 1
+TEMPORARY = f".{CHECKPOINT}"
+VERSION = 2
+_ABOUT = {
+    "digest": str,
+    "code": str,
+    "started": str,
+    "run_seconds": float,
+    "resumed": list,
+    "chunks": list,
+    "config": dict,
+    "environment": dict,
+}
+"""What ``about`` holds of which type; a file that says otherwise is damaged."""
+
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, TypeError, RecursionError, MemoryError, NotImplementedError)
 
 
 @dataclass(frozen=True)
@@ -60,6 +75,7 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
         "version": VERSION,
         "done": checkpoint.done,
         "length": checkpoint.series.length,
+        "sha256": checkpoint.series.sha256,
         "columns": list(checkpoint.series.held),
         "about": checkpoint.about,
     }
@@ -73,10 +89,11 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     }
     made = io.BytesIO()
     np.savez(made, **arrays)
-    temporary = folder / f".{CHECKPOINT}"
+    temporary = folder / TEMPORARY
     try:
         with temporary.open("wb") as file:
             file.write(made.getbuffer())
+            file.write(hashlib.sha256(made.getbuffer()).digest())
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
@@ -90,14 +107,23 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
 def read_checkpoint(folder: Path) -> Checkpoint | None:
     """The checkpoint in ``folder``; None when there is none, or a damaged one, or one of another version."""
     try:
-        with np.load(folder / CHECKPOINT, allow_pickle=False) as file:
+        content = (folder / CHECKPOINT).read_bytes()
+        if hashlib.sha256(memoryview(content)[:-32]).digest() != content[-32:]:
+            return None
+        with np.load(io.BytesIO(content[:-32]), allow_pickle=False) as file:
             arrays: Mapping[str, NDArray[Any]] = {name: file[name] for name in file.files}
         head = json.loads(arrays["head"].tobytes())
         if head["version"] != VERSION:
             return None
         held = {name: arrays[f"held_{i}"] for i, name in enumerate(head["columns"])}
         tally = {name.removeprefix("tally_"): values for name, values in arrays.items() if name.startswith("tally_")}
-        mark, rows = SeriesMark(head["length"], held), (arrays["rows_n"], arrays["rows_states"])
+        numbers = (head["done"], head["length"], *head["about"]["chunks"])
+        if not all(isinstance(number, int) and number >= 0 for number in numbers):
+            return None
+        if not all(isinstance(head["about"][key], kind) for key, kind in _ABOUT.items()):
+            return None
+        mark = SeriesMark(head["length"], held, str(head["sha256"]))
+        rows = (arrays["rows_n"], arrays["rows_states"])
         return Checkpoint(head["done"], arrays["work"], tally, mark, rows, head["about"])
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile):
+    except (*_UNREADABLE, zipfile.BadZipFile):
         return None

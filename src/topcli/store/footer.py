@@ -5,7 +5,15 @@ Here every row group is therefore appended as a small Parquet file of its own, f
 lists them all. The offsets in a footer count from the start of its own small file; ``merged_footer`` moves them. It
 knows as much as it must of Thrift's compact protocol, in which footers are written, and of the fields of
 ``FileMetaData`` (both are public formats: apache/parquet-format, ``parquet.thrift``). Readers need not know of this:
-they go by the last footer, and the earlier ones, some hundred bytes a row group, lie unused between the data.
+they go by the last footer, and the earlier ones, some hundred bytes a row group, lie unused between the data. Each
+of these ends with ``UNFINISHED`` in place of Parquet's own magic number, so that no reader takes the file of a killed
+process for a whole one and reads the last row group's footer over the data of the first.
+
+pyarrow by itself cannot do this at the same cost. Row groups kept as an Arrow IPC stream while the run goes on, with
+one Parquet file written beside it, take three times the space and, where every step is recorded, 1.8 times the time
+(3e6 rows of 12 columns: 1.7 s here, 3.2 s there). Whole Parquet files for each group that are read and encoded again
+at the end, or a stream that is encoded only then, let a stop wait for as long as that takes. Here the loop pays
+nothing for being able to continue.
 """
 
 from __future__ import annotations
@@ -15,6 +23,7 @@ from collections.abc import Iterator
 from typing import Any, BinaryIO
 
 MAGIC = b"PAR1"
+UNFINISHED = b"PAR-"
 
 _OFFSETS = frozenset(
     [
@@ -120,7 +129,7 @@ def _segments(file: BinaryIO, length: int) -> Iterator[Any]:
         file.seek(end - 8)
         tail = file.read(8)
         size = int.from_bytes(tail[:4], "little")
-        if tail[4:] != MAGIC or size > end - 8:
+        if tail[4:] != UNFINISHED or size > end - 8:
             raise ValueError(f"no Parquet footer ends at byte {end}")
         file.seek(end - 8 - size)
         thrift = file.read(size)

@@ -11,29 +11,67 @@ import json
 import os
 import re
 import secrets
-import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from topcli.store.checkpoint import CHECKPOINT
+from topcli.store.checkpoint import CHECKPOINT, TEMPORARY
+from topcli.store.manifest import MANIFEST, DamagedError, read_json
 
 try:
     import fcntl
 except ImportError:  # not a POSIX system
     fcntl = None
 
-MANIFEST = "manifest.json"
 LOCK = "lock"
 RESERVE = "reserve"
 RESERVED = 1 << 18
 """Bytes: room for the reports, a footer and a checkpoint."""
 _OWNER = re.compile(r"(\d+)-[0-9a-f]{8}")
+_RESULTS = re.compile(r"(series|trajectories|points)\.(parquet|csv)|report\.(json|md)|config\.yaml")
+_OURS = frozenset([MANIFEST, CHECKPOINT, LOCK, RESERVE])
+_TEMPORARY = re.compile(rf"\.manifest\.\d+\.json|{re.escape(TEMPORARY)}|\.{LOCK}")
+"""What is being written when a process ends."""
+
+
+def is_result(name: str) -> bool:
+    """True for the names of the files that a run is for."""
+    return _RESULTS.fullmatch(name) is not None
+
+
+def is_temporary(name: str) -> bool:
+    """True for the names of files that a killed process leaves half-written."""
+    return _TEMPORARY.fullmatch(name) is not None
+
+
+def remove_own(folder: Path) -> None:
+    """Remove a run's own files, and the folder if nothing else is in it; never what somebody else put there."""
+    with contextlib.suppress(OSError):
+        for name in os.listdir(folder):
+            if name in _OURS or is_result(name) or is_temporary(name):
+                with contextlib.suppress(OSError):
+                    os.unlink(folder / name)
+        os.rmdir(folder)
+
+
+def linked_file(folder: Path) -> Path | None:
+    """A file under one of the run's own names that is no regular file, such as a link to somewhere else."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if (entry.name in _OURS or is_result(entry.name)) and not entry.is_file(follow_symlinks=False):
+                return folder / entry.name
+    return None
 
 
 def _prefix(name: str) -> str:
     return f".{name}.part-"
+
+
+def is_part(folder: Path) -> bool:
+    """True for a folder in the making, by its name."""
+    before, _, after = folder.absolute().name.rpartition(".part-")
+    return before.startswith(".") and _OWNER.fullmatch(after) is not None and folder.is_dir()
 
 
 def new_part(out: Path, name: str) -> Path:
@@ -44,10 +82,17 @@ def new_part(out: Path, name: str) -> Path:
 def _parts(out: Path, name: str) -> list[Path]:
     prefix = _prefix(name)
     try:
-        entries = sorted(out.iterdir())
+        with os.scandir(out) as entries:
+            found = [
+                entry.name
+                for entry in entries
+                if entry.name.startswith(prefix)
+                and _OWNER.fullmatch(entry.name[len(prefix) :])
+                and entry.is_dir(follow_symlinks=False)
+            ]
     except OSError:
         return []
-    return [e for e in entries if e.name.startswith(prefix) and _OWNER.fullmatch(e.name[len(prefix) :])]
+    return [out / name for name in sorted(found)]
 
 
 def _alive(pid: int) -> bool:
@@ -104,10 +149,11 @@ def lock_new(folder: Path, about: dict[str, Any]) -> Lock:
 def owner(folder: Path) -> dict[str, Any]:
     """What the lock file of ``folder`` says: ``pid``, ``digest``, ``code``; empty when it says nothing."""
     try:
-        told = json.loads((folder / LOCK).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = read_json(folder / LOCK)
+    except (OSError, DamagedError):
         return {}
-    return told if isinstance(told, dict) else {}
+    pid = found.get("pid")
+    return found if isinstance(pid, int) and 0 < pid < 1 << 31 else {}
 
 
 def lock_left(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
@@ -121,12 +167,12 @@ def lock_left(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
         return None  # about to lock it, or about to put it in its place
     pid = owner(folder).get("pid", 0)
     try:
-        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     except OSError:
         return None
     taken = _exclusive(handle)
     if taken is None:
-        taken = not (isinstance(pid, int) and pid > 0 and _alive(pid))
+        taken = not (pid > 0 and _alive(pid))
     with contextlib.suppress(OSError):
         if taken and os.path.samestat(os.fstat(handle), os.stat(folder / LOCK)):
             if about is not None:
@@ -139,7 +185,7 @@ def lock_left(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
 def take_lock(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
     """``lock_left``, with a second look when somebody holds the lock who does not work there: he looks about, too."""
     lock = lock_left(folder, about)
-    if lock is None and (folder / LOCK).exists() and not _alive(int(owner(folder).get("pid", 0)) or os.getpid()):
+    if lock is None and (folder / LOCK).exists() and not _alive(owner(folder).get("pid") or os.getpid()):
         time.sleep(0.05)
         lock = lock_left(folder, about)
     return lock
@@ -179,7 +225,7 @@ def parts_of(out: Path, name: str) -> list[Part]:
         lock = take_lock(folder)
         part = Part(folder, said, lock is None)
         if lock is not None and not part.worth_keeping:
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_own(folder)
         elif folder.exists():
             found.append(part)
         if lock is not None:

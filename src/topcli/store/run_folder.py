@@ -7,95 +7,98 @@ written last, ``manifest.json``. A folder without a manifest is an unfinished ru
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from topcli.errors import RunError, UsageError
+from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, sync
-from topcli.store.parts import LOCK, MANIFEST, Lock, Part, lock_new, new_part, parts_of, release_reserve, take_lock
+from topcli.store.manifest import (
+    MANIFEST,
+    MANIFEST_VERSION,
+    DamagedError,
+    StoredRun,
+    check_file,
+    look,
+    sha256_of,
+    stored_run,
+)
+from topcli.store.parts import (
+    LOCK,
+    Lock,
+    Part,
+    is_result,
+    is_temporary,
+    linked_file,
+    lock_new,
+    new_part,
+    parts_of,
+    release_reserve,
+    remove_own,
+    take_lock,
+)
 
-MANIFEST_VERSION = 1
-
-
-@dataclass(frozen=True)
-class StoredRun:
-    """A finished run folder and its manifest."""
-
-    folder: Path
-    manifest: dict[str, Any]
-
-    @property
-    def series(self) -> Path:
-        """The file that holds the time series."""
-        return self.folder / str(self.manifest["series"])
-
-    def report(self) -> dict[str, Any]:
-        """The content of ``report.json``. Raises RunError when it is missing or damaged."""
-        path = self.folder / "report.json"
-        try:
-            return json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise RunError(f"{path}: cannot be read ({error}); run again with --force") from None
-
-    def same_experiment(self, digest: str) -> bool:
-        """Whether this is a run of the experiment with this digest."""
-        return self.manifest.get("digest") == digest
-
-    def up_to_date(self, digest: str, code: str) -> bool:
-        """Whether nothing would change by running again: the same experiment and code, ended by itself, all there."""
-        return (
-            self.same_experiment(digest)
-            and self.manifest.get("code") == code
-            and not self.interrupted
-            and all(_size(self.folder / name) == size for name, size in self.manifest.get("files", {"": 0}).items())
-        )
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether the run was stopped before its end."""
-        return self.manifest.get("outcome") == "interrupted"
-
-    def replaceable(self, new: Mapping[str, Any]) -> bool:
-        """Whether a run with the manifest ``new`` may take this one's place and nothing be lost.
-
-        It must be of the same experiment by the same code; an interrupted one does not replace one that got further.
-        """
-        own = {MANIFEST, CHECKPOINT, LOCK, *self.manifest.get("files", {})}
-        further = new.get("outcome") == "interrupted" and not (
-            self.interrupted and self.manifest.get("step", 0) <= new.get("step", 0)
-        )
-        return (
-            self.same_experiment(new["digest"])
-            and self.manifest.get("code") == new.get("code")
-            and not further
-            and all(entry.name in own for entry in self.folder.iterdir())
-        )
+_KEPT = "what its last checkpoint holds is kept, and --resume continues it when writing is possible again"
 
 
-def stored_run(folder: Path) -> StoredRun | None:
-    """The finished run in ``folder``; None when there is no folder, no manifest, or not one of ours."""
+def _own(name: str, run: StoredRun) -> bool:
+    """True for the files of a run itself, not somebody's notes beside them."""
+    return name in {MANIFEST, CHECKPOINT, LOCK, *run.manifest["files"]}
+
+
+def replaceable(standing: StoredRun, new: Mapping[str, Any]) -> bool:
+    """True if a run with the manifest ``new`` may take the place of ``standing`` and nothing be lost.
+
+    It must be of the same experiment by the same code; an interrupted one does not replace one that got further.
+    """
+    further = new.get("outcome") == "interrupted" and not (
+        standing.interrupted and standing.manifest.get("step", 0) <= new.get("step", 0)
+    )
+    return (
+        standing.same_experiment(new["digest"])
+        and standing.manifest.get("code") == new.get("code")
+        and not further
+        and all(_own(name, standing) for name in os.listdir(standing.folder))
+    )
+
+
+def require_place(out: Path, name: str) -> StoredRun | None:
+    """The finished run at ``out/<name>``, if there is one. Raises UsageError where no run can be put there."""
+    target = out / name
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    if not isinstance(manifest, dict) or "digest" not in manifest or "series" not in manifest:
-        return None
-    return StoredRun(folder, manifest)
+        if out.exists() and not out.is_dir():
+            raise UsageError(f"output folder {out}: is not a folder; choose another with --out")
+        found = look(target)
+        other = found is None and target.exists() and (not target.is_dir() or any(target.iterdir()))
+    except OSError as error:
+        raise UsageError(
+            f"{str(error.filename or target)[:400]}: {(error.strerror or str(error)).lower()}; nothing was written",
+            "choose another folder with --out, or another name with --set name=..."
+        ) from None
+    if isinstance(found, StoredRun):
+        return found
+    if other or found:
+        why = f"holds a damaged run ({found.reason})" if found else "exists and is no finished run"
+        raise UsageError(
+            f"{target}: {why}; nothing was written",
+            "move it away, or choose another folder with --out or another name with --set name=..."
+        )
+    require_real(target)
+    return None
 
 
-def stored_runs(out: Path) -> list[StoredRun]:
-    """The finished runs in the folders of ``out``, by name."""
-    try:
-        folders = sorted(entry for entry in out.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-    except OSError:
-        return []
-    return [run for run in map(stored_run, folders) if run]
+def require_real(target: Path) -> None:
+    """Raise UsageError where a run would take the place of a symbolic link."""
+    if target.is_symlink():
+        raise UsageError(
+            f"{target}: is a symbolic link, which no run can replace; nothing was written",
+            "remove it, or choose another name with --set name=...",
+        )
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -123,20 +126,12 @@ def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this
     return RunError(f"{path}: cannot be written ({error.strerror or error}); {kept}")
 
 
-def _size(path: Path) -> int:
-    """The size of a file; -1 when there is none."""
-    try:
-        return path.stat().st_size
-    except OSError:
-        return -1
-
-
 def _superseded(part: Part, manifest: Mapping[str, Any]) -> bool:
-    """Whether the run with this ``manifest`` has got at least as far as what a killed process left in ``part``."""
+    """True if the run with this ``manifest`` has got at least as far as what a killed process left in ``part``."""
     left = read_checkpoint(part.folder)
     if left is None:
         stored = stored_run(part.folder)
-        return stored is not None and stored.replaceable(manifest)
+        return stored is not None and replaceable(stored, manifest)
     reached = manifest.get("outcome") != "interrupted" or left.done <= manifest.get("step", 0)
     return left.belongs_to(manifest["digest"], manifest["code"]) and reached
 
@@ -157,26 +152,35 @@ def require_writable(out: Path) -> None:
 class RunWriter:
     """A run folder in the making: fill ``folder``, then ``commit``.
 
-    Left without a commit it vanishes, unless it holds a checkpoint to go on from. What stands at the target by then is
-    replaced when it is the same experiment by the same code and nothing is lost by it, and otherwise set aside under
-    ``<name>.<its digest>``, whoever put it there meanwhile.
+    Left without a commit it vanishes, unless it holds a checkpoint to continue from. An existing run at the target is
+    replaced if it is of the same experiment by the same code and nothing is lost by it. Any other is renamed to
+    ``<name>.<its digest>`` if the writer may ``displace`` it; else it stays, the new run is kept under such a name,
+    and RunError says so. Of identical copies one is kept.
 
-    ``source`` is a folder to go on from: one that a killed process left, which is taken over, or an interrupted run,
-    which is copied and stays what it is until the commit. ``checkpoint`` is then where to go on from, or ``complete``
-    the run that lacked nothing but its place.
-    ``about`` is what others are told of this run: its ``digest`` and ``code``.
-    Raises UsageError when the output folder cannot be written to or another process works in ``source``.
+    ``source`` is a folder to continue from: one that a killed process left, which is taken over, or an interrupted
+    run, which is copied and stays as it is until the commit. ``checkpoint`` is then where to continue, or
+    ``complete`` the run that lacked nothing but its place. ``about`` is shown to other processes: the run's ``digest``
+    and ``code``. ``sha256`` holds the checksums that are known of files written.
+    Raises UsageError if the output folder cannot be written to or another process works in ``source``, and RunError
+    if ``source`` is damaged.
     """
 
     def __init__(
-        self, out: Path, name: str, about: dict[str, Any] | None = None, source: StoredRun | Part | None = None
+        self,
+        out: Path,
+        name: str,
+        about: dict[str, Any] | None = None,
+        source: StoredRun | Part | None = None,
+        displace: bool = True,
     ) -> None:
         self.out, self.name, self.target = out, name, out / name
         self.set_aside: Path | None = None
         self.folder = new_part(out, name)
         self.checkpoint: Checkpoint | None = None
         self.complete: StoredRun | None = None
+        self.sha256: dict[str, str] = {}
         self._about, self._source = about or {}, source
+        self._displace = displace or source is not None
         self._lock: Lock | None = None
 
     def __enter__(self) -> RunWriter:
@@ -190,20 +194,30 @@ class RunWriter:
                 self._lock = lock_new(self.folder, self._about)
                 if self._source is not None:
                     self._copy(self._source)
-        except OSError as error:
-            shutil.rmtree(self.folder, ignore_errors=True)
-            raise io_failure(error, self.out) from None
+        except (OSError, TopcliError) as error:
+            kept = _KEPT
+            if not isinstance(self._source, Part):
+                remove_own(self.folder)
+                kept = "nothing was written" if self._source is None else "the interrupted run is as it was"
+            if self._lock is not None:
+                self._lock.release()
+            if isinstance(error, OSError):
+                raise io_failure(error, self.out, kept) from None
+            raise
         if self._source is not None:
             self.checkpoint = read_checkpoint(self.folder)
         return self
 
     def _take_over(self, part: Part) -> None:
+        if link := linked_file(part.folder):
+            raise UsageError(f"{link}: is no regular file; remove it to resume this run")
         self._lock = take_lock(part.folder, self._about)
         if self._lock is None:
             raise UsageError(f"{self.target}: another process has just begun to continue this run")
         os.rename(part.folder, self.folder)
-        for unnamed in self.folder.glob(".*"):  # what was being written when the process ended
-            unnamed.unlink()
+        for name in os.listdir(self.folder):
+            if is_temporary(name):
+                (self.folder / name).unlink()
         self.complete = stored_run(self.folder)
         if self.complete is not None and self.complete.interrupted:
             (self.folder / MANIFEST).unlink()
@@ -211,14 +225,33 @@ class RunWriter:
 
     def _copy(self, run: StoredRun) -> None:
         for path in (run.series, run.folder / CHECKPOINT):  # the checkpoint last: it vouches for the series
+            try:
+                check_file(path, run.manifest["files"].get(path.name, -1))
+            except DamagedError as error:
+                raise RunError(
+                    f"{path}: damaged ({error}); nothing was deleted; run without --resume to start again from step 0"
+                ) from None
             shutil.copyfile(path, self.folder / path.name)
             sync(self.folder / path.name)
 
     def __exit__(self, *exception: object) -> None:
         if not (self.folder / CHECKPOINT).exists() and not (self.folder / MANIFEST).exists():
-            shutil.rmtree(self.folder, ignore_errors=True)
+            remove_own(self.folder)
         if self._lock is not None:
             self._lock.release()
+
+    @property
+    def finished(self) -> bool:
+        """True if the folder lacks nothing but its place."""
+        return (self.folder / MANIFEST).exists()
+
+    def failure(self, error: OSError, kept: str = "nothing was kept of this run") -> RunError:
+        """The error to report when writing failed; says what was really kept."""
+        if self.finished:
+            kept = f"the finished run is kept in {self.folder}, and --resume puts it in its place"
+        elif left := read_checkpoint(self.folder):
+            kept = f"{_KEPT} (up to step {left.done})"
+        return io_failure(error, self.target, kept)
 
     def write(self, name: str, text: str) -> None:
         """Write one text file of the folder. Raises OSError that names it."""
@@ -229,18 +262,23 @@ class RunWriter:
             error.filename = error.filename or str(path)
             raise
 
-    def commit(self, manifest: dict[str, Any]) -> StoredRun:
-        """Write the manifest, flush everything to the disk and put the folder in its place. Raises OSError.
+    def _entry(self, name: str) -> dict[str, Any]:
+        path = self.folder / name
+        return {"size": path.stat().st_size, "sha256": self.sha256.get(name) or sha256_of(path)}
 
-        Until the manifest is there the checkpoint is; a checkpoint is kept where there is something to go on from.
+    def commit(self, manifest: dict[str, Any]) -> StoredRun:
+        """Write the manifest, flush everything to the disk and put the folder in its place.
+
+        Until the manifest is there the checkpoint is; a checkpoint is kept where there is something to continue.
+        Raises OSError, and RunError if another process has put a different run there.
         """
         release_reserve(self.folder)
-        aside = {LOCK, MANIFEST} if manifest.get("outcome") == "interrupted" else {LOCK, MANIFEST, CHECKPOINT}
-        files = sorted(entry.name for entry in self.folder.iterdir() if entry.name not in aside)
+        kept = {CHECKPOINT} if manifest.get("outcome") == "interrupted" else set()
+        files = sorted(name for name in os.listdir(self.folder) if is_result(name) or name in kept)
         complete = {
             "manifest_version": MANIFEST_VERSION,
             **manifest,
-            "files": {name: _size(self.folder / name) for name in files},
+            "files": {name: self._entry(name) for name in files},
         }
         for name in files:
             sync(self.folder / name)
@@ -253,14 +291,14 @@ class RunWriter:
         return self.put_in_place(complete)
 
     def put_in_place(self, manifest: dict[str, Any]) -> StoredRun:
-        """Put the folder, which holds this ``manifest``, in its place. Raises OSError."""
+        """Put the folder, which holds this ``manifest``, in its place. Raises OSError, and RunError as ``commit``."""
         for name in {LOCK, CHECKPOINT} - set(manifest["files"]):
             (self.folder / name).unlink(missing_ok=True)
         self._rename(manifest)
         sync(self.out)
         for part in parts_of(self.out, self.name):
             if not part.alive and _superseded(part, manifest):
-                shutil.rmtree(part.folder, ignore_errors=True)
+                remove_own(part.folder)
         return StoredRun(self.target, manifest)
 
     def _rename(self, manifest: dict[str, Any]) -> None:
@@ -273,24 +311,67 @@ class RunWriter:
             except OSError as error:
                 if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
                     raise
-            aside = self._free_name()
+            if not self._displace and self._outdone(manifest):
+                break
             try:
-                os.rename(self.target, aside)
+                aside = self._move_aside(self.target)
             except FileNotFoundError:
                 continue  # another process moved it first
             earlier = stored_run(aside)
-            if earlier is not None and earlier.replaceable(manifest):
+            if earlier is not None and replaceable(earlier, manifest):
                 superseded.append(aside)
             else:
-                self.set_aside = aside
+                self.set_aside = self._one_copy(aside)
         for old in superseded:
-            shutil.rmtree(old, ignore_errors=True)
+            remove_own(old)
 
-    def _free_name(self) -> Path:
-        earlier = stored_run(self.target)
-        digest = str(earlier.manifest["digest"])[:8] if earlier else "unfinished"
-        aside, count = self.target.with_name(f"{self.target.name}.{digest}"), 1
-        while aside.exists():
-            count += 1
-            aside = self.target.with_name(f"{self.target.name}.{digest}.{count}")
+    def _outdone(self, manifest: dict[str, Any]) -> bool:
+        """True if another process has meanwhile put the same run at the target; this copy is then removed.
+
+        Raises RunError if it has put a different one there, which stays.
+        """
+        standing = stored_run(self.target)
+        if standing is None:
+            return False
+        if standing.up_to_date(manifest["digest"], manifest.get("code", "")):
+            remove_own(self.folder)
+            return True
+        if standing.same_experiment(manifest["digest"]):
+            return False
+        kept = self._one_copy(self._move_aside(self.folder))
+        raise RunError(
+            f"{self.target}: another process has put a different experiment there meanwhile; this run is kept as {kept}"
+        )
+
+    def _asides(self, run: StoredRun | None) -> Iterator[Path]:
+        """The names under which ``run`` may be set aside, one after the other."""
+        first = f"{self.name}.{run.manifest['digest'][:8] if run else 'unfinished'}"
+        return (self.out / (first if k == 1 else f"{first}.{k}") for k in itertools.count(1))
+
+    def _move_aside(self, folder: Path) -> Path:
+        """Rename ``folder`` to the first free name for what is set aside. Raises OSError."""
+        for aside in self._asides(stored_run(folder)):
+            if os.path.lexists(aside):
+                continue
+            try:
+                os.rename(folder, aside)
+            except OSError as error:
+                if error.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):
+                    raise
+            else:
+                return aside
+        raise AssertionError("unreachable: the names do not end")
+
+    def _one_copy(self, aside: Path) -> Path:
+        """Remove the run set aside as ``aside`` if an identical one was before; where it is now."""
+        run = stored_run(aside)
+        if run is None or any(not _own(name, run) for name in os.listdir(aside)):
+            return aside
+        for before in self._asides(run):
+            if before == aside or not os.path.lexists(before):
+                break
+            earlier = stored_run(before)
+            if earlier is not None and earlier.identical(run.manifest) and not earlier.damage():
+                remove_own(aside)
+                return before
         return aside

@@ -19,7 +19,7 @@ from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Piece, tile_of
 from topcli.store.provenance import Commit, environment, now
-from topcli.store.run_folder import RunWriter, io_failure
+from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter
 from topcli.studies.ensemble_report import EndingTally, ensemble_markdown, ensemble_report
 from topcli.studies.run import Progress, RunResult, method_fingerprint, plan_run
@@ -207,14 +207,14 @@ def _tables(experiment: EnsembleExperiment, folder: Path) -> tuple[Path, Path]:
 
 def _carry_out(
     experiment: EnsembleExperiment,
-    folder: Path,
+    writer: RunWriter,
     about: dict[str, str],
     progress: Progress,
     stop: Callable[[], bool],
     threads: int | None,
 ) -> tuple[dict[str, Any], str]:
-    """Run into the tables of ``folder``; the report, and the sha256 of the initial states. Raises OSError."""
-    path, table = _tables(experiment, folder)
+    """Run into the tables of the run folder; the report, and the sha256 of the initial states. Raises OSError."""
+    path, table = _tables(experiment, writer.folder)
     with ExitStack() as stack:
         series = None
         if path != table:
@@ -224,10 +224,14 @@ def _carry_out(
         def table_of(names: list[str]) -> SeriesWriter:
             return stack.enter_context(SeriesWriter(table, names, about))
 
-        spool = stack.enter_context(tempfile.TemporaryFile(dir=folder))
+        spool = stack.enter_context(tempfile.TemporaryFile(dir=writer.folder))
         record = _Record(experiment, series, table_of, cast(Spool, spool))
         record.run(progress, stop, threads)
-        return record.finish(), record.initial.hexdigest()
+        report = record.finish()
+        for name, written in ((path.name, series), (table.name, record.trajectories)):
+            if written is not None:
+                writer.sha256[name] = written.sha256
+        return report, record.initial.hexdigest()
 
 
 def run_ensemble(
@@ -235,6 +239,7 @@ def run_ensemble(
     out: Path,
     *,
     force: bool = False,
+    retry_failed: bool = False,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
@@ -248,11 +253,11 @@ def run_ensemble(
     Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
     """
     code = ensemble_fingerprint(experiment)
-    plan = plan_run(experiment, out, code, force=force)
+    plan = plan_run(experiment, out, code, force=force, retry_failed=retry_failed)
     if plan.up_to_date and plan.standing is not None:
         return RunResult(plan.standing, plan.standing.report(), "up to date")
     started = now()
-    with Commit() as commit, RunWriter(out, experiment.name) as writer:
+    with Commit() as commit, RunWriter(out, experiment.name, displace=force or retry_failed) as writer:
         try:
             resolved, provenance = experiment.resolved(), environment()
             about = {
@@ -260,7 +265,7 @@ def run_ensemble(
                 "topcli.digest": experiment.digest,
                 "topcli.environment": json.dumps(provenance),
             }
-            report, initial = _carry_out(experiment, writer.folder, about, progress, stop, threads)
+            report, initial = _carry_out(experiment, writer, about, progress, stop, threads)
             writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
             writer.write("report.md", ensemble_markdown(report))
             writer.write("config.yaml", experiment.to_yaml())
@@ -286,5 +291,5 @@ def run_ensemble(
                 }
             )
         except OSError as error:
-            raise io_failure(error, out / experiment.name) from error
+            raise writer.failure(error) from error
     return RunResult(stored, report, "ran", writer.set_aside)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,9 +18,11 @@ from topcli.config.models import Experiment
 from topcli.engine.loop import Position, Run
 from topcli.errors import UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, write_checkpoint
+from topcli.store.growing import damaged
+from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.parts import Part, parts_of, release_reserve, reserve
 from topcli.store.provenance import environment, now
-from topcli.store.run_folder import RunWriter, StoredRun, stored_run
+from topcli.store.run_folder import RunWriter, require_place
 from topcli.store.series import SeriesWriter
 
 CHECKPOINT_SECONDS = 10.0
@@ -92,13 +96,19 @@ def _sources(out: Path, name: str) -> Iterator[Source]:
             yield Source(part, stored.manifest.get("step", 0), None, stored.manifest)
         elif checkpoint := read_checkpoint(part.folder):
             yield Source(part, checkpoint.done, checkpoint, checkpoint.about)
-    standing = [out / name, *(out.iterdir() if out.is_dir() else [])]
-    for folder in dict.fromkeys(f for f in standing if f.name == name or f.name.startswith(f"{name}.")):
+    for folder in _standing(out, name):
         stored = stored_run(folder)
         if stored is not None and stored.interrupted and stored.manifest.get("name") == name:
             checkpoint = read_checkpoint(folder)
             if checkpoint is not None:
                 yield Source(stored, checkpoint.done, checkpoint, checkpoint.about)
+
+
+def _standing(out: Path, name: str) -> Iterator[Path]:
+    """The folder of the run ``name``, and those of the runs that were set aside for it."""
+    yield out / name
+    with contextlib.suppress(OSError), os.scandir(out) as entries:
+        yield from (out / found for found in sorted(e.name for e in entries if e.name.startswith(f"{name}.")))
 
 
 def _flat(data: Any, path: str = "") -> dict[str, Any]:
@@ -122,10 +132,10 @@ def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
     """The unfinished run of ``experiment`` by this ``code`` in ``out`` that got furthest; None for none, or no need.
 
     Raises UsageError when another process is running it, or when what is there belongs to a different experiment or
-    other code.
+    other code, and RunError when it is damaged.
     """
     name, digest = experiment.name, experiment.digest
-    standing = stored_run(out / name)
+    standing = require_place(out, name)
     if standing is not None and standing.up_to_date(digest, code):
         return None
     found = list(_sources(out, name))
@@ -135,6 +145,7 @@ def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
     if fitting:
         return max(fitting, key=lambda source: (source.checkpoint is None, source.done))
     if not found:
+        _refuse_damaged(out, name)
         return None
     other = max(found, key=lambda source: (source.about.get("digest") == digest, source.done))
     if other.about.get("digest") == digest:
@@ -148,17 +159,24 @@ def find_source(experiment: Experiment, out: Path, code: str) -> Source | None:
     )
 
 
+def _refuse_damaged(out: Path, name: str) -> None:
+    """Raises RunError if there is a checkpoint, of which it is known that nothing can be continued from it."""
+    for folder in [*(part.folder for part in parts_of(out, name) if not part.alive), *_standing(out, name)]:
+        if (folder / CHECKPOINT).exists():
+            raise damaged(folder / CHECKPOINT, "or written by another version of topcli")
+
+
 def running_process(experiment: Experiment, out: Path) -> int | None:
     """The number of another process that is running the same experiment into ``out``; None when there is none."""
     for part in parts_of(out, experiment.name):
         if part.alive and part.owner.get("digest") == experiment.digest:
-            return int(part.owner.get("pid", 0))
+            return part.owner["pid"]
     return None
 
 
 def say_what_could_be_resumed(experiment: Experiment, out: Path, code: str, tell: Callable[[str], None]) -> None:
     """Tell, before a run starts afresh, of what ``--resume`` would go on from, or of who runs the same."""
-    if not any(out.glob(".*.part-*")) and not (out / experiment.name / CHECKPOINT).exists():
+    if not parts_of(out, experiment.name) and not (out / experiment.name / CHECKPOINT).exists():
         return
     if running := running_process(experiment, out):
         tell(f"{experiment.name}: process {running} is running this experiment too")

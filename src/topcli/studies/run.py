@@ -19,10 +19,11 @@ from topcli.config.models import Experiment
 from topcli.contracts import Block, Invariant, Method, Outcome, Sampler
 from topcli.engine.loop import Run
 from topcli.engine.source import fingerprint
-from topcli.errors import RunError, UsageError
-from topcli.store.checkpoint import Checkpoint
+from topcli.errors import RunError, TopcliError, UsageError
+from topcli.store.checkpoint import Checkpoint, write_checkpoint
+from topcli.store.manifest import CHECKED_AT_ONCE, StoredRun
 from topcli.store.provenance import Commit, environment, now
-from topcli.store.run_folder import RunWriter, StoredRun, io_failure, stored_run
+from topcli.store.run_folder import RunWriter, io_failure, require_place, require_real
 from topcli.store.series import SeriesWriter
 from topcli.studies.report import report_data, report_markdown
 from topcli.studies.resume import (
@@ -36,8 +37,6 @@ from topcli.studies.resume import (
     position_of,
     say_what_could_be_resumed,
 )
-
-KEPT = "what its last checkpoint holds is kept, and --resume continues it once there is space"
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -89,36 +88,39 @@ def plan_run(
     code: str,
     *,
     force: bool = False,
+    retry_failed: bool = False,
     source: Source | None = None,
 ) -> Plan:
-    """What running ``experiment`` into ``out``, or going on from ``source``, will do.
+    """What running ``experiment`` into ``out``, or continuing from ``source``, will do.
 
     Raises UsageError for what would be refused.
     """
     target, digest = out / experiment.name, experiment.digest
-    if out.exists() and not out.is_dir():
-        raise UsageError(f"output folder {out}: is not a folder; choose another with --out")
-    standing = stored_run(target)
+    standing = require_place(out, experiment.name)
+    begin = f"will continue from step {source.done}" if source else "will run"
     if standing is None:
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise UsageError(
-                f"{target}: exists and is no finished run; nothing was written",
-                "move it away, or choose another folder with --out or another name with --set name=...",
-            )
-        return Plan(None, False, f"will continue from step {source.done}" if source else "will run")
+        return Plan(None, False, begin)
     if not standing.same_experiment(digest):
         if not force and source is None:
             raise UsageError(
-                f"{target}: holds a different experiment (digest {str(standing.manifest['digest'])[:8]}, this one "
+                f"{target}: holds a different experiment (digest {standing.manifest['digest'][:8]}, this one "
                 f"{digest[:8]}); nothing was written",
                 "choose --set name=... or --out, or --force to keep the earlier run aside and put this one in "
                 "its place",
             )
-        action = f"will continue from step {source.done}" if source else "will run"
-        return Plan(standing, False, f"{action}, and keep the different run that is there aside")
-    if not force and standing.up_to_date(digest, code):
-        return Plan(standing, True, "up to date")
-    return Plan(standing, False, f"will continue from step {source.done}" if source else "will run again")
+        require_real(target)
+        return Plan(standing, False, f"{begin}, and keep the different run that is there aside")
+    failed = standing.outcome is not Outcome.COMPLETED
+    if not force and not (failed and retry_failed) and standing.up_to_date(digest, code):
+        return Plan(standing, True, f"up to date; {retry_hint(standing)}" if failed else "up to date")
+    require_real(target)
+    damaged = "".join(f"; {name} is damaged: {why}" for name, why in standing.damage(CHECKED_AT_ONCE).items())
+    return Plan(standing, False, (begin if source else "will run again") + damaged)
+
+
+def retry_hint(standing: StoredRun) -> str:
+    """How a finished run failed, and how to run it again."""
+    return f"the run that is there ended as {standing.outcome.value}; --retry-failed runs it again"
 
 
 def _write_series(
@@ -131,7 +133,8 @@ def _write_series(
     progress: Progress,
     checkpoints: Checkpoints,
     start: Checkpoint | None,
-) -> None:
+) -> str:
+    """Run and write the rows to ``path``; the SHA-256 of the file."""
     top, h = experiment.top, experiment.h
     names = list(experiment.output.columns or column_names(top))
     batch = Batch(start)
@@ -154,6 +157,7 @@ def _write_series(
         if len(batch.rows()[0]):
             take_in(*batch.take())
         writer.finish({"topcli.outcome": run.ending.outcome.value, "topcli.message": run.ending.message})
+    return writer.sha256
 
 
 def _summary(experiment: Experiment, run: Run, digest: str) -> dict[str, Any]:
@@ -210,12 +214,12 @@ def _carry_out(
         raise UsageError(f"{writer.folder}: its checkpoint is none of this version of topcli ({error})") from None
     run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
     series = writer.folder / f"series.{experiment.output.format}"
-    _write_series(series, experiment, run, tally, modified, about, progress, checkpoints, start)
+    digest = _write_series(series, experiment, run, tally, modified, about, progress, checkpoints, start)
+    writer.sha256[series.name] = digest
     report = report_data(_summary(experiment, run, checkpoints.about["digest"]), tally.rows())
     writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     writer.write("report.md", report_markdown(report))
     writer.write("config.yaml", experiment.to_yaml())
-    resumed = checkpoints.about["resumed"]
     stored = writer.commit(
         {
             "name": experiment.name,
@@ -229,7 +233,7 @@ def _carry_out(
             "scheme_origin": experiment.scheme.origin,
             "started": checkpoints.about["started"],
             "ended": now(),
-            **({"resumed": resumed} if resumed else {}),
+            **({"resumed": resumed} if (resumed := checkpoints.about["resumed"]) else {}),
             "seconds": report["seconds"],
             "environment": provenance,
             **commit.read(),
@@ -244,6 +248,7 @@ def run_experiment(
     *,
     force: bool = False,
     resume: bool = False,
+    retry_failed: bool = False,
     checkpoint_every: float = CHECKPOINT_SECONDS,
     progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
@@ -251,8 +256,9 @@ def run_experiment(
 ) -> RunResult:
     """Run ``experiment`` into ``out/<name>/``, or find it there already.
 
-    A run of the same experiment by the same code that ended by itself is not repeated unless ``force``. A
-    different experiment standing there is refused, unless ``force``: then it is set aside under another name.
+    A run of the same experiment by the same code that ended by itself is not repeated unless ``force``, or
+    ``retry_failed`` and it failed. A different experiment is refused, unless ``force``: then it is set aside under
+    another name.
     ``stop`` is asked between chunks; what was written until then is kept, marked ``interrupted``.
     With ``resume`` an interrupted or killed run goes on from its last checkpoint and ends, bit for bit, as if it had
     never been stopped; checkpoints are written every ``checkpoint_every`` seconds. ``tell`` receives lines of talk.
@@ -263,18 +269,20 @@ def run_experiment(
     method, digest = experiment.method(), experiment.digest
     code = method_fingerprint(method)
     source = find_source(experiment, out, code) if resume else None
-    plan = plan_run(experiment, out, code, force=force, source=source)
+    plan = plan_run(experiment, out, code, force=force, retry_failed=retry_failed, source=source)
     if plan.up_to_date and plan.standing is not None:
         return RunResult(plan.standing, plan.standing.report(), "up to date")
     if not resume:
         say_what_could_be_resumed(experiment, out, code, tell)
-    identity = {"digest": digest, "code": code}
-    with Commit() as commit, RunWriter(out, experiment.name, identity, source and source.where) as writer:
+    if "damaged" in plan.action:
+        tell(f"{experiment.name}: {plan.action}")
+    identity, displace = {"digest": digest, "code": code}, force or retry_failed
+    with Commit() as commit, RunWriter(out, experiment.name, identity, source and source.where, displace) as writer:
         if writer.complete is not None:
             try:
                 stored = writer.put_in_place(writer.complete.manifest)
             except OSError as error:
-                raise io_failure(error, out / experiment.name, KEPT) from error
+                raise writer.failure(error) from error
             tell(f"{experiment.name}: the run had ended before it was killed; it is in its place now")
             return RunResult(stored, stored.report(), "resumed", writer.set_aside)
         start = checked_start(experiment, writer, source, identity, tell) if resume else None
@@ -283,19 +291,21 @@ def run_experiment(
         try:
             stored, report = carry_out(start, progress, stop)
         except OSError as error:
-            raise _saved(carry_out, checkpoints, error, out / experiment.name) from error
+            raise _saved(carry_out, checkpoints, error) from error
     return RunResult(stored, report, "ran" if start is None else "resumed", writer.set_aside)
 
 
 def _saved(
-    carry_out: Callable[..., tuple[StoredRun, dict[str, Any]]], checkpoints: Checkpoints, error: OSError, target: Path
+    carry_out: Callable[..., tuple[StoredRun, dict[str, Any]]], checkpoints: Checkpoints, error: OSError
 ) -> RunError:
-    """What to tell of a write that failed, after saving what can be saved: as a run interrupted where it could be."""
-    for last in checkpoints.to_save():
-        with contextlib.suppress(OSError):
+    """The error to report of a write that failed, after saving what can be saved: as an interrupted run if possible."""
+    writer, last = checkpoints.writer, None
+    for last in [] if writer.finished else checkpoints.to_save():
+        with contextlib.suppress(OSError, TopcliError):
             carry_out(last, lambda done, total: None, lambda: True)
             kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
-            return io_failure(error, target, kept)
-    if checkpoints.kept is not None:
-        return io_failure(error, target, f"{KEPT} (up to step {checkpoints.kept})")
-    return io_failure(error, target)
+            return io_failure(error, writer.target, kept)
+    if last is not None and checkpoints.kept is None:
+        with contextlib.suppress(OSError):
+            write_checkpoint(writer.folder, last)
+    return writer.failure(error)

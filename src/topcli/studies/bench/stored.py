@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, UsageError
+from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
 from topcli.store.provenance import Commit
-from topcli.store.run_folder import MANIFEST, RunWriter, StoredRun, io_failure, stored_runs
+from topcli.store.run_folder import RunWriter, require_real
 from topcli.store.table import write_table
 from topcli.studies.bench.front import ratio_text, setting
 from topcli.studies.report import number
@@ -117,10 +119,12 @@ def _digest(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def require_bench_folder(out: Path) -> None:
-    """Raises UsageError when ``out`` is itself a run's folder, which benches must not be mixed into."""
+def require_bench_folder(out: Path, names: Sequence[str]) -> None:
+    """Raises UsageError when ``out`` is itself a run's folder, or a result's place in it is a symbolic link."""
     if (out / MANIFEST).exists():
         raise UsageError(f"--out {out}: is the folder of a run; choose another")
+    for name in names:
+        require_real(out / name)
 
 
 def store_bench(
@@ -156,7 +160,7 @@ def store_bench(
                 }
             )
         except OSError as error:
-            raise io_failure(error, out / result["name"], "nothing was kept of this bench") from error
+            raise writer.failure(error, "nothing was kept of this bench") from error
     return stored, writer.set_aside
 
 

@@ -1,0 +1,38 @@
+"""``topcli verify``: compare the files of runs with their checksums."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from topcli.cli.options import Json, Out
+from topcli.cli.talk import emit, print_json, say
+
+
+def verify(
+    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Run folders, or names of runs in --out.")],
+    out: Out = Path("results"),
+    as_json: Json = False,
+) -> None:
+    """Verify the files of runs by their checksums.
+
+    Of an unfinished run, verify what it can be continued from. Exits with 0 if every file is whole, with 1 if one is
+    damaged.
+    """
+    from topcli.store.verify import check_runs
+
+    checked = [one for run in runs for one in check_runs(run, out)]
+    if as_json:
+        print_json("verify", {"runs": [one.data() for one in checked]})
+    for one in checked:
+        for file in one.files:
+            if file.damaged:
+                say(f"error: {one.folder / file.name}: damaged: {file.reason}")
+        if not (as_json or one.damaged):
+            kind = "finished" if one.finished else "unfinished"
+            notes = "".join(f"; {file.name}: {file.reason}" for file in one.files if file.reason)
+            emit(f"{one.folder}: {kind}, {len(one.files)} files whole{notes}")
+    if any(one.damaged for one in checked):
+        raise typer.Exit(1)

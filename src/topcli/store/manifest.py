@@ -1,0 +1,250 @@
+"""Finished run folders: the manifest, checked before anything trusts it, and the checksums of the files.
+
+``manifest.json`` lists every file of the run with its size and SHA-256. Before a run counts as up to date all sizes
+are compared, and the checksums of files up to ``CHECKED_AT_ONCE`` bytes, which takes some hundredths of a second;
+``topcli verify`` compares all of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field, FiniteFloat, StrictInt, ValidationError
+
+from topcli.contracts import Outcome
+from topcli.errors import RunError
+
+MANIFEST = "manifest.json"
+MANIFEST_VERSION = 2
+"""Version 1 held the sizes of the files and no checksums."""
+CHECKED_AT_ONCE = 1 << 24
+"""Bytes: larger files are compared by size alone before a run counts as up to date."""
+REPORT = "report.json"
+_LARGEST_JSON = 1 << 26
+_BLOCK = 1 << 20
+
+_Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+_FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
+_Size = Annotated[StrictInt, Field(ge=0)]
+_Words = Annotated[str, Field(max_length=1000)]
+
+
+class _File(BaseModel):
+    size: _Size
+    sha256: _Sha256
+
+
+class _Scheme(BaseModel):
+    name: _Words
+
+
+class _Config(BaseModel):
+    scheme: _Scheme
+    h: FiniteFloat
+    N: Annotated[StrictInt, Field(ge=0, lt=1 << 63)]
+
+
+class _Manifest(BaseModel):
+    """The entries that topcli reads, which also name files; others are kept as they are."""
+
+    manifest_version: Literal[1, 2]
+    name: _Words
+    digest: _Sha256
+    code: _Words
+    outcome: Outcome
+    step: _Size = 0
+    series: _FileName
+    files: Annotated[dict[_FileName, _File | _Size], Field(max_length=1000)]
+    config: _Config
+    ended: _Words
+
+
+class DamagedError(ValueError):
+    """A file of a run that is not as it was written; the message says in what."""
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Open a file; of a named pipe, without waiting for somebody to write."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """The JSON object in a file. Raises OSError, and DamagedError for any other content."""
+    with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise DamagedError("no regular file")
+        if found.st_size > _LARGEST_JSON:
+            raise DamagedError(f"longer than {_LARGEST_JSON} bytes")
+        text = file.read()
+    try:
+        content = json.loads(text)
+    except RecursionError:
+        raise DamagedError("nested too deeply") from None
+    except ValueError as error:
+        raise DamagedError(f"not JSON: {error}") from None
+    if not isinstance(content, dict):
+        raise DamagedError("not a JSON object")
+    return content
+
+
+def _read_manifest(folder: str | Path) -> dict[str, Any]:
+    found = read_json(os.path.join(folder, MANIFEST))
+    try:
+        _Manifest.model_validate(found)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"])).encode("unicode_escape").decode()
+        raise DamagedError(f"{where[:80]}: {first['msg'].lower()}") from None
+    if found["series"] not in found["files"]:
+        raise DamagedError("series: not among the files")
+    return found
+
+
+def sha256_of(path: Path, length: int | None = None) -> str:
+    """SHA-256 of a file, or of its first ``length`` bytes. Raises OSError."""
+    digest = hashlib.sha256()
+    with path.open("rb", buffering=0) as file:
+        left = length
+        while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
+            digest.update(block)
+            left = None if left is None else left - len(block)
+    return digest.hexdigest()
+
+
+def _regular_size(path: Path) -> int:
+    """The size of a regular file. Raises DamagedError for anything else."""
+    try:
+        if path.is_file():
+            return path.stat().st_size
+    except OSError as error:
+        raise DamagedError(f"cannot be read ({error.strerror})") from None
+    raise DamagedError("missing")
+
+
+def check_file(path: Path, entry: Any, largest: int | None = None) -> None:
+    """Compare a file with its ``entry`` in the manifest; beyond ``largest`` bytes by its size alone.
+
+    Raises DamagedError.
+    """
+    size = entry["size"] if isinstance(entry, dict) else entry
+    found = _regular_size(path)
+    if found != size:
+        raise DamagedError(f"{found} bytes, not {size}")
+    if isinstance(entry, dict) and (largest is None or size <= largest):
+        try:
+            same = sha256_of(path) == entry["sha256"]
+        except OSError as error:
+            raise DamagedError(f"cannot be read ({error.strerror})") from None
+        if not same:
+            raise DamagedError("its SHA-256 differs from the manifest's")
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """A finished run folder and its manifest."""
+
+    folder: Path
+    manifest: dict[str, Any]
+
+    @property
+    def series(self) -> Path:
+        """The file that holds the time series."""
+        return self.folder / str(self.manifest["series"])
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return Outcome(self.manifest["outcome"])
+
+    @property
+    def interrupted(self) -> bool:
+        """True if the run was stopped before its end."""
+        return self.manifest.get("outcome") == Outcome.INTERRUPTED
+
+    def report(self) -> dict[str, Any]:
+        """The content of ``report.json``. Raises RunError when it is missing or damaged."""
+        path = self.folder / REPORT
+        try:
+            return read_json(path)
+        except (OSError, DamagedError) as error:
+            raise RunError(f"{path}: cannot be read ({str(error)[:120]}); run again with --force") from None
+
+    def same_experiment(self, digest: str) -> bool:
+        """True if this is a run of the experiment with this digest."""
+        return self.manifest.get("digest") == digest
+
+    def damage(self, largest: int | None = None) -> dict[str, str]:
+        """The damaged files and what is wrong with each; checksums of files up to ``largest`` bytes are compared."""
+        found = {}
+        for name, entry in self.manifest["files"].items():
+            try:
+                check_file(self.folder / name, entry, largest)
+            except DamagedError as error:
+                found[name] = str(error)
+        return found
+
+    def up_to_date(self, digest: str, code: str) -> bool:
+        """True if running again would change nothing: same experiment and code, not interrupted, nothing damaged."""
+        return (
+            self.same_experiment(digest)
+            and self.manifest.get("code") == code
+            and not self.interrupted
+            and REPORT in self.manifest["files"]
+            and not self.damage(CHECKED_AT_ONCE)
+        )
+
+    def identical(self, other: Mapping[str, Any]) -> bool:
+        """True if the manifest ``other`` is of the same run with the same series, to the bit."""
+        keys = ("digest", "code", "outcome", "step", "series")
+        return all(self.manifest.get(key) == other.get(key) for key in keys) and (
+            self.manifest["files"][self.manifest["series"]] == other["files"][other["series"]]
+        )
+
+
+@dataclass(frozen=True)
+class DamagedRun:
+    """A folder with a manifest that cannot be trusted, and what is wrong with it."""
+
+    folder: Path
+    reason: str
+
+
+def look(folder: Path) -> StoredRun | DamagedRun | None:
+    """The run in ``folder``; None if it has no manifest."""
+    try:
+        return StoredRun(folder, _read_manifest(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        return DamagedRun(folder, f"{MANIFEST}: cannot be read ({error.strerror})")
+    except DamagedError as error:
+        return DamagedRun(folder, f"{MANIFEST}: {error}")
+
+
+def stored_run(folder: Path) -> StoredRun | None:
+    """The finished run in ``folder``; None if there is no manifest, or a damaged one."""
+    found = look(folder)
+    return found if isinstance(found, StoredRun) else None
+
+
+def all_runs(out: Path) -> list[StoredRun | DamagedRun]:
+    """The runs in the folders of ``out``, damaged ones too, by name."""
+    try:
+        with os.scandir(out) as entries:
+            names = sorted(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir())
+    except OSError:
+        return []
+    return [run for name in names if (run := look(out / name))]
+
+
+def stored_runs(out: Path) -> list[StoredRun]:
+    """The finished runs in the folders of ``out``, by name."""
+    return [run for run in all_runs(out) if isinstance(run, StoredRun)]

@@ -1,0 +1,115 @@
+"""Compare every file of a run folder, finished or not, with the checksums that were taken when it was written."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from topcli.errors import RunError, UsageError
+from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
+from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, check_file, look, sha256_of
+from topcli.store.parts import is_part, parts_of
+
+
+@dataclass(frozen=True)
+class CheckedFile:
+    """One file of a run: ``reason`` says what is wrong with a damaged one and, of others, how far it was checked."""
+
+    name: str
+    damaged: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class CheckedRun:
+    """A run folder, whether it is ``finished``, and its files."""
+
+    folder: Path
+    finished: bool
+    files: tuple[CheckedFile, ...]
+
+    @property
+    def damaged(self) -> bool:
+        """True if any file is damaged."""
+        return any(file.damaged for file in self.files)
+
+    def data(self) -> dict[str, Any]:
+        """The same as plain data."""
+        state = "damaged" if self.damaged else "whole"
+        files = [asdict(file) for file in self.files]
+        return {"folder": str(self.folder), "finished": self.finished, "state": state, "files": files}
+
+
+def _readable(path: Path) -> str:
+    """Read a file that has no checksum in the manifest, written by an earlier version; how far that checks it."""
+    if path.suffix != ".parquet":
+        return "no checksum: its size is right"
+    from topcli.store.series import read_series
+
+    try:
+        read_series(path)
+    except RunError as error:
+        raise DamagedError(str(error).removeprefix(f"{path}: ")) from None
+    return "no checksum: its size is right and it can be read"
+
+
+def _finished(run: StoredRun) -> CheckedRun:
+    files = [CheckedFile(MANIFEST, False, "")]
+    for name, entry in run.manifest["files"].items():
+        path = run.folder / name
+        try:
+            check_file(path, entry)
+            files.append(CheckedFile(name, False, "" if isinstance(entry, dict) else _readable(path)))
+        except DamagedError as error:
+            files.append(CheckedFile(name, True, str(error)))
+    return CheckedRun(run.folder, True, tuple(files))
+
+
+def _unfinished(folder: Path) -> CheckedRun:
+    """Check what a run that has not ended can be continued from."""
+    checkpoint = read_checkpoint(folder)
+    if checkpoint is None:
+        there = (folder / CHECKPOINT).exists()
+        reason = "cannot be read" if there else "missing: there is nothing to resume"
+        return CheckedRun(folder, False, (CheckedFile(CHECKPOINT, there, reason),))
+    files = [CheckedFile(CHECKPOINT, False, f"step {checkpoint.done}")]
+    length = checkpoint.series.length
+    series = next((path for path in sorted(folder.glob("series.*"))), folder / "series")
+    if length:
+        try:
+            found = series.stat().st_size
+            whole = found >= length and sha256_of(series, length) == checkpoint.series.sha256
+            reason = f"{length} of {found} bytes belong to the checkpoint"
+            if not whole:
+                short = f"{found} bytes, {length} at the checkpoint"
+                reason = short if found < length else f"the SHA-256 of its first {length} bytes differs"
+            files.append(CheckedFile(series.name, not whole, reason))
+        except OSError as error:
+            files.append(CheckedFile(series.name, True, f"cannot be read ({error.strerror})"))
+    return CheckedRun(folder, False, tuple(files))
+
+
+def check_run(folder: Path) -> CheckedRun | None:
+    """Check every file of the run in ``folder``; None if there is no run."""
+    found = look(folder)
+    if isinstance(found, DamagedRun):
+        return CheckedRun(folder, True, (CheckedFile(MANIFEST, True, found.reason.removeprefix(f"{MANIFEST}: ")),))
+    if found is not None:
+        return _finished(found)
+    return _unfinished(folder) if is_part(folder) else None
+
+
+def check_runs(run: str, out: Path) -> list[CheckedRun]:
+    """Check the run folder ``run``, or the run of this name in ``out`` and what unfinished ones left of it.
+
+    Raises UsageError if there is none.
+    """
+    try:
+        folders = [Path(run)] if Path(run).is_dir() else [out / run, *(part.folder for part in parts_of(out, run))]
+        found = [checked for folder in folders if (checked := check_run(folder))]
+    except OSError as error:
+        raise UsageError(f"{run[:400]}: cannot be read ({error.strerror})") from None
+    if not found:
+        raise UsageError(f"{run[:400]}: no run folder, and no run of this name in {out}; topcli list runs names them")
+    return found
