@@ -1,6 +1,7 @@
 # make figures   install what runs need and draw the paper's figures into results/figures
 # make test      install what tests need and run them
 # make check     lint, format, types, layers, tests
+# make attack    mutated configs, damaged files, kills: minutes, and nothing may be found (ARGS='damage --seed 7')
 # make bench     speed against error, ours and other people's integrators: the table and the figure
 # make bench-steps  what single steps, start-up and storage cost (ratios against named baselines)
 # make clean     remove what was built; results/ stays
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
 export NUMBA_CACHE_DIR
 
-.PHONY: venv figures test check bench bench-steps clean
+.PHONY: venv figures test check attack bench bench-steps clean
 
 venv: $(VENV)/.installed
 
@@ -35,6 +36,9 @@ check: $(VENV)/.installed-dev
 	$(BIN)/basedpyright
 	PYTHONPATH=src $(BIN)/lint-imports
 	@$(MAKE) --no-print-directory test
+
+attack: $(VENV)/.installed-dev
+	PYTHONPATH=tests $(BIN)/python -m attack $(ARGS)
 
 # a peer that cannot be installed is left out: the bench names it
 $(VENV)/.installed-peers: $(VENV)/.installed-dev
