@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -20,6 +21,11 @@ from attack.judge import judged
 
 def _segfault() -> None:
     ctypes.string_at(0)
+
+
+def _heed() -> None:
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(130))
+    time.sleep(60)
 
 
 def _fail() -> None:
@@ -64,6 +70,7 @@ def main() -> None:
         "unknown code": _leave(5),
         "code of a bug": _leave(70),
         "hang": lambda: time.sleep(60),
+        "slow": _heed,
         "message of 1001": _print("error: " + "x" * 994),
         "message of many lines": _print("error: a\n" + "x\n" * 500),
         "escape": _print("\x1b[31mred", 1),
@@ -78,7 +85,7 @@ def main() -> None:
     told = {}
     for name, plant in plants.items():
         topcli.__main__.main = plant
-        said = call(["run"], folder, [folder / "out"], limit=0.5 if name == "hang" else 30.0)
+        said = call(["run"], folder, [folder / "out"], limit=0.3 if name in ("hang", "slow") else 30.0)
         told[name] = sorted({kind for kind, _ in judged(said)})
     print(json.dumps(told))
 

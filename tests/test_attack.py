@@ -59,6 +59,7 @@ SEEN = {
     "unknown code": ["exit code"],
     "code of a bug": ["traceback"],
     "hang": ["hang"],
+    "slow": ["slow"],
     "message of 1001": ["long message"],
     "message of many lines": ["long message"],
     "escape": ["control character"],

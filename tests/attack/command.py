@@ -19,6 +19,8 @@ from typing import Any, BinaryIO
 
 LIMIT = float(os.environ.get("ATTACK_LIMIT", "60"))
 """Seconds that a call may take."""
+HEED = 5.0
+"""Seconds after which a signal must have taken effect."""
 _NOFOLLOW = {"os.remove", "os.rename", "os.rmdir", "os.symlink", "os.link"}
 _WRITING = {"open", "os.mkdir", "os.truncate", "os.chmod", "os.chown", "os.utime", *_NOFOLLOW}
 _FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
@@ -28,7 +30,8 @@ _FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 class Said:
     """One call: its arguments, what it printed, its exit code, negative for a signal; None when it did not end.
 
-    ``touched`` are the files that it wrote outside the folders where it may write.
+    A call that takes longer than allowed is ``slow`` when SIGTERM ends it as interrupted. ``touched`` are
+    the files that it wrote outside the folders where it may write.
     """
 
     argv: tuple[str, ...]
@@ -36,6 +39,7 @@ class Said:
     out: str
     err: str
     touched: tuple[str, ...] = ()
+    slow: bool = False
 
 
 class Watch:
@@ -133,14 +137,17 @@ class Running:
         os.kill(self.pid, signal.SIGKILL)
 
     def finish(self, limit: float = LIMIT) -> Said:
-        """Wait for its end; after ``limit`` seconds it is killed, and its code is None."""
-        deadline, pause, code = time.monotonic() + limit, 0.0005, None
+        """Wait for its end; after ``limit`` seconds SIGTERM asks for it, and then it is killed."""
+        deadline, pause, code, asked = time.monotonic() + limit, 0.0005, None, False
         while True:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
                 code = os.waitstatus_to_exitcode(status)
                 break
-            if time.monotonic() > deadline:
+            if time.monotonic() > deadline and not asked:
+                os.kill(self.pid, signal.SIGTERM)
+                asked, deadline = True, deadline + HEED
+            elif time.monotonic() > deadline:
                 self.kill()
                 os.waitpid(self.pid, 0)
                 break
@@ -149,7 +156,9 @@ class Running:
         out, err, touched = (content_of(file) for file in self.files)
         for file in self.files:
             file.close()
-        return Said(self.argv, code, out, err, tuple(touched.splitlines()))
+        if asked and code == -signal.SIGTERM:
+            code = None
+        return Said(self.argv, code, out, err, tuple(touched.splitlines()), asked and code is not None)
 
 
 def fork(work: Callable[[], int]) -> int:

@@ -26,7 +26,7 @@ import ruamel.yaml
 import scipy.integrate  # noqa: F401 (all of these are imported once, here, and not in every process)
 import typer.main
 
-from attack.command import LIMIT, Said, Watch, content_of, fork, in_process, redirect
+from attack.command import HEED, LIMIT, Said, Watch, content_of, fork, in_process, redirect
 from attack.judge import Faults, Finding, judged
 from attack.mutations import Mutant, draw_for, mutant
 from topcli.config.ensemble import EnsembleExperiment
@@ -139,10 +139,12 @@ class Trier:
             stream.seek(0)
             stream.truncate()
         self.touched.clear()
+        began = time.monotonic()
         with self.watch.over([self.folder / "out", Path(os.environ["NUMBA_CACHE_DIR"])]):
             code = in_process(argv)
+        slow = time.monotonic() - began > LIMIT
         out, err = (content_of(stream) for stream in self.streams)
-        return Said(tuple(argv), code, out, err, tuple(self.touched))
+        return Said(tuple(argv), code, out, err, tuple(self.touched), slow)
 
     def attempt(self, index: int) -> tuple[bool, Faults]:
         """Try config ``index``: True if it was accepted, and the faults."""
@@ -187,6 +189,7 @@ class Batch:
     pid: int = 0
     seen: int = 0
     since: float = 0.0
+    asked: bool = False
 
     def begin(self, folder: Path, seed: int) -> None:
         """Start the process."""
@@ -206,18 +209,27 @@ class Batch:
             return 0
 
         self.log.write_text("")
-        self.seen, self.since = 0, time.monotonic()
+        self.seen, self.since, self.asked = 0, time.monotonic(), False
         self.pid = fork(work)
 
     def ended(self) -> str | None:
-        """None while it works; else how it ended, empty for well. A process that stands still is killed."""
+        """None while it works; else how it ended, empty for well.
+
+        A process that stands still is asked to end by SIGTERM, which a run heeds and after which the others are tried,
+        and is killed when it does not.
+        """
         pid, status = os.waitpid(self.pid, os.WNOHANG)
         if pid:
             code = os.waitstatus_to_exitcode(status)
+            if self.asked and code == -signal.SIGTERM:
+                return "hang"
             return signal.Signals(-code).name if code < 0 else f"exit code {code}" if code else ""
         if (size := self.log.stat().st_size) != self.seen:
-            self.seen, self.since = size, time.monotonic()
-        elif time.monotonic() - self.since > LIMIT:
+            self.seen, self.since, self.asked = size, time.monotonic(), False
+        elif not self.asked and time.monotonic() - self.since > LIMIT + 1.0:
+            os.kill(self.pid, signal.SIGTERM)
+            self.asked = True
+        elif time.monotonic() - self.since > LIMIT + 1.0 + HEED:
             os.kill(self.pid, signal.SIGKILL)
             os.waitpid(self.pid, 0)
             return "hang"

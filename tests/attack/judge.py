@@ -52,12 +52,14 @@ def judged(said: Said) -> Faults:
     """Everything wrong with one call that shows without knowing what it was meant to do."""
     call, found = "topcli " + " ".join(said.argv), []
     if said.code is None:
-        found.append(("hang", f"{call}: not ended after {LIMIT:g} s"))
+        found.append(("hang", f"{call}: not ended after {LIMIT:g} s, nor by SIGTERM"))
     elif said.code < 0:
         stack = [line.strip() for line in said.err.splitlines() if line.startswith("  File")][:1]
         found.append(("signal", f"{call}: {signal.Signals(-said.code).name} {' '.join(stack)}"))
     elif said.code not in CODES and said.code != BUG:
         found.append(("exit code", f"{call}: left with {said.code}: {_last_line(said.err)}"))
+    if said.slow:
+        found.append(("slow", f"{call}: not ended after {LIMIT:g} s, but by SIGTERM"))
     everything = said.out + said.err
     if said.code is not None and said.code < 0:
         pass  # what is printed then is the system's
