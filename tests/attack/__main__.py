@@ -70,7 +70,8 @@ def shared_out(work: Callable[[list[int]], Result], indices: list[int], workers:
     findings: list[Finding] = []
     for number, pid in enumerate(pids):
         if code := wait(pid):
-            raise RuntimeError(f"a process of the attack left with {code}")
+            findings.append(Finding("exception", f"share {number}", f"this process of the attack left with {code}"))
+            continue
         told, found = json.loads((folder / f"share-{number}.json").read_text(encoding="utf-8"))
         counts.update(told)
         findings += [Finding(*one) for one in found]

@@ -109,7 +109,7 @@ def content(folder: Path) -> Content:
         del report["seconds"]
         kept = {key: manifest.get(key) for key in ("digest", "code", "outcome", "message", "step", "config")}
         files["config.yaml"].decode()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, TopcliError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, TopcliError) as error:
         raise ValueError(f"{folder.name} cannot be read: {type(error).__name__} {error}") from None
     return Content(files, rows, report, kept)
 

@@ -169,16 +169,17 @@ def timed(begin: Start, folder: Path) -> float:
 
 def kills(scenes: Scenes, seed: int, count: int, kept: Path) -> tuple[dict[str, int], list[Finding]]:
     """Kill ``count`` times, in turn from each start; counts, and what was found."""
-    begins = starts(scenes)
-    spans = [timed(begin, scenes.base / "timed") for begin in begins]
+    begins, spans = starts(scenes), dict[int, float]()
     counts, findings = {"kills": 0, "finished": 0, "resumed": 0}, []
     for index in itertools.count():
         if counts["kills"] >= count:
             break
-        life = Life(begins[index % len(begins)], scenes.base / "life")
+        kind = index % len(begins)
+        spans[kind] = spans.get(kind) or timed(begins[kind], scenes.base / "timed")
+        life = Life(begins[kind], scenes.base / "life")
         faults = life.faults
         try:
-            done, resumed = life.go(draw_for(seed, "kills", index), spans[index % len(begins)], count - counts["kills"])
+            done, resumed = life.go(draw_for(seed, "kills", index), spans[kind], count - counts["kills"])
             counts["kills"] += done
             counts["resumed"] += resumed
             counts["finished"] += 1

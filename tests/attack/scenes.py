@@ -6,6 +6,7 @@ Rows reach the disk in small pieces and are looked at between a few steps, so th
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -138,12 +139,13 @@ def prepare(base: Path) -> Scenes:
         reference[suffix] = content(whole / NAME)
     many = load_any(configs / f"{ENSEMBLE}.yaml")
     done_in_fork(lambda: run_ensemble(many, base / "reference-ensemble"))  # pyright: ignore[reportArgumentType]
+    other = load_experiment(CONFIGS / f"{NAME}.yaml", ["N=30", f"name={OTHER}"])
+    done_in_fork(lambda: run_experiment(other, base / "beside"))
     reference["ensemble"] = content(base / "reference-ensemble" / ENSEMBLE)
 
     def scene(kind: str, suffix: str, make: Callable[[Path], object]) -> None:
         before = base / "before" / f"{kind}-{suffix}"
-        other = load_experiment(CONFIGS / f"{NAME}.yaml", ["N=30", f"name={OTHER}"])
-        done_in_fork(lambda: run_experiment(other, before))
+        shutil.copytree(base / "beside", before)
         wait(fork(lambda: int(make(before) is NotImplemented)))
         name = ENSEMBLE if suffix == "ensemble" else NAME
         config = configs / (f"{ENSEMBLE}.yaml" if suffix == "ensemble" else f"{suffix}/{NAME}.yaml")
