@@ -2,6 +2,7 @@
 # make test      install what tests need and run them
 # make check     lint, format, types, layers, tests
 # make docs     the documentation as HTML in docs/_build/html
+# make attack    mutated configs, damaged files, kills: minutes, and nothing may be found (ARGS='damage --seed 7')
 # make bench     speed against error, ours and other people's integrators: the table and the figure
 # make bench-steps  what single steps, start-up and storage cost (ratios against named baselines)
 # make clean     remove what was built; results/ stays
@@ -12,7 +13,7 @@ BIN := $(VENV)/bin
 NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
 export NUMBA_CACHE_DIR
 
-.PHONY: venv figures test check docs bench bench-steps clean
+.PHONY: venv figures test check attack docs bench bench-steps clean
 
 venv: $(VENV)/.installed
 
@@ -43,6 +44,9 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+
+attack: $(VENV)/.installed-dev
+	PYTHONPATH=tests $(BIN)/python -m attack $(ARGS)
 
 # a peer that cannot be installed is left out: the bench names it
 $(VENV)/.installed-peers: $(VENV)/.installed-dev

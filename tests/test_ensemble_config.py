@@ -212,6 +212,22 @@ def test_mistakes_of_lists_and_grids(section: Any, said: str) -> None:
     assert said in str(caught.value)
 
 
+@pytest.mark.parametrize("number", [math.inf, math.nan, 2**1024 - 1], ids=["inf", "nan", "too large"])
+@pytest.mark.parametrize(
+    "section",
+    [
+        {"grid": {"omega1": [0.5, 1.0]}},
+        {"states": [{"omega": [1, 0, 0]}]},
+        {"random": {"count": 2, "omega": {"sphere": 1}}},
+    ],
+    ids=["grid", "states", "random"],
+)
+def test_numbers_that_are_replaced_are_finite_too(section: Any, number: float) -> None:
+    initial = {"omega": [number, 0, 0], "gamma": [0, 0, 1]}
+    with pytest.raises(ConfigError, match=r"initial\.omega: must hold finite numbers, not (inf|nan)"):
+        any_from({**BASE, "initial": initial, "ensemble": section})
+
+
 @pytest.mark.parametrize(
     ("section", "good"),
     [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import itertools
-import json
 import os
 import subprocess
 import sys
@@ -216,15 +215,3 @@ def test_few_rows_in_many_pieces_take_the_memory_of_their_numbers(tmp_path: Path
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 10_000
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="the kills are of forks")
-def test_killed_at_random_moments(tmp_path: Path) -> None:
-    """SIGKILL anywhere leaves the old state or one to be resumed; ``TOPCLI_KILLS=50`` for more of them."""
-    kills = os.environ.get("TOPCLI_KILLS", "8")
-    command = [sys.executable, str(Path(__file__).with_name("kills.py")), str(tmp_path), kills, "20"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["kills"] >= int(kills)
-    assert told["finished"] > 0

@@ -62,6 +62,11 @@ def read_members(
     if found is None or section is None:
         return None
     kept = {key: _floats(value) for key, value in initial.items()}
+    for key, value in kept.items():  # of which a trajectory may replace any
+        for item in value if isinstance(value, list) else [value]:
+            if isinstance(item, float) and not math.isfinite(item):
+                problems.add(("initial", key), f"must hold finite numbers, not {item!r}")
+                return None
     return Members(found[0], {source: found[1], "store": section.store}, kept)
 
 

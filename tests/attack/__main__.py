@@ -1,0 +1,139 @@
+"""``python -m attack [fuzz] [damage] [kills]``: attack topcli, and leave with 1 when something was found.
+
+Without a part all three are done. ``--seed`` (``ATTACK_SEED``) repeats an earlier attack, ``--only`` single cases;
+``--configs``, ``--damages`` and ``--kills`` (``ATTACK_CONFIGS``, ``ATTACK_DAMAGES``, ``ATTACK_KILLS``) say
+how many, ``ATTACK_LIMIT`` after how many seconds a call counts as hanging.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import json
+import os
+import random
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import topcli.cli.app  # noqa: F401 (imported once, here, and not in every fork)
+from attack.command import fork
+from attack.damage import damage
+from attack.fuzz import fuzz
+from attack.judge import Finding
+from attack.kills import kills
+from attack.scenes import COMPILED, Scenes, prepare, small_pieces, wait
+
+PARTS = ("fuzz", "damage", "kills")
+Result = tuple[dict[str, int], list[Finding]]
+
+
+def _number(name: str, default: int) -> int:
+    return int(os.environ.get(name) or default)
+
+
+def arguments() -> argparse.Namespace:
+    """What the command line and the environment ask for."""
+    parser = argparse.ArgumentParser(prog="attack", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help="fuzz, damage, kills; all by default")
+    parser.add_argument("--seed", type=int, default=_number("ATTACK_SEED", random.SystemRandom().randrange(1, 10**6)))
+    parser.add_argument("--configs", type=int, default=_number("ATTACK_CONFIGS", 20_000), help="mutated configs")
+    parser.add_argument("--damages", type=int, default=_number("ATTACK_DAMAGES", 200), help="damaged files")
+    parser.add_argument("--kills", type=int, default=_number("ATTACK_KILLS", 100), help="kills")
+    parser.add_argument("--only", type=int, nargs="+", metavar="CASE", help="only these cases of fuzz or of damage")
+    parser.add_argument("--workers", type=int, default=_number("ATTACK_WORKERS", min(4, os.cpu_count() or 1)))
+    parser.add_argument("--folder", type=Path, help="where to work and to keep what is found; a temporary folder")
+    asked = parser.parse_args()
+    if wrong := [part for part in asked.parts if part not in PARTS]:
+        parser.error(f"no such part: {wrong[0]}; choose from {', '.join(PARTS)}")
+    asked.parts = asked.parts or list(PARTS)
+    if asked.only and len({"fuzz", "damage"} & set(asked.parts)) != 1:
+        parser.error("--only wants either fuzz or damage, whose cases it names")
+    return asked
+
+
+def shared_out(work: Callable[[list[int]], Result], indices: list[int], workers: int, folder: Path) -> Result:
+    """Do ``work`` in several processes, each with a share of the cases."""
+
+    def one(number: int) -> int:
+        counts, findings = work(indices[number::workers])
+        told = [[finding.kind, finding.case, finding.text] for finding in findings]
+        (folder / f"share-{number}.json").write_text(json.dumps([counts, told]), encoding="utf-8")
+        return 0
+
+    pids = [fork(lambda number=number: one(number)) for number in range(workers)]
+    counts: Counter[str] = Counter()
+    findings: list[Finding] = []
+    for number, pid in enumerate(pids):
+        if code := wait(pid):
+            findings.append(Finding("exception", f"share {number}", f"this process of the attack left with {code}"))
+            continue
+        told, found = json.loads((folder / f"share-{number}.json").read_text(encoding="utf-8"))
+        counts.update(told)
+        findings += [Finding(*one) for one in found]
+    return dict(counts), sorted(findings, key=lambda finding: int(finding.case.split()[1]))
+
+
+def attack(part: str, asked: argparse.Namespace, scenes: Callable[[], Scenes], folder: Path) -> Result:
+    """One part of the attack."""
+    kept = folder / "found"
+    if part == "fuzz":
+        return fuzz(asked.seed, asked.only or list(range(asked.configs)), folder / "fuzz", kept, asked.workers)
+    here = scenes()
+    if part == "damage":
+        cases = asked.only or list(range(asked.damages))
+        if not asked.only:
+            for scheme in COMPILED:  # made here, before the work is shared out
+                here.code(scheme)
+        workers = 1 if asked.only else asked.workers
+        return shared_out(lambda share: damage(here, asked.seed, share, kept), cases, workers, folder)
+    return kills(here, asked.seed, asked.kills, kept)
+
+
+def main() -> int:
+    """Attack; the exit code."""
+    asked = arguments()
+    sys.dont_write_bytecode = True
+    faulthandler.enable()
+    folder = Path(os.path.realpath(asked.folder or tempfile.mkdtemp(prefix="topcli-attack-")))
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(folder / "machine-code"))
+    cache = os.environ["NUMBA_CACHE_DIR"]
+    print(f"ATTACK_SEED={asked.seed}  ({', '.join(asked.parts)}; findings are kept in {folder / 'found'})", flush=True)
+    made: list[Scenes] = []
+
+    def scenes() -> Scenes:
+        if not made:
+            small_pieces()
+            (folder / "runs").mkdir()
+            made.append(prepare(folder / "runs"))
+            if not made[0].verify:
+                print("damage: there is no command `topcli verify` to be tried", flush=True)
+        return made[0]
+
+    found = 0
+    for part in asked.parts:
+        began = time.monotonic()
+        counts, findings = attack(part, asked, scenes, folder)
+        for finding in findings:
+            print(finding)
+        kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(finding.kind for finding in findings).items())
+        numbers = ", ".join(f"{count} {what}" for what, count in counts.items())
+        print(f"{part}: {numbers} in {time.monotonic() - began:.0f} s; found: {kinds or 'nothing'}", flush=True)
+        found += len(findings)
+    if found:
+        print(f"{found} findings in {folder / 'found'}; repeat with ATTACK_SEED={asked.seed}")
+    for left in folder.iterdir():
+        if left.name != "found" and str(left) != cache:
+            shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink()
+    if not found and asked.folder is None:
+        shutil.rmtree(folder, ignore_errors=True)
+    return int(found > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
