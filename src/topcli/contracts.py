@@ -16,11 +16,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
+
+from topcli.errors import UsageError
 
 Floats = tuple[float, ...]
 Array = NDArray[np.floating[Any]]
@@ -85,7 +88,10 @@ class Top(BaseModel):
         raise NotImplementedError
 
     def euler_poisson(self) -> EulerPoisson:
-        """The same top as a case of the general Euler-Poisson equations."""
+        """The same top as a case of the general Euler-Poisson equations; need not be given.
+
+        Never trusted as it is: ``checked_equations`` compares it with ``field``.
+        """
         raise NotImplementedError
 
     def warnings(self) -> tuple[str, ...]:
@@ -93,7 +99,10 @@ class Top(BaseModel):
 
         By default: moments of inertia that break the triangle inequality, which no rigid body has.
         """
-        moments = self.euler_poisson().moments
+        try:
+            moments = checked_equations(self, "the check of the moments").moments
+        except UsageError:
+            return ()
         small, middle, large = sorted(moments)
         if large <= (small + middle) * (1.0 + 1e-12):  # decimals such as 0.3, 0.1, 0.2 are rounded
             return ()
@@ -107,6 +116,88 @@ class Top(BaseModel):
     def new(cls) -> Self:
         """The top with its default parameters."""
         return cls()
+
+
+AGREEMENT = 1e-12
+"""Relative difference between ``field`` and ``euler_poisson`` that rounding may explain, component by component."""
+PROBES = 4
+SIZES = ((1.0, 1.0), (0.0, 1.0), (1.0, 0.0), (1e-6, 1.0), (1e6, 1.0))
+"""Sizes of omega and gamma at which they are compared, so that no term hides behind a larger one."""
+
+
+def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
+    """Return ``top.euler_poisson()`` after comparing it with ``top.field``.
+
+    Parameters
+    ----------
+    top : Top
+        Any top, also one from a user's file.
+    needed_by : str
+        What is about to use the equations, for the message: "scheme 'taylor'".
+
+    Raises
+    ------
+    UsageError
+        If the top gives no Euler-Poisson equations, or if they are not those of its field; the message names the
+        component that differs.
+    """
+    try:
+        equations, fault = _compared(top)
+    except NotImplementedError:
+        raise UsageError(
+            f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not give; "
+            "use a scheme that needs the field alone, such as rk4, or define euler_poisson()"
+        ) from None
+    if fault:
+        raise UsageError(f"top {top.kind!r}: euler_poisson(), which {needed_by} needs, is not its field: {fault}")
+    return equations
+
+
+@lru_cache(maxsize=256)
+def _compared(top: Top) -> tuple[EulerPoisson, str]:
+    """The top's equations, and by how much which component of its field differs from them; empty if none does."""
+    equations = top.euler_poisson()
+    d, field = len(top.components), getattr(type(top), "field", None)
+    if field is None:  # then the equations are all there is
+        return equations, ""
+    p = top.constants()
+    if d not in (3, 6):
+        return equations, f"its state has {d} components; expected omega (3), or omega and gamma (6)"
+    for probe in range(PROBES):
+        direction = np.cos(np.arange(1.0, 7.0) + 6.0 * probe)  # in general position
+        for omega, gamma in SIZES:
+            y = np.concatenate([omega * direction[:3], (gamma if d == 6 else 0.0) * direction[3:]])
+            expected, terms = _euler_poisson_rates(equations, y)
+            with np.errstate(all="ignore"):
+                found = np.array(field(tuple(y[:d].tolist()), p), dtype=float)
+            if found.shape != (d,):
+                return equations, f"the field has {found.size} components, the state {d}"
+            # beyond the range of a double there is nothing to compare
+            judged = np.isfinite(found) & np.isfinite(terms[:d])
+            with np.errstate(all="ignore"):
+                wrong = judged & (np.abs(found - expected[:d]) > AGREEMENT * terms[:d])
+            if wrong.any():
+                i = int(np.argmax(wrong))
+                state = ", ".join(f"{value:.3g}" for value in y[:d])
+                return equations, (
+                    f"{top.components[i]}' is {found[i]:.10g} by the field and {expected[i]:.10g} by the equations "
+                    f"at ({state})"
+                )
+    return equations, ""
+
+
+def _euler_poisson_rates(equations: EulerPoisson, y: Array) -> tuple[Array, Array]:
+    """Right-hand side of the Euler-Poisson equations at a state (6,), and the magnitudes of its terms (6,)."""
+    moments, gravity = np.array(equations.moments), np.array(equations.gravity)
+    omega, gamma = equations.omega_sign * y[:3], y[3:]
+    j, k = np.array([1, 2, 0]), np.array([2, 0, 1])
+    with np.errstate(all="ignore"):
+        turn = omega[j] * omega[k]
+        torque = (moments[j] - moments[k]) * turn + (gamma[j] * gravity[k] - gamma[k] * gravity[j])
+        size = (moments[j] + moments[k]) * np.abs(turn) + np.abs(gamma[j] * gravity[k]) + np.abs(gamma[k] * gravity[j])
+        first, second = gamma[j] * omega[k], gamma[k] * omega[j]
+        rates = np.concatenate([equations.omega_sign * torque / moments, first - second])
+        return rates, np.concatenate([np.abs(size / moments), np.abs(first) + np.abs(second)])
 
 
 class NoOptions(BaseModel):

@@ -13,12 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from topcli.contracts import Array, Top
+from topcli.contracts import Array, Top, checked_equations
 from topcli.engine.driver import SIGNATURE
 from topcli.engine.native import Native, native_text
 from topcli.kernels.series_batch import ALPHA, BETA, COUNT, DELTA, HI, LANES, LEVEL, SLOTS, TIME, UNIT, batch_loop
 from topcli.schemes.taylor import log2_of, quotients, scales
 
+NAME = "scheme 'taylor'"
 ORDERS = (12, 28)
 """The least and the greatest order."""
 
@@ -31,14 +32,14 @@ def batch_order(tol: float) -> int:
 
 def batch_code(top: Top, tol: float) -> Native:
     """The time loop of eight trajectories of ``top`` as machine code."""
-    named = zip(("alpha", "beta", "delta"), quotients(top.euler_poisson()), strict=True)
+    named = zip(("alpha", "beta", "delta"), quotients(checked_equations(top, NAME)), strict=True)
     lacks = frozenset(f"{name}{i}" for name, values in named for i, value in enumerate(values) if value == 0.0)
     return native_text(batch_loop(len(top.components), batch_order(tol), lacks), "advance", SIGNATURE)
 
 
 def prepared(top: Top, y0: Array, tol: float) -> Array:
     """The working state for eight initial states (8, d), shape (SLOTS, 8)."""
-    equations, d = top.euler_poisson(), y0.shape[1]
+    equations, d = checked_equations(top, NAME), y0.shape[1]
     work = np.zeros((SLOTS, LANES))
     work[LEVEL] = log2_of(tol)
     tables = np.array(quotients(equations))

@@ -12,7 +12,7 @@ What makes it fast:
 
 from __future__ import annotations
 
-from topcli.contracts import Floats, Stepper, Top
+from topcli.contracts import Floats, Stepper, Top, checked_equations
 from topcli.kernels.euler_poisson import midpoint_change
 from topcli.kernels.increments import carried_sums, first6
 from topcli.schemes.compensated import CompensatedOption, compensation_wanted
@@ -72,7 +72,7 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     Its own inverse under h -> -h. Every quadratic integral is conserved exactly, for any top: gamma², m·gamma and the
     energy. Kowalevski's k² is of degree four and only stays close.
     """
-    equations = top.euler_poisson()
+    equations = checked_equations(top, "scheme 'midpoint'")
     coefficients = (*equations.moments, *equations.gravity)
 
     def enter_body(y: Floats, h: float, p: Floats) -> Floats:
