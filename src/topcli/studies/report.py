@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from topcli.analysis.drift import ROUND_OFF_ULPS, SIGNIFICANCE, InvariantRow
+from topcli.analysis.drift import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 
 SCHEMA_VERSION = 1
 
@@ -39,6 +39,7 @@ INVARIANT_COLUMNS = (
     "drift per unit time",
     "± standard error",
     "over the run",
+    "model",
     "scatter",
     "round-off bound",
     "verdict",
@@ -59,6 +60,7 @@ def invariant_cells(row: dict[str, Any]) -> tuple[str, ...]:
         number(row["drift"]),
         number(row["drift_error"], 2),
         number(row["drift_over_run"]),
+        row["model"] or "–",
         number(row["scatter"]),
         number(row["round_off_bound"]),
         row["verdict"],
@@ -84,6 +86,7 @@ def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[s
             **summary,
             "round_off_ulps": ROUND_OFF_ULPS,
             "significance": SIGNIFICANCE,
+            "lost": LOST,
             "invariants": [row.as_dict() for row in rows],
         }
     )
@@ -144,8 +147,11 @@ def report_markdown(report: dict[str, Any]) -> str:
         *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
         "",
         f"Deviations are from the first value. *exact*: no deviation beyond {ROUND_OFF_ULPS:g} ulp × √steps of the "
-        f"invariant's terms. *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
-        "further than twice the scatter about it. *bounded*: neither. *unjudged*: too little to judge by.",
+        f"invariant's terms. *lost*: a deviation of more than {LOST:g} of the first value (of {TERMS:g} of the terms where "
+        f"that is larger). *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
+        "further than twice the scatter about it. *bounded*: neither. *unjudged*: too little to judge by. The standard "
+        "error is that of the model: a linear trend with noise that does not grow, or a random walk, which has a slope "
+        "in any one run.",
         "",
         f"Compiled or loaded in {report['seconds']['compile']:.3g} s, ran in {report['seconds']['run']:.3g} s.",
         "",
