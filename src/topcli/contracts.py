@@ -14,7 +14,7 @@ An author of a scheme meets these duties:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache
 from typing import Any, ClassVar, Self
@@ -74,6 +74,9 @@ class Top(BaseModel):
     """Names of the vectors of the initial state and where they lie in it, e.g. ``{"omega": (0, 3)}``."""
     unit_vectors: ClassVar[tuple[str, ...]] = ()
     """Those of ``vectors`` that must have unit length."""
+    energy: ClassVar[str] = "energy"
+    """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
+    ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
     swing: ClassVar[str]
     """The component whose deep minima mark the swings of the top."""
     field: ClassVar[Callable[[Floats, Floats], Floats]]
@@ -300,6 +303,7 @@ class Outcome(StrEnum):
     """How a run ended."""
 
     COMPLETED = "completed"
+    LEFT_MOTION = "left_motion"
     BLEW_UP = "blew_up"
     NO_CONVERGENCE = "no_convergence"
     INTERRUPTED = "interrupted"
@@ -307,20 +311,37 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Ending:
-    """How and where a run ended: ``step`` is the last step taken, or the step that failed."""
+    """How and where a run ended: ``step`` is the last step taken, or the step that failed.
+
+    ``left`` is the first recorded step at which the state was far off its energy surface and ``left_t`` its time, None
+    for never. The run goes on; where nothing else ends it, its outcome is ``left_motion``.
+    """
 
     outcome: Outcome
     step: int
     t: float
     counters: Mapping[str, int] = field(default_factory=dict)
+    left: int | None = None
+    left_t: float | None = None
+
+    def having_left(self, step: int | None, h: float) -> Ending:
+        """The same ending of a run with steps of ``h`` that left its energy surface at ``step``; None for never."""
+        if step is None:
+            return self
+        outcome = Outcome.LEFT_MOTION if self.outcome is Outcome.COMPLETED else self.outcome
+        return replace(self, outcome=outcome, left=step, left_t=step * h)
 
     @property
     def message(self) -> str:
         """One line that says how the run ended."""
         where = f"at step {self.step} (t = {self.t:.6g})"
-        return {
-            Outcome.COMPLETED: f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})",
+        completed = f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})"
+        left = "" if self.left is None else f"left its energy surface at step {self.left} (t = {self.left_t:.6g})"
+        told = {
+            Outcome.COMPLETED: completed,
+            Outcome.LEFT_MOTION: f"{left}; {completed}",
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
             Outcome.NO_CONVERGENCE: f"did not converge {where}",
             Outcome.INTERRUPTED: f"interrupted {where}",
         }[self.outcome]
+        return f"{told}; before, it {left}" if left and self.outcome is not Outcome.LEFT_MOTION else told

@@ -17,14 +17,14 @@ The slope is fitted to block means, ``BLOCKS`` or up to twice as many, with Hann
 in a run of length T leaks into the slope only as (P/T)^3. Its standard error depends on what the deviation does
 beside the slope, for which two models are compared:
 
-*linear trend*  noise or an oscillation that does not grow; the error allows for correlated residuals (Newey, West 1987);
+*linear trend*  noise or an oscillation that does not grow; its error allows for correlation (Newey, West 1987);
 *random walk*   independent increments, as from rounding errors: any one walk has a slope, which says nothing.
 
 The trend is preferred only if ``EVIDENCE`` times as likely, judged by the ``LOW`` slowest components of the residuals:
 of white noise they are equally large, of a random walk the slower the larger (as in Mueller, Watson, Econometrica 76
-(2008) 979), or by all components. In 4,000 simulations each with 64 to 128 blocks, random walks without drift were taken
-for linear trends in 4 of 100 cases and exceeded ``SIGNIFICANCE`` standard errors in 2 of 100 (in 22 to 30 of 100 by the
-error of a linear trend); white noise was never taken for a random walk and exceeded them in 1 of 4,000.
+(2008) 979), or by all components. In 4,000 simulations each with 64 to 128 blocks, random walks without drift were
+taken for linear trends in 4 of 100 cases and exceeded ``SIGNIFICANCE`` standard errors in 2 of 100 (in 22 to 30 of 100
+by the error of a linear trend); white noise was never taken for a random walk and exceeded them in 1 of 4,000.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Invariant
+from topcli.analysis.leaving import energy_limits, first_beyond
+from topcli.contracts import Array, Invariant, Top
 
 ROUND_OFF_ULPS = 20.0
 SIGNIFICANCE = 5.0
@@ -133,9 +134,9 @@ def _long_run(values: Array, lags: int) -> float:
 
 @cache
 def _slow_components(m: int, q: int) -> tuple[Array, Array, float]:
-    """The q slowest polynomials (m, q) orthonormal to each other and to all lines, and what a random walk makes of them.
+    """The q slowest polynomials (m, q) orthonormal to each other and to all lines, and how a random walk weighs them.
 
-    That is the inverse of the covariance of its components (q, q), for increments of unit variance, and half the
+    The latter is the inverse of the covariance of its components (q, q), for increments of unit variance, and half the
     logarithm of the determinant of the covariance.
     """
     x = np.linspace(-1.0, 1.0, m)
@@ -170,48 +171,53 @@ def round_off_bound(steps: Any, scale: Any) -> Any:
     return ROUND_OFF_ULPS * _EPS * np.sqrt(steps) * scale
 
 
-NUMBERS = 5
+NUMBERS = 7
 """Of a tally beside its sums over blocks."""
 
 
 class _Tally:
     """Running sums of one invariant's deviation."""
 
-    def __init__(self, invariant: Invariant, first: float) -> None:
-        self.invariant, self.first = invariant, first
+    def __init__(self, invariant: Invariant, first: float, limit: float = math.inf) -> None:
+        self.invariant, self.first, self.limit, self.left = invariant, first, limit, math.nan
         self.low = self.high = first
         self.scale = 0.0
         self.squares = 0.0
         self.sums = np.zeros(2 * BLOCKS)
 
-    def add(self, states: Array, block: NDArray[np.int64]) -> None:
+    def add(self, n: NDArray[np.int64], states: Array, block: NDArray[np.int64]) -> None:
         values = self.invariant.value(states)
         deviation = values - self.first
         self.low = float(np.minimum(self.low, values.min()))  # unlike min() it keeps a nan
         self.high = float(np.maximum(self.high, values.max()))
+        if math.isnan(self.left) and not max(self.high - self.first, self.first - self.low) <= self.limit:
+            at = first_beyond(deviation, self.limit)
+            self.left = math.nan if at is None else float(n[at])
         self.scale = float(np.maximum(self.scale, self.invariant.scale(states).max()))
         self.squares += float(deviation @ deviation)
         self.sums += np.bincount(block, weights=deviation, minlength=2 * BLOCKS)
 
     def numbers(self) -> Array:
         """Everything that rows have changed, (NUMBERS + 2 * BLOCKS,)."""
-        few = [self.first, self.low, self.high, self.scale, self.squares]
+        few = [self.first, self.low, self.high, self.scale, self.squares, self.limit, self.left]
         return np.concatenate([np.array(few), self.sums])
 
     def restore(self, numbers: Array) -> None:
         """Be as one was when these were the ``numbers()``."""
-        self.first, self.low, self.high, self.scale, self.squares = numbers[:NUMBERS].tolist()
+        few = numbers[:NUMBERS].tolist()
+        self.first, self.low, self.high, self.scale, self.squares, self.limit, self.left = few
         self.sums = np.array(numbers[NUMBERS:])
 
 
 class InvariantTally:
     """The report on ``invariants`` over a run of steps of size h, fed with chunks of rows.
 
-    The run's length need not be known: blocks that fill up are joined in pairs.
+    The run's length need not be known: blocks that fill up are joined in pairs. With the ``top``, ``left`` is the first
+    recorded step at which its energy shows that the state has left its energy surface, None for never.
     """
 
-    def __init__(self, invariants: Sequence[Invariant], h: float) -> None:
-        self._invariants, self._h = invariants, h
+    def __init__(self, invariants: Sequence[Invariant], h: float, top: Top | None = None) -> None:
+        self._invariants, self._h, self._top = invariants, h, top
         self._width = 1
         self._tallies: list[_Tally] = []
         self._counts = np.zeros(2 * BLOCKS)
@@ -226,6 +232,10 @@ class InvariantTally:
             with np.errstate(over="ignore", invalid="ignore"):
                 firsts = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
             self._tallies = list(map(_Tally, self._invariants, firsts))
+            if self._top is not None:
+                limit = float(energy_limits(self._top, states[:1])[0])
+                for tally in self._tallies:
+                    tally.limit = limit if tally.invariant.name == self._top.energy else math.inf
         while int(n[-1]) // self._width >= 2 * BLOCKS:
             self._width *= 2
             for sums in (self._counts, self._steps_in, *(tally.sums for tally in self._tallies)):
@@ -236,7 +246,12 @@ class InvariantTally:
         self._last = int(n[-1])
         with np.errstate(over="ignore", invalid="ignore"):  # huge states: the report says that it is not finite
             for tally in self._tallies:
-                tally.add(states, block)
+                tally.add(n, states, block)
+
+    @property
+    def left(self) -> int | None:
+        """The first recorded step at which the energy was beyond its limit; None for never."""
+        return next((int(tally.left) for tally in self._tallies if not math.isnan(tally.left)), None)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything taken in so far, in arrays of a fixed size: what ``restore`` goes on from, bit for bit."""

@@ -14,7 +14,7 @@ import numpy as np
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.many import ManyTally, joined_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
-from topcli.contracts import Invariant
+from topcli.contracts import Ending, Invariant
 from topcli.engine.ensemble import EnsembleRun, Piece
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter, io_failure
@@ -55,7 +55,7 @@ class GroupRun(Generic[Made]):
         one = experiment.of_group(group)
         self.experiment, self.group, self.offset = experiment, group, offset
         self.modified: tuple[Invariant, ...] = one.modified
-        self.tally = ManyTally((*group.top.invariants(), *self.modified), len(group.states))
+        self.tally = ManyTally((*group.top.invariants(), *self.modified), len(group.states), group.top)
         self.names = list(one.output.columns or column_names(group.top))
 
         def made(piece: Piece) -> Made:
@@ -66,6 +66,12 @@ class GroupRun(Generic[Made]):
         self.run = EnsembleRun(
             group.top, method, group.states, one.h, one.N, every, made=made, stop=stop, threads=threads
         )
+
+    @property
+    def endings(self) -> list[Ending]:
+        """How each trajectory ended, those that left their energy surface marked as such."""
+        left = [None if step < 0 else step for step in self.tally.left.tolist()]
+        return [ending.having_left(step, self.run.h) for ending, step in zip(self.run.endings, left, strict=True)]
 
     def rows(self, first: int | np.ndarray, n: np.ndarray, states: np.ndarray) -> Columns:
         """Columns of rows (m,): numbers of the trajectories in the group, step numbers (m,), states (m, d)."""
@@ -95,7 +101,7 @@ def _no_rows(group: GroupRun[Any], piece: Piece) -> Columns | None:
 def trajectory_table(experiment: EnsembleExperiment, runs: Sequence[GroupRun[Any]]) -> Columns:
     """The table of trajectories: parameters that vary, initial state, how it ended, what it kept."""
     top = experiment.top
-    endings = [ending for run in runs for ending in run.run.endings]
+    endings = [ending for run in runs for ending in run.endings]
     counts = [len(run.group.states) for run in runs]
     made: Columns = {"trajectory": np.arange(experiment.count, dtype=np.int64)}
     for name in type(top).model_fields:
@@ -106,6 +112,7 @@ def trajectory_table(experiment: EnsembleExperiment, runs: Sequence[GroupRun[Any
     made |= {f"initial_{name}": states[:, i] for i, name in enumerate(top.components)}
     made["outcome"] = np.array([ending.outcome.value for ending in endings])
     made["n"] = np.array([ending.step for ending in endings], dtype=np.int64)
+    made["left_motion"] = np.array([-1 if ending.left is None else ending.left for ending in endings], dtype=np.int64)
     return made | joined_columns([run.tally for run in runs])
 
 
@@ -184,7 +191,7 @@ def run_ensemble(
                     "run": sum(one.run.run_seconds for one in runs),
                     "threads": runs[0].run.threads,
                 }
-                endings = [ending for one in runs for ending in one.run.endings]
+                endings = [ending for one in runs for ending in one.endings]
                 report = ensemble_report(experiment, endings, [one.tally for one in runs], seconds)
                 ended = {"topcli.outcome": report["outcome"], "topcli.message": report["message"]}
                 if series is not None:

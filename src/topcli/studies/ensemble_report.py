@@ -17,12 +17,23 @@ SHOWN = 20
 TITLES = {"max_deviation": "max deviation", "rms_deviation": "rms deviation", "final_deviation": "deviation at the end"}
 
 
+FAILED = (Outcome.LEFT_MOTION, Outcome.BLEW_UP, Outcome.NO_CONVERGENCE)
+
+
+def _failure(ending: Ending) -> dict[str, Any]:
+    """Step and time at which a trajectory failed: the first of a failure that did not end it."""
+    if ending.outcome is Outcome.LEFT_MOTION:
+        return {"step": ending.left, "t": ending.left_t}
+    return {"step": ending.step, "t": ending.t}
+
+
 def overall(endings: Sequence[Ending], N: int) -> tuple[Outcome, str]:
     """How the ensemble ended, and a line that says so: interrupted, or completed if all are, or the first failure."""
     counts = Counter(ending.outcome for ending in endings)
     total = len(endings)
     words = {
         Outcome.COMPLETED: "completed",
+        Outcome.LEFT_MOTION: "left their energy surface",
         Outcome.BLEW_UP: "blew up",
         Outcome.NO_CONVERGENCE: "did not converge",
         Outcome.INTERRUPTED: "interrupted",
@@ -31,7 +42,7 @@ def overall(endings: Sequence[Ending], N: int) -> tuple[Outcome, str]:
         return Outcome.COMPLETED, f"all {total} trajectories completed {N} step{'s' * (N != 1)}"
     told = ", ".join(f"{counts[outcome]} {word}" for outcome, word in words.items() if counts[outcome])
     message = f"of {total} trajectories {told}"
-    failed = [i for i, end in enumerate(endings) if end.outcome in (Outcome.BLEW_UP, Outcome.NO_CONVERGENCE)]
+    failed = [i for i, end in enumerate(endings) if end.outcome in FAILED]
     if failed:
         message += f"; the first of them, trajectory {failed[0]}, {endings[failed[0]].message}"
     if counts[Outcome.INTERRUPTED]:
@@ -46,9 +57,9 @@ def ensemble_report(
     first = experiment.first
     outcome, message = overall(endings, first.N)
     failures = [
-        {"trajectory": i, "outcome": ending.outcome.value, "step": ending.step, "t": ending.t}
+        {"trajectory": i, "outcome": ending.outcome.value, **_failure(ending)}
         for i, ending in enumerate(endings)
-        if ending.outcome in (Outcome.BLEW_UP, Outcome.NO_CONVERGENCE)
+        if ending.outcome in FAILED
     ]
     counters: Counter[str] = Counter()
     for ending in endings:
@@ -95,7 +106,7 @@ def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
 def ensemble_markdown(report: dict[str, Any]) -> str:
     """``report.md``: the same content for a reader."""
     listed = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
-    failed = report["outcomes"].get("blew_up", 0) + report["outcomes"].get("no_convergence", 0)
+    failed = sum(report["outcomes"].get(outcome.value, 0) for outcome in FAILED)
     if failed > len(listed):
         listed.append(f"- and {failed - len(listed)} more")
     lines = [

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from topcli.analysis.drift import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
+from topcli.contracts import Ending
 
 SCHEMA_VERSION = 1
 
@@ -78,6 +79,11 @@ def finite(data: Any) -> Any:
     return data
 
 
+def left_motion(ending: Ending) -> dict[str, Any] | None:
+    """First recorded step and time at which a run was far off its energy surface; None for never."""
+    return None if ending.left is None else {"step": ending.left, "t": ending.left_t}
+
+
 def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[str, Any]:
     """The content of ``report.json``: the run's ``summary`` and a row for each invariant."""
     return finite(
@@ -147,8 +153,8 @@ def report_markdown(report: dict[str, Any]) -> str:
         *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
         "",
         f"Deviations are from the first value. *exact*: no deviation beyond {ROUND_OFF_ULPS:g} ulp × √steps of the "
-        f"invariant's terms. *lost*: a deviation of more than {LOST:g} of the first value (of {TERMS:g} of the terms where "
-        f"that is larger). *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
+        f"invariant's terms. *lost*: a deviation of more than {LOST:g} of the first value (or of {TERMS:g} of the "
+        f"terms). *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
         "further than twice the scatter about it. *bounded*: neither. *unjudged*: too little to judge by. The standard "
         "error is that of the model: a linear trend with noise that does not grow, or a random walk, which has a slope "
         "in any one run.",
