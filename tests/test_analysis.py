@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from conftest import GEN
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.drift import InvariantTally, trend
+from topcli.analysis.drift import InvariantTally, Trend, trend
 from topcli.analysis.order import observed_order
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.contracts import Invariant
@@ -49,6 +49,12 @@ def test_known_slope_is_recovered_within_its_error() -> None:
     assert row.drift_over_run == pytest.approx(2e-4 * 200.0, rel=0.1)
 
 
+def fitted(t: np.ndarray, values: np.ndarray) -> Trend:
+    found = trend(t, values)
+    assert found is not None
+    return found
+
+
 def noises(kind: str, count: int, m: int) -> list[np.ndarray]:
     """Noise without a trend: white, correlated over six blocks, or a random walk, as such or by means of ten steps."""
     random = np.random.default_rng(7)
@@ -78,7 +84,7 @@ def test_slope_errors_are_honest(kind: str, walks: tuple[float, float], least: f
     alone 22 to 30% of the walks. The median ratio is 0.7; less where noise correlated over six of 64 blocks is taken
     for a walk, in 56 to 77% of the cases, which costs power and raises no false alarm.
     """
-    fits = [trend(np.arange(float(m)), noise) for noise in noises(kind, 600, m)]
+    fits = [fitted(np.arange(float(m)), noise) for noise in noises(kind, 600, m)]
     ratios = np.array([abs(fit.slope) / fit.error for fit in fits])
     assert walks[0] <= np.mean([fit.model == "random walk" for fit in fits]) <= walks[1]
     assert np.mean(ratios > 5.0) < (0.035 if "walk" in kind else 0.01)
@@ -96,7 +102,7 @@ def test_a_walk_has_the_error_of_its_increments(kind: str, steps: int) -> None:
     influence = np.repeat(weight * s / (weight @ s**2) / steps, steps)
     numbers = np.arange(m * steps)
     expected = 3.0 * math.sqrt(influence @ (np.minimum.outer(numbers, numbers) + 1.0) @ influence)
-    fits = [trend(t, 3.0 * walk) for walk in noises(kind, 300, m)]
+    fits = [fitted(t, 3.0 * walk) for walk in noises(kind, 300, m)]
     errors = [fit.error for fit in fits if fit.model == "random walk"]
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(expected, rel=0.1)  # 0.06 off for means
     assert np.std([fit.slope for fit in fits]) == pytest.approx(expected, rel=0.15)  # 4 standard errors
@@ -108,6 +114,7 @@ def test_a_walk_with_a_drift_of_its_own_is_drifting() -> None:
     assert report(1.0 + walk).verdict == "bounded"
     row = report(1.0 + walk + 10.0 * 1e-6 / math.sqrt(N) * np.arange(N + 1))
     assert (row.verdict, row.model) == ("drifting", "random walk")
+    assert row.drift is not None
     assert row.drift * 200.0 == pytest.approx(10.0 * 1e-6 * math.sqrt(N), rel=0.3)
 
 

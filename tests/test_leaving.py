@@ -17,6 +17,7 @@ from resuming import after, content, killed
 from topcli.analysis.drift import InvariantTally
 from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.many import ManyTally
+from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load_any, load_experiment
 from topcli.contracts import Invariant, Outcome, Top
 from topcli.schemes.registry import find_scheme
@@ -212,6 +213,7 @@ def test_leaving_survives_an_interruption(tmp_path: Path, suffix: str, chunks: i
 
 def test_ensembles_count_them(tmp_path: Path) -> None:
     experiment = load_any("kowalevski_ensemble", ["h=2", "N=300", "ensemble.store=final"])
+    assert isinstance(experiment, EnsembleExperiment)
     result = run_ensemble(experiment, tmp_path)
     report = result.report
     table = pq.read_table(tmp_path / "kowalevski_ensemble" / "trajectories.parquet")
@@ -253,4 +255,5 @@ def test_stress_counts_it_as_broken() -> None:
     case = Case("far", "kowalevski", "?", lambda: config, stays_bounded)
     judged = tried(case, find_scheme("hk", "kowalevski"), Workshop())
     assert judged.finding.result is Result.BROKE
+    assert judged.finding.figures["largest"] > 1e10
     assert (judged.finding.step, judged.finding.why) == (14, "left its energy surface at step 14 (t = 28)")

@@ -155,7 +155,8 @@ def ended_badly(motion: Motion) -> Finding | None:
         return None
     if ending.outcome is Outcome.LEFT_MOTION:
         why = f"left its energy surface at step {ending.left} (t = {ending.left_t:.4g})"
-        return Finding(Result.BROKE, why, ending.left)
+        sizes = np.abs(motion.states).max(axis=1)
+        return Finding(Result.BROKE, why, ending.left, {"largest": float(sizes.max() / sizes[0])})
     what = {Outcome.BLEW_UP: "blew up", Outcome.NO_CONVERGENCE: "did not converge"}[ending.outcome]
     return Finding(Result.BROKE, f"{what} at step {ending.step} (t = {ending.t:.4g})", ending.step)
 
