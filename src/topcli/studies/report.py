@@ -98,8 +98,8 @@ def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[s
     )
 
 
-ORDINARY = ("iterations", "evaluations", "corrections", "chart_switches")
-"""Counters of what a scheme does anyway; any other counts what a user should know of."""
+ORDINARY = ("iterations", "evaluations", "expansions", "corrections", "chart_switches")
+"""Counters of a scheme's normal work; any other counts events that a user should know of."""
 
 
 def warning_of(report: dict[str, Any]) -> str:
