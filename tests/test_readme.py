@@ -69,3 +69,56 @@ def test_the_scheme_of_the_readme_can_be_compared(tmp_path: Path) -> None:
 @pytest.mark.parametrize("target", re.findall(r"\]\(([^)#]+)\)", README))
 def test_links_lead_somewhere(target: str) -> None:
     assert (ROOT / target).exists()
+
+
+def block_after(command: str) -> list[str]:
+    """The lines of the README's block that shows ``$ command``."""
+    found = re.search(rf"    \$ {re.escape(command)}\n((?:    .*\n)+)", README)
+    assert found, command
+    return [line[4:] for line in found.group(1).splitlines()]
+
+
+def agrees(shown: str, now: str) -> bool:
+    """True if two lines of a table have equal labels and words, and numbers within a factor of 2.
+
+    That is what round-off differs by between machines; a deviation typically moves by 1.2.
+    """
+    pieces = [re.split(r"\s{2,}", line.strip()) for line in (shown, now)]
+    if len(pieces[0]) != len(pieces[1]):
+        return False
+    for one, other in zip(*pieces, strict=True):
+        try:
+            a, b = float(one), float(other)
+        except ValueError:
+            if one != other:
+                return False
+        else:
+            if not (a == b or 0.5 <= a / b <= 2.0):
+                return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("command", "labels"),
+    [
+        ("topcli run euler_hk", ("invariant", "max deviation", "verdict")),
+        ("topcli compare hk bohlin-A hybrid", ("γ² max deviation", "k² max deviation", "  model", "  verdict")),
+    ],
+)
+def test_the_numbers_shown_are_what_the_program_prints(command: str, labels: tuple[str, ...], tmp_path: Path) -> None:
+    """Deviations of the size of round-off too, which are in no test of equality."""
+    done = topcli(*command.split()[1:], cwd=tmp_path)
+    assert done.returncode == 0
+    shown, now = (
+        [line for line in text if line.startswith(labels)] for text in (block_after(command), done.stdout.splitlines())
+    )
+    assert len(shown) == len(now) >= 3
+    for one, other in zip(shown, now, strict=True):
+        assert agrees(one, other), f"README: {one!r}, now {other!r}"
+
+
+def test_agreement_can_fail() -> None:
+    assert agrees("max deviation    1.5e-13  exact", "max deviation  1.1e-13   exact")
+    assert not agrees("max deviation  3.6e-14", "max deviation  1.5e-13")
+    assert not agrees("verdict  exact", "verdict  bounded")
+    assert not agrees("verdict  exact", "verdict  exact  exact")
