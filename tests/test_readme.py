@@ -7,9 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from conftest import ROOT
+from conftest import PAPER, ROOT
+from topcli.analysis.reference import reference_states
+from topcli.engine.loop import Run
+from topcli.schemes.registry import find_scheme
+from topcli.tops.kowalevski import Kowalevski
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -122,3 +127,17 @@ def test_agreement_can_fail() -> None:
     assert not agrees("max deviation  3.6e-14", "max deviation  1.5e-13")
     assert not agrees("verdict  exact", "verdict  bounded")
     assert not agrees("verdict  exact", "verdict  exact  exact")
+
+
+BEYOND = re.findall(r"\| `([a-z0-9-]+)`.* \| [0-9.]+ \| ([0-9.e-]+) \|", README)
+
+
+def test_the_table_of_schemes_beyond_the_paper() -> None:
+    """The largest component of the error at t = 50 of the paper's scene with h = 0.05."""
+    assert len(BEYOND) == 8
+    top = Kowalevski()
+    exact = reference_states(top, PAPER, np.array([50.0]))[0]
+    for name, shown in BEYOND:
+        scheme = find_scheme(name, "kowalevski")
+        *_, last = Run(top, scheme.build(top, scheme.options()), PAPER, 0.05, 1000, 1000)
+        assert float(np.abs(last.states[-1] - exact).max()) == pytest.approx(float(shown), rel=0.05), name
