@@ -265,4 +265,4 @@ def test_reversal_over_long_runs(name: str, y0: Floats) -> None:
         return float(np.abs(back[-1] - y0).max())
 
     assert missed(name) < 1e-10
-    assert missed("hk-projected") > 1e-7
+    assert 1e-7 < missed("hk-projected") < 5.0  # no further than across the energy surface

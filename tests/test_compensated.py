@@ -142,6 +142,38 @@ def test_gammas_change_is_more_than_a_double() -> None:
     assert refined < 2.0 * h * plain
 
 
+CARRIED = {
+    "hk/kowalevski": (range(6), range(6, 12)),
+    "hk/heavy": (range(6), range(6, 12)),
+    "bs/euler+gamma": (range(6), range(6, 12)),
+    "midpoint/heavy": (range(6), range(12, 18)),
+    "hybrid-xi/kowalevski": (range(2, 8), range(10, 16)),
+}
+"""Slots of the working state that are sums, and those of what they have lost."""
+
+
+@pytest.mark.parametrize("name", CARRIED)
+def test_every_sum_is_carried_on(name: str) -> None:
+    """What one component has lost before a step, a quarter of its last bit, is in its sum after it: none is dropped."""
+    scheme, top = find_scheme(*name.split("/")), TOPS[name.split("/")[1]].new()
+    made = built(scheme, top, True)
+    assert made.enter is not None
+    p, h = top.constants(), 0.01
+    start = made.step(made.enter(GEN, h, p), h, p)
+    sums, lost = CARRIED[name]
+
+    def after(s: tuple[float, ...], i: int, j: int) -> Fraction:
+        new = made.step(s, h, p)
+        return Fraction(new[i]) + Fraction(new[j])
+
+    further = made.step(start, h, p)
+    for i, j in zip(sums, lost, strict=True):
+        assert further[j] != start[j], i
+        bit = 0.25 * math.ulp(start[i])
+        moved = (*start[:j], start[j] + bit, *start[j + 1 :])
+        assert float(after(moved, i, j) - after(start, i, j)) / bit == pytest.approx(1.0, rel=0.1), i
+
+
 @by_name
 def test_composable_as_ever(scheme: Scheme) -> None:
     """The option changes nothing about whether a scheme can be composed, and the composed one runs."""

@@ -130,11 +130,12 @@ def test_declared_self_adjointness(scheme: Scheme) -> None:
             assert max(defects) < 1e-14
         else:
             assert min(defects) > 1e-9
+            assert max(defects) < 10.0  # 3.3 at most; a step that fails has an infinite one
 
 
 def test_self_adjointness_control() -> None:
-    assert worst_defect(Kowalevski(), RK2, 0.1) > 1e-6
-    assert worst_defect(Euler(), rk2(Euler()), 0.1) > 1e-6
+    assert worst_defect(Kowalevski(), RK2, 0.1) == pytest.approx(1.04e-3, rel=0.02)
+    assert worst_defect(Euler(), rk2(Euler()), 0.1) == pytest.approx(2.02e-3, rel=0.02)
 
 
 def deviation_over_bound(top: Top, stepper: Method, y0, h: float, names: tuple[str, ...]) -> float:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from conftest import GEN
+from conftest import GEN, Said
 from steppers import physical
 from topcli.arithmetic.complex_plane import root_nearest
-from topcli.contracts import Ending, Floats, Outcome, Stepper, Top
+from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Run
 from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.euler.hk import euler_determinant, hk_increment
@@ -19,10 +20,11 @@ from topcli.schemes.kowalevski.bohlin import bohlin_step, method_c
 from topcli.schemes.kowalevski.hk import hk_kowalevski, kowalevski_determinant
 from topcli.schemes.kowalevski.hybrid import hybrid_step
 from topcli.schemes.lagrange.hk import hk_lagrange, lagrange_determinant
-from topcli.schemes.registry import find_scheme
+from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.report import warning_of
 from topcli.studies.stress.general import singular_step
 from topcli.studies.stress.kowalevski import TORUS_E4
+from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -104,7 +106,7 @@ def test_the_euler_determinant_is_what_the_step_divides_by() -> None:
     w1, w2, w3 = GEN[:3]
     u1, u2, u3 = c[0] * w2 * w3, c[1] * w3 * w1, c[2] * w1 * w2
     first = 2.0 * (u1 * (1.0 + c[1] * c[2] * w1 * w1) + c[0] * (w2 * u3 + w3 * u2)) / value
-    assert hk_increment(*GEN[:3], *c)[0] == pytest.approx(first, rel=1e-14)
+    assert hk_increment(*GEN[:3], *c)[0] == pytest.approx(first, rel=1e-14, abs=0.0)
 
 
 def test_ambiguous_roots_are_counted() -> None:
@@ -151,3 +153,21 @@ def test_a_run_warns_of_what_it_counted() -> None:
     assert warning_of(report) == ""
     report["counters"] = {"iterations": 40, "midpoint_steps": 3}
     assert warning_of(report) == "3 midpoint steps in 9 steps; topcli show dg4 tells of limits"
+
+
+@pytest.mark.parametrize("scheme", all_schemes(), ids=lambda one: f"{one.name}/{one.top}")
+def test_normal_work_is_no_warning(scheme: Scheme) -> None:
+    """On an ordinary run nothing that a scheme counts is a warning; what can be one has a limit that explains it."""
+    top = TOPS[scheme.top].new()
+    _, ending = ran(top, scheme.name, GEN, 0.02, 200)
+    report = {"step": ending.step, "scheme": scheme.name}
+    assert warning_of({**report, "counters": ending.counters}) == ""
+    warned = [name for name in ending.counters if warning_of({**report, "counters": {name: 1}})]
+    assert not warned or scheme.limits
+
+
+def test_a_run_of_taylor_says_nothing_but_its_end(cli: Callable[..., Said]) -> None:
+    done = cli("run", "euler_taylor")
+    assert done.code == 0
+    assert "expansions" not in done.err
+    assert done.err.startswith("euler_taylor: completed ")

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.figure import Figure
 
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FIGURES, figure_spec
 from topcli.figures.make import make_figure, scene_config
+from topcli.figures.polhodes import Polhodes
 from topcli.studies.run import run_experiment
 
 
@@ -145,3 +147,89 @@ def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
     run = run_experiment(load_experiment(ROOT / "configs" / "kowalevski_hk.yaml"), made)
     source = json.loads(pq.read_schema(made / "figures" / "fig1.parquet").metadata[b"topcli.figure.source"])
     assert source["runs"] == [[run.stored.manifest["digest"], run.stored.manifest["code"]]]
+
+
+def drawn_from(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict[str, list[str]] | list[str]
+) -> Figure:
+    """The matplotlib figure of the catalogue's ``name`` from configs with overrides, for each scene or for all."""
+    seen: list[Figure] = []
+
+    def capture(figure: Figure, path: Path) -> None:
+        seen.append(figure)
+        path.touch()
+
+    monkeypatch.setattr("topcli.figures.make.save", capture)
+    for scene in FIGURES[name].sources:
+        overrides = changes[scene] if isinstance(changes, dict) else changes
+        (tmp_path / f"{scene}.yaml").write_text(load_experiment(scene, overrides).to_yaml())
+    make_figure(FIGURES[name], out=tmp_path, results=tmp_path / "r", configs=tmp_path, formats=["png"])
+    return seen[0]
+
+
+def texts(figure: Figure) -> list[str]:
+    """All that can be read in a figure but numbers on its axes."""
+    found = [axes.get_title(loc=place) for axes in figure.axes for place in ("left", "center", "right")]
+    found += [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel())]
+    found += [line.get_label() for axes in figure.axes for line in axes.lines if axes.get_legend()]
+    return [text for text in found if text]
+
+
+READS_RUNS = [name for name, spec in FIGURES.items() if spec.sources]
+TITLED = {"fig1": "hk", "fig2": "bohlin-a", "fig3": "bohlin-a", "fig4": "hybrid", "modified": "hk"}
+
+
+@pytest.mark.parametrize("name", READS_RUNS)
+def test_no_figure_names_a_scheme_that_it_does_not_draw(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With another scheme, titles name that one; nothing else in the picture changes its words."""
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    own = texts(drawn_from(name, tmp_path / "a", monkeypatch, ["N=200"]))
+    if name == "modified":
+        with pytest.raises(UsageError, match="modified_m_sq"):
+            drawn_from(name, tmp_path / "b", monkeypatch, ["N=200", "scheme=rk4"])
+        return
+    other = texts(drawn_from(name, tmp_path / "b", monkeypatch, ["N=200", "scheme={name: taylor, tol: 1e-12}"]))
+    titles = [f"({letter}) {TITLED[name]}" for letter in "ab"] if name in TITLED else []
+    assert [text for text in own if text.startswith("(")] == titles
+    told = [text.replace("taylor (tol=1e-12)", TITLED.get(name, "")) for text in other]
+    assert told == own
+    assert (other != own) == (name in TITLED)
+
+
+def test_labels_are_the_symbols_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figure = drawn_from("fig3", tmp_path, monkeypatch, ["N=200", "scheme=bohlin-c"])
+    left, right = figure.axes
+    assert [line.get_label() for line in left.lines] == ["$E$", r"$2\ell$"]
+    assert (left.get_ylabel(), right.get_ylabel()) == (r"$E$, $2\ell$", "$E$")
+    assert left.get_title(loc="left") == "(a) bohlin-c"
+
+
+def test_nothing_is_cut_off_by_a_fixed_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same figure of a faster top: E = 20 lies far above the range of the paper's figure."""
+    figure = drawn_from("fig3", tmp_path, monkeypatch, ["N=200", "initial.omega=[4.4, 0, 0]"])
+    energy = np.asarray(figure.axes[0].lines[0].get_ydata())
+    low, high = figure.axes[0].get_ylim()
+    assert energy.min() > 19.0
+    assert low <= 0.0
+    assert high >= energy.max()
+
+
+def test_motions_are_called_what_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A panel that tells a packaged motion by a word takes the run's name for another one, and keeps it for others."""
+    changes = {f"lagrange_{name}": ["N=200"] for name in ("cusps", "loops", "waves")}
+    changes["lagrange_loops"] += ["name=mine", "initial={m: [0.3, 0, 1.9], a: [0.6, 0, 0.8]}"]
+    titles = [axes.get_title() for axes in drawn_from("nutation", tmp_path, monkeypatch, changes).axes]
+    assert titles == ["cusps", "mine", "waves"]
+
+
+def test_polhodes_have_the_moments_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    panels = []
+    paint = Polhodes.paint
+    monkeypatch.setattr(Polhodes, "paint", lambda panel, *given: panels.append(panel) or paint(panel, *given))
+    drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "top={kind: euler, A: 1.5, B: 2.5, C: 1.2}"])
+    assert panels[0].moments == (1.5, 2.5, 1.2)
+    with pytest.raises(UsageError, match="has the moments 2, 2, 1; needs three different ones"):
+        drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "name=x", "top={kind: euler, A: 2, B: 2, C: 1}"])

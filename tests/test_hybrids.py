@@ -125,7 +125,7 @@ def test_reversal_over_long_runs(y0: Floats) -> None:
         return float(np.abs(back[-1] - y0).max())
 
     assert missed("hybrid-sym") < 1e-8
-    assert missed("hybrid") > 1e-3
+    assert 1e-3 < missed("hybrid") < 5.0  # no further than across the energy surface
 
 
 def test_no_step_of_many_orbits_fails() -> None:

@@ -7,9 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from conftest import ROOT
+from conftest import PAPER, ROOT
+from topcli.analysis.reference import reference_states
+from topcli.engine.loop import Run
+from topcli.schemes.registry import find_scheme
+from topcli.tops.kowalevski import Kowalevski
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -69,3 +74,70 @@ def test_the_scheme_of_the_readme_can_be_compared(tmp_path: Path) -> None:
 @pytest.mark.parametrize("target", re.findall(r"\]\(([^)#]+)\)", README))
 def test_links_lead_somewhere(target: str) -> None:
     assert (ROOT / target).exists()
+
+
+def block_after(command: str) -> list[str]:
+    """The lines of the README's block that shows ``$ command``."""
+    found = re.search(rf"    \$ {re.escape(command)}\n((?:    .*\n)+)", README)
+    assert found, command
+    return [line[4:] for line in found.group(1).splitlines()]
+
+
+def agrees(shown: str, now: str) -> bool:
+    """True if two lines of a table have equal labels and words, and numbers within a factor of 2.
+
+    That is what round-off differs by between machines; a deviation typically moves by 1.2.
+    """
+    pieces = [re.split(r"\s{2,}", line.strip()) for line in (shown, now)]
+    if len(pieces[0]) != len(pieces[1]):
+        return False
+    for one, other in zip(*pieces, strict=True):
+        try:
+            a, b = float(one), float(other)
+        except ValueError:
+            if one != other:
+                return False
+        else:
+            if not (a == b or 0.5 <= a / b <= 2.0):
+                return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("command", "labels"),
+    [
+        ("topcli run euler_hk", ("invariant", "max deviation", "verdict")),
+        ("topcli compare hk bohlin-A hybrid", ("γ² max deviation", "k² max deviation", "  model", "  verdict")),
+    ],
+)
+def test_the_numbers_shown_are_what_the_program_prints(command: str, labels: tuple[str, ...], tmp_path: Path) -> None:
+    """Deviations of the size of round-off too, which are in no test of equality."""
+    done = topcli(*command.split()[1:], cwd=tmp_path)
+    assert done.returncode == 0
+    shown, now = (
+        [line for line in text if line.startswith(labels)] for text in (block_after(command), done.stdout.splitlines())
+    )
+    assert len(shown) == len(now) >= 3
+    for one, other in zip(shown, now, strict=True):
+        assert agrees(one, other), f"README: {one!r}, now {other!r}"
+
+
+def test_agreement_can_fail() -> None:
+    assert agrees("max deviation    1.5e-13  exact", "max deviation  1.1e-13   exact")
+    assert not agrees("max deviation  3.6e-14", "max deviation  1.5e-13")
+    assert not agrees("verdict  exact", "verdict  bounded")
+    assert not agrees("verdict  exact", "verdict  exact  exact")
+
+
+BEYOND = re.findall(r"\| `([a-z0-9-]+)`.* \| [0-9.]+ \| ([0-9.e-]+) \|", README)
+
+
+def test_the_table_of_schemes_beyond_the_paper() -> None:
+    """The largest component of the error at t = 50 of the paper's scene with h = 0.05."""
+    assert len(BEYOND) == 8
+    top = Kowalevski()
+    exact = reference_states(top, PAPER, np.array([50.0]))[0]
+    for name, shown in BEYOND:
+        scheme = find_scheme(name, "kowalevski")
+        *_, last = Run(top, scheme.build(top, scheme.options()), PAPER, 0.05, 1000, 1000)
+        assert float(np.abs(last.states[-1] - exact).max()) == pytest.approx(float(shown), rel=0.05), name

@@ -14,13 +14,15 @@ An author of a scheme meets these duties:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
+
+from topcli.errors import UsageError
 
 Floats = tuple[float, ...]
 Array = NDArray[np.floating[Any]]
@@ -71,6 +73,9 @@ class Top(BaseModel):
     """Names of the vectors of the initial state and where they lie in it, e.g. ``{"omega": (0, 3)}``."""
     unit_vectors: ClassVar[tuple[str, ...]] = ()
     """Those of ``vectors`` that must have unit length."""
+    energy: ClassVar[str] = "energy"
+    """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
+    ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
     swing: ClassVar[str]
     """The component whose deep minima mark the swings of the top."""
     field: ClassVar[Callable[[Floats, Floats], Floats]]
@@ -85,7 +90,10 @@ class Top(BaseModel):
         raise NotImplementedError
 
     def euler_poisson(self) -> EulerPoisson:
-        """The same top as a case of the general Euler-Poisson equations."""
+        """The same top as a case of the general Euler-Poisson equations; need not be given.
+
+        Never trusted as it is: ``checked_equations`` compares it with ``field``.
+        """
         raise NotImplementedError
 
     def warnings(self) -> tuple[str, ...]:
@@ -93,7 +101,10 @@ class Top(BaseModel):
 
         By default: moments of inertia that break the triangle inequality, which no rigid body has.
         """
-        moments = self.euler_poisson().moments
+        try:
+            moments = checked_equations(self, "the check of the moments").moments
+        except UsageError:
+            return ()
         small, middle, large = sorted(moments)
         if large <= (small + middle) * (1.0 + 1e-12):  # decimals such as 0.3, 0.1, 0.2 are rounded
             return ()
@@ -107,6 +118,87 @@ class Top(BaseModel):
     def new(cls) -> Self:
         """The top with its default parameters."""
         return cls()
+
+
+AGREEMENT = 1e-12
+"""Relative difference between ``field`` and ``euler_poisson`` that rounding may explain, component by component."""
+PROBES = 4
+SIZES = ((1.0, 1.0), (0.0, 1.0), (1.0, 0.0), (1e-6, 1.0), (1e6, 1.0))
+"""Sizes of omega and gamma at which they are compared, so that no term hides behind a larger one."""
+
+
+def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
+    """Return ``top.euler_poisson()`` after comparing it with ``top.field``.
+
+    Parameters
+    ----------
+    top : Top
+        Any top, also one from a user's file.
+    needed_by : str
+        What is about to use the equations, for the message: "scheme 'taylor'".
+
+    Raises
+    ------
+    UsageError
+        If the top gives no Euler-Poisson equations, or if they are not those of its field; the message names the
+        component that differs.
+    """
+    try:
+        equations, fault = _compared(top)
+    except NotImplementedError:
+        raise UsageError(
+            f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not give; "
+            "use a scheme that needs the field alone, such as rk4, or define euler_poisson()"
+        ) from None
+    if fault:
+        raise UsageError(f"top {top.kind!r}: euler_poisson(), which {needed_by} needs, is not its field: {fault}")
+    return equations
+
+
+def _compared(top: Top) -> tuple[EulerPoisson, str]:
+    """The top's equations, and by how much which component of its field differs from them; empty if none does."""
+    equations = top.euler_poisson()
+    d, field = len(top.components), getattr(type(top), "field", None)
+    if field is None:  # then the equations are all there is
+        return equations, ""
+    p = top.constants()
+    if d not in (3, 6):
+        return equations, f"its state has {d} components; expected omega (3), or omega and gamma (6)"
+    for probe in range(PROBES):
+        direction = np.cos(np.arange(1.0, 7.0) + 6.0 * probe)  # in general position
+        for omega, gamma in SIZES:
+            y = np.concatenate([omega * direction[:3], (gamma if d == 6 else 0.0) * direction[3:]])
+            expected, terms = _euler_poisson_rates(equations, y)
+            with np.errstate(all="ignore"):
+                found = np.array(field(tuple(y[:d].tolist()), p), dtype=float)
+            if found.shape != (d,):
+                return equations, f"the field has {found.size} components, the state {d}"
+            # beyond the range of a double there is nothing to compare
+            judged = np.isfinite(found) & np.isfinite(terms[:d])
+            with np.errstate(all="ignore"):
+                wrong = judged & (np.abs(found - expected[:d]) > AGREEMENT * terms[:d])
+            if wrong.any():
+                i = int(np.argmax(wrong))
+                state = ", ".join(f"{value:.3g}" for value in y[:d])
+                return equations, (
+                    f"{top.components[i]}' is {found[i]:.10g} by the field and {expected[i]:.10g} by the equations "
+                    f"at ({state})"
+                )
+    return equations, ""
+
+
+def _euler_poisson_rates(equations: EulerPoisson, y: Array) -> tuple[Array, Array]:
+    """Right-hand side of the Euler-Poisson equations at a state (6,), and the magnitudes of its terms (6,)."""
+    moments, gravity = np.array(equations.moments), np.array(equations.gravity)
+    omega, gamma = equations.omega_sign * y[:3], y[3:]
+    j, k = np.array([1, 2, 0]), np.array([2, 0, 1])
+    with np.errstate(all="ignore"):
+        turn = omega[j] * omega[k]
+        torque = (moments[j] - moments[k]) * turn + (gamma[j] * gravity[k] - gamma[k] * gravity[j])
+        size = (moments[j] + moments[k]) * np.abs(turn) + np.abs(gamma[j] * gravity[k]) + np.abs(gamma[k] * gravity[j])
+        first, second = gamma[j] * omega[k], gamma[k] * omega[j]
+        rates = np.concatenate([equations.omega_sign * torque / moments, first - second])
+        return rates, np.concatenate([np.abs(size / moments), np.abs(first) + np.abs(second)])
 
 
 class NoOptions(BaseModel):
@@ -209,6 +301,7 @@ class Outcome(StrEnum):
     """How a run ended."""
 
     COMPLETED = "completed"
+    LEFT_MOTION = "left_motion"
     BLEW_UP = "blew_up"
     NO_CONVERGENCE = "no_convergence"
     INTERRUPTED = "interrupted"
@@ -216,20 +309,37 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Ending:
-    """How and where a run ended: ``step`` is the last step taken, or the step that failed."""
+    """How and where a run ended: ``step`` is the last step taken, or the step that failed.
+
+    ``left`` is the first recorded step at which the state was far off its energy surface and ``left_t`` its time, None
+    for never. The run goes on; where nothing else ends it, its outcome is ``left_motion``.
+    """
 
     outcome: Outcome
     step: int
     t: float
     counters: Mapping[str, int] = field(default_factory=dict)
+    left: int | None = None
+    left_t: float | None = None
+
+    def having_left(self, step: int | None, h: float) -> Ending:
+        """The same ending of a run with steps of ``h`` that left its energy surface at ``step``; None for never."""
+        if step is None:
+            return self
+        outcome = Outcome.LEFT_MOTION if self.outcome is Outcome.COMPLETED else self.outcome
+        return replace(self, outcome=outcome, left=step, left_t=step * h)
 
     @property
     def message(self) -> str:
         """One line that says how the run ended."""
         where = f"at step {self.step} (t = {self.t:.6g})"
-        return {
-            Outcome.COMPLETED: f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})",
+        completed = f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})"
+        left = "" if self.left is None else f"left its energy surface at step {self.left} (t = {self.left_t:.6g})"
+        told = {
+            Outcome.COMPLETED: completed,
+            Outcome.LEFT_MOTION: f"{left}; {completed}",
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
             Outcome.NO_CONVERGENCE: f"did not converge {where}",
             Outcome.INTERRUPTED: f"interrupted {where}",
         }[self.outcome]
+        return f"{told}; before, it {left}" if left and self.outcome is not Outcome.LEFT_MOTION else told

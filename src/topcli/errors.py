@@ -7,7 +7,7 @@ right. The command line prints the message and exits with the error's code:
 code  meaning
 ====  =========================================================
 0     fine
-1     a run failed (blew up, could not be written)
+1     a run failed (blew up, left its motion, not written)
 2     wrong usage or wrong configuration
 3     part of a sweep failed
 4     a stated tolerance or claim was violated

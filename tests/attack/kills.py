@@ -20,8 +20,8 @@ from attack.judge import Content, Faults, Finding, content, judged, wrong_conten
 from attack.mutations import draw_for
 from attack.scenes import ENSEMBLE, NAME, STEPS, Scene, Scenes, done_in_fork, experiment
 from topcli.store.checkpoint import read_checkpoint
-from topcli.store.parts import parts_of
 from topcli.store.manifest import stored_run
+from topcli.store.parts import parts_of
 from topcli.studies.run import run_experiment
 
 

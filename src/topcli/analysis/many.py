@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.drift import round_off_bound
-from topcli.contracts import Array, Invariant
+from topcli.analysis.leaving import energy_limits, first_beyond
+from topcli.contracts import Array, Invariant, Top
 
 Spool = io.BufferedRandom | io.BytesIO
 QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
@@ -26,11 +27,14 @@ MEASURES = ("max_deviation", "rms_deviation", "final_deviation")
 class ManyTally:
     """The deviations of ``invariants`` along ``count`` trajectories, fed with pieces of rows in the order of time.
 
-    Different trajectories may be added from different threads.
+    With the ``top``, ``left`` (count,) are the first recorded steps at which each one's energy shows that its state has
+    left its energy surface, -1 for never. Different trajectories may be added from different threads.
     """
 
-    def __init__(self, invariants: Sequence[Invariant], count: int) -> None:
-        self.invariants = tuple(invariants)
+    def __init__(self, invariants: Sequence[Invariant], count: int, top: Top | None = None) -> None:
+        self.invariants, self._top = tuple(invariants), top
+        self._limit = np.full(count, np.inf)
+        self.left = np.full(count, -1, dtype=np.int64)
         shape = (len(self.invariants), count)
         self.first = np.full(shape, np.nan)
         self.max_deviation, self._squares, self._scale = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -60,10 +64,21 @@ class ManyTally:
                     scale[beyond] = 0.0
                 largest = np.maximum(deviation.max(axis=1), -deviation.min(axis=1))
                 self.max_deviation[i, here] = np.maximum(self.max_deviation[i, here], largest)
+                if self._top is not None and invariant.name == self._top.energy:
+                    if fresh.any():
+                        self._limit[here] = np.where(fresh, energy_limits(self._top, states[:, 0]), self._limit[here])
+                    self._note_leaving(first, n, deviation, ~(largest <= self._limit[here]))
                 self._scale[i, here] = np.maximum(self._scale[i, here], scale.max(axis=1))
                 self._squares[i, here] += np.einsum("ij,ij->i", deviation, deviation)
         self._rows[here] += kept
         self._steps[here] = np.where(kept > 0, n[np.maximum(kept, 1) - 1], self._steps[here])
+
+    def _note_leaving(self, first: int, n: NDArray[np.int64], deviation: Array, over: NDArray[np.bool_]) -> None:
+        """Note the step at which those ``over`` their limit, which have not left before, leave their energy surface."""
+        for j in np.flatnonzero(over & (self.left[first : first + len(over)] < 0)).tolist():
+            at = first_beyond(deviation[j], float(self._limit[first + j]))
+            if at is not None:
+                self.left[first + j] = n[at]
 
     def finish(self, states: Array) -> None:
         """Take in the last states (trajectories, d), which the final deviations are those of.

@@ -16,12 +16,13 @@ import numpy as np
 
 from topcli.analysis.reference_series import DONE, GRID, MORE, STEP_TOO_SMALL, advance
 from topcli.arithmetic.double_double import dd_div, two_sum
-from topcli.contracts import Array, EulerPoisson, Top
+from topcli.contracts import Array, EulerPoisson, Top, checked_equations
 from topcli.errors import RunError
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native
 
+NAME = "the reference"
 EPSILON = 1e-31
 ORDER = math.ceil(-0.5 * math.log(EPSILON) + 1.0)
 """Jorba and Zou's order for ``EPSILON``: 37."""
@@ -75,7 +76,7 @@ def _units(coef: Array, y: Array) -> tuple[int, int]:
 
 def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]:
     """The initial state as omega, gamma (6,), and the times (m,)."""
-    sign = top.euler_poisson().omega_sign
+    sign = checked_equations(top, NAME).omega_sign
     if sign == 1.0 and tuple(top.components) not in (BODY, BODY[:3]):
         raise RunError(
             f"reference: top {top.kind!r} has the state ({', '.join(top.components)}); expected omega and gamma"
@@ -104,7 +105,7 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
     time, or the span is too long to follow; ValueError for times that are not as said.
     """
     y, t = _checked(top, y0, times)
-    equations = top.euler_poisson()
+    equations = checked_equations(top, NAME)
     coef = coefficients(equations)
     k, m = _units(coef, y)
     unit = np.repeat((-k, m), 3)

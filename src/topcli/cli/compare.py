@@ -58,6 +58,7 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
             line(f"{symbol} max deviation", lambda s, i=i: number(s["invariants"][i]["max_deviation"])),
             line(f"{symbol} drift per unit time", lambda s, i=i: number(s["invariants"][i]["drift"])),
             line("  its standard error", lambda s, i=i: number(s["invariants"][i]["drift_error"], 2)),
+            line("  model", lambda s, i=i: s["invariants"][i]["model"] or "–"),
             line("  verdict", lambda s, i=i: s["invariants"][i]["verdict"]),
         ]
     h = schemes[0]["reversal"]["h"]

@@ -251,7 +251,8 @@ def run(
                 if codes[-1]:
                     what = "some trajectories failed" if codes[-1] == 3 else result.outcome.value
                     more = "; --resume continues it" if codes[-1] == 130 and "kind" not in result.report else ""
-                    say(f"error: {experiment.name}: {what}; what came before is kept{more}")
+                    kept = "the series" if result.outcome.value == "left_motion" else "what came before"
+                    say(f"error: {experiment.name}: {what}; {kept} is kept{more}")
             except TopcliError as error:
                 teller.close()
                 say_error(error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, overload
 
 import numpy as np
@@ -20,7 +21,8 @@ class Endings(Sequence[Ending]):
     """How each of ``count`` trajectories of step ``h`` ended; interrupted before they began, until ``put`` says more.
 
     ``outcome`` (m,) holds codes, ``step`` (m,) step numbers, ``counts`` (m, counters) the events named in
-    ``counters``; a trajectory that is not ``begun`` (m,) counted none.
+    ``counters``; a trajectory that is not ``begun`` (m,) counted none. ``left`` (m,) are the first recorded steps at
+    which the states were far off their energy surface, -1 for never.
     """
 
     def __init__(self, count: int, h: float, counters: Sequence[str] = ()) -> None:
@@ -29,12 +31,13 @@ class Endings(Sequence[Ending]):
         self.step: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
         self.counts: NDArray[np.int64] = np.zeros((count, len(self.counters)), dtype=np.int64)
         self.begun: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+        self.left: NDArray[np.int64] = np.full(count, -1, dtype=np.int64)
 
     @classmethod
     def joined(cls, parts: Sequence[Endings]) -> Endings:
         """The endings of ``parts`` one after the other; they have the same step and counters."""
         made = cls(0, parts[0].h, parts[0].counters)
-        for name in ("outcome", "step", "counts", "begun"):
+        for name in ("outcome", "step", "counts", "begun", "left"):
             setattr(made, name, np.concatenate([getattr(part, name) for part in parts]))
         return made
 
@@ -42,6 +45,12 @@ class Endings(Sequence[Ending]):
         """Note that the trajectories at ``where`` (an index or several) ended so, with the counts (m, counters)."""
         self.outcome[where], self.step[where] = CODES[outcome], step
         self.counts[where], self.begun[where] = counts, True
+
+    def mark_left(self, left: NDArray[np.int64]) -> None:
+        """Note ``left`` (m,); a trajectory that nothing else ended has the outcome ``left_motion``."""
+        self.left[:] = left
+        completed = self.outcome == CODES[Outcome.COMPLETED]
+        self.outcome[completed & (left >= 0)] = CODES[Outcome.LEFT_MOTION]
 
     @property
     def failed(self) -> NDArray[np.int64]:
@@ -76,4 +85,6 @@ class Endings(Sequence[Ending]):
         step = int(self.step[index])
         counted = self.counts[index].tolist() if self.begun[index] else []
         counters = dict(zip(self.counters, counted, strict=False))
-        return Ending(OUTCOMES[self.outcome[index]], step, step * self.h, counters)
+        ending = Ending(OUTCOMES[self.outcome[index]], step, step * self.h, counters)
+        left = int(self.left[index])
+        return ending if left < 0 else replace(ending, left=left, left_t=left * self.h)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from topcli.figures.make import write_figure
-from topcli.figures.picture import REFERENCE, Line, Panel
+from topcli.figures.picture import REFERENCE, Line, Panel, component_symbol
 from topcli.studies.compare import Comparison
 
 
@@ -18,14 +18,12 @@ def draw_comparison(comparison: Comparison, name: str, out: Path) -> tuple[Path,
     """
     schemes = [scheme["scheme"] for scheme in comparison.figures["schemes"]]
     component = comparison.figures["reference"]["swing"]
-    letter = component[:-1]
-    symbol = rf"$\{letter}_{component[-1]}$" if len(letter) > 1 else f"${letter}_{component[-1]}$"
     data = dict(comparison.series)
     for scheme in schemes:
         error = data[f"error:{scheme}"]
         data[f"error:{scheme}"] = np.where(error > 0.0, error, np.nan)  # a logarithmic axis has no zero
     panels = (
         Panel(tuple(Line(f"error:{scheme}", scheme) for scheme in schemes), "error of the state", log=True),
-        Panel(tuple(Line(f"swing:{scheme}", scheme) for scheme in (REFERENCE, *schemes)), symbol),
+        Panel(tuple(Line(f"swing:{scheme}", scheme) for scheme in (REFERENCE, *schemes)), component_symbol(component)),
     )
     return write_figure(name, panels, data, out)

@@ -15,7 +15,9 @@ from topcli.contracts import Outcome
 from topcli.engine.source import fingerprint
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FigureSpec, Measured, Study
-from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, draw, save
+from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, Drawn, Panel, Runs, draw, save
+from topcli.figures.polhodes import Polhodes
+from topcli.figures.sphere import Sphere
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, read_series, write_parquet
 from topcli.studies.run import Progress, RunResult, run_experiment
@@ -41,13 +43,13 @@ def scene_config(scene: str, configs: Path) -> Path | str:
     return scene
 
 
-def _source(spec: FigureSpec, runs: Sequence[RunResult]) -> str:
+def _source(panels: Sequence[Drawable], runs: Sequence[RunResult]) -> str:
     """What the figure was made from and with; an equal text means equal pictures."""
     return json.dumps(
         {
-            "figure": fingerprint(draw, *(type(panel).paint for panel in spec.panels)),
+            "figure": fingerprint(draw, *(type(panel).paint for panel in panels)),
             "style": STYLE.read_text(encoding="utf-8"),
-            "panels": repr(spec.panels),
+            "panels": repr(tuple(panels)),
             "runs": [[run.stored.manifest[key] for key in ("digest", "code")] for run in runs],
             "topcli": __version__,
         }
@@ -89,7 +91,7 @@ def _run(
     force: bool,
     progress: Progress,
     told: Callable[[str], None],
-) -> RunResult:
+) -> tuple[RunResult, Drawn]:
     """The finished run of ``scene`` with the ``columns``, made where it is missing. Raises UsageError and RunError."""
     experiment = load_experiment(scene_config(scene, configs))
     missing = [name for name in columns if experiment.output.columns and name not in experiment.output.columns]
@@ -100,14 +102,20 @@ def _run(
         told(f"kept the earlier, different run as {run.set_aside}")
     if run.outcome is not Outcome.COMPLETED:
         raise RunError(f"{spec.name}: the run {run.stored.folder} {run.report['message']}")
-    return run
+    packaged = load_experiment(scene)
+    return run, Drawn(experiment, (experiment.top, experiment.y0) == (packaged.top, packaged.y0))
+
+
+def _of_runs(panels: Sequence[Drawable], runs: Runs) -> tuple[Drawable, ...]:
+    """The panels with titles, labels and parameters of the runs that they draw."""
+    return tuple(panel.of_runs(runs) if isinstance(panel, Panel | Polhodes | Sphere) else panel for panel in panels)
 
 
 def _make_studied(spec: FigureSpec, study: Study, out: Path, formats: Sequence[str], force: bool) -> MadeFigure:
     """Make a figure whose columns are a study's."""
     pictures = [out / f"{spec.name}.{suffix}" for suffix in formats]
     data_path = out / f"{spec.name}.parquet"
-    source = _source(spec, []) + study.code()
+    source = _source(spec.panels, []) + study.code()
     if not force and all(path.is_file() for path in pictures) and read_metadata(data_path).get(SOURCE) == source:
         return MadeFigure(spec.name, (*pictures, data_path), "up to date")
     files = write_figure(spec.name, spec.panels, study.columns(), out, formats, {SOURCE: source})
@@ -148,13 +156,15 @@ def make_figure(
         return _make_studied(spec, spec.study, out, formats, force)
     if spec.measured is not None:
         return _make_measured(spec, spec.measured, out, results, formats, force)
-    runs = [
-        _run(spec, scene, list(columns), results, configs, force, progress, told)
-        for scene, columns in spec.sources.items()
-    ]
+    runs, drawn = [], {}
+    for scene, columns in spec.sources.items():
+        run, about = _run(spec, scene, list(columns), results, configs, force, progress, told)
+        runs.append(run)
+        drawn |= dict.fromkeys(columns.values(), about)
+    panels = _of_runs(spec.panels, drawn)
     data_path = out / f"{spec.name}.parquet"
     pictures = [out / f"{spec.name}.{suffix}" for suffix in formats]
-    source = _source(spec, runs)
+    source = _source(panels, runs)
     if not force and all(path.is_file() for path in pictures) and read_metadata(data_path).get(SOURCE) == source:
         return MadeFigure(spec.name, (*pictures, data_path), "up to date")
     data: dict[str, np.ndarray] = {}
@@ -163,5 +173,5 @@ def make_figure(
         data |= {name: series[column] for column, name in columns.items()}
     rows = max(map(len, data.values()))
     data = {name: np.append(values, np.full(rows - len(values), np.nan)) for name, values in data.items()}
-    files = write_figure(spec.name, spec.panels, data, out, formats, {SOURCE: source})
+    files = write_figure(spec.name, panels, data, out, formats, {SOURCE: source})
     return MadeFigure(spec.name, files, "drawn")

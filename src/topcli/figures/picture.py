@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -14,6 +14,8 @@ from topcli.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from topcli.config.models import Experiment
 
 STYLE = Path(__file__).parent / "print.mplstyle"
 IMAGE_FORMATS = ("png", "pdf")
@@ -41,23 +43,60 @@ class Drawable(Protocol):
 
 
 @dataclass(frozen=True)
+class Drawn:
+    """A run that a panel draws: its experiment, and True if its motion is that of the packaged scene."""
+
+    experiment: Experiment
+    as_packaged: bool
+
+
+Runs = Mapping[str, Drawn]
+"""The run that each column of a figure comes from."""
+
+
+def component_symbol(name: str) -> str:
+    """Mathtext of a component of the state: ``omega1`` or ``a3``."""
+    letter, number = name[:-1], name[-1]
+    return rf"$\{letter}_{number}$" if len(letter) > 1 else f"${letter}_{number}$"
+
+
+def column_label(experiment: Experiment, column: str) -> str:
+    """Mathtext of a column of the run of ``experiment``: a component or an integral."""
+    integrals = {one.name: one.tex for one in (*experiment.top.invariants(), *experiment.modified)}
+    if column in experiment.top.components:
+        return component_symbol(column)
+    return f"${integrals[column]}$" if column in integrals else column
+
+
+def scheme_label(experiment: Experiment) -> str:
+    """The scheme's name, with those of its options that are not the default."""
+    changed = experiment.options.model_dump(mode="json", exclude_defaults=True)
+    options = ", ".join(f"{key}={value}" for key, value in changed.items())
+    return experiment.scheme.name + (f" ({options})" if options else "")
+
+
+@dataclass(frozen=True)
 class Line:
-    """One line: the column drawn over the panel's x column, and its label in the legend (may be mathtext)."""
+    """One line: the column drawn over the panel's x column, and its label in the legend (may be mathtext).
+
+    An empty label becomes the symbol that the run's top or scheme gives the column.
+    """
 
     column: str
-    label: str
+    label: str = ""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes. ``ylim`` fixes the vertical range; ``log`` makes the vertical axis logarithmic.
+    """One pair of axes. ``ylim`` is the least vertical range; ``log`` makes the vertical axis logarithmic.
 
-    ``title`` stands above the axes on the left. ``deviation`` draws by how much a column differs from its first value,
+    ``title`` stands above the axes on the left; ``{scheme}`` in it becomes the name of the run's scheme. An empty
+    ``ylabel`` becomes the labels of the lines. ``deviation`` draws by how much a column differs from its first value,
     relative to it and without the sign.
     """
 
     lines: tuple[Line, ...]
-    ylabel: str
+    ylabel: str = ""
     xlabel: str = "$t$"
     x: str = "t"
     ylim: tuple[float, float] | None = None
@@ -70,15 +109,27 @@ class Panel:
         """The columns that the panel draws."""
         return (self.x, *(line.column for line in self.lines))
 
+    def of_runs(self, runs: Runs) -> Panel:
+        """The panel with title and labels of the runs that its columns come from."""
+        first = runs[self.x].experiment
+        lines = tuple(
+            replace(line, label=line.label or column_label(runs[line.column].experiment, line.column))
+            for line in self.lines
+        )
+        ylabel = self.ylabel or ", ".join(line.label for line in lines)
+        return replace(self, lines=lines, ylabel=ylabel, title=self.title.replace("{scheme}", scheme_label(first)))
+
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the lines into ``axes``."""
         x = data[self.x]
+        low, high = self.ylim or (np.inf, -np.inf)
         for line in self.lines:
             values = data[line.column]
             if self.deviation:
                 values = np.abs(values / values[0] - 1.0)
                 values = np.where(values > 0.0, values, np.nan)  # a logarithmic axis has no zero
             axes.plot(x, values, label=line.label, **styles[line.label])
+            low, high = np.fmin.reduce(values, initial=low), np.fmax.reduce(values, initial=high)
         axes.set_xlabel(self.xlabel)
         axes.set_ylabel(self.ylabel)
         axes.set_title(self.title, loc="left")
@@ -87,7 +138,7 @@ class Panel:
         if self.log:
             axes.set_yscale("log")
         if self.ylim:
-            axes.set_ylim(*self.ylim)
+            axes.set_ylim(float(low), float(high))  # what lies outside is never cut off
 
 
 REFERENCE = "reference"

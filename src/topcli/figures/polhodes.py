@@ -7,13 +7,14 @@ ellipsoid is shaded pixel by pixel in parallel projection, and every curve is cu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from topcli.errors import RunError
-from topcli.figures.picture import Styles
+from topcli.contracts import checked_equations
+from topcli.errors import RunError, UsageError
+from topcli.figures.picture import Runs, Styles
 
 Curve = np.ndarray
 """Points (m, 3)."""
@@ -38,6 +39,15 @@ class Polhodes:
     def columns(self) -> tuple[str, ...]:
         """The columns that it needs: the components of omega."""
         return self.omega
+
+    def of_runs(self, runs: Runs) -> Polhodes:
+        """The panel with the moments of the run's top. Raises UsageError if two of them are equal."""
+        experiment = runs[self.omega[0]].experiment
+        moments = checked_equations(experiment.top, "the figure polhodes").moments
+        if len(set(moments)) < 3:
+            told = ", ".join(f"{moment:g}" for moment in moments)
+            raise UsageError(f"polhodes: {experiment.name} has the moments {told}; needs three different ones")
+        return replace(self, moments=moments)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw into ``axes``. Raises RunError for data that do not lie on the ellipsoid of the moments."""

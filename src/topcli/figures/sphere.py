@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Array
+from topcli.figures.picture import Runs
 
 MERIDIANS, PARALLELS = 12, 5
 NEAR, FAR = "0.62", "0.88"
@@ -33,6 +34,11 @@ class Sphere:
     axis: str = "p"
     band: bool = True
     width: float = 1.25
+
+    def of_runs(self, runs: Runs) -> Sphere:
+        """The panel with the name of the run for a title where its motion is not the one that the title describes."""
+        run = runs[self.columns[0]]
+        return self if run.as_packaged else replace(self, title=run.experiment.name)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
         """Draw the sphere and the trace into ``axes``; the ``styles`` of lines do not concern it."""

@@ -30,6 +30,8 @@ ENTRY_POINT_GROUP = "topcli.schemes"
 Build = Callable[[Any, Any], Method]
 
 _schemes: dict[tuple[str, str], Scheme] = {}
+_for_every_top: dict[str, Callable[[str], None]] = {}
+"""By the name of each scheme declared for every top: what registers it for one form, of a top that comes in later."""
 _origin = "topcli"
 
 
@@ -65,13 +67,16 @@ def scheme(
     documents the scheme. Raises ValueError for a name already taken for a top or with a +, or a missing docstring.
     """
     forms = TOPS if top is None else (top,) if isinstance(top, str) else tuple(top)
+    origin = _origin
 
     def register(build: Build) -> Build:
         if not build.__doc__:
             raise ValueError(f"scheme {name!r} has no docstring")
         if "+" in name or "compose" in options.model_fields:
             raise ValueError(f"scheme {name!r}: a + in a name and an option 'compose' stand for compositions")
-        for form in forms:
+        doc = inspect.cleandoc(build.__doc__)
+
+        def register_for(form: str) -> None:
             key = (name.lower(), form)
             if key in _schemes:
                 raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {_schemes[key].origin}")
@@ -92,9 +97,14 @@ def scheme(
                 modified=modified,
                 adaptive=adaptive,
                 limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
-                doc=inspect.cleandoc(build.__doc__),
-                origin=_origin,
+                doc=doc,
+                origin=origin,
             )
+
+        for form in forms:
+            register_for(form)
+        if top is None:
+            _for_every_top[name.lower()] = register_for
         return build
 
     return register
@@ -126,15 +136,21 @@ def _likely_first(name: str, top: str) -> list[str]:
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import one plugin whole or not at all: what a failing one had registered is taken back."""
     global _origin
-    before, previous = dict(_schemes), _origin
+    tables: list[dict[Any, Any]] = [_schemes, TOPS, _for_every_top]
+    before, previous = [dict(table) for table in tables], _origin
     _origin = origin
     try:
         load()
+        for form in TOPS.keys() - before[1].keys():
+            for known, register_for in before[2].items():
+                if (known, form) not in _schemes:  # the plugin may bring its own
+                    register_for(form)
     except (KeyboardInterrupt, MemoryError):
         raise
     except BaseException as error:  # a plugin may do anything, even exit; it must not take us along
-        _schemes.clear()
-        _schemes.update(before)
+        for table, kept in zip(tables, before, strict=True):
+            table.clear()
+            table.update(kept)
         return PluginFailure(name, f"{type(error).__name__}: {error}".splitlines()[0])
     finally:
         _origin = previous

@@ -78,7 +78,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
     except OSError as error:
         raise UsageError(
             f"{str(error.filename or target)[:400]}: {(error.strerror or str(error)).lower()}; nothing was written",
-            "choose another folder with --out, or another name with --set name=..."
+            "choose another folder with --out, or another name with --set name=...",
         ) from None
     if isinstance(found, StoredRun):
         return found
@@ -86,7 +86,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
         why = f"holds a damaged run ({found.reason})" if found else "exists and is no finished run"
         raise UsageError(
             f"{target}: {why}; nothing was written",
-            "move it away, or choose another folder with --out or another name with --set name=..."
+            "move it away, or choose another folder with --out or another name with --set name=...",
         )
     require_real(target)
     return None

@@ -24,7 +24,7 @@ ROW_GROUP = 131_072
 
 FORMATS = ("parquet", "csv")
 
-INTEGERS = ("n", "trajectory")
+INTEGERS = ("n", "trajectory", "left_motion")
 """Columns of whole numbers."""
 WORDS = ("outcome",)
 """Columns of text."""

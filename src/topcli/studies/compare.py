@@ -15,11 +15,11 @@ from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Method
+from topcli.contracts import Array, Method, Outcome
 from topcli.engine.loop import nanoseconds_per_step
 from topcli.errors import UsageError, nearest, quoted
 from topcli.schemes.registry import find_scheme
-from topcli.studies.report import finite
+from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
 
 MAX_ROWS = 2_000_000
@@ -89,17 +89,18 @@ def _figures(
 ) -> dict[str, Any]:
     top = experiment.top
     back = reversal(top, method, probes, experiment.h)
-    ended_well = trajectory.ending.step == experiment.N and trajectory.ending.outcome.value == "completed"
+    reached_end = trajectory.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
     return {
         "scheme": experiment.scheme.name,
         "options": experiment.options.model_dump(mode="json"),
         "changed": experiment.options.model_dump(mode="json", exclude_defaults=True),
         "outcome": trajectory.ending.outcome.value,
         "message": trajectory.ending.message,
+        "left_motion": left_motion(trajectory.ending),
         "counters": dict(trajectory.ending.counters),
         "declared_order": experiment.scheme.order,
         "max_error": float(error.max()),
-        "end_error": float(error[-1]) if ended_well else None,
+        "end_error": float(error[-1]) if reached_end else None,
         "invariants": [
             row.as_dict() for row in invariant_report(top.invariants(), trajectory.n, trajectory.h, trajectory.states)
         ],

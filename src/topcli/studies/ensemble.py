@@ -55,7 +55,7 @@ class GroupRun(Generic[Made]):
         self._next = offset
         self.modified: tuple[Invariant, ...] = one.modified
         self.invariants = (*group.top.invariants(), *self.modified)
-        self.tally = ManyTally(self.invariants, 0)
+        self.tally = ManyTally(self.invariants, 0, group.top)
         self.names = list(one.output.columns or column_names(group.top))
 
         def made(piece: Piece) -> Made:
@@ -79,10 +79,11 @@ class GroupRun(Generic[Made]):
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
         """Run the next trajectories of the group, from ``y0`` (m, d): what ``keep`` made, and trajectory-steps done."""
         self.offset, self._next = self._next, self._next + len(y0)
-        self.tally = ManyTally(self.invariants, len(y0))
+        self.tally = ManyTally(self.invariants, len(y0), self.group.top)
         self.run.begin(y0)
         yield from self.run
         self.tally.finish(self.run.last)
+        self.run.endings.mark_left(self.tally.left)
 
     def rows(self, first: int | np.ndarray, n: np.ndarray, states: np.ndarray) -> Columns:
         """Columns of rows (m,): numbers of the trajectories in the block, step numbers (m,), states (m, d)."""
@@ -104,6 +105,7 @@ class GroupRun(Generic[Made]):
         made |= {f"initial_{name}": run.y0[:, i] for i, name in enumerate(top.components)}
         made["outcome"] = _OUTCOME_NAMES[run.endings.outcome]
         made["n"] = run.endings.step
+        made["left_motion"] = run.endings.left
         return made | measure_columns(self.tally)
 
 

@@ -20,11 +20,18 @@ TITLES = {"max_deviation": "max deviation", "rms_deviation": "rms deviation", "f
 
 WORDS = {
     Outcome.COMPLETED: "completed",
+    Outcome.LEFT_MOTION: "left their energy surface",
     Outcome.BLEW_UP: "blew up",
     Outcome.NO_CONVERGENCE: "did not converge",
     Outcome.INTERRUPTED: "interrupted",
 }
-"""Outcomes in words, where their names will not do."""
+"""Outcomes in words."""
+
+
+def _failure(ending: Ending) -> dict[str, Any]:
+    """Outcome, step and time of a failure: the first of one that did not end the trajectory."""
+    at = (ending.left, ending.left_t) if ending.outcome is Outcome.LEFT_MOTION else (ending.step, ending.t)
+    return {"outcome": ending.outcome.value, "step": at[0], "t": at[1]}
 
 
 class EndingTally:
@@ -62,10 +69,7 @@ class EndingTally:
         """A line that says how the ensemble ended."""
         if self._counts[Outcome.COMPLETED] == self.total:
             return f"all {self.total} trajectories completed {self.N} step{'s' * (self.N != 1)}"
-        named = {outcome: WORDS.get(outcome, outcome.value.replace("_", " ")) for outcome in Outcome}
-        counted = ", ".join(
-            f"{self._counts[outcome]} {word}" for outcome, word in named.items() if self._counts[outcome]
-        )
+        counted = ", ".join(f"{count} {WORDS[Outcome(name)]}" for name, count in self.outcomes.items())
         message = f"of {self.total} trajectories {counted}"
         if self.failures:
             number, ending = self.failures[0]
@@ -95,10 +99,7 @@ def ensemble_report(
             "outcome": endings.outcome.value,
             "message": endings.message,
             "outcomes": endings.outcomes,
-            "failures": [
-                {"trajectory": i, "outcome": ending.outcome.value, "step": ending.step, "t": ending.t}
-                for i, ending in endings.failures
-            ],
+            "failures": [{"trajectory": i, **_failure(ending)} for i, ending in endings.failures],
             "counters": dict(endings.counters),
             "seconds": seconds,
             "round_off_ulps": ROUND_OFF_ULPS,

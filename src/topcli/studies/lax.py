@@ -22,7 +22,7 @@ from topcli.analysis.reference import BODY, reference_states
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Top
+from topcli.contracts import Array, Top, checked_equations
 from topcli.errors import UsageError, shortened
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
@@ -31,6 +31,7 @@ from topcli.studies.report import finite
 from topcli.studies.simulate import trajectory_of
 from topcli.tops import forms
 
+NAME = "the study of Lax forms"
 ROWS = 1000
 """At most so many states of a run are looked at."""
 DIFFERENCES = 40
@@ -103,7 +104,7 @@ def _each(measure: Any, form: LaxForm) -> list[float]:
 def _windows(experiment: Experiment) -> tuple[Array, float]:
     """States (m, 9, 6) of the motion at 9 times around each of m times, and the spacing of the 9."""
     top, y0 = experiment.top, np.array(experiment.y0)
-    speed = float(np.abs(rates(top.euler_poisson(), _body(y0[None, :]))).max() + np.abs(y0).max())
+    speed = float(np.abs(rates(checked_equations(top, NAME), _body(y0[None, :]))).max() + np.abs(y0).max())
     step = math.copysign(0.01 / max(1.0, speed), experiment.h)
     starts = np.linspace(0.0, experiment.duration, DIFFERENCES)
     times = (starts[:, None] + step * np.arange(9)).ravel()
@@ -115,7 +116,7 @@ def _windows(experiment: Experiment) -> tuple[Array, float]:
 
 def _midpoint_states(experiment: Experiment, h: float, steps: int) -> Array:
     """States (n, 6) of the midpoint rule: all the ``steps``, or those before the first that does not converge."""
-    equations = experiment.top.euler_poisson()
+    equations = checked_equations(experiment.top, NAME)
     p = (*equations.moments, *equations.gravity)
     states = [tuple(_body(np.array([experiment.y0]))[0].tolist())]
     for _ in range(steps):
@@ -134,7 +135,7 @@ def _form_figures(
     form: LaxForm, experiment: Experiment, reference: Array, windows: Array, step: float
 ) -> dict[str, Any]:
     top = experiment.top
-    slopes = rates(top.euler_poisson(), reference)
+    slopes = rates(checked_equations(top, NAME), reference)
     middle, by_differences = windows[:, 4], difference_slopes(windows, step)
     content = spectral_content(form, top.invariants(), len(top.components))
     defects = []
@@ -195,7 +196,7 @@ def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
     deviations of tr L^k relative to ||L||^k, and of the eigenvalues relative to ||L||, the largest over lambda.
     """
     top = experiment.top
-    found = lax_forms(top.euler_poisson())
+    found = lax_forms(checked_equations(top, NAME))
     every = max(1, experiment.N // ROWS)
     n = np.arange(0, experiment.N + 1, every)
     reference = _body(reference_states(top, experiment.y0, n * experiment.h))

@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from topcli.analysis.drift import ROUND_OFF_ULPS, SIGNIFICANCE, InvariantRow
+from topcli.analysis.drift import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
+from topcli.contracts import Ending
 
 SCHEMA_VERSION = 1
 
@@ -39,6 +40,7 @@ INVARIANT_COLUMNS = (
     "drift per unit time",
     "± standard error",
     "over the run",
+    "model",
     "scatter",
     "round-off bound",
     "verdict",
@@ -59,6 +61,7 @@ def invariant_cells(row: dict[str, Any]) -> tuple[str, ...]:
         number(row["drift"]),
         number(row["drift_error"], 2),
         number(row["drift_over_run"]),
+        row["model"] or "–",
         number(row["scatter"]),
         number(row["round_off_bound"]),
         row["verdict"],
@@ -76,6 +79,11 @@ def finite(data: Any) -> Any:
     return data
 
 
+def left_motion(ending: Ending) -> dict[str, Any] | None:
+    """First recorded step and time at which a run was far off its energy surface; None for never."""
+    return None if ending.left is None else {"step": ending.left, "t": ending.left_t}
+
+
 def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[str, Any]:
     """The content of ``report.json``: the run's ``summary`` and a row for each invariant."""
     return finite(
@@ -84,13 +92,14 @@ def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[s
             **summary,
             "round_off_ulps": ROUND_OFF_ULPS,
             "significance": SIGNIFICANCE,
+            "lost": LOST,
             "invariants": [row.as_dict() for row in rows],
         }
     )
 
 
-ORDINARY = ("iterations", "evaluations", "corrections", "chart_switches")
-"""Counters of what a scheme does anyway; any other counts what a user should know of."""
+ORDINARY = ("iterations", "evaluations", "expansions", "corrections", "chart_switches")
+"""Counters of a scheme's normal work; any other counts events that a user should know of."""
 
 
 def warning_of(report: dict[str, Any]) -> str:
@@ -144,8 +153,11 @@ def report_markdown(report: dict[str, Any]) -> str:
         *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
         "",
         f"Deviations are from the first value. *exact*: no deviation beyond {ROUND_OFF_ULPS:g} ulp × √steps of the "
-        f"invariant's terms. *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
-        "further than twice the scatter about it. *bounded*: neither. *unjudged*: too little to judge by.",
+        f"invariant's terms. *lost*: a deviation of more than {LOST:g} of the first value (or of {TERMS:g} of the "
+        f"terms). *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
+        "further than twice the scatter about it. *bounded*: neither. *unjudged*: too little to judge by. The standard "
+        "error is that of the model: a linear trend with noise that does not grow, or a random walk, which has a slope "
+        "in any one run.",
         "",
         f"Compiled or loaded in {report['seconds']['compile']:.3g} s, ran in {report['seconds']['run']:.3g} s.",
         "",

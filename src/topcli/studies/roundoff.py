@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.roundoff import MIN_BLOCKS, BlockMeans, growth
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
@@ -129,11 +130,13 @@ def _followed(
     run = Run(
         experiment.top, experiment.method(), tuple(y0), experiment.h, sampling.steps, sampling.stride, stop.is_set
     )
+    watch = EnergyWatch(experiment.top, y0)
     with np.errstate(over="ignore", invalid="ignore"):
         for chunk in run:
             tally.add(chunk.states)
+            watch.look(chunk.n, chunk.states)
     assert run.ending is not None
-    return tally, run.ending
+    return tally, run.ending.having_left(watch.left, experiment.h)
 
 
 @dataclass(frozen=True)

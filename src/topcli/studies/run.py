@@ -25,7 +25,7 @@ from topcli.store.manifest import CHECKED_AT_ONCE, StoredRun
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter, io_failure, require_place, require_real
 from topcli.store.series import SeriesWriter
-from topcli.studies.report import report_data, report_markdown
+from topcli.studies.report import left_motion, report_data, report_markdown
 from topcli.studies.resume import (
     CHECKPOINT_SECONDS,
     Batch,
@@ -156,7 +156,14 @@ def _write_series(
             checkpoints.save(run, tally, writer, batch)
         if len(batch.rows()[0]):
             take_in(*batch.take())
-        writer.finish({"topcli.outcome": run.ending.outcome.value, "topcli.message": run.ending.message})
+        run.ending = ending = run.ending.having_left(tally.left, experiment.h)
+        writer.finish(
+            {
+                "topcli.outcome": ending.outcome.value,
+                "topcli.message": ending.message,
+                **({} if ending.left is None else {"topcli.left_motion": json.dumps(left_motion(ending))}),
+            }
+        )
     return writer.sha256
 
 
@@ -176,6 +183,7 @@ def _summary(experiment: Experiment, run: Run, digest: str) -> dict[str, Any]:
         "message": ending.message,
         "step": ending.step,
         "t": ending.t,
+        "left_motion": left_motion(ending),
         "counters": dict(ending.counters),
         "seconds": {"compile": run.compile_seconds, "compile_cached": run.cached, "run": run.run_seconds},
     }
@@ -202,7 +210,7 @@ def _carry_out(
         "topcli.digest": checkpoints.about["digest"],
         "topcli.environment": json.dumps(provenance),
     }
-    tally = InvariantTally((*top.invariants(), *modified), h)
+    tally = InvariantTally((*top.invariants(), *modified), h, top)
     try:
         if start is not None:
             tally.restore(start.tally)
@@ -228,6 +236,7 @@ def _carry_out(
             "outcome": report["outcome"],
             "message": report["message"],
             "step": report["step"],
+            "left_motion": report["left_motion"],
             "series": series.name,
             "config": resolved,
             "scheme_origin": experiment.scheme.origin,

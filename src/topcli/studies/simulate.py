@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
@@ -19,13 +20,16 @@ def trajectory_of(experiment: Experiment) -> Trajectory:
     run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, experiment.N, experiment.output.every)
     pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in run]
     assert run.ending is not None
+    n, states = np.concatenate([n for n, _ in pieces]), np.concatenate([states for _, states in pieces])
+    watch = EnergyWatch(experiment.top, states[0])
+    watch.look(n, states)
     return Trajectory(
         top=experiment.top,
         scheme=experiment.scheme.name,
         h=experiment.h,
-        n=np.concatenate([n for n, _ in pieces]),
-        states=np.concatenate([states for _, states in pieces]),
-        ending=run.ending,
+        n=n,
+        states=states,
+        ending=run.ending.having_left(watch.left, experiment.h),
         compile_seconds=run.compile_seconds,
         run_seconds=run.run_seconds,
         modified=experiment.modified,

@@ -43,6 +43,7 @@ class Euler(Top):
     citation: ClassVar[str] = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.2"
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3)}
+    energy: ClassVar[str] = "m_omega"
     swing: ClassVar[str] = "omega2"
     field: ClassVar = staticmethod(field)
 

@@ -18,7 +18,7 @@ from topcli.arithmetic.double_double import two_sum
 from topcli.arithmetic.increments import carried_sums, first6
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment
-from topcli.contracts import Floats, Stepper, Top
+from topcli.contracts import Floats, Stepper, Top, checked_equations
 from topcli.schemes.compensated import CompensatedOption, compensation_wanted
 from topcli.schemes.heavy.linear_system import implicit_matrix
 from topcli.schemes.limits import LONG_NEWTON
@@ -144,7 +144,7 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     Its own inverse under h -> -h. Every quadratic integral is conserved exactly, for any top: gamma², m·gamma and the
     energy. Kowalevski's k² is of degree four and only stays close.
     """
-    equations = top.euler_poisson()
+    equations = checked_equations(top, "scheme 'midpoint'")
     coefficients = (*equations.moments, *equations.gravity)
 
     def enter_body(y: Floats, h: float, p: Floats) -> Floats:

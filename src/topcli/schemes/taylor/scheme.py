@@ -14,7 +14,7 @@ import math
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.contracts import Array, Block, EulerPoisson, Floats, Top
+from topcli.contracts import Array, Block, EulerPoisson, Floats, Top, checked_equations
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 from topcli.schemes.taylor.series import arrangement_of
@@ -107,7 +107,7 @@ def build(top: Top, options: Tolerance) -> Block:
     integrals are, to round-off that grows as sqrt(t). `expansions` counts the series. A run ends as `no_convergence`
     where their steps shrink below 1e-13 of h.
     """
-    equations = top.euler_poisson()
+    equations = checked_equations(top, "scheme 'taylor'")
     alpha, beta, delta = quotients(equations)
     d = len(top.components)
     a = arrangement_of(d, alpha[2])

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.reference import reference_states
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
@@ -128,7 +129,9 @@ class Trial:
         if not self.counters:
             self.counters = dict(run.ending.counters)
         n, states = np.concatenate([n for n, _ in pieces]), np.concatenate([states for _, states in pieces])
-        return Motion(n, states, run.ending, h)
+        watch = EnergyWatch(self.top, states[0])
+        watch.look(n, states)
+        return Motion(n, states, run.ending.having_left(watch.left, h), h)
 
     def reference(self, times: Array) -> Array:
         """The exact motion of the case at ``times``, (m, d)."""
@@ -150,6 +153,10 @@ def ended_badly(motion: Motion) -> Finding | None:
     ending = motion.ending
     if ending.outcome is Outcome.COMPLETED:
         return None
+    if ending.outcome is Outcome.LEFT_MOTION:
+        why = f"left its energy surface at step {ending.left} (t = {ending.left_t:.4g})"
+        sizes = np.abs(motion.states).max(axis=1)
+        return Finding(Result.BROKE, why, ending.left, {"largest": float(sizes.max() / sizes[0])})
     what = {Outcome.BLEW_UP: "blew up", Outcome.NO_CONVERGENCE: "did not converge"}[ending.outcome]
     return Finding(Result.BROKE, f"{what} at step {ending.step} (t = {ending.t:.4g})", ending.step)
 

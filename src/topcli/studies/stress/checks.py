@@ -219,7 +219,7 @@ def does_not_drift(trial: Trial) -> Finding:
             f"{row.name}:sigma": abs(slope) / error if error else 0.0,
         }
         told = f"{row.symbol} {slope:+.1e} ± {error:.0e} over t = {motion.t[-1]:.3g}"
-        if row.verdict == "drifting":
+        if row.verdict in ("drifting", "lost"):
             drifting.append(told)
         elif error and abs(slope) > 5.0 * error and abs(slope) > 3.0 * math.sqrt(motion.n[-1]) * ulp:
             biased.append(told)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
-from topcli.contracts import Floats, Top
+from topcli.contracts import Floats, Top, checked_equations
 from topcli.schemes.heavy.hk import heavy_determinant
 from topcli.studies.stress.case import Case, config
 from topcli.studies.stress.checks import does_not_drift, keeps_order, returns, stays_bounded
@@ -21,7 +21,7 @@ def singular_step(top: Top, state: Floats) -> float:
 
     Raises ValueError when there is none up to ``LARGEST_STEP``.
     """
-    equations = top.euler_poisson()
+    equations = checked_equations(top, "the stress case singular-step")
     p = (*equations.moments, *equations.gravity)
     y = (*(equations.omega_sign * w for w in state[:3]), *(state[3:] or (0.0, 0.0, 0.0)))
 

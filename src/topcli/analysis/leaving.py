@@ -1,0 +1,71 @@
+"""Runs whose state stays finite but leaves its energy surface: the outcome ``left_motion``.
+
+The energy of a top is the invariant that ``Top.energy`` names, or a multiple of it; a top that has none is not judged.
+A trajectory has left the motion as soon as a recorded state's energy differs from the first one's by more than
+``LEFT`` times its scale there, the sum of the magnitudes of its terms. Where these happen to vanish or nearly do (at
+rest with the centre of gravity level), the limit is the scale that vectors of the same lengths can have.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.contracts import Array, Invariant, Top
+
+LEFT = 100.0
+
+
+def energy_of(top: Top) -> Invariant | None:
+    """The invariant of ``top`` that is its energy or a multiple of it; None for a top without one."""
+    return next((one for one in top.invariants() if one.name == top.energy), None)
+
+
+def energy_limits(top: Top, states: Array) -> Array:
+    """Deviations of the energy (m,) beyond which motions that start in ``states`` (m, d) have left it.
+
+    Infinite where there is nothing to judge by.
+    """
+    energy = energy_of(top)
+    if energy is None:
+        return np.full(len(states), math.inf)
+    with np.errstate(all="ignore"):
+        limits = LEFT * energy.scale(states)
+        for places in itertools.product(*(range(start, stop) for start, stop in top.vectors.values())):
+            turned = states.copy()
+            for (start, stop), place in zip(top.vectors.values(), places, strict=True):
+                turned[:, start:stop] = 0.0
+                turned[:, place] = np.linalg.norm(states[:, start:stop], axis=1)
+            limits = np.maximum(limits, energy.scale(turned))
+        judged = np.isfinite(limits) & (limits > 0.0) & np.isfinite(energy.value(states))
+    return np.where(judged, limits, math.inf)
+
+
+def first_beyond(deviation: Array, limit: float) -> int | None:
+    """Index of the first ``deviation`` (m,) whose magnitude exceeds ``limit`` or is nan; None if there is none."""
+    if math.isinf(limit):
+        return None
+    beyond = ~(np.abs(deviation) <= limit)
+    return int(np.argmax(beyond)) if beyond.any() else None
+
+
+class EnergyWatch:
+    """Watches one motion of ``top`` from ``y0`` (d,): ``left`` is the first recorded step beyond its limit."""
+
+    def __init__(self, top: Top, y0: Array) -> None:
+        start = np.array([y0], dtype=np.float64)
+        self._energy, self._limit = energy_of(top), float(energy_limits(top, start)[0])
+        self._first = float(self._energy.value(start)[0]) if self._energy and math.isfinite(self._limit) else 0.0
+        self.left: int | None = None
+
+    def look(self, n: NDArray[np.int64], states: Array) -> None:
+        """Take in rows: step numbers (m,) and states (m, d)."""
+        if self.left is not None or self._energy is None or not len(n) or math.isinf(self._limit):
+            return
+        with np.errstate(all="ignore"):
+            at = first_beyond(self._energy.value(states) - self._first, self._limit)
+        if at is not None:
+            self.left = int(n[at])
