@@ -15,6 +15,7 @@ import numpy as np
 
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
 from topcli.engine.native import CompileError, native, native_text
+from topcli.engine.source import place_of, plain_function
 from topcli.errors import SchemeCodeError
 from topcli.kernels.branches import rarely
 
@@ -133,7 +134,8 @@ class Loop:
 
 def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
     """What to tell the author of a step that the compiler refuses."""
-    where = f"{method.step.__code__.co_filename}:{method.step.__code__.co_firstlineno}"
+    step = plain_function(method.step)
+    where = place_of(step) if step else repr(method.step)
     return SchemeCodeError(
         f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
     )

@@ -15,7 +15,7 @@ from topcli.analysis.roundoff import block_weights, doubling_lags, structure
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
-from topcli.engine.source import fingerprint
+from topcli.engine.fingerprint import fingerprint
 from topcli.kernels.increments import compensated6, first6
 from topcli.kernels.so3 import cayley_increment, cayley_turned
 from topcli.schemes.compensated import enter_compensated
