@@ -42,6 +42,7 @@ def write_scheme(folder: Path, body: str, options: str = "") -> Path:
 
 def run_scheme(path: Path) -> Found:
     """Load the file and take two steps."""
+    registry.all_schemes()  # so that the built-in ones are among those that stay
     before = dict(registry._schemes)
     try:
         registry.load_scheme_file.__wrapped__(path)

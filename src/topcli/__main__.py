@@ -23,6 +23,20 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _unexpected(error: Exception) -> int:
+    """Report an error that nothing else has caught, and return the exit code: a user's scheme or top, or a bug."""
+    import traceback
+
+    from topcli.schemes.user_code import users_error
+
+    if found := users_error(error):
+        print(f"error: {found}", file=sys.stderr)
+        return found.exit_code
+    traceback.print_exception(error)
+    print("\ninternal error: this is a bug in topcli, please report it with the lines above", file=sys.stderr)
+    return 70
+
+
 def main() -> None:
     """Run the command line and leave with its exit code; a user's mistake is told without a traceback."""
     gc.set_threshold(100_000, 50, 50)  # start-up makes many objects and no garbage
@@ -50,12 +64,11 @@ def main() -> None:
         _drop_output()
         print(f"error: standard output cannot be written ({error.strerror})", file=sys.stderr)
         code = 1
-    except Exception:
-        import traceback
-
-        traceback.print_exc()
-        print("\ninternal error: this is a bug in topcli, please report it with the lines above", file=sys.stderr)
-        code = 70
+    except MemoryError:
+        print("error: not enough memory", file=sys.stderr)
+        code = 1
+    except Exception as error:
+        code = _unexpected(error)
     sys.exit(code)
 
 

@@ -11,7 +11,7 @@ code  meaning
 2     wrong usage or wrong configuration
 3     part of a sweep failed
 4     a stated tolerance or claim was violated
-70    a bug of topcli, told with a traceback
+70    a bug in topcli, reported with a traceback
 130   interrupted
 ====  =========================================================
 """
@@ -43,7 +43,7 @@ class UnknownNameError(UsageError):
 
 
 class SchemeCodeError(UsageError):
-    """A scheme's step that cannot be compiled (exit code 2)."""
+    """A scheme's or top's code that raises, or cannot be compiled or identified (exit code 2)."""
 
 
 class RunError(TopcliError):

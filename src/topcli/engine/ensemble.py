@@ -44,6 +44,8 @@ pieces come depends on it, and must not depend on the machine."""
 CHUNK_ROWS = 512
 """Recorded rows of a trajectory in a piece: what a thread holds in memory is this times TILE."""
 CHUNK_STEPS = 1 << 14
+FIRST_CALL = 4
+"""Steps of the first call of compiled code for a tile; later calls take more as long as they are short."""
 
 Made = TypeVar("Made")
 
@@ -61,8 +63,8 @@ class EnsembleRun(Generic[Made]):
 
     ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads; iterating gives
     (what it returned, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a
-    trajectory come in the order of time. ``stop()`` is asked between chunks; when it says so, the trajectories that
-    are not at their end are ``interrupted``.
+    trajectory come in the order of time. ``stop()`` is asked between chunks and within long ones; when it says so, the
+    trajectories that are not at their end are ``interrupted``, not all of them at the same step.
 
     Afterwards ``endings`` holds one Ending a trajectory, and ``last`` (m, d) with ``last_n`` (m,) the state at step N,
     or the last recorded one of a trajectory that ended before.
@@ -91,6 +93,7 @@ class EnsembleRun(Generic[Made]):
         self.last, self.last_n = self.y0.copy(), np.zeros(m, dtype=np.int64)
         self.compile_seconds, self.cached, self.run_seconds = 0.0, True, 0.0
         self.tile = TILE if m > TILE // 2 else SMALL_TILE
+        self.call_steps, self.chunk_began = FIRST_CALL, 0.0
         self._lock, self._loop = threading.Lock(), None
         self._buffers = threading.local()
         self.lanes: Native | None = None
@@ -156,7 +159,7 @@ class EnsembleRun(Generic[Made]):
             def advance(tile: Tile, steps: int = steps, until_record: int = until_record) -> Made:
                 return self.made(tile.advance(steps, until_record))
 
-            start = time.perf_counter()
+            start = self.chunk_began = time.perf_counter()
             pieces = self._shared_out(advance, living, pool)
             self.run_seconds += time.perf_counter() - start
             done += steps

@@ -31,6 +31,7 @@ from typing import Any, Generic, Protocol
 import numpy as np
 from pydantic import BaseModel
 
+from topcli.contracts import stop_asked
 from topcli.engine.source import is_installed, is_versioned, names_in, place_of, plain_function, references, used_names
 from topcli.errors import SchemeCodeError
 
@@ -122,6 +123,8 @@ class _Walk:
             self.put(f"dtype {np.dtype(value).descr if value.names else value.str}")
         elif isinstance(value, ctypes._SimpleCData | ctypes._Pointer | ctypes._CFuncPtr | ctypes.Structure):  # pyright: ignore
             raise _IndescribableError(f"{_kind(value)}, an address in this process")
+        elif value is stop_asked:
+            self.put("stop_asked")  # ends a run, and changes no number
         elif not self.met(value):
             self._object(value)
 

@@ -80,6 +80,7 @@ def _machine() -> tuple[Any, str]:
 
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
+        cpu = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     except (ImportError, OSError, MemoryError, RuntimeError) as error:
         raise _compiler_missing("llvmlite", error) from error
     if sys.platform == "linux":
@@ -93,8 +94,7 @@ def _machine() -> tuple[Any, str]:
         np.__version__,
         sys.version.split()[0],
         llvm.get_process_triple(),
-        llvm.get_host_cpu_name(),
-        llvm.get_host_cpu_features().flatten(),
+        *cpu,
         *_numba_settings(),
     )
     return llvm, "|".join(words)

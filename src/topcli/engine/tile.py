@@ -6,6 +6,7 @@ of single runs, which tells the step of the failure; it then stays where it is, 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Ending, Outcome, Stepper
+from topcli.engine.loop import CALL_SECONDS
 from topcli.engine.native import Native
 
 if TYPE_CHECKING:
@@ -68,20 +70,20 @@ class Tile:
         )
 
     def advance(self, steps: int, until_record: int) -> Piece:
-        """Take so many steps; the rows recorded on the way, before the first step with the initial states."""
-        run, d = self.run, self.run.y0.shape[1]
-        before, self.done = self.done, self.done + steps
+        """Take ``steps`` steps, fewer if asked to stop; the rows recorded, the initial states before the first step."""
+        run, d, before = self.run, self.run.y0.shape[1], self.done
         started = int(before == 0)
-        n = np.arange(before + until_record, self.done + 1, run.every, dtype=np.int64)
-        m = len(n)
-        reached = np.where(self.alive, started + m, 0)
         saved = self.work[:-1].copy()
         self.work[-1] = 0.0
         buffer = run.rows_buffer()
         if started:
             buffer[: self.count, 0] = run.y0[self.first : self.first + self.count]
         out, stride = buffer.reshape(-1)[started * d :], buffer.shape[1] * d
-        self.lanes(self.work, out, run.params, run.h, steps, run.every, until_record, stride)
+        steps = self._advance(out, steps, until_record, stride)
+        self.done = before + steps
+        n = np.arange(before + until_record, self.done + 1, run.every, dtype=np.int64)
+        m = len(n)
+        reached = np.where(self.alive, started + m, 0)
         rows = buffer[:, : started + m]
         for j in np.flatnonzero(~np.isfinite(self.work[-1]) & self.alive):
             reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), rows[j, started:], steps, until_record)
@@ -92,6 +94,20 @@ class Tile:
         run.last[self.first + some], run.last_n[self.first + some] = rows[some, at], n[at]
         self._fill()
         return Piece(self.first, n, rows[: self.count], reached[: self.count])
+
+    def _advance(self, out: Array, steps: int, until_record: int, stride: int) -> int:
+        """Take up to ``steps`` steps, in calls that grow as long as they are short; the steps taken."""
+        run, d, taken = self.run, self.run.y0.shape[1], 0
+        while True:
+            rows = max(0, (taken - until_record) // run.every + 1)
+            size, until = min(steps - taken, run.call_steps), until_record + rows * run.every - taken
+            start = time.perf_counter()
+            self.lanes(self.work, out[rows * d :], run.params, run.h, size, run.every, until, stride)
+            now = time.perf_counter()
+            taken += size
+            if taken == steps or (now - run.chunk_began > CALL_SECONDS and run.stop()):
+                return taken
+            run.call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - start, 1e-9))))
 
     def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
         """Repeat lane ``j``'s steps in the time loop of single runs into ``rows``; the number of rows reached."""

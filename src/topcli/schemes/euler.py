@@ -43,6 +43,9 @@ GAMMA_GROWS = (
     "length: with steps of about a turn it grows without bound."
 )
 
+LONGEST = 2.0**511
+"""Steps from here on have squares that are no double."""
+
 OmegaChange = Callable[[float, float, float, float, Floats], Vector]
 """``change(w1, w2, w3, d, p)``: omega' - omega for d = h/2."""
 Axis = Callable[[Vector, Vector], Vector]
@@ -168,7 +171,8 @@ def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Inva
     and becomes an integral of the motion as h -> 0.
     """
     alpha = np.array(top.constants()[3:])
-    pairs = (0.5 * h) ** 2 * np.roll(alpha, -1) * np.roll(alpha, -2)
+    square = (0.5 * h) ** 2 if abs(h) < LONGEST else math.inf
+    pairs = square * np.roll(alpha, -1) * np.roll(alpha, -2)
 
     def k(y: Array) -> Array:
         return 1.0 - pairs * y[:, :3] ** 2

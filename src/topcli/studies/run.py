@@ -148,7 +148,7 @@ def _write_series(
         for chunk in run:
             if len(chunk.n):
                 batch.add(chunk.n, chunk.states)
-            if batch.enough:
+            if chunk.whole and batch.enough:
                 take_in(*batch.take())
             checkpoints.consider(run, tally, writer, batch)
             progress(chunk.done, experiment.N)
