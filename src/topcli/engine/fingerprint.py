@@ -289,7 +289,8 @@ class _Walk:
             return
         for base in (int, float, complex, str, bytes):
             if isinstance(value, base):
-                self.put(base.__repr__(value))
+                held: Any = value
+                self.put(base.__repr__(held))
         if isinstance(value, tuple | frozenset):
             self._items("items", list(value))
         if isinstance(value, dict):

@@ -149,7 +149,7 @@ class Run:
         """
         d, every, taken = len(self._y0), self.every, 0
         begin = time.perf_counter()
-        token = stop_asked.set(self._stop)
+        token = stop_asked.set(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop())
         try:
             while True:
                 rows = max(0, (taken - to_record) // every + 1)

@@ -303,5 +303,5 @@ def _ready_numba() -> None:
         raise RunError(
             f"{missing}\nset in the environment: {', '.join(settings)}" if settings else str(missing)
         ) from error
-    if config.DISABLE_JIT:
+    if getattr(config, "DISABLE_JIT", False):
         raise RunError("NUMBA_DISABLE_JIT is set: topcli cannot compile its time loop; unset it")
