@@ -17,8 +17,8 @@ from steppers import EXPLODE, RK2
 from topcli.contracts import Block, Outcome, Sampler, Stepper
 from topcli.engine import loop, native
 from topcli.engine.driver import plain_loop
+from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Run
-from topcli.engine.source import fingerprint
 from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
@@ -186,7 +186,7 @@ def test_runs_without_a_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_cache_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(native, "CACHE_ENTRIES", 2)
+    monkeypatch.setattr("topcli.engine.code_cache.CACHE_ENTRIES", 2)
     folder = tmp_path / "topcli"
     folder.mkdir()
     for i in range(5):

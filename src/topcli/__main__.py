@@ -55,6 +55,21 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _unexpected(error: Exception) -> int:
+    """Report an error that nothing else has caught, and return the exit code: a user's scheme or top, or a bug."""
+    import traceback
+
+    from topcli.cli.talk import say, say_error, say_text
+    from topcli.schemes.user_code import users_error
+
+    if found := users_error(error):
+        say_error(found)
+        return found.exit_code
+    say_text("".join(traceback.format_exception(error)))
+    say("internal error: this is a bug in topcli; please report it with the lines above")
+    return 70
+
+
 def main() -> None:
     """Run the command line and exit with its code; a user's mistake is reported without a traceback."""
     if os.name == "nt":
@@ -79,16 +94,15 @@ def main() -> None:
             _drop_output()
             print(f"error: standard output cannot be written ({error.strerror})", file=sys.stderr)
         else:
-            print(f"error: {str(error.filename)[:400]}: {(error.strerror or '').lower()}", file=sys.stderr)
+            from topcli.cli.talk import say
+
+            say(f"error: {error.filename}: {(error.strerror or '').lower()}")
         code = 1
-    except Exception:
-        import traceback
-
-        from topcli.cli.talk import say, say_text
-
-        say_text(traceback.format_exc())
-        say("internal error: this is a bug in topcli; please report it with the lines above")
-        code = 70
+    except MemoryError:
+        print("error: not enough memory", file=sys.stderr)
+        code = 1
+    except Exception as error:
+        code = _unexpected(error)
     sys.exit(code)
 
 

@@ -14,6 +14,7 @@ An author of a scheme meets these duties:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
@@ -27,6 +28,20 @@ from topcli.errors import UsageError
 Floats = tuple[float, ...]
 Array = NDArray[np.floating[Any]]
 StepFunction = Callable[[Floats, float, Floats], Floats]
+
+
+stop_asked: ContextVar[Callable[[], bool]] = ContextVar("stop_asked", default=lambda: False)
+"""Set by the engine while a plain step runs: True as soon as the run is to stop."""
+
+
+class StopAsked(Exception):  # noqa: N818 (no error)
+    """Raised within a step that is not worth finishing; the step counts as not taken."""
+
+
+def heed_stop() -> None:
+    """Give up a plain step that takes long if the run is to stop; to be called every few milliseconds."""
+    if stop_asked.get()():
+        raise StopAsked
 
 
 @dataclass(frozen=True)
@@ -215,7 +230,8 @@ class Stepper:
     quantities such as a chart or a compensation term): ``enter`` makes that form from the physical state,
     ``leave`` gives the physical state back, and only what ``leave`` gives is recorded.
     ``width`` is the length of the working state. ``counters`` names its trailing slots that count events;
-    they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter.
+    they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter, and
+    one that may take seconds calls ``heed_stop`` on the way.
     The slot before the counters of an ``iterative`` step is its status: 0.0, or nan when the iteration did not
     converge. The run then ends there as ``no_convergence``.
     A run ends as ``blew_up`` where one of the first ``checked`` slots is not finite; 0 stands for all of them. Others

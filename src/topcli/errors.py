@@ -89,7 +89,7 @@ class UnknownNameError(UsageError):
 
 
 class SchemeCodeError(UsageError):
-    """A scheme's step that cannot be compiled (exit code 2)."""
+    """A scheme's or top's code that raises, or cannot be compiled or identified (exit code 2)."""
 
 
 class RunError(TopcliError):

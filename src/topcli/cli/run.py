@@ -253,11 +253,16 @@ def run(
                     more = "; --resume continues it" if codes[-1] == 130 and "kind" not in result.report else ""
                     kept = "the series" if result.outcome.value == "left_motion" else "what came before"
                     say(f"error: {experiment.name}: {what}; {kept} is kept{more}")
-            except TopcliError as error:
+            except Exception as error:
+                from topcli.schemes.user_code import users_error
+
+                found = error if isinstance(error, TopcliError) else users_error(error)
+                if found is None:
+                    raise
                 teller.close()
-                say_error(error)
-                told.append({"config": config, "error": str(error), "exit_code": error.exit_code})
-                codes.append(error.exit_code)
+                say_error(found)
+                told.append({"config": config, "error": str(found), "exit_code": found.exit_code})
+                codes.append(found.exit_code)
             if codes[-1] == 130 or (codes[-1] and fail_fast):
                 break
     if as_json:

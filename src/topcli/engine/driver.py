@@ -7,7 +7,7 @@ the recorded state and the constants; the text below is all the code there is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from topcli.arithmetic.branches import rarely
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
 from topcli.engine.native import CompileError, native, native_text
+from topcli.engine.source import place_of, plain_function
 from topcli.errors import SchemeCodeError
 
 SIGNATURE = "pppdqqq"
@@ -133,10 +134,26 @@ class Loop:
 
 def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
     """What to tell the author of a step that the compiler refuses."""
-    where = f"{method.step.__code__.co_filename}:{method.step.__code__.co_firstlineno}"
+    step = plain_function(method.step)
+    where = place_of(step) if step else repr(method.step)
     return SchemeCodeError(
         f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
     )
+
+
+def _checked_length(method: Stepper) -> Stepper:
+    """A plain method whose step is refused when it does not return as many numbers as it takes."""
+    inner = method.step
+
+    def step(s: Any, h: float, p: Any) -> Any:
+        new = inner(s, h, p)
+        if len(new) != len(s):
+            known = plain_function(inner)
+            where = place_of(known) if known else repr(inner)
+            raise SchemeCodeError(f"{where}: the step returns {len(new)} numbers; expected {len(s)}")
+        return new
+
+    return replace(method, step=step)
 
 
 def loop_of(method: Method, d: int, constants: int) -> Loop:
@@ -150,7 +167,7 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     if isinstance(method, Block):
         code = native_text(method.text(), "advance", SIGNATURE)
         return Loop(method.enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)
-    enter, drive = plain_loop(method, d, constants)
+    enter, drive = plain_loop(_checked_length(method) if method.plain else method, d, constants)
     if method.plain:
         return Loop(enter, drive, method.width, method.counters, iterative=method.iterative, compiled=False)
     try:

@@ -48,6 +48,8 @@ CHUNK_STEPS = 1 << 14
 BLOCK = 1 << 14
 """Trajectories of a large ensemble that are drawn, run, tallied and written before the next ones: a bound of the
 memory that does not depend on the count. A multiple of GROUP * TILE, so that tiles are those of one large block."""
+FIRST_CALL = 4
+"""Steps of the first call of compiled code for a tile; later calls take more as long as they are short."""
 
 Made = TypeVar("Made")
 
@@ -74,8 +76,8 @@ class EnsembleRun(Generic[Made]):
 
     ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads; iterating gives
     (what it returned, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a
-    trajectory come in the order of time. ``stop()`` is asked between chunks; when it says so, the trajectories that
-    are not at their end are ``interrupted``.
+    trajectory come in the order of time. ``stop()`` is asked between chunks and within long ones; when it says so, the
+    trajectories that are not at their end are ``interrupted``, not all of them at the same step.
 
     Afterwards ``endings`` holds an Ending for each trajectory, and ``last`` (m, d) with ``last_n`` (m,) the state at
     step N, or the last recorded one of a trajectory that ended before.
@@ -104,6 +106,7 @@ class EnsembleRun(Generic[Made]):
         m, d = self.y0.shape
         self.compile_seconds, self.cached, self.run_seconds = 0.0, True, 0.0
         self.tile = tile or tile_of(m)
+        self.call_steps, self.chunk_began = FIRST_CALL, 0.0
         self._lock, self._loop = threading.Lock(), None
         self._buffers = threading.local()
         self.lanes: Native | None = None
@@ -175,12 +178,14 @@ class EnsembleRun(Generic[Made]):
             def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Made:
                 return self.made(advance_together(tiles, steps, until_record))
 
-            start = time.perf_counter()
+            start = self.chunk_began = time.perf_counter()
             pieces = self._shared_out(advance, self._neighbours(living, 1 + steps // every), pool)
             self.run_seconds += time.perf_counter() - start
             done += steps
             for piece in pieces:
                 yield piece, before * N + count * done
+            if any(tile.done < done for tile in living):  # stopped within the chunk
+                break
             living = [tile for tile in living if tile.alive.any()]
         if not done:  # stopped before the first chunk: the initial states are there nevertheless
             for tile in group:

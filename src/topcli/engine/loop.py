@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Method, Outcome, Top
+from topcli.contracts import Array, Ending, Method, Outcome, Stepper, StopAsked, Top, stop_asked
 from topcli.engine.driver import Loop, loop_of
 
 CHUNK_ROWS = 8192
@@ -20,38 +20,47 @@ CHUNK_STEPS = 1 << 19
 """Steps between two looks at the clock and the keyboard: some tens of milliseconds."""
 PLAIN_STEPS = 1 << 9
 """The same for steps that run in the interpreter."""
+CALL_SECONDS = 0.25
+"""About the longest that steps are taken without asking whether to stop."""
+FIRST_CALL = 64
+"""Steps of the first call of compiled code; later calls take up to eight times those of the one before."""
 
 
 @dataclass(frozen=True)
 class Chunk:
     """Consecutive recorded rows: step numbers ``n`` (m,) and ``states`` (m, d); ``done`` steps lie behind.
 
+    A chunk that is not ``whole`` was cut short by an interruption; a resumed run begins with the rest of it.
     The arrays are views into buffers that the next chunk overwrites.
     """
 
     n: NDArray[np.int64]
     states: Array
     done: int
+    whole: bool = True
 
 
 @dataclass(frozen=True)
 class Position:
-    """Where a run stands between two chunks: ``done`` steps and the whole working state; it can go on from there.
+    """Where a run stands between two calls: ``done`` steps and the whole working state; it can go on from there.
 
-    The chunks to come are cut as they would have been, because sums over rows depend in their last bits on the cut.
+    The chunks to come are cut as they would have been, because sums over rows depend in their last bits on the cut:
+    ``into`` steps of the present one are done.
     """
 
     done: int
     work: Array
     chunk_rows: int
     chunk_steps: int
+    into: int = 0
 
 
 class Run:
     """One run of a compiled scheme: iterate it for chunks, then read ``ending`` and the seconds.
 
     ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
-    ``every``-th recorded. ``stop()`` is asked between chunks; when it says so the run ends as ``interrupted``.
+    ``every``-th recorded. ``stop()`` is asked between chunks, and within chunks that take long; when it says so the run
+    ends as ``interrupted``.
     With ``start``, the ``position()`` of an earlier run of the same, it goes on from there, bit for bit.
     ``loop`` is that of the method where it is at hand already.
     """
@@ -82,6 +91,8 @@ class Run:
         if len(self._position.work) != self._loop.width:
             raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
         self._failed = False
+        # a Block returns early by itself, and a Sampler takes no steps
+        self._call_steps = N if not isinstance(method, Stepper) else FIRST_CALL if self._loop.compiled else 1
 
     def position(self) -> Position | None:
         """Where the run stands, copied; None where it cannot go on from: after a failure and before its first row."""
@@ -107,17 +118,16 @@ class Run:
             self._loop.enter(self._y0, work, self._p, self.h)
             self._position = Position(0, work, chunk_rows, chunk_steps)
             yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
-        done = self._position.done
+        done, into = self._position.done, self._position.into
         outcome = Outcome.COMPLETED
         while done < N and outcome is Outcome.COMPLETED:
             if self._stop():
                 outcome = Outcome.INTERRUPTED
                 break
+            began = done - into
+            end = began + min(N - began, chunk_steps, every - began % every + (chunk_rows - 1) * every)
             to_record = every - done % every
-            steps = min(N - done, chunk_steps, to_record + (chunk_rows - 1) * every)
-            start = time.perf_counter()
-            taken = self._loop.drive(work, out, self._p, self.h, steps, every, to_record)
-            self.run_seconds += time.perf_counter() - start
+            taken, stopped = self._advance(work, out, end - done, to_record)
             before = done
             if taken < 0:
                 outcome, done = self._loop.failure(work), done - taken
@@ -125,10 +135,43 @@ class Run:
                 self._failed = True
             else:
                 done = last_good = done + taken
-                self._position = Position(done, work, chunk_rows, chunk_steps)
+                outcome = Outcome.INTERRUPTED if stopped else outcome
+                into = done - began if stopped else 0
+                self._position = Position(done, work, chunk_rows, chunk_steps, into)
             n = np.arange(before + to_record, last_good + 1, every, dtype=np.int64)
-            yield Chunk(n, out[: len(n) * d].reshape(len(n), d), last_good)
+            yield Chunk(n, out[: len(n) * d].reshape(len(n), d), last_good, not stopped)
         self._end(outcome, done, work)
+
+    def _advance(self, work: Array, out: Array, steps: int, to_record: int) -> tuple[int, bool]:
+        """Take up to ``steps`` steps of a chunk; the steps taken or minus the one that failed, and if it was stopped.
+
+        Takes them in calls that grow as long as they are short.
+        """
+        d, every, taken = len(self._y0), self.every, 0
+        begin = time.perf_counter()
+        token = stop_asked.set(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop())
+        try:
+            while True:
+                rows = max(0, (taken - to_record) // every + 1)
+                size = min(steps - taken, self._call_steps)
+                start = time.perf_counter()
+                went = self._loop.drive(
+                    work, out[rows * d :], self._p, self.h, size, every, to_record + rows * every - taken
+                )
+                now = time.perf_counter()
+                if went < 0:
+                    return went - taken, False
+                taken += went
+                if went < size or taken == steps:
+                    return taken, False
+                if now - begin > CALL_SECONDS and self._stop():
+                    return taken, True
+                self._call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - start, 1e-9))))
+        except StopAsked:
+            return taken, True
+        finally:
+            stop_asked.reset(token)
+            self.run_seconds += time.perf_counter() - begin
 
 
 def nanoseconds_per_step(

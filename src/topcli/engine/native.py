@@ -3,27 +3,24 @@
 ``native(function, "ppdq")`` compiles once with numba and stores the object code; every later process loads it
 with llvmlite alone, in milliseconds and without importing numba. The function takes pointers to float64
 (``p``, indexed like a list), float64 (``d``) and int64 (``q``) and returns an int64; it neither allocates nor raises.
+The key is explained in ``fingerprint``, the rules of storing in ``code_cache``.
 
 Only public interfaces are leaned on: ``numba.cfunc``, its ``inspect_llvm`` and ``native_name``, and llvmlite's
-binding layer. Where the object code cannot be stored or loaded the function still runs, compiled afresh.
+binding layer. Where the object code cannot be stored or loaded the function still runs, compiled in this process.
 """
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import json
 import os
 import re
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,10 +28,10 @@ import numpy as np
 from topcli import __version__
 from topcli.arithmetic.branches import rarely
 from topcli.arithmetic.fused import fma
-from topcli.engine.source import compilable_copy, fingerprint
-
-CACHE_ENTRIES = 512
-"""The newest entries that the cache keeps; older ones are removed."""
+from topcli.engine.code_cache import ObjectCode, store_code, stored_code
+from topcli.engine.fingerprint import fingerprint
+from topcli.engine.source import compilable_copy
+from topcli.errors import RunError, TopcliError
 
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
 
@@ -72,23 +69,20 @@ class Native:
         return self.call(*plain)
 
 
-def cache_folder() -> Path:
-    """Where object code is kept: ``$NUMBA_CACHE_DIR/topcli`` when that is set, else the user's cache folder."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
-        return Path(chosen) / "topcli"
-    from platformdirs import user_cache_path
-
-    return user_cache_path("topcli") / "kernels"
-
-
 @cache
 def _machine() -> tuple[Any, str]:
-    """llvmlite's binding, ready for this CPU, and the words that name CPU and compiler."""
-    import llvmlite.binding as llvm
+    """llvmlite's binding, ready for this CPU, and the words that name compiler, its settings and CPU.
 
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
+    Raises RunError where llvmlite cannot be loaded.
+    """
+    try:
+        import llvmlite.binding as llvm
+
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        cpu = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    except (ImportError, OSError, MemoryError, RuntimeError) as error:
+        raise _compiler_missing("llvmlite", error) from error
     if sys.platform == "linux":
         # sin, cos and their kin: numpy has libm loaded, but for itself alone; some C libraries carry them themselves
         with suppress(RuntimeError):
@@ -97,12 +91,28 @@ def _machine() -> tuple[Any, str]:
         __version__,
         version("numba"),
         version("llvmlite"),
+        np.__version__,
         sys.version.split()[0],
         llvm.get_process_triple(),
-        llvm.get_host_cpu_name(),
-        llvm.get_host_cpu_features().flatten(),
+        *cpu,
+        *_numba_settings(),
     )
     return llvm, "|".join(words)
+
+
+def _compiler_missing(package: str, error: BaseException) -> RunError:
+    """The error of a process in which a part of the compiler cannot be loaded."""
+    reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+    return RunError(
+        f"the compiler cannot be loaded: {package}: {reason}\n"
+        f"is {package} installed, and is there enough memory (ulimit -v)? topcli doctor shows the versions"
+    )
+
+
+def _numba_settings() -> list[str]:
+    """Environment variables that change the code that numba makes."""
+    neutral = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT")
+    return sorted(f"{k}={v}" for k, v in os.environ.items() if k.startswith("NUMBA_") and k not in neutral)
 
 
 def _target_machine() -> Any:
@@ -128,57 +138,31 @@ def _outside(ir: str) -> list[str]:
 def _require(names: Iterable[str]) -> None:
     """Raise OSError when a symbol that stored code refers to cannot be linked in this process."""
     llvm, _ = _machine()
+    _process_engine()
     for name in names:
         if not llvm.address_of_symbol(name):
             raise OSError(f"object code needs {name}, which is nowhere")
 
 
-def _load(code: bytes, symbol: str, signature: str, needs: list[str]) -> tuple[Callable[..., int], tuple[Any, ...]]:
-    """The function ``symbol`` of an object file, linked into this process."""
+@cache
+def _process_engine() -> Any:
+    """An empty engine: some systems find the symbols of the process only once there is one."""
     llvm, _ = _machine()
-    _require(needs)
+    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
+
+
+def _load(stored: ObjectCode) -> tuple[Callable[..., int], tuple[Any, ...]]:
+    """The function of an object file, linked into this process. Raises OSError or RuntimeError."""
+    llvm, _ = _machine()
+    _require(stored.needs)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(stored.code))
     engine.finalize_object()
-    address = engine.get_function_address(symbol)
+    address = engine.get_function_address(stored.symbol)
     if not address:
-        raise OSError(f"object code without {symbol}")
-    prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
+        raise OSError(f"object code without {stored.symbol}")
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in stored.signature))
     return prototype(address), (engine,)
-
-
-def _read(path: Path, signature: str) -> tuple[Callable[..., int], tuple[Any, ...]] | None:
-    """The function stored at ``path``; None when there is none, or it is not what was written."""
-    try:
-        header, _, code = path.read_bytes().partition(b"\n")
-        told = json.loads(header)
-        if hashlib.sha256(code).hexdigest() != told["sha256"]:
-            return None
-        loaded = _load(code, told["symbol"], signature, told["needs"])
-        os.utime(path)
-        return loaded
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
-        return None
-
-
-def _write(path: Path, code: bytes, symbol: str, needs: list[str]) -> None:
-    """Store object code whole or not at all; a folder that cannot be written is no error."""
-    told = {"symbol": symbol, "needs": needs, "sha256": hashlib.sha256(code).hexdigest()}
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(json.dumps(told).encode() + b"\n" + code)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-        entries = sorted(path.parent.glob("*.o"), key=lambda entry: entry.stat().st_mtime, reverse=True)
-        for old in entries[CACHE_ENTRIES:]:
-            old.unlink(missing_ok=True)
-    except OSError:
-        pass
 
 
 @cache
@@ -229,25 +213,26 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     )
 
 
-def _path(words: str) -> Path:
-    """Where the machine code is kept whose content, with compiler, CPU and versions, is told by ``words``."""
-    return cache_folder() / f"{hashlib.sha256(words.encode()).hexdigest()}.o"
-
-
-def _known(path: Path, signature: str, start: float) -> Native | None:
-    """The function kept at ``path``; ``start`` is when the search for it began."""
-    stored = _read(path, signature)
-    return None if stored is None else Native(stored[0], signature, time.perf_counter() - start, True, stored[1])
+def _known(words: str, signature: str, start: float) -> Native | None:
+    """The stored function identified by ``words``; ``start`` is when the search for it began."""
+    stored = stored_code(words, signature)
+    if stored is None:
+        return None
+    try:
+        call, keep = _load(stored)
+    except (OSError, RuntimeError):
+        return None
+    return Native(call, signature, time.perf_counter() - start, True, keep)
 
 
 def _linked(
-    module: Any, ir: str, symbol: str, signature: str, path: Path
+    module: Any, ir: str, symbol: str, signature: str, words: str
 ) -> tuple[Callable[..., int], tuple[Any, ...]]:
-    """The function ``symbol`` of ``module``, whose text is ``ir``, kept at ``path``. Raises OSError as ``_load``."""
-    code, needs = _target_machine().emit_object(module), _outside(ir)
+    """The function ``symbol`` of ``module``, whose text is ``ir``, stored as well. Raises OSError as ``_load``."""
+    made = ObjectCode(_target_machine().emit_object(module), symbol, signature, tuple(_outside(ir)))
     _require(["sin"])  # or any mathematics that the compiler calls without declaring it
-    loaded = _load(code, symbol, signature, needs)
-    _write(path, code, symbol, needs)
+    loaded = _load(made)
+    store_code(words, made)
     return loaded
 
 
@@ -258,8 +243,8 @@ def native_text(ir: str, symbol: str, signature: str) -> Native:
     """
     llvm, words = _machine()
     start = time.perf_counter()
-    path = _path(f"{ir}|{symbol}|{signature}|{words}")
-    known = _known(path, signature, start)
+    words = f"{ir}|{symbol}|{signature}|{words}"
+    known = _known(words, signature, start)
     if known is not None:
         return known
     try:
@@ -267,7 +252,7 @@ def native_text(ir: str, symbol: str, signature: str) -> Native:
         module.verify()
     except RuntimeError as error:
         raise ValueError(f"no module of LLVM's language: {str(error).strip().splitlines()[0]}") from error
-    call, keep = _linked(module, ir, symbol, signature, path)
+    call, keep = _linked(module, ir, symbol, signature, words)
     return Native(call, signature, time.perf_counter() - start, False, keep)
 
 
@@ -280,20 +265,43 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
     """
     llvm, words = _machine()  # the back end's own start-up is no part of compiling or loading this function
     start = time.perf_counter()
-    path = _path(f"{fingerprint(function)}|{signature}|{inline}|{words}")
-    known = _known(path, signature, start)
+    words = f"{fingerprint(function)}|{signature}|{inline}|{words}"
+    known = _known(words, signature, start)
     if known is not None:
         return known
+    _ready_numba()
     try:
         compiled = _compile(function, signature, inline)
+    except (TopcliError, MemoryError):
+        raise
     except Exception as error:  # numba raises its own kinds and plain ones
         lines = [line.strip() for line in str(error).splitlines()]
         telling = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
         raise CompileError((telling or [type(error).__name__])[0]) from error
     ir = compiled.inspect_llvm()
-    try:
-        call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, path)
-    except OSError:  # something to link stored code against is missing here: use numba's own, unstored
-        prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
-        call, keep = prototype(compiled.address), (compiled,)
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
+    call, keep = prototype(compiled.address), (compiled,)
+    if not _has_addresses(compiled, ir):
+        with suppress(OSError):  # something to link stored code against is missing here: use numba's own, unstored
+            call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, words)
     return Native(call, signature, time.perf_counter() - start, False, keep)
+
+
+def _has_addresses(compiled: Any, ir: str) -> bool:
+    """True if the code holds addresses of this process, as numba makes of large arrays; it must not be stored."""
+    library = getattr(compiled, "_library", None)
+    return bool(getattr(library, "has_dynamic_globals", False)) or "numba.dynamic.globals" in ir
+
+
+def _ready_numba() -> None:
+    """Import numba. Raises RunError where it cannot be loaded, or is set not to compile."""
+    try:
+        from numba import config
+    except (ImportError, OSError, MemoryError, ValueError, RuntimeError, AttributeError) as error:
+        settings = [f"{k}={v!r}" for k, v in sorted(os.environ.items()) if k.startswith("NUMBA_")]
+        missing = _compiler_missing("numba", error)
+        raise RunError(
+            f"{missing}\nset in the environment: {', '.join(settings)}" if settings else str(missing)
+        ) from error
+    if getattr(config, "DISABLE_JIT", False):
+        raise RunError("NUMBA_DISABLE_JIT is set: topcli cannot compile its time loop; unset it")

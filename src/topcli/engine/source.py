@@ -1,25 +1,60 @@
-"""Walk the functions that a kernel can reach: to fingerprint them, and to copy them for the compiler.
+"""The functions that a kernel can reach, and a copy of them for the compiler.
 
-Kernels are plain Python functions that call each other by global or closed-over name. The walk follows those
-names, so that one fingerprint covers everything that ends up in the machine code: an edit to any kernel
-changes it, and machine code made from an earlier text can never be served.
+Kernels are plain Python functions that call each other by a global or closed-over name, or as attributes of a module.
+``fingerprint`` follows the same names.
 """
 
 from __future__ import annotations
 
-import builtins
-import hashlib
+import sys
 import types
 from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 from typing import Any
 
-_PLAIN = (int, float, complex, bool, str, bytes, type(None))
+from topcli.errors import SchemeCodeError
+
+VERSIONED = frozenset(("llvmlite", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "pydantic", "scipy"))
+"""Packages whose functions are identified by name: their versions are part of the key, or recorded with the run."""
+
+_STANDARD_LIBRARY = str(Path(types.__file__).parent)
+
+
+@cache
+def is_versioned(module: str) -> bool:
+    """True if a module belongs to the standard library or to a package of ``VERSIONED``.
+
+    A user's file that has the name of a module of the standard library does not.
+    """
+    package = module.partition(".")[0]
+    if package in VERSIONED or package == "builtins":
+        return True
+    if package not in sys.stdlib_module_names or package == "__main__":
+        return False
+    file = getattr(sys.modules.get(package), "__file__", None)
+    return file is None or (str(file).startswith(_STANDARD_LIBRARY) and not is_installed(module))
+
+
+def is_installed(module: str) -> bool:
+    """True if the package of a module was put in place by an installer of packages."""
+    file = getattr(sys.modules.get(module.partition(".")[0]), "__file__", None)
+    return file is not None and not {"site-packages", "dist-packages"}.isdisjoint(Path(file).parts)
 
 
 def plain_function(value: object) -> types.FunctionType | None:
-    """``value`` as a plain Python function: itself, or what a numba dispatcher wraps; else None."""
-    value = getattr(value, "py_func", value)
+    """``value`` as a plain Python function: itself, or the one that a numba dispatcher wraps; else None."""
+    if isinstance(value, types.FunctionType):
+        return value
+    if isinstance(value, type | types.ModuleType):
+        return None
+    value = getattr(value, "py_func", None)
     return value if isinstance(value, types.FunctionType) else None
+
+
+def place_of(function: types.FunctionType) -> str:
+    """File and line of a function, as messages give it."""
+    return f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
 
 
 def _names(code: types.CodeType) -> Iterator[str]:
@@ -27,64 +62,90 @@ def _names(code: types.CodeType) -> Iterator[str]:
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
             yield from _names(constant)
+        elif isinstance(constant, str) and "getattr" in code.co_names:
+            yield constant
 
 
-def references(function: types.FunctionType) -> dict[str, Any]:
-    """What ``function`` refers to by global or closed-over name, builtins left out."""
-    found: dict[str, Any] = {}
-    for name in sorted(set(_names(function.__code__))):
-        if name in function.__globals__ and not hasattr(builtins, name):
-            found[name] = function.__globals__[name]
-    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
-        found[name] = cell.cell_contents
+def names_in(function: types.FunctionType) -> list[str]:
+    """Every global and attribute that the function mentions, sorted."""
+    return sorted(set(_names(function.__code__)))
+
+
+def used_names(function: types.FunctionType) -> set[str]:
+    """The globals that the bytecode loads and its closed-over variables: fewer than ``names_in``, found more slowly."""
+    import dis
+
+    found = set(function.__code__.co_freevars)
+    codes = [function.__code__]
+    for code in codes:
+        codes += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+        found.update(step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"))
     return found
 
 
-def _describe_code(code: types.CodeType) -> str:
-    constants = [
-        _describe_code(constant) if isinstance(constant, types.CodeType) else repr(constant)
-        for constant in code.co_consts
-    ]
-    return repr((code.co_name, code.co_code.hex(), constants, code.co_names, code.co_varnames, code.co_argcount))
+def references(function: types.FunctionType) -> dict[str, Any]:
+    """The globals and closed-over variables of a function by name; a global hides the builtin of its name."""
+    scope = function.__globals__
+    found = {name: scope[name] for name in names_in(function) if name in scope}
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        try:
+            found[name] = cell.cell_contents
+        except ValueError:  # a variable that was never given a value
+            found.pop(name, None)
+    return found
 
 
-def _describe_value(value: object) -> str:
-    if isinstance(value, _PLAIN):
-        return f"{type(value).__name__}:{value!r}"
-    if isinstance(value, tuple):
-        return "(" + ",".join(_describe_value(item) for item in value) + ")"
-    return f"{type(value).__module__}.{getattr(value, '__name__', type(value).__name__)}"
+class _Copier:
+    """Copies of functions in which everything that they call is compiled."""
+
+    def __init__(self, compiler: Callable[[types.FunctionType], Any], done: dict[int, Any]) -> None:
+        self.compiler, self.done = compiler, done
+        self.open: set[int] = set()
+
+    def compiled(self, value: object, names: list[str]) -> Any:
+        """``value`` as compiled code may refer to it; of a module the attributes ``names`` are used."""
+        if isinstance(value, types.ModuleType):
+            return self._module(value, names)
+        inner = plain_function(value)
+        if inner is None:
+            return value
+        if id(inner) not in self.done:
+            if id(inner) in self.open:
+                raise SchemeCodeError(f"{place_of(inner)}: {inner.__name__} calls itself; a step cannot be recursive")
+            self.done[id(inner)] = self.compiler(self.copy(inner))
+        return self.done[id(inner)]
+
+    def _module(self, module: types.ModuleType, names: list[str]) -> types.ModuleType:
+        """The module itself, or one like it where functions among the ``names`` are compiled."""
+        if is_versioned(module.__name__) or id(module) in self.open:
+            return module
+        self.open.add(id(module))
+        used = {name: getattr(module, name) for name in names if hasattr(module, name)}
+        ready = {name: self.compiled(value, names) for name, value in used.items()}
+        self.open.remove(id(module))
+        if all(ready[name] is used[name] for name in used):
+            return module
+        stand_in = types.ModuleType(module.__name__)
+        stand_in.__dict__.update({**vars(module), **ready})
+        return stand_in
+
+    def copy(self, function: types.FunctionType) -> types.FunctionType:
+        """The function with compiled references, defaults included."""
+        self.open.add(id(function))
+        names, used = names_in(function), used_names(function)
+        refers = {n: self.compiled(value, names) for n, value in references(function).items() if n in used}
+        defaults = tuple(self.compiled(value, names) for value in function.__defaults__ or ()) or None
+        self.open.remove(id(function))
+        cells = tuple(types.CellType(*refers_to(refers, name)) for name in function.__code__.co_freevars)
+        scope = {**function.__globals__, **refers}
+        made = types.FunctionType(function.__code__, scope, function.__name__, defaults, cells or None)
+        made.__kwdefaults__ = function.__kwdefaults__
+        return made
 
 
-def fingerprint(*functions: Callable[..., Any] | None) -> str:
-    """A hex digest of the bytecode and constants of ``functions`` and of everything they can reach.
-
-    None stands for an absent function. The digest belongs to one Python version: bytecode differs
-    between versions.
-    """
-    digest = hashlib.sha256()
-    seen: dict[int, int] = {}
-
-    def visit(function: types.FunctionType) -> None:
-        if id(function) in seen:
-            digest.update(f"again {seen[id(function)]};".encode())
-            return
-        seen[id(function)] = len(seen)
-        digest.update(_describe_code(function.__code__).encode())
-        for name, value in references(function).items():
-            digest.update(f"{name}=".encode())
-            inner = plain_function(value)
-            if inner is None:
-                digest.update(_describe_value(value).encode())
-            else:
-                visit(inner)
-
-    for function in functions:
-        plain = plain_function(function)
-        digest.update(b"none;" if plain is None else b"function;")
-        if plain is not None:
-            visit(plain)
-    return digest.hexdigest()
+def refers_to(refers: dict[str, Any], name: str) -> tuple[Any, ...]:
+    """Contents of the closure's cell of a variable: nothing for one without a value."""
+    return (refers[name],) if name in refers else ()
 
 
 def compilable_copy(
@@ -92,24 +153,11 @@ def compilable_copy(
     compiler: Callable[[types.FunctionType], Any],
     replace: dict[int, Any] | None = None,
 ) -> types.FunctionType:
-    """A copy of ``function`` in which every reachable kernel stands compiled by ``compiler``.
+    """A copy of ``function`` in which every reachable kernel is replaced by ``compiler(kernel)``.
 
-    The originals stay plain Python. Kernels must not be recursive.
+    The originals stay plain Python. Raises SchemeCodeError for a kernel that calls itself.
     """
-    done = {} if replace is None else replace
     plain = plain_function(function)
     if plain is None:
         raise TypeError(f"{function!r} is not a Python function: the engine compiles plain functions")
-
-    def compiled(value: object) -> Any:
-        inner = plain_function(value)
-        if inner is None:
-            return value
-        if id(inner) not in done:
-            done[id(inner)] = compiler(compilable_copy(inner, compiler, done))
-        return done[id(inner)]
-
-    refers = {name: compiled(value) for name, value in references(plain).items()}
-    cells = tuple(types.CellType(refers[name]) for name in plain.__code__.co_freevars)
-    scope = {**plain.__globals__, **refers}
-    return types.FunctionType(plain.__code__, scope, plain.__name__, plain.__defaults__, cells or None)
+    return _Copier(compiler, {} if replace is None else replace).copy(plain)

@@ -6,6 +6,7 @@ of single runs, which tells the step of the failure; it then stays where it is, 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Outcome, Stepper
+from topcli.engine.loop import CALL_SECONDS
 from topcli.engine.native import Native
 
 if TYPE_CHECKING:
@@ -68,20 +70,21 @@ class Tile:
         )
 
     def advance(self, n: NDArray[np.int64], steps: int, until_record: int, buffer: Array) -> NDArray[np.int64]:
-        """Take ``steps`` steps, with the rows of step numbers ``n`` (m,) recorded into ``buffer`` (tile, m, d).
+        """Take ``steps`` steps, fewer if asked to stop, with the rows of step numbers ``n`` (m,) in ``buffer``.
 
-        The first rows of all are the initial states. Return the number of rows that each trajectory reached.
+        ``buffer`` has shape (tile, m, d); the first rows of all are the initial states. Return the number of rows that
+        each trajectory reached.
         """
-        run, d = self.run, self.run.y0.shape[1]
-        before, self.done = self.done, self.done + steps
+        run, d, before = self.run, self.run.y0.shape[1], self.done
         started = int(before == 0)
-        reached = np.where(self.alive, len(n), 0)
         saved = self.work[:-1].copy()
         self.work[-1] = 0.0
         if started:
             buffer[: self.count, 0] = run.y0[self.first : self.first + self.count]
         out, stride = buffer.reshape(-1)[started * d :], buffer.shape[1] * d
-        self.lanes(self.work, out, run.params, run.h, steps, run.every, until_record, stride)
+        steps = self._advance(out, steps, until_record, stride)
+        self.done = before + steps
+        reached = np.where(self.alive, started + max(0, (steps - until_record) // run.every + 1), 0)
         for j in np.flatnonzero(~np.isfinite(self.work[-1]) & self.alive):
             reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), buffer[j, started:], steps, until_record)
         some = np.flatnonzero(reached[: self.count])
@@ -89,6 +92,20 @@ class Tile:
         run.last[self.first + some], run.last_n[self.first + some] = buffer[some, at], n[at]
         self._fill()
         return reached[: self.count]
+
+    def _advance(self, out: Array, steps: int, until_record: int, stride: int) -> int:
+        """Take up to ``steps`` steps, in calls that grow as long as they are short; the steps taken."""
+        run, d, taken = self.run, self.run.y0.shape[1], 0
+        while True:
+            rows = max(0, (taken - until_record) // run.every + 1)
+            size, until = min(steps - taken, run.call_steps), until_record + rows * run.every - taken
+            start = time.perf_counter()
+            self.lanes(self.work, out[rows * d :], run.params, run.h, size, run.every, until, stride)
+            now = time.perf_counter()
+            taken += size
+            if taken == steps or (now - run.chunk_began > CALL_SECONDS and run.stop()):
+                return taken
+            run.call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - start, 1e-9))))
 
     def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
         """Repeat lane ``j``'s steps in the time loop of single runs into ``rows``; the number of rows reached."""

@@ -12,7 +12,7 @@ import numpy as np
 from topcli import __version__
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome
-from topcli.engine.source import fingerprint
+from topcli.engine.fingerprint import fingerprint
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FigureSpec, Measured, Study
 from topcli.figures.picture import IMAGE_FORMATS, STYLE, Drawable, Drawn, Panel, Runs, draw, save

@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -20,12 +20,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.contracts import Invariant, Method, NoOptions, Scheme, Top
-from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.contracts import Block, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
+from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
+from topcli.schemes.user_code import ENTRY_POINT_GROUP, FromSource, modules_beside, reason_of, users_error, users_place
 from topcli.tops import TOPS
-
-ENTRY_POINT_GROUP = "topcli.schemes"
 
 Build = Callable[[Any, Any], Method]
 
@@ -70,11 +69,12 @@ def scheme(
     origin = _origin
 
     def register(build: Build) -> Build:
-        if not build.__doc__:
+        doc = build.__doc__ or (title if sys.flags.optimize >= 2 else "")  # python -OO removes docstrings
+        if not doc:
             raise ValueError(f"scheme {name!r} has no docstring")
         if "+" in name or "compose" in options.model_fields:
             raise ValueError(f"scheme {name!r}: a + in a name and an option 'compose' stand for compositions")
-        doc = inspect.cleandoc(build.__doc__)
+        doc = inspect.cleandoc(doc)
 
         def register_for(form: str) -> None:
             key = (name.lower(), form)
@@ -92,7 +92,7 @@ def scheme(
                 conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
                 citation=citation,
                 equations=equations,
-                build=build,
+                build=build if origin == "topcli" else _checked(build, name.lower()),
                 options=options,
                 modified=modified,
                 adaptive=adaptive,
@@ -133,6 +133,26 @@ def _likely_first(name: str, top: str) -> list[str]:
     return sorted(_modules(), key=rank)
 
 
+def _checked(build: Build, name: str) -> Build:
+    """``build`` of a scheme from outside, with errors that name its file and line."""
+
+    @wraps(build)
+    def checked(top: Any, options: Any) -> Method:
+        try:
+            method = build(top, options)
+        except Exception as error:
+            raise (users_error(error) or error) from error
+        if not isinstance(method, Stepper | Sampler | Block):
+            code = inspect.unwrap(build).__code__
+            raise SchemeCodeError(
+                f"{code.co_filename}:{code.co_firstlineno}: scheme {name!r} is built as {type(method).__name__}; "
+                "return a Stepper, a Sampler or a Block"
+            )
+        return method
+
+    return checked
+
+
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import one plugin whole or not at all: what a failing one had registered is taken back."""
     global _origin
@@ -151,7 +171,8 @@ def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> Plugin
         for table, kept in zip(tables, before, strict=True):
             table.clear()
             table.update(kept)
-        return PluginFailure(name, f"{type(error).__name__}: {error}".splitlines()[0])
+        place = users_place(error)
+        return PluginFailure(name, reason_of(error) + (f" ({place})" if place else ""))
     finally:
         _origin = previous
     return None
@@ -174,7 +195,7 @@ def plugin_failures() -> tuple[PluginFailure, ...]:
 
 @cache
 def load_scheme_file(path: Path) -> None:
-    """Import the schemes of a Python file (``--scheme-file``).
+    """Import the schemes of a Python file (``--scheme-file``), which may import modules that lie beside it.
 
     Raises UsageError when the file cannot be read or imported, or registers nothing.
     """
@@ -182,14 +203,15 @@ def load_scheme_file(path: Path) -> None:
     if not os.path.isfile(path):  # False also for what cannot be a path
         raise UsageError(f"scheme file {path}: no such file")
     name = "topcli_scheme_file_" + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
-    spec = importlib.util.spec_from_file_location(name, path)
+    spec = importlib.util.spec_from_file_location(name, path, loader=FromSource(name, str(path)))
     if spec is None or spec.loader is None:
         raise UsageError(f"scheme file {path}: not a Python file (expected a name ending in .py)")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     known = len(_schemes)
     loader = spec.loader
-    failure = _import_plugin(str(path), str(path), lambda: loader.exec_module(module))
+    with modules_beside(path.resolve().parent):
+        failure = _import_plugin(str(path), str(path), lambda: loader.exec_module(module))
     if failure:
         raise UsageError(f"scheme file {path}: {failure.reason}")
     if len(_schemes) == known:

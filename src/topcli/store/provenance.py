@@ -27,14 +27,40 @@ def installed(package: str) -> str | None:
         return None
 
 
+ARM_DESIGNERS = {
+    "0x41": "Arm",
+    "0x46": "Fujitsu",
+    "0x48": "HiSilicon",
+    "0x4e": "NVIDIA",
+    "0x51": "Qualcomm",
+    "0x61": "Apple",
+    "0xc0": "Ampere",
+}
+
+
 def cpu_name() -> str:
-    """The processor's name as the system tells it."""
+    """Name of the processor; on Arm its designer and the numbers that identify the core."""
     try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.lower().startswith("model name"):
-                return line.partition(":")[2].strip()
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
-        pass
+        text = ""
+    found = {
+        key.strip().lower(): value.strip() for key, _, value in (line.partition(":") for line in text.splitlines())
+    }
+    if name := found.get("model name"):
+        return name
+    if "cpu part" in found:
+        designer = found.get("cpu implementer", "")
+        numbers = f"part {found['cpu part']} variant {found.get('cpu variant', '?')}"
+        return (
+            f"{platform.machine()} {ARM_DESIGNERS.get(designer, designer)} {numbers} r{found.get('cpu revision', '?')}"
+        )
+    if sys.platform == "darwin":
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            asked = ["/usr/sbin/sysctl", "-n", "machdep.cpu.brand_string"]
+            said = subprocess.run(asked, capture_output=True, text=True, timeout=2, check=False).stdout.strip()
+            if said:
+                return said
     return platform.processor() or platform.machine()
 
 

@@ -6,7 +6,8 @@ import os
 from importlib.metadata import entry_points
 from typing import Any
 
-from topcli.engine.native import cache_folder, native
+from topcli.engine.code_cache import cache_folder, cache_state
+from topcli.engine.native import native
 from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures
 from topcli.store.provenance import environment, installed
 
@@ -28,26 +29,27 @@ def diagnosis() -> dict[str, Any]:
     again = native(_probe, "pq")
     if again(np.zeros(1), 1) != 2:
         problems.append("compiled code gives wrong results on this machine")
-    if not again.cached:
+    state = cache_state()
+    problems += state.problems
+    if not again.cached and not state.problems:
         problems.append(f"compiled code is not kept: {folder} cannot be written or loaded; every process recompiles")
-    entries = list(folder.glob("*.o"))
     failures = {failure.name: failure.reason for failure in plugin_failures()}
     plugins = []
     for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
         origin = entry.dist.name if entry.dist else entry.name
         names = sorted({scheme.name for scheme in all_schemes() if scheme.origin == origin})
-        state = f"failed: {failures[entry.name]}" if entry.name in failures else f"registers {', '.join(names)}"
+        about = f"failed: {failures[entry.name]}" if entry.name in failures else f"registers {', '.join(names)}"
         if not names and entry.name not in failures:
-            state = "registers no scheme"
+            about = "registers no scheme"
             problems.append(f"plugin {entry.name} registers no scheme")
-        plugins.append({"name": entry.name, "state": state})
+        plugins.append({"name": entry.name, "state": about})
     problems += [f"plugin {name} failed: {reason}" for name, reason in failures.items()]
     return {
         "environment": {**environment(), **{package: installed(package) for package in EXTRAS}},
         "cache": {
             "folder": str(folder),
-            "entries": len(entries),
-            "bytes": sum(entry.stat().st_size for entry in entries),
+            "entries": state.entries,
+            "bytes": state.size,
             "kept between processes": again.cached,
         },
         "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),

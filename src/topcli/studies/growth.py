@@ -17,7 +17,7 @@ from topcli.arithmetic.rotations import cayley_increment, cayley_turned
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
-from topcli.engine.source import fingerprint
+from topcli.engine.fingerprint import fingerprint
 from topcli.schemes.compensated import enter_compensated
 from topcli.studies.roundoff import copies_followed, sampling_of
 from topcli.studies.run import method_fingerprint

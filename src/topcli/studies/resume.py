@@ -229,7 +229,7 @@ class Checkpoints:
         about = {
             **self.about,
             "run_seconds": run.run_seconds,
-            "chunks": [position.chunk_rows, position.chunk_steps],
+            "chunks": [position.chunk_rows, position.chunk_steps, position.into],
         }
         self._earlier = self.last
         self.last = Checkpoint(
@@ -260,8 +260,7 @@ class Checkpoints:
 
 def position_of(checkpoint: Checkpoint) -> Position:
     """Where the engine goes on."""
-    rows, steps = checkpoint.about["chunks"]
-    return Position(checkpoint.done, checkpoint.work, rows, steps)
+    return Position(checkpoint.done, checkpoint.work, *checkpoint.about["chunks"])
 
 
 def begun(experiment: Experiment, identity: dict[str, str], start: Checkpoint | None) -> dict[str, Any]:

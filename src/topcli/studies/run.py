@@ -17,8 +17,8 @@ from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Block, Invariant, Method, Outcome, Sampler
+from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Run
-from topcli.engine.source import fingerprint
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import Checkpoint, write_checkpoint
 from topcli.store.manifest import CHECKED_AT_ONCE, StoredRun
@@ -74,12 +74,17 @@ class Plan:
 
 
 def method_fingerprint(method: Method) -> str:
-    """A digest of the code of a scheme made ready for a top."""
+    """A digest of the code of a scheme made ready for a top. Raises SchemeCodeError for code that cannot be hashed."""
     if isinstance(method, Sampler):
-        return fingerprint(method.states)
+        return fingerprint(method.states, compiled=False)
     if isinstance(method, Block):
-        return hashlib.sha256((method.text() + fingerprint(method.enter)).encode()).hexdigest()
-    return fingerprint(method.step, method.enter, method.leave)
+        code = method.text() + fingerprint(method.enter, compiled=False)
+        layout = (method.width, method.counters, method.iterative)
+    else:
+        code = fingerprint(method.step, method.enter, method.leave, compiled=not method.plain)
+        stages = method.stages and (fingerprint(method.stages[0]), method.stages[1])
+        layout = (method.width, method.counters, method.iterative, method.checked, method.plain, stages)
+    return hashlib.sha256((code + repr(layout)).encode()).hexdigest()
 
 
 def plan_run(
@@ -147,7 +152,7 @@ def _write_series(
         for chunk in run:
             if len(chunk.n):
                 batch.add(chunk.n, chunk.states)
-            if batch.enough:
+            if chunk.whole and batch.enough:
                 take_in(*batch.take())
             checkpoints.consider(run, tally, writer, batch)
             progress(chunk.done, experiment.N)

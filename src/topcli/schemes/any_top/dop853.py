@@ -7,9 +7,12 @@ import math
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.contracts import Array, Floats, Stepper, Top
+from topcli.contracts import Array, Floats, Stepper, Top, heed_stop
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
+
+MAX_EVALUATIONS = 1_000_000
+"""Evaluations of the equations in one step: some ten seconds."""
 
 
 class Tolerances(BaseModel):
@@ -39,7 +42,8 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
 
     It chooses its own steps within each h and ends on t = n h exactly, so that an h longer than its own steps costs
     it least. What it learnt about its step size is carried along. It runs in the interpreter, some thousand times
-    slower than the compiled steps. Where its steps shrink below round-off the run ends as `no_convergence`.
+    slower than the compiled steps. Where its steps shrink below round-off, or one h takes more than a million
+    evaluations of the equations, the run ends as `no_convergence`.
     """
     from scipy.integrate import DOP853
 
@@ -52,8 +56,9 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
         first = min(s[d], abs(h)) or None
         with np.errstate(over="ignore", invalid="ignore"):
             solver = DOP853(rates, 0.0, np.array(s[:d]), h, rtol=options.rtol, atol=options.atol, first_step=first)
-            while solver.status == "running":
+            while solver.status == "running" and solver.nfev < MAX_EVALUATIONS:
                 solver.step()
+                heed_stop()
         settled = 0.0 if solver.status == "finished" else math.nan
         return (*solver.y.tolist(), float(solver.h_abs), settled, s[d + 2] + solver.nfev)
 

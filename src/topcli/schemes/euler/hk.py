@@ -12,6 +12,8 @@ that round-off is a random walk. A step is a closed form with one division, and 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from topcli.arithmetic.fused import fma
@@ -112,6 +114,8 @@ def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
     return (value, (1.0 + abs(a1 * w1)) + ((abs(b2) + abs(b3)) + abs(a1 * t1)))
 
 
+LONGEST = 2.0**511
+"""Steps from here on have squares that are no double."""
 GAMMA_GROWS = (
     "omega stays bounded, as the modified integrals have it, but gamma's linear map has nothing that holds its "
     "length: with steps of about a turn it grows without bound."
@@ -141,7 +145,8 @@ def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Inva
     and becomes an integral of the motion as h -> 0.
     """
     alpha = np.array(top.constants()[3:])
-    pairs = (0.5 * h) ** 2 * np.roll(alpha, -1) * np.roll(alpha, -2)
+    square = (0.5 * h) ** 2 if abs(h) < LONGEST else math.inf
+    pairs = square * np.roll(alpha, -1) * np.roll(alpha, -2)
 
     def k(y: Array) -> Array:
         return 1.0 - pairs * y[:, :3] ** 2

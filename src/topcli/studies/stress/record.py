@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from topcli.engine.source import fingerprint
+from topcli.engine.fingerprint import fingerprint
 from topcli.errors import RunError
 from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import Commit, environment, now

@@ -1,0 +1,179 @@
+"""Object code on disk, where only its owner can have put it.
+
+Whoever can write a file here decides what later processes execute. The folder and each file are therefore opened
+without following a symbolic link at the end of the path, and used only if they are a folder and a regular file, owned
+by the effective user, that nobody else may write. The folders above are not judged: a temporary folder is open to all,
+and some systems make folders writable by the group. What is not used is compiled without being stored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+CACHE_ENTRIES = 512
+"""The newest entries that the cache keeps; older ones are removed."""
+_DIRECTORY = getattr(os, "O_DIRECTORY", 0)
+_NOFOLLOW = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+
+
+@dataclass(frozen=True)
+class ObjectCode:
+    """An object file, the function in it, that function's signature, and the symbols that it needs from outside."""
+
+    code: bytes
+    symbol: str
+    signature: str
+    needs: tuple[str, ...]
+
+
+class UntrustedError(OSError):
+    """A folder or file that is not used; the message says why."""
+
+
+def cache_folder() -> Path:
+    """Folder of the object code: ``$NUMBA_CACHE_DIR/topcli`` when that is set, else in the user's cache folder."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen) / "topcli"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("topcli") / "kernels"
+
+
+def _distrust(found: os.stat_result) -> str:
+    """Reason not to use a file or folder; empty when there is none."""
+    if hasattr(os, "geteuid") and found.st_uid != os.geteuid():
+        return f"it belongs to the user with number {found.st_uid}, not to {os.geteuid()}"
+    if found.st_mode & 0o022:
+        return f"others may write it (mode {stat.S_IMODE(found.st_mode):o})"
+    return ""
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    """Descriptor of the folder. Raises UntrustedError or OSError."""
+    if folder.is_symlink():
+        raise UntrustedError(f"{folder} is a symbolic link")
+    handle = os.open(folder, os.O_RDONLY | _DIRECTORY | _NOFOLLOW)
+    try:
+        if reason := _distrust(os.fstat(handle)):
+            raise UntrustedError(f"{folder}: {reason}")
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def _content(folder: int, name: str) -> bytes:
+    """Content of a file. Raises UntrustedError or OSError."""
+    handle = os.open(name, os.O_RDONLY | _NOFOLLOW | getattr(os, "O_NONBLOCK", 0), dir_fd=folder)
+    with os.fdopen(handle, "rb") as file:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode):
+            raise UntrustedError(f"{name} is not a regular file")
+        if reason := _distrust(found):
+            raise UntrustedError(f"{name}: {reason}")
+        return file.read()
+
+
+def _key(words: str) -> str:
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+def stored_code(words: str, signature: str) -> ObjectCode | None:
+    """The object code identified by ``words``, for a function of this signature; None unless all is as written."""
+    key = _key(words)
+    try:
+        with _opened(cache_folder()) as folder:
+            digest, _, rest = _content(folder, f"{key}.o").partition(b"\n")
+            if hashlib.sha256(rest).hexdigest().encode() != digest:
+                return None
+            header, _, code = rest.partition(b"\n")
+            about = json.loads(header)
+            if about["key"] != key or about["signature"] != signature:
+                return None
+            found = ObjectCode(code, str(about["symbol"]), signature, tuple(map(str, about["needs"])))
+            with suppress(OSError):
+                os.utime(f"{key}.o", dir_fd=folder)
+            return found
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def store_code(words: str, made: ObjectCode) -> None:
+    """Store object code whole or not at all; a folder that cannot be used is no error."""
+    key, path = _key(words), cache_folder()
+    about = {"key": key, "signature": made.signature, "symbol": made.symbol, "needs": made.needs}
+    rest = json.dumps(about).encode() + b"\n" + made.code
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):
+            path.mkdir(mode=0o700)
+        with _opened(path) as folder:
+            temporary = f"{key}.{os.getpid()}.{os.urandom(4).hex()}.tmp"
+            handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NOFOLLOW, 0o600, dir_fd=folder)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
+                os.replace(temporary, f"{key}.o", src_dir_fd=folder, dst_dir_fd=folder)
+            except BaseException:
+                with suppress(OSError):
+                    os.unlink(temporary, dir_fd=folder)
+                raise
+            _remove_oldest(folder)
+    except OSError:
+        pass
+
+
+def _entries(folder: int) -> list[tuple[str, os.stat_result]]:
+    """Names of the object files and what ``lstat`` says of them, newest first."""
+    found = []
+    for name in os.listdir(folder):
+        if name.endswith(".o"):
+            with suppress(OSError):
+                found.append((name, os.stat(name, dir_fd=folder, follow_symlinks=False)))
+    return sorted(found, key=lambda entry: entry[1].st_mtime_ns, reverse=True)
+
+
+def _remove_oldest(folder: int) -> None:
+    for name, _ in _entries(folder)[CACHE_ENTRIES:]:
+        with suppress(OSError):
+            os.unlink(name, dir_fd=folder)
+
+
+@dataclass(frozen=True)
+class CacheState:
+    """Number and size of the object files that can be used, and reasons why the folder or single files are not."""
+
+    entries: int
+    size: int
+    problems: tuple[str, ...]
+
+
+def cache_state() -> CacheState:
+    """The cache as this user finds it."""
+    path = cache_folder()
+    try:
+        with _opened(path) as folder:
+            used, problems = [], []
+            for name, found in _entries(folder):
+                reason = _distrust(found) if stat.S_ISREG(found.st_mode) else "it is not a regular file"
+                if reason:
+                    problems.append(f"{path / name} is not used: {reason}; remove it")
+                else:
+                    used.append(found.st_size)
+            more = [f"{len(problems) - 3} more files in {path} are not used"] if len(problems) > 3 else []
+            return CacheState(len(used), sum(used), (*problems[:3], *more))
+    except FileNotFoundError:
+        return CacheState(0, 0, ())
+    except UntrustedError as error:
+        advice = "make it yours alone with chmod 700, remove it, or choose another with NUMBA_CACHE_DIR"
+        return CacheState(0, 0, (f"the cache of compiled code is not used: {error}; {advice}",))
+    except OSError as error:
+        return CacheState(0, 0, (f"the cache of compiled code is not used: {path}: {error.strerror}",))

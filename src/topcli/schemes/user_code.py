@@ -1,0 +1,116 @@
+"""Code of users: modules beside a scheme file, and the line to name when their code raises."""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.machinery
+import sys
+import sysconfig
+import traceback
+import types
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from topcli.errors import SchemeCodeError, TopcliError
+
+ENTRY_POINT_GROUP = "topcli.schemes"
+_NOT_BESIDE = sys.stdlib_module_names | {"topcli"}
+
+
+class FromSource(importlib.machinery.SourceFileLoader):
+    """Compile the source whenever a module is loaded.
+
+    Stored bytecode is compared with its source by size and whole seconds: an edit that follows a run within a
+    second and keeps the size would go unnoticed.
+    """
+
+    def get_code(self, fullname: str) -> types.CodeType:
+        """Code of the module."""
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
+class _Beside(importlib.abc.MetaPathFinder):
+    """Finds the modules and packages of one folder, and keeps the names of what it found."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = str(folder)
+        self.found: set[str] = set()
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: types.ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        """Specification of a module in the folder, or in a package that was found there."""
+        package, _, _ = fullname.rpartition(".")
+        if (package and package not in self.found) or fullname in _NOT_BESIDE:
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(fullname, path if package else [self.folder], target)
+        if spec is None or spec.loader is None:
+            return None
+        if type(spec.loader) is importlib.machinery.SourceFileLoader:
+            spec.loader = FromSource(spec.loader.name, spec.loader.path)
+        self.found.add(fullname)
+        return spec
+
+
+@contextmanager
+def modules_beside(folder: Path) -> Iterator[None]:
+    """Make the modules of ``folder`` importable, before all others but those of the standard library and topcli.
+
+    They are forgotten at the end: a module of the same name beside another scheme file is another module.
+    """
+    beside = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
+    beside -= _NOT_BESIDE
+    hidden = {name: module for name, module in sys.modules.items() if name.partition(".")[0] in beside}
+    for name in hidden:
+        del sys.modules[name]
+    finder = _Beside(folder)
+    importlib.invalidate_caches()
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+        for name in finder.found:
+            sys.modules.pop(name, None)
+        sys.modules.update(hidden)
+
+
+def _is_users(frame: types.FrameType) -> bool:
+    """True if the code of a frame is neither topcli's, nor the standard library's, nor an installed package's.
+
+    An installed package that registers schemes is the user's as well.
+    """
+    file = frame.f_code.co_filename
+    if file.startswith("<"):
+        return False
+    path = Path(file)
+    if path.is_relative_to(Path(__file__).parents[1]):
+        return False
+    if not {"site-packages", "dist-packages"}.isdisjoint(path.parts):
+        package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        return any(package == entry.module.partition(".")[0] for entry in entry_points(group=ENTRY_POINT_GROUP))
+    return not path.is_relative_to(sysconfig.get_path("stdlib"))
+
+
+def users_place(error: BaseException) -> str:
+    """``file:line: in function`` of the innermost line of a user's code that an error passed; empty for none."""
+    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+        if _is_users(frame):
+            name = frame.f_code.co_name
+            return f"{frame.f_code.co_filename}:{line}" + ("" if name == "<module>" else f": in {name}")
+    return ""
+
+
+def users_error(error: Exception) -> SchemeCodeError | None:
+    """An error that a user's code raised, as one line that names the place; None for an error of topcli itself."""
+    place = users_place(error)
+    if isinstance(error, TopcliError) or not place:
+        return None
+    return SchemeCodeError(f"{place}: {reason_of(error)}")
+
+
+def reason_of(error: BaseException) -> str:
+    """Type and first line of the message of an error."""
+    return (f"{type(error).__name__}: {error}".splitlines() or [type(error).__name__])[0][:400]
