@@ -81,7 +81,13 @@ def test_long_compiled_steps_are_interrupted_within_a_chunk() -> None:
 def test_an_ensemble_of_long_steps_is_interrupted_within_a_chunk() -> None:
     y0 = np.tile(GEN, (40, 1))
     run = EnsembleRun(
-        Kowalevski(), Stepper(long_step, 6), y0, 0.1, 10_000, made=lambda piece: len(piece.n), stop=stop_after(0.5)
+        Kowalevski(),
+        Stepper(long_step, 6),
+        y0,
+        0.1,
+        10_000,
+        made=lambda piece: int(piece.kept.max()),
+        stop=stop_after(0.5),
     )
     begin = time.perf_counter()
     rows = [made for made, _ in run]

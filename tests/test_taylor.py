@@ -114,8 +114,8 @@ def test_other_processors_do_the_same(cpu: str, fuse: bool, top: Top, monkeypatc
         cpu=cpu, opt=3, jit=True, reloc="static", codemodel="jitdefault"
     )
     monkeypatch.setattr(native, "_target_machine", lambda: machine)
-    monkeypatch.setattr(native, "_read", lambda path, signature: None)
-    monkeypatch.setattr(native, "_write", lambda *stored: None)
+    monkeypatch.setattr(native, "stored_code", lambda words, signature: None)
+    monkeypatch.setattr(native, "store_code", lambda *stored: None)
     y0, h = gen(top), 0.4
     loop, work, p = prepared(top, y0, h, 1e-9)
     mine, d = work.copy(), len(y0)

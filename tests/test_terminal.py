@@ -297,10 +297,10 @@ def test_exit_codes_are_documented_alike() -> None:
 def test_an_internal_error_is_printed_safely(cli, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     from topcli.__main__ import main
 
-    def broken() -> int:
-        raise ZeroDivisionError(EVIL)
-
-    monkeypatch.setattr("topcli.cli.app.call", broken)
+    scope: dict = {"EVIL": EVIL}  # the file decides whose bug it is
+    ours = ROOT / "src" / "topcli" / "cli" / "app.py"
+    exec(compile("def broken():\n    raise ZeroDivisionError(EVIL)", str(ours), "exec"), scope)
+    monkeypatch.setattr("topcli.cli.app.call", scope["broken"])
     with pytest.raises(SystemExit) as leaving:
         main()
     err = capsys.readouterr().err

@@ -81,7 +81,10 @@ def test_code_that_raises_is_named_by_file_and_line(
     line = next(i for i, text in enumerate(path.read_text().splitlines(), 1) if "the line to name" in text)
     said = run(cli, path)
     assert said.code == 2
-    assert said.err == f"error: {path}:{line}: in fault: KeyError: 'first\\nsecond'\n"
+    place, why = f"{path}:{line}: in fault", "KeyError: 'first\\nsecond'"
+    # the invariants of a top are asked for as soon as the schemes for every top are registered for it
+    told = f"scheme file {path}: {why} ({place})" if case == "invariants" else f"{place}: {why}"
+    assert said.err == f"error: {told}\n"
 
 
 def test_a_build_that_returns_nothing_is_refused(cli: Callable[..., Said], tmp_path: Path, own_registry: None) -> None:

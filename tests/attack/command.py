@@ -48,6 +48,7 @@ class Watch:
     def __init__(self, note: Callable[[str], object]) -> None:
         self.active = False
         self.roots: tuple[str, ...] = ()
+        self._relative: list[str] = []
         self._note = note
         sys.addaudithook(self._look)
 
@@ -57,20 +58,29 @@ class Watch:
         self.active = False
         try:
             for path in self._paths(event, arguments):
-                if not any(path == root or path.startswith(root + os.sep) for root in self.roots):
-                    self._note(f"{event} {path}")
+                self._judge(event, path)
         finally:
             self.active = True
 
+    def _judge(self, event: str, path: str) -> None:
+        if not any(path == root or path.startswith(root + os.sep) for root in self.roots):
+            self._note(f"{event} {path}")
+
     def _paths(self, event: str, arguments: tuple[Any, ...]) -> Iterator[str]:
         if event == "open":
-            named = [] if not arguments[2] & _FLAGS else [(arguments[0], -1)]
+            path = arguments[0]
+            if not arguments[2] & _FLAGS:
+                return
+            if isinstance(path, (str, bytes, os.PathLike)) and not os.path.isabs(os.fsdecode(path)):
+                self._relative.append(os.path.realpath(os.fsdecode(path)))  # or in a folder that the event leaves out
+                return
+            named = [(path, -1)]
         elif event == "os.rename":
             named = [(arguments[0], arguments[2]), (arguments[1], arguments[3])]
         elif event in ("os.symlink", "os.link"):
             named = [(arguments[1], arguments[-1])]
         else:
-            named = [(arguments[0], arguments[-1] if event in _NOFOLLOW else -1)]
+            named = [(arguments[0], -1 if event == "os.truncate" else arguments[-1])]
         for path, folder in named:
             if isinstance(path, (str, bytes, os.PathLike)):
                 text = os.fsdecode(path)
@@ -90,6 +100,9 @@ class Watch:
             yield
         finally:
             self.active = False
+            for path in filter(os.path.lexists, self._relative):
+                self._judge("open", path)
+            self._relative.clear()
 
 
 def in_process(argv: Sequence[str]) -> int:

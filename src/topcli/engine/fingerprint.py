@@ -133,8 +133,8 @@ class _Walk:
             self._items(_kind(value), value)
         elif isinstance(value, set):
             self._set(value)
-        elif type(value) is dict:
-            self._items("dict", [part for item in value.items() for part in item])
+        elif type(value) is dict or isinstance(value, types.MappingProxyType):
+            self._items(_kind(value), [part for item in value.items() for part in item])
         elif isinstance(value, np.ndarray):
             self._array(value)
         elif isinstance(value, np.generic):

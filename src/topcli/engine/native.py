@@ -104,8 +104,8 @@ def _compiler_missing(package: str, error: BaseException) -> RunError:
     """The error of a process in which a part of the compiler cannot be loaded."""
     reason = (str(error).strip() or type(error).__name__).splitlines()[0]
     return RunError(
-        f"the compiler cannot be loaded: {package}: {reason}\n"
-        f"is {package} installed, and is there enough memory (ulimit -v)? topcli doctor shows the versions"
+        f"the compiler cannot be loaded: {package}: {reason}",
+        f"is {package} installed, and is there enough memory (ulimit -v)? topcli doctor shows the versions",
     )
 
 
@@ -301,7 +301,7 @@ def _ready_numba() -> None:
         settings = [f"{k}={v!r}" for k, v in sorted(os.environ.items()) if k.startswith("NUMBA_")]
         missing = _compiler_missing("numba", error)
         raise RunError(
-            f"{missing}\nset in the environment: {', '.join(settings)}" if settings else str(missing)
+            *missing.lines, *([f"set in the environment: {', '.join(settings)}"] if settings else [])
         ) from error
     if getattr(config, "DISABLE_JIT", False):
         raise RunError("NUMBA_DISABLE_JIT is set: topcli cannot compile its time loop; unset it")

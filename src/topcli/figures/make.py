@@ -47,7 +47,7 @@ def _source(panels: Sequence[Drawable], runs: Sequence[RunResult]) -> str:
     """What the figure was made from and with; an equal text means equal pictures."""
     return json.dumps(
         {
-            "figure": fingerprint(draw, *(type(panel).paint for panel in panels)),
+            "figure": fingerprint(draw, *(type(panel).paint for panel in panels), compiled=False),
             "style": STYLE.read_text(encoding="utf-8"),
             "panels": repr(tuple(panels)),
             "runs": [[run.stored.manifest[key] for key in ("digest", "code")] for run in runs],
@@ -127,7 +127,9 @@ def _make_measured(
 ) -> MadeFigure:
     """The figure of what has been measured. Raises UsageError where there is nothing, and RunError."""
     panels, data, made_from = measured(results)
-    source = json.dumps([fingerprint(draw, *(type(panel).paint for panel in panels)), repr(panels), made_from])
+    source = json.dumps(
+        [fingerprint(draw, *(type(panel).paint for panel in panels), compiled=False), repr(panels), made_from]
+    )
     files = [*(out / f"{spec.name}.{suffix}" for suffix in formats), out / f"{spec.name}.parquet"]
     if not force and all(path.is_file() for path in files) and read_metadata(files[-1]).get(SOURCE) == source:
         return MadeFigure(spec.name, tuple(files), "up to date")

@@ -78,4 +78,4 @@ def growth_columns() -> Mapping[str, Array]:
 def growth_code() -> str:
     """A digest of all that the columns are made by; an equal one means equal columns."""
     digests = [method_fingerprint(experiment.method()) + experiment.digest for experiment, _ in _variants().values()]
-    return fingerprint(block_weights, structure) + "".join(digests) + f"{STEPS} {COPIES}"
+    return fingerprint(block_weights, structure, compiled=False) + "".join(digests) + f"{STEPS} {COPIES}"
