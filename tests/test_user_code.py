@@ -124,6 +124,7 @@ def test_a_fault_of_topcli_itself_is_still_a_bug(
     ("settings", "words", "code"),
     [
         ({"NUMBA_DISABLE_JIT": "1"}, "NUMBA_DISABLE_JIT is set", 1),
+        ({"NUMBA_NUM_THREADS": "abc"}, "", 0),
         ({"NUMBA_NUM_THREADS": "0"}, "Number of threads specified must be > 0", 1),
         ({"PYTHONOPTIMIZE": "2"}, "", 0),
     ],
@@ -143,6 +144,22 @@ def test_settings_of_the_environment_are_not_blamed_on_the_scheme(
     assert words in done.stderr
     assert "hk.py" not in done.stderr
     assert len(done.stderr.splitlines()) <= 3
+
+
+def test_a_package_that_cannot_be_loaded_is_no_bug_of_topcli(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path
+) -> None:
+    from topcli.__main__ import main
+
+    scope: dict = {"broken": ImportError("libarrow.so: failed to map segment", name="pyarrow.lib")}
+    ours = ROOT / "src" / "topcli" / "cli" / "app.py"  # the file decides whose bug it is
+    exec(compile("def call():\n    raise broken", str(ours), "exec"), scope)
+    monkeypatch.setattr("topcli.cli.app.call", scope["call"])
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    assert leaving.value.code == 1
+    assert "enough memory" in (err := capsys.readouterr().err)
+    assert "Traceback" not in err
 
 
 def test_a_compiler_that_cannot_be_loaded_is_not_a_folder_that_cannot_be_written(

@@ -65,6 +65,9 @@ def _unexpected(error: Exception) -> int:
     if found := users_error(error):
         say_error(found)
         return found.exit_code
+    if isinstance(error, ImportError) and not (error.name or "").startswith("topcli"):
+        say(f"error: a package cannot be loaded: {error}; is it installed, and is there enough memory (ulimit -v)?")
+        return 1
     say_text("".join(traceback.format_exception(error)))
     say("internal error: this is a bug in topcli; please report it with the lines above")
     return 70

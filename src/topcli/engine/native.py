@@ -16,6 +16,7 @@ import os
 import re
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -296,7 +297,9 @@ def _has_addresses(compiled: Any, ir: str) -> bool:
 def _ready_numba() -> None:
     """Import numba. Raises RunError where it cannot be loaded, or is set not to compile."""
     try:
-        from numba import config
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of settings that numba cannot read and topcli does not use
+            from numba import config
     except (ImportError, OSError, MemoryError, ValueError, RuntimeError, AttributeError) as error:
         settings = [f"{k}={v!r}" for k, v in sorted(os.environ.items()) if k.startswith("NUMBA_")]
         missing = _compiler_missing("numba", error)
