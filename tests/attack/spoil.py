@@ -111,8 +111,8 @@ DAMAGES: tuple[Damage, ...] = (
 
 
 def hostile_header(draw: random.Random, path: Path) -> None:
-    """A header with other values, before the code as it was."""
-    header, _, code = path.read_bytes().partition(b"\n")
-    data = json.loads(header)  # a line of JSON comes first
+    """A header with other values, between the digest and the code as they were."""
+    digest, header, code = path.read_bytes().split(b"\n", 2)
+    data = json.loads(header)
     data[draw.choice(sorted(data))] = draw.choice((*HOSTILE, "printf", ["system"], "advance"))
-    path.write_bytes(json.dumps(data).encode() + b"\n" + code)
+    path.write_bytes(digest + b"\n" + json.dumps(data).encode() + b"\n" + code)

@@ -10,8 +10,8 @@ import errno
 import itertools
 import json
 import os
-import secrets
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -140,9 +140,8 @@ def require_writable(out: Path) -> None:
     """Make the folder ``out`` if need be. Raises UsageError when it cannot be written to."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        probe = out / f".probe-{os.getpid()}-{secrets.token_hex(4)}"
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=out):  # has no name that a killed process could leave behind
+            pass
     except OSError as error:
         raise UsageError(
             f"output folder {out}: cannot be written to ({error.strerror}); choose another with --out"
