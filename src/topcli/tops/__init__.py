@@ -1,7 +1,7 @@
-"""The tops: parameters, equations of motion, integrals. One file a top.
+"""Tops: parameters, equations of motion, integrals; one module per top.
 
-``TOPS`` lists every form of every top. A kind has several forms where its state can be written in several ways; the
-first of them is the kind's own, and the vectors of the initial state tell which is meant.
+``TOPS`` maps the name of each form of a top to its class. A kind has several forms if its state can be written in
+several ways. The first form is the default; the vectors of the initial state select the form.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ TOPS: dict[str, type[Top]] = {
 
 
 def kinds() -> list[str]:
-    """The names that a config may use for a top."""
+    """Return the names of tops that a config may use."""
     return list(dict.fromkeys(top.kind for top in TOPS.values()))
 
 
 def forms(kind: str) -> list[type[Top]]:
-    """The forms of the top called ``kind`` (matched without case), its own first.
+    """Return the forms of the top called ``kind`` (case-insensitive), the default form first.
 
-    Raises UnknownNameError with the nearest names.
+    Raises UnknownNameError, with the nearest names, for an unknown kind.
     """
     found = [top for top in TOPS.values() if top.kind == kind.lower()]
     if not found:
@@ -37,9 +37,9 @@ def forms(kind: str) -> list[type[Top]]:
 
 
 def top_class(kind: str, vectors: Collection[str] = ()) -> type[Top]:
-    """The form of the top called ``kind`` whose initial state has the ``vectors``; its own form when none fits.
+    """Return the form of the top called ``kind`` whose initial state has the ``vectors``, else the default form.
 
-    Raises UnknownNameError with the nearest names.
+    Raises UnknownNameError, with the nearest names, for an unknown kind.
     """
     found = forms(kind)
     return next((top for top in found if set(top.vectors) == set(vectors)), found[0])
