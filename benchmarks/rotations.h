@@ -20,7 +20,7 @@ static const double small_angle_sq = 0.6168502750680849;
 #define LIST(...) {__VA_ARGS__}
 
 CAYLEY(cayley, LIST(r * x1, r * x2, r * x3))
-CAYLEY(cayley_added, LIST(fma(r, x1, g1), fma(r, x2, g2), fma(r, x3, g3)))
+CAYLEY(cayley_rotated, LIST(fma(r, x1, g1), fma(r, x2, g2), fma(r, x3, g3)))
 
 /* sin(x)/x and (1 - cos(x))/x**2 as functions of t = x*x */
 static inline two sinc_cosc(double t)

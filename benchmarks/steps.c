@@ -19,7 +19,7 @@ static inline __attribute__((always_inline)) state hybrid_step(state y, double h
     const state p = hk_step(y, h, c);
     const double k = 0.25 * h;
     const double a1 = k * (p.w1 + w1), a2 = k * (p.w2 + w2), a3 = k * (p.w3 + w3);
-    const vec r = cayley_added(a1, a2, a3, g1, g2, g3);
+    const vec r = cayley_rotated(a1, a2, a3, g1, g2, g3);
     const double n1 = r.x, n2 = r.y, n3 = r.z;
     const double half = 0.5 * c, x = 0.5 * ((w1 - w2) * (w1 + w2)) - half * g1, im = w1 * w2 - half * g2;
     const two t = turn((0.5 * h) * (p.w3 + w3), x, im);

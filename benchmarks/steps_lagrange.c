@@ -11,7 +11,7 @@ static inline state bs_step(state y, double h)
 {
     const double n1 = fma(-h, y.a2, y.m1), n2 = fma(h, y.a1, y.m2);
     const double d = -0.5 * h, u1 = d * n1, u2 = d * n2, u3 = d * y.m3;
-    const vec a = cayley_added(u1, u2, u3, y.a1, y.a2, y.a3);
+    const vec a = cayley_rotated(u1, u2, u3, y.a1, y.a2, y.a3);
     return (state){n1, n2, y.m3, a.x, a.y, a.z};
 }
 

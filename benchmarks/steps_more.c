@@ -155,7 +155,7 @@ static inline vec on_chart(double side, double w1, double w2, double w3, double 
         end;                                                                                                  \
     }
 
-BOHLIN(bohlin_a, , const vec m = cayley_added(d * w1, d * w2, d * w3, g1, g2, g3);
+BOHLIN(bohlin_a, , const vec m = cayley_rotated(d * w1, d * w2, d * w3, g1, g2, g3);
        const double n1 = m.x; const double n2 = m.y; const double n3 = m.z, , )
 BOHLIN(bohlin_b, double count = y[6],
        const vec m = on_chart(g3 < switch_below ? -1.0 : 1.0, w1, w2, w3, g1, g2, g3, h);

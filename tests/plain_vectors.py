@@ -11,8 +11,8 @@ from collections.abc import Callable, MutableSequence
 from fractions import Fraction
 
 from topcli.schemes.taylor.llvm_vectors import POWER, ROUNDING
-from topcli.schemes.taylor.series import Arrangement, expand, tail
-from topcli.schemes.taylor.time_loop import BUDGET, EXACT, LAG, LEVEL, PART, STEP, TABLES, TIME
+from topcli.schemes.taylor.series import Arrangement, expand, taylor_increment
+from topcli.schemes.taylor.time_loop import EXACT_REACH, FRACTION, LAG, LOG2_TOL, MAX_EXPANSIONS, STEP, TABLES, TIME
 from topcli.schemes.taylor.vectors import two_sum
 
 Vector = tuple[float, ...]
@@ -93,7 +93,7 @@ class Plain:
         """What was kept."""
         return self.kept[name, index]
 
-    def cut(self) -> None:
+    def barrier(self) -> None:
         """Nothing: here all is done in the order in which it stands."""
 
     def logarithm(self, x: Vector) -> float:
@@ -128,31 +128,31 @@ def advance(
     every: int,
     until: int,
     *,
-    careful: bool = False,
+    extended_precision: bool = False,
     fuse: bool = True,
 ) -> int:
     """What ``series_loop`` makes in machine code; see there."""
     o, n, base = Plain(a.lanes, fuse=fuse), a.lanes, 2 * a.lanes
     at = base + TABLES
     hi, lo = tuple(work[:n]), tuple(work[n:base])
-    step, part, lag = int(work[base + STEP]), work[base + PART], work[base + LAG]
+    step, part, lag = int(work[base + STEP]), work[base + FRACTION], work[base + LAG]
     alpha, beta, delta, unit = (tuple(work[at + k * n : at + (k + 1) * n]) for k in range(4))
     scaled = h * work[base + TIME]
     row, place, done = until, 0, 0
-    for _ in range(BUDGET):
+    for _ in range(MAX_EXPANSIONS):
         natural, late, missed = expand(
-            o, a, order, (hi, lo if careful else None), (alpha, beta, delta), work[base + LEVEL]
+            o, a, order, (hi, lo if extended_precision else None), (alpha, beta, delta), work[base + LOG2_TOL]
         )
         capped = min(natural * (1.0 / abs(scaled)), 2.0**40)
-        reach = float(math.floor(capped)) if capped >= EXACT else part + ((capped + EXACT) - EXACT)
+        reach = float(math.floor(capped)) if capped >= EXACT_REACH else part + ((capped + EXACT_REACH) - EXACT_REACH)
         if not late < 1024.0 or not reach > part:
             if late < 1024.0:
                 work[at + 4 * n] = math.nan
             return -1 - max(step, 0)
         while row <= steps and row - step <= reach:
-            main, small = tail(o, order, ((row - step) - part) * scaled - lag, missed)
+            main, small = taylor_increment(o, order, ((row - step) - part) * scaled - lag, missed)
             physical = o.mul(o.add(hi, o.add(main, o.add(small, lo))), unit)
-            out[place : place + d] = [physical[k] for k in a.places]  # type: ignore[index]
+            out[place : place + d] = [physical[k] for k in a.component_lanes]  # type: ignore[index]
             row, place = row + every, place + d
         done = steps
         if steps - step <= reach:
@@ -160,7 +160,7 @@ def advance(
         move = (reach - part) * scaled
         exact = move - lag
         rest = o.fma(reach - part, scaled, -move)
-        main, small = tail(o, order, exact, missed)
+        main, small = taylor_increment(o, order, exact, missed)
         lag = ((exact - move) + lag) - rest  # type: ignore[operator]
         new, lost = two_sum(o, hi, main)
         small = o.add(small, o.add(lo, lost))
@@ -171,5 +171,5 @@ def advance(
         work[at + 4 * n + 1] += 1.0
         done = step
     work[:n], work[n:base] = hi, lo  # type: ignore[call-overload]
-    work[base + STEP], work[base + PART], work[base + LAG] = float(step - done), part, lag
+    work[base + STEP], work[base + FRACTION], work[base + LAG] = float(step - done), part, lag
     return done

@@ -14,7 +14,7 @@ from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Run, nanoseconds_per_step
-from topcli.schemes.any_top.runge_kutta import VECTORS, rk2_step, rk4_step
+from topcli.schemes.any_top.runge_kutta import VECTOR_OPERATIONS, rk2_step, rk4_step
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy
@@ -76,7 +76,7 @@ class Free(Heavy):
 def test_states_of_length_three() -> None:
     """The steps for three components, compiled, are those for six without gravity."""
     three, six = Free(), Heavy(x0=0.0, y0=0.0, z0=0.0)
-    for build in (lambda d, f: rk2_step(f, VECTORS[d][0]), lambda d, f: rk4_step(f, *VECTORS[d])):
+    for build in (lambda d, f: rk2_step(f, VECTOR_OPERATIONS[d][0]), lambda d, f: rk4_step(f, *VECTOR_OPERATIONS[d])):
         ends = []
         for top, d in ((three, 3), (six, 6)):
             run = Run(top, Stepper(build(d, top.field), d), GEN[:d], 0.01, 500)

@@ -12,16 +12,16 @@ from steppers import RK2
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Ending, Floats, Outcome, Stepper
 from topcli.engine.loop import Run
-from topcli.schemes.kowalevski.dg4 import wanted_and_short
+from topcli.schemes.kowalevski.dg4 import right_hand_side
 from topcli.schemes.kowalevski.four_integrals import (
     combination,
-    components,
-    factorized,
+    directional_derivatives,
+    factorize,
     first_three,
     fourth_column,
     gram,
     mean_column,
-    solved,
+    solve,
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
@@ -92,14 +92,14 @@ def test_gradients_and_their_gram_matrix(c: float) -> None:
         np.testing.assert_allclose(
             combination(y, c, column, (0.3, -0.7, 0.4, 1.1)), D @ [0.3, -0.7, 0.4, 1.1], atol=1e-13
         )
-        np.testing.assert_allclose(components(y, c, column, y), D.T @ y, atol=1e-13)
+        np.testing.assert_allclose(directional_derivatives(y, c, column, y), D.T @ y, atol=1e-13)
         G = D.T @ D
         np.testing.assert_allclose(gram(y, c, column), G[np.triu_indices(4)], rtol=1e-13, atol=1e-13)
         r = (0.3, -0.2, 0.5, 0.7)
-        *x, short = solved(factorized(gram(y, c, column), True), r, math.inf)
+        *x, short = solve(factorize(gram(y, c, column), True), r, math.inf)
         assert short == 0.0
         np.testing.assert_allclose(x, np.linalg.solve(G, r), rtol=1e-15 * np.linalg.cond(G))
-        *x, short = solved(factorized(gram(y, c, column), True), r, 1e-8)
+        *x, short = solve(factorize(gram(y, c, column), True), r, 1e-8)
         assert short >= 1.0
         assert np.linalg.norm(D @ x) < 2.001e-4  # four directions, normal to each other, of 1e-4 at most
 
@@ -110,10 +110,10 @@ def test_dependent_gradients_are_left_out() -> None:
     column = fourth_column(y[0], y[1], *xi_of(y[0], y[1], y[3], y[4], c), c)
     D = gradients(y, c, *xi_of(y[0], y[1], y[3], y[4], c))
     assert np.linalg.matrix_rank(D) == 2
-    factors = factorized(gram(y, c, column), True)
+    factors = factorize(gram(y, c, column), True)
     assert [i > 0.0 for i in factors[:4]] == [True, True, False, False]
     wanted = D.T @ D @ [1.0, -2.0, 0.5, 0.1]
-    *x, short = solved(factors, tuple(wanted), math.inf)
+    *x, short = solve(factors, tuple(wanted), math.inf)
     assert short == 2.0
     np.testing.assert_allclose(D.T @ (D @ x), wanted, rtol=1e-13)
 
@@ -245,7 +245,7 @@ def test_dg4_solves_its_equation(h: float) -> None:
         assert np.linalg.norm(along) > 1e-5 * abs(h) ** 3
         worst = 1.0 / np.linalg.svd(D, compute_uv=False)[-1]
         np.testing.assert_allclose(e, f - along, rtol=0, atol=4e-15 * max(1.0, worst))
-        free = wanted_and_short(tuple(y), e, (0.0, 0.0, 0.0, 0.0), 1.0, False, h, p)[:6]
+        free = right_hand_side(tuple(y), e, (0.0, 0.0, 0.0, 0.0), 1.0, False, h, p)[:6]
         np.testing.assert_allclose(free, f, rtol=1e-14, atol=1e-17)  # with no integral in use: the midpoint rule
 
 

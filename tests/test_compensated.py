@@ -13,7 +13,7 @@ from mpmath import mp, mpf
 
 from conftest import GEN, PAPER, random_states
 from test_contract import TRIALS, gen
-from topcli.arithmetic.increments import carried_sum, compensated6
+from topcli.arithmetic.increments import compensated6, compensated_sum
 from topcli.config.load import experiment_from
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import loop_of, plain_loop
@@ -21,7 +21,7 @@ from topcli.engine.loop import Run
 from topcli.errors import ConfigError
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.compose import COMPOSITIONS, compose
-from topcli.schemes.kowalevski.hk import hk_kowalevski_change, hk_kowalevski_refined
+from topcli.schemes.kowalevski.hk import hk_kowalevski_change, hk_kowalevski_compensated
 from topcli.schemes.registry import all_schemes, composable_names, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy
@@ -67,7 +67,7 @@ def test_what_a_sum_loses() -> None:
     for y, d, e in zip(*random.normal(size=(3, 2000)), strict=True):
         for size in (1.0, 1e-3, 1e-9):
             t = d * size + e * 1e-17
-            s, r = carried_sum(y, e * 1e-17, d * size)
+            s, r = compensated_sum(y, e * 1e-17, d * size)
             assert s == y + t
             lost = Fraction(y) + Fraction(t) - Fraction(s)
             if abs(t) <= abs(y):
@@ -134,7 +134,7 @@ def test_gammas_change_is_more_than_a_double() -> None:
         e0 = 1e-17 * random.normal(size=6)
         with mp.workdps(40):
             exact = kahan(Kowalevski.field, [mpf(y) + mpf(e) for y, e in zip(y0, e0, strict=True)], mpf(h), (mpf(1),))
-            for refined, step in ((True, hk_kowalevski_refined), (False, carried)):
+            for refined, step in ((True, hk_kowalevski_compensated), (False, carried)):
                 s = step((*y0.tolist(), *e0.tolist()), h, p)
                 misses[refined].append([float(mpf(s[i]) + mpf(s[i + 6]) - exact[i]) for i in (3, 4, 5)])
     refined, plain = (np.sqrt(np.mean(np.square(misses[kind]))) for kind in (True, False))

@@ -243,7 +243,7 @@ def rescaled(s, h, p):
     ("change", "says"),
     [
         ({"self_adjoint": False}, "is not self-adjoint"),
-        ({"order": 4}, "has order 4, and the compositions are for order 2"),
+        ({"order": 4}, "has order 4, but compositions need order 2"),
         ({"build": lambda *_: Sampler(lambda y0, h, n, p: y0)}, "closed form"),
         ({"build": lambda *_: replace(KICK_TURN, enter=scaled)}, "depends on h"),
         ({"build": lambda *_: replace(KICK_TURN, enter=floored)}, "depends on h"),
@@ -253,7 +253,7 @@ def rescaled(s, h, p):
 def test_bases_that_do_not_serve(change: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says) as told:
         composed(replace(SPLIT, **change), "suzuki4")
-    assert "schemes for kowalevski that can: " in str(told.value)
+    assert "schemes for kowalevski that can be: " in str(told.value)
     assert " hk," in str(told.value)
     assert len(str(told.value).splitlines()) == 1
 

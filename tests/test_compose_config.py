@@ -95,12 +95,12 @@ def test_default_name_serves(tmp_path: Path) -> None:
         ("hk+", "scheme", "unknown composition ''; known: kahan-li6, kahan-li8, suzuki4, yoshida4"),
         ("hkk+suzuki4", "scheme", "unknown scheme 'hkk'; did you mean 'hk'?"),
         ("hk+suzuki4+kahan-li6", "scheme", "scheme 'hk+suzuki4' cannot be composed: it has order 4"),
-        ("hybrid+suzuki4", "scheme", "it is not self-adjoint, which the order of a composition rests on; schemes for"),
+        ("hybrid+suzuki4", "scheme", "it is not self-adjoint, which the order of a composition requires; schemes for"),
         ("{name: hk, compose: suzuki}", "scheme.compose", "did you mean 'suzuki4'?"),
         ("{name: hk, compose: 4}", "scheme.compose", "must be a name (yoshida4, suzuki4, kahan-li6, kahan-li8), not 4"),
         ("{name: hk, compose: null}", "scheme.compose", "must be a name"),
         ("{name: hk+suzuki4, compose: suzuki4}", "scheme.compose", "has order 4"),
-        ("{name: hybrid, compose: suzuki4}", "scheme.compose", "schemes for kowalevski that can: "),
+        ("{name: hybrid, compose: suzuki4}", "scheme.compose", "schemes for kowalevski that can be: "),
         ("{name: hk, composed: suzuki4}", "scheme.composed", "did you mean 'compose' or 'compensated'?"),
         ("{name: hk, Compose: suzuki4}", "scheme.Compose", "did you mean 'compose'?"),
     ],
@@ -144,7 +144,7 @@ def test_the_plus_and_the_key_are_taken(word: str) -> None:
     class Options(BaseModel):
         compose: str = Field(default="x", description="taken")
 
-    with pytest.raises(ValueError, match="stand for compositions"):
+    with pytest.raises(ValueError, match="are reserved for compositions"):
 
         @registry.scheme(
             word,

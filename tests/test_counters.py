@@ -15,7 +15,7 @@ from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Run
 from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.euler.hk import euler_determinant, hk_increment
-from topcli.schemes.heavy.hk import heavy_determinant, hk_heavy
+from topcli.schemes.heavy.hk import heavy_determinant
 from topcli.schemes.kowalevski.bohlin import bohlin_step, method_c
 from topcli.schemes.kowalevski.hk import hk_kowalevski, kowalevski_determinant
 from topcli.schemes.kowalevski.hybrid import hybrid_step
@@ -29,6 +29,7 @@ from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
+from twins_heavy import hk_heavy
 
 
 def ran(top: Top, name: str, y0: Floats, h: float, N: int) -> tuple[np.ndarray, Ending]:

@@ -16,14 +16,13 @@ from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import resolvent
 from topcli.contracts import Top
 from topcli.engine.loop import Run
-from topcli.schemes.heavy.hk import hk_heavy
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.registry import find_scheme
 from topcli.tops.heavy import Heavy, field
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.kowalevski import field as kowalevski_field
 from twins import exactly
-from twins_heavy import cross, d_euler_poisson, hk_general, random_heavy_tops
+from twins_heavy import cross, d_euler_poisson, hk_general, hk_heavy, random_heavy_tops
 
 EPS = 2.0**-52
 TOP = Heavy(A=1.7, B=1.1, C=0.9, x0=0.4, y0=-0.9, z0=0.7)

@@ -13,8 +13,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from conftest import random_states
-from topcli.arithmetic.complex_plane import root_nearest, root_sign, turn_added, turn_increment
-from topcli.arithmetic.rotations import SMALL_ANGLE_SQ, cayley_added, cayley_increment, rodrigues_increment, sinc_cosc
+from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest, root_sign, rotation_increment
+from topcli.arithmetic.rotations import SMALL_ANGLE_SQ, cayley_increment, cayley_rotated, rodrigues_increment, sinc_cosc
 from topcli.engine.native import native
 from twins import cayley_matrix, exactly, polar_root_sign, rotation_matrix
 
@@ -52,13 +52,13 @@ def test_cayley_increment_rounds_at_the_size_of_the_increment(size: float) -> No
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0])
-def test_cayley_added_is_rounded_once(size: float) -> None:
+def test_cayley_rotated_is_rounded_once(size: float) -> None:
     """Half a last bit of the sum, beside the error of the change itself."""
     for y in random_states(50, seed=4):
         a, g = [size * float(x) for x in y[:3]], [float(x) for x in y[3:]]
         change = exactly(cayley_increment, *a, *g)
         scale = math.hypot(*map(float, change))
-        for x, before, d in zip(cayley_added(*a, *g), g, change, strict=True):
+        for x, before, d in zip(cayley_rotated(*a, *g), g, change, strict=True):
             assert abs(float(Fraction(x) - (Fraction(before) + d))) <= 0.5 * math.ulp(x) + 8 * EPS * scale
 
 
@@ -122,19 +122,19 @@ def test_rodrigues_at_no_angle_is_the_identity() -> None:
 
 
 @given(st.floats(-9.0, 9.0), number, number)
-def test_turn_increment(chi: float, x: float, y: float) -> None:
+def test_rotation_increment(chi: float, x: float, y: float) -> None:
     with mpmath.workdps(40):
         exact = mpmath.expm1(mpmath.mpc(0, -chi)) * mpmath.mpc(x, y)
-        got = mpmath.mpc(*turn_increment(chi, x, y))
+        got = mpmath.mpc(*rotation_increment(chi, x, y))
         assert abs(got - exact) <= 6 * EPS * min(abs(chi), 2.0) * abs(mpmath.mpc(x, y)) + 1e-300
 
 
 @given(st.floats(-9.0, 9.0), number, number, number, number)
-def test_turn_added(chi: float, x: float, y: float, a: float, b: float) -> None:
+def test_add_rotation_increment(chi: float, x: float, y: float, a: float, b: float) -> None:
     """Two roundings at the size of the sum, beside the increment's own."""
     with mpmath.workdps(40):
         exact = mpmath.mpc(a, b) + mpmath.expm1(mpmath.mpc(0, -chi)) * mpmath.mpc(x, y)
-        got = mpmath.mpc(*turn_added(chi, x, y, a, b))
+        got = mpmath.mpc(*add_rotation_increment(chi, x, y, a, b))
         assert abs(got - exact) <= EPS * (6 * min(abs(chi), 2.0) * math.hypot(x, y) + 2 * math.hypot(a, b)) + 1e-300
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import twins
 from conftest import GEN, random_states
+from lagrange_forms import nutation_bs, nutation_hk, to_body, to_inertial, units
 from steppers import rk2
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
@@ -18,12 +19,12 @@ from topcli.contracts import Invariant, Method, Top
 from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
 from topcli.schemes.lagrange.bs import bs_step
-from topcli.schemes.lagrange.exact import body_states, inertial_states, nutation_bs, nutation_hk
+from topcli.schemes.lagrange.exact import body_states, inertial_states
 from topcli.schemes.lagrange.hk import hk_corrections, hk_lagrange
 from topcli.schemes.lagrange.oscillation import jacobi
 from topcli.schemes.registry import find_scheme
 from topcli.studies.simulate import simulate
-from topcli.tops.lagrange import Lagrange, LagrangeInertial, to_body, to_inertial, units
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 EPS = float(np.finfo(float).eps)
 INERTIAL = LagrangeInertial()

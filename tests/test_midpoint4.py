@@ -15,11 +15,11 @@ from topcli.contracts import Floats, Outcome
 from topcli.schemes.kowalevski.four_integrals import fourth_column, xi_of
 from topcli.schemes.kowalevski.lie_poisson import (
     bracket,
-    field_of,
-    field_of_m,
-    keeping_three,
+    conserving_direction,
+    hamiltonian_field,
+    momentum_field,
     newton_matrix,
-    newton_solved,
+    newton_solve,
 )
 from topcli.schemes.kowalevski.midpoint4 import enter, midpoint4_step
 from topcli.tops.kowalevski import Kowalevski, field
@@ -46,9 +46,9 @@ def test_fields_are_the_brackets_of_their_functions(c: float) -> None:
         D = np.linalg.inv(M) @ gradients(y, c, *xi)
         J = poisson(y)
         np.testing.assert_allclose(J @ D[:, :2], 0.0, atol=1e-13)  # Casimirs
-        np.testing.assert_allclose(field_of_m(y, c), J @ D[:, 2], atol=1e-13)
-        np.testing.assert_allclose(field_of_m(y, c), M @ field(y, (c,)), atol=1e-14)
-        np.testing.assert_allclose(field_of(y, fourth_column(y[0], y[1], *xi, c)), J @ D[:, 3], atol=1e-12)
+        np.testing.assert_allclose(momentum_field(y, c), J @ D[:, 2], atol=1e-13)
+        np.testing.assert_allclose(momentum_field(y, c), M @ field(y, (c,)), atol=1e-14)
+        np.testing.assert_allclose(hamiltonian_field(y, fourth_column(y[0], y[1], *xi, c)), J @ D[:, 3], atol=1e-12)
         v = (0.3, -0.7, 0.2, 1.1, -0.4, 0.9)
         np.testing.assert_allclose(M @ bracket(y, v), J @ v, atol=1e-13)
 
@@ -56,7 +56,7 @@ def test_fields_are_the_brackets_of_their_functions(c: float) -> None:
 def test_direction_keeps_three_and_changes_k_at_its_rate() -> None:
     for y in map(tuple, random_states(20, seed=52)):
         xi = xi_of(y[0], y[1], y[3], y[4], 1.0)
-        n, rate, most = keeping_three(y, field_of_m(y, 1.0), fourth_column(y[0], y[1], *xi, 1.0))
+        n, rate, most = conserving_direction(y, momentum_field(y, 1.0), fourth_column(y[0], y[1], *xi, 1.0))
         D = gradients(y, 1.0, *xi)
         np.testing.assert_allclose(D[:, :3].T @ n, 0.0, atol=1e-12 * np.linalg.norm(n))
         assert D[:, 3] @ n == pytest.approx(-rate, rel=1e-9)
@@ -73,7 +73,7 @@ def test_newton_matrix_is_the_derivative() -> None:
             columns.append([complex(v).imag / 1e-200 for v in field(tuple(z), (-1.3,))])  # type: ignore[arg-type]
         r = (0.3, -0.2, 0.5, 0.7, 0.1, -0.9)
         exact = np.linalg.solve(np.eye(6) - 0.2 * np.array(columns).T, r)
-        np.testing.assert_allclose(newton_solved(newton_matrix(y, 0.2, -1.3), r), exact, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(newton_solve(newton_matrix(y, 0.2, -1.3), r), exact, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("h", [0.1, -0.1, 1e-3])

@@ -106,6 +106,14 @@ def scheme_file(folder: Path, name: str = "rest", top: str = "kowalevski", doc: 
     return str(path)
 
 
+def test_example_of_the_decorator_runs(tmp_path: Path) -> None:
+    """In a process of its own, because the example registers a scheme."""
+    code = "import doctest; from topcli.schemes import registry; print(*doctest.testmod(registry))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    failed, attempted = map(int, done.stdout.split()[-2:])
+    assert (failed, attempted) == (0, 6), done.stdout
+
+
 def test_a_scheme_from_a_file(tmp_path: Path) -> None:
     file = scheme_file(tmp_path)
     done = topcli("run", HK, "--scheme-file", file, "--set", "scheme=rest", "--set", "N=20", "--json", cwd=tmp_path)

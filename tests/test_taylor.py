@@ -18,7 +18,7 @@ from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
 from topcli.schemes.taylor import time_loop as loop_text
-from topcli.schemes.taylor.scheme import ORDERS, Tolerance, build, careful, order_of, quotients
+from topcli.schemes.taylor.scheme import ORDERS, Tolerance, build, extended_precision, order_for, quotients
 from topcli.schemes.taylor.series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of, expand
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
@@ -79,9 +79,21 @@ def fuses() -> bool:
 
 def follow(top: Top, tol: float, work, out, h: float, steps: int, every: int, fuse: bool | None = None) -> int:
     """The twin, executed in plain Python."""
-    order, fuse = order_of(tol), fuses() if fuse is None else fuse
+    order, fuse = order_for(tol), fuses() if fuse is None else fuse
     d = len(top.components)
-    return advance(arrangement(top), d, order, work, out, h, steps, every, 1, careful=careful(order), fuse=fuse)
+    return advance(
+        arrangement(top),
+        d,
+        order,
+        work,
+        out,
+        h,
+        steps,
+        every,
+        1,
+        extended_precision=extended_precision(order),
+        fuse=fuse,
+    )
 
 
 @of_every_top
@@ -134,7 +146,7 @@ def test_coefficients_are_the_derivatives(top: Top) -> None:
     pad = (0.0,) * (a.lanes - 3)
     o = Plain(a.lanes)
     ones = (1.0, 1.0, 1.0, 0.0, 0.0) if d == 6 else (0.0,)
-    y0 = a.spread(gen(top))
+    y0 = a.to_lanes(gen(top))
     expand(o, a, 12, (y0, None), ((*alpha, *ones), (*beta, *pad), (*delta, *pad)), -40.0)
     y = [list(map(float, gen(top))) + [0.0] * (6 - d)]
     for m in range(12):
@@ -146,7 +158,7 @@ def test_coefficients_are_the_derivatives(top: Top) -> None:
                 new[3 + i] += (y[n][3 + j] * y[m - n][k] - y[n][3 + k] * y[m - n][j]) / (m + 1)
             new[i] += (beta[i] * y[m][3 + j] + delta[i] * y[m][3 + k]) / (m + 1)
         y.append(new)
-        assert o.load("a", m + 1) == pytest.approx(a.spread(new[:d]), rel=1e-12, abs=1e-14)
+        assert o.load("a", m + 1) == pytest.approx(a.to_lanes(new[:d]), rel=1e-12, abs=1e-14)
 
 
 @of_every_top
@@ -189,15 +201,15 @@ def test_the_error_follows_the_tolerance(top: Top) -> None:
         assert run.ending is not None
         counts.append(run.ending.counters["expansions"])
     assert counts[-1] < 50
-    per_order = [counts[i] for i in range(len(counts)) if order_of(tolerances[i]) == ORDERS[0]]
+    per_order = [counts[i] for i in range(len(counts)) if order_for(tolerances[i]) == ORDERS[0]]
     assert sorted(per_order) == per_order
 
 
 def test_order_grows_with_the_digits() -> None:
-    orders = [order_of(10.0**-k) for k in range(20)]
+    orders = [order_for(10.0**-k) for k in range(20)]
     assert orders == sorted(orders)
     assert {*orders} <= {*range(ORDERS[0], ORDERS[1] + 1, 4)}
-    assert order_of(0.0) == ORDERS[1]
+    assert order_for(0.0) == ORDERS[1]
 
 
 @of_every_top
@@ -239,7 +251,7 @@ def test_a_long_step_is_left_and_taken_up(monkeypatch: pytest.MonkeyPatch) -> No
     loop, work, p = prepared(top, np.array(GEN), h)
     whole = np.zeros(12)
     assert loop.drive(work, whole, p, h, 2, 1, 1) == 2
-    monkeypatch.setattr(loop_text, "BUDGET", 9)
+    monkeypatch.setattr(loop_text, "MAX_EXPANSIONS", 9)
     loop, work, p = prepared(top, np.array(GEN), h)
     part = np.zeros(6)
     returned = []
@@ -274,7 +286,7 @@ def test_the_first_coefficient_is_to_more_than_a_double(monkeypatch: pytest.Monk
         return float(np.exp(np.mean(np.log(errors))))
 
     carefully = error()
-    monkeypatch.setattr("topcli.schemes.taylor.scheme.careful", lambda order: False)
+    monkeypatch.setattr("topcli.schemes.taylor.scheme.extended_precision", lambda order: False)
     assert carefully < 0.7 * error()
 
 

@@ -7,10 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from topcli.arithmetic.increments import plain6
+from topcli.schemes.heavy.hk import hk_heavy_change
 from topcli.tops.heavy import Heavy
 from twins import solve
 
 Vector = Sequence[Any]
+hk_heavy = plain6(hk_heavy_change)
+"""The packaged HK step on (omega, gamma), without its counter."""
 
 
 def cross(a: Vector, b: Vector) -> list[Any]:

@@ -1,14 +1,14 @@
-"""The contracts between the layers: Top, Scheme, Stepper, Invariant, Outcome.
+"""Types shared by all layers: Top, Scheme, Stepper, Sampler, Block, Invariant, Outcome.
 
-Everything is dimensionless, as in the paper: times, angular velocities and energies are pure numbers.
+All quantities are dimensionless, as in the paper: times, angular velocities and energies are pure numbers.
 
-An author of a scheme meets these duties:
+Rules for the author of a scheme:
 
-1. ``step(state, h, p) -> state`` takes and returns flat tuples of floats, is pure, and uses only float
-   arithmetic, ``math`` functions, and other such functions. It is then both compiled by the engine and
-   runnable as plain Python.
-2. ``p`` is ``top.constants()``; ``h`` may be negative, and N = 1 is a run like any other.
-3. What the scheme declares (order, self-adjointness, exact invariants) is tested because it is declared.
+1. ``step(state, h, p) -> state`` takes and returns flat tuples of floats, has no side effects, and uses only float
+   arithmetic, functions of ``math``, and other functions of this kind. The engine can then compile it, and it also
+   runs as plain Python.
+2. ``p`` is ``top.constants()``; ``h`` may be negative, and N = 1 is allowed.
+3. Every declared trait (order, self-adjointness, exact invariants) is checked by the tests.
 """
 
 from __future__ import annotations
@@ -46,11 +46,23 @@ def heed_stop() -> None:
 
 @dataclass(frozen=True)
 class Invariant:
-    """A function of the state that the exact flow conserves.
+    """Function of the state that the exact flow conserves.
 
-    ``value`` maps states of shape (n, d) to (n,). ``scale`` maps them to the sum of the magnitudes of the
-    terms that ``value`` adds up, shape (n,): the size that round-off is measured against, because a value
-    near zero may be a difference of large terms.
+    Parameters
+    ----------
+    name : str
+        Identifier used in columns and reports, for example ``"gamma_sq"``.
+    symbol : str
+        Symbol for terminal output, for example ``"γ²"``.
+    tex : str
+        Symbol in LaTeX, for figures.
+    meaning : str
+        Description in a few words, for example ``"length of the vertical, squared"``.
+    value : callable
+        Maps states, shape (n, d), to the values of the invariant, shape (n,).
+    scale : callable
+        Maps states, shape (n, d), to the sum of the magnitudes of the terms that ``value`` adds, shape (n,).
+        Round-off is measured relative to this scale, because a value near zero may be a difference of large terms.
     """
 
     name: str
@@ -63,58 +75,92 @@ class Invariant:
 
 @dataclass(frozen=True)
 class EulerPoisson:
-    """Coefficients of the general Euler-Poisson equations: moments of inertia and mg(x0, y0, z0)."""
+    """Coefficients of the general Euler-Poisson equations (Sogo, Discrete Spinning Tops, section 1.1).
+
+    Parameters
+    ----------
+    moments : tuple of float
+        Principal moments of inertia (A, B, C), positive.
+    gravity : tuple of float
+        Weight times centre of gravity, mg(x0, y0, z0).
+    omega_sign : float, optional
+        The first three components of the state are omega times this sign (+1 or -1); the others are gamma.
+    """
 
     moments: tuple[float, float, float]
     gravity: tuple[float, float, float]
     omega_sign: float = 1.0
-    """The state's first three components are omega times this sign (+1 or -1), the others are gamma."""
 
 
 class Top(BaseModel):
-    """A top: its parameters (the fields of a subclass), its equations of motion and its integrals."""
+    """Base class of the tops.
+
+    A subclass declares the parameters of the top as pydantic fields, sets the class attributes below, and implements
+    ``constants``, ``invariants`` and ``euler_poisson``. See ``topcli.tops.heavy`` for a complete example.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: ClassVar[str]
-    """What a config calls the top."""
+    """Name of the top in configs."""
     form: ClassVar[str]
-    """What schemes are registered for: the kind, or the kind with the form of its state where it has several."""
+    """Key that schemes are registered for: the kind, extended by the form of the state if there are several forms."""
     title: ClassVar[str]
+    """Title for people, on one line."""
     citation: ClassVar[str]
+    """Source of the equations of motion."""
     components: ClassVar[tuple[str, ...]]
-    """Names of the state's components in order."""
+    """Names of the components of the state, in order."""
     vectors: ClassVar[Mapping[str, tuple[int, int]]]
-    """Names of the vectors of the initial state and where they lie in it, e.g. ``{"omega": (0, 3)}``."""
+    """Vectors of the initial state and their index ranges in the state, for example ``{"omega": (0, 3)}``."""
     unit_vectors: ClassVar[tuple[str, ...]] = ()
-    """Those of ``vectors`` that must have unit length."""
+    """Names of those ``vectors`` that must have unit length."""
     energy: ClassVar[str] = "energy"
     """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
     ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
     swing: ClassVar[str]
-    """The component whose deep minima mark the swings of the top."""
+    """Component whose deep minima mark the swings of the top."""
     field: ClassVar[Callable[[Floats, Floats], Floats]]
-    """The right-hand side ``field(state, constants)`` on flat tuples, compilable by the engine."""
+    """Right-hand side ``field(state, constants)`` of the equations of motion, on flat tuples; must be compilable."""
 
     def constants(self) -> Floats:
-        """The numbers that ``field`` and every step receive as their last argument."""
+        """Return the constants of the equations of motion.
+
+        Returns
+        -------
+        tuple of float
+            Last argument of ``field`` and of every step; dimensionless.
+        """
         raise NotImplementedError
 
     def invariants(self) -> tuple[Invariant, ...]:
-        """The integrals of the continuous motion, in the order of the report."""
+        """Return the integrals of the continuous motion.
+
+        Returns
+        -------
+        tuple of Invariant
+            In the order of the report.
+        """
         raise NotImplementedError
 
     def euler_poisson(self) -> EulerPoisson:
-        """The same top as a case of the general Euler-Poisson equations; need not be given.
+        """Return the coefficients of this top in the general Euler-Poisson equations; optional.
 
-        Never trusted as it is: ``checked_equations`` compares it with ``field``.
+        Returns
+        -------
+        EulerPoisson
+            Used by the reference solution and by schemes written for any top. ``checked_equations`` compares it with
+            ``field`` before it is used.
         """
         raise NotImplementedError
 
     def warnings(self) -> tuple[str, ...]:
-        """What is unusual about the parameters though it can be computed, a line each.
+        """Return warnings about unusual parameters that do not prevent a run.
 
-        By default: moments of inertia that break the triangle inequality, which no rigid body has.
+        Returns
+        -------
+        tuple of str
+            One line each. By default there is at most one, for moments of inertia that violate the triangle inequality.
         """
         try:
             moments = checked_equations(self, "the check of the moments").moments
@@ -123,15 +169,15 @@ class Top(BaseModel):
         small, middle, large = sorted(moments)
         if large <= (small + middle) * (1.0 + 1e-12):  # decimals such as 0.3, 0.1, 0.2 are rounded
             return ()
-        told = ", ".join(f"{moment:g}" for moment in moments)
+        listed = ", ".join(f"{moment:g}" for moment in moments)
         return (
-            f"the moments ({told}) break the triangle inequality: {large:g} > {small:g} + {middle:g}; "
-            "no rigid body has them",
+            f"the moments ({listed}) violate the triangle inequality: {large:g} > {small:g} + {middle:g}; "
+            "no rigid body has such moments",
         )
 
     @classmethod
     def new(cls) -> Self:
-        """The top with its default parameters."""
+        """Return the top with its default parameters."""
         return cls()
 
 
@@ -224,20 +270,37 @@ class NoOptions(BaseModel):
 
 @dataclass(frozen=True)
 class Stepper:
-    """One scheme ready for one top: what the engine compiles and iterates.
+    """Step of a scheme, built for one top; the engine compiles and iterates it.
 
-    A scheme may work on another form of the state (scaled by h, a stereographic coordinate, with carried
-    quantities such as a chart or a compensation term): ``enter`` makes that form from the physical state,
-    ``leave`` gives the physical state back, and only what ``leave`` gives is recorded.
-    ``width`` is the length of the working state. ``counters`` names its trailing slots that count events;
-    they are reported, never fed back. A ``plain`` step calls what cannot be compiled; it runs in the interpreter, and
-    one that may take seconds calls ``heed_stop`` on the way.
-    The slot before the counters of an ``iterative`` step is its status: 0.0, or nan when the iteration did not
-    converge. The run then ends there as ``no_convergence``.
-    A run ends as ``blew_up`` where one of the first ``checked`` slots is not finite; 0 stands for all of them. Others
-    need no looking at when they cannot but spoil these.
-    A step made of ``stages`` names them: a step and the fractions of h that it is taken with in turn, in which the
-    state counts as failed as soon as it is not finite. Ensembles then take one stage at a time.
+    The step may work on another form of the state: scaled by h, in a stereographic coordinate, or extended by carried
+    quantities such as a compensation term. ``enter`` converts the physical state to this working state and ``leave``
+    converts it back; only the result of ``leave`` is recorded.
+
+    Parameters
+    ----------
+    step : callable
+        ``step(state, h, p) -> state`` on working states, flat tuples of ``width`` floats; ``p`` is ``top.constants()``.
+    width : int
+        Length of the working state.
+    enter : callable, optional
+        ``enter(y, h, p)``: working state from the physical state. None if they are the same.
+    leave : callable, optional
+        ``leave(state, h, p)``: physical state from the working state. None if they are the same.
+    counters : tuple of str, optional
+        Names of the trailing slots of the working state, which count events. They are reported and never affect the
+        physical state.
+    plain : bool, optional
+        True if the step calls functions that cannot be compiled; it then runs in the interpreter. A step that may take
+        seconds calls ``heed_stop`` on the way.
+    iterative : bool, optional
+        True if the slot before the counters is a status: 0.0, or nan if the iteration did not converge. The run then
+        ends as ``no_convergence``.
+    checked : int, optional
+        Number of leading slots tested for finiteness; a run ends as ``blew_up`` at the first value that is not finite.
+        0 tests all slots. A slot need not be tested if its non-finite values reach the tested ones.
+    stages : tuple, optional
+        For a composition: the base step and the fractions of h of its stages, in order. The composition stops after
+        the first stage whose state is not finite. Ensembles then advance by one stage at a time.
     """
 
     step: StepFunction
@@ -253,10 +316,13 @@ class Stepper:
 
 @dataclass(frozen=True)
 class Sampler:
-    """A solution in closed form: evaluated at the times of the steps, not iterated.
+    """Closed-form solution, evaluated at the times of the steps instead of being iterated.
 
-    ``states(y0, h, n, p)`` takes the initial state (d,), the step, step numbers (m,) and the constants of the top,
-    and returns the states (m, d) after so many steps.
+    Parameters
+    ----------
+    states : callable
+        ``states(y0, h, n, p)`` takes the initial state, shape (d,), the step size, the step numbers, shape (m,), and
+        the constants of the top; it returns the states after these numbers of steps, shape (m, d).
     """
 
     states: Callable[[Array, float, NDArray[np.int64], Floats], Array]
@@ -264,12 +330,22 @@ class Sampler:
 
 @dataclass(frozen=True)
 class Block:
-    """A method that advances many steps by itself: the engine compiles its time loop and calls that.
+    """Method with its own time loop, which advances many steps per call.
 
-    ``text()`` is a module of LLVM's intermediate language with the function ``advance(work, out, p, h, steps, every,
-    until_record)`` of the engine's time loop: it advances ``steps`` steps of ``h`` at most, records the states it is
-    asked for, and returns the steps done, or minus the step that failed. ``enter(y, work, p, h)`` fills ``work`` of
-    ``width`` slots, which hold all that the loop needs to go on. ``counters`` and ``iterative`` are a Stepper's.
+    Parameters
+    ----------
+    text : callable
+        ``text()`` returns a module in LLVM IR that defines ``advance(work, out, p, h, steps, every, until_record)``,
+        the signature of the engine's time loop. The function advances at most ``steps`` steps of ``h``, writes the
+        requested states to ``out``, and returns the number of steps taken, or minus the number of the failed step.
+    enter : callable
+        ``enter(y, work, p, h)`` fills ``work`` from the physical state ``y``, shape (d,).
+    width : int
+        Length of ``work``, which holds everything the loop needs to continue.
+    counters : tuple of str, optional
+        As in ``Stepper``.
+    iterative : bool, optional
+        As in ``Stepper``.
     """
 
     text: Callable[[], str]
@@ -284,37 +360,51 @@ Method = Stepper | Sampler | Block
 
 @dataclass(frozen=True)
 class Scheme:
-    """A time discretization of one form of a top, with its declared traits."""
+    """Time discretization of one form of a top, with its declared traits.
+
+    Schemes are created by the decorator ``topcli.scheme``, whose documentation explains the parameters.
+    """
 
     name: str
+    """Name in configs, lower case."""
     top: str
+    """Form of the top (``Top.form``)."""
     title: str
+    """Title for people, on one line."""
     order: int | None
-    """None for the exact solution, which has no error to have an order, and where the order follows a tolerance."""
+    """Order of convergence; None for an exact solution, or if the order follows from a tolerance."""
     explicit: bool
+    """True if a step needs no iteration."""
     self_adjoint: bool
+    """True if a step with -h inverts a step with h."""
     conserves: tuple[str, ...]
-    """Names of the invariants conserved exactly, that is to round-off."""
+    """Names of the invariants conserved exactly, that is, to round-off."""
     citation: str
+    """Source of the method."""
     equations: str
+    """Equations of the source, or the formula of the step."""
     build: Callable[[Any, Any], Method]
-    """``build(top, options)``: a Stepper, a Sampler for a solution in closed form, or a Block."""
+    """``build(top, options)`` returns a Stepper, a Sampler (closed-form solution) or a Block."""
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None
-    """``modified(top, h, options)``: integrals of the scheme itself, which depend on h; conserved exactly."""
+    """``modified(top, h, options)`` returns the integrals of the scheme itself: they depend on h and are conserved
+    exactly."""
     options: type[BaseModel] = NoOptions
+    """Pydantic model of the options."""
     adaptive: bool = False
-    """Takes as many steps of its own within each h as a tolerance asks for. ``order`` is then that of the formula: it
-    is observed where the tolerance is so loose that one step is taken, and at a given tolerance h tells nothing."""
+    """True if the method takes internal steps within each h, controlled by a tolerance. ``order`` is then the order of
+    the formula, which is observed only if the tolerance is loose enough for one internal step per h."""
     limits: Mapping[str, str] = field(default_factory=dict, hash=False)
-    """Where the scheme fails, and why: a sentence for each. A key that is the name of a hard case (``topcli stress``)
-    is held against what happens there, both ways; any other key is a condition in words."""
+    """Conditions under which the scheme fails, each with the reason in a sentence. A key that names a hard case
+    (``topcli stress``) is checked against the result of that case in both directions; any other key is a condition in
+    words."""
     doc: str = ""
+    """Description, from the docstring of ``build``."""
     origin: str = "topcli"
-    """The distribution or file that registered the scheme."""
+    """Distribution or file that registered the scheme."""
 
 
 class Outcome(StrEnum):
-    """How a run ended."""
+    """Result of a run."""
 
     COMPLETED = "completed"
     LEFT_MOTION = "left_motion"
@@ -325,10 +415,23 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Ending:
-    """How and where a run ended: ``step`` is the last step taken, or the step that failed.
+    """Outcome of a run, with the step at which it ended.
 
-    ``left`` is the first recorded step at which the state was far off its energy surface and ``left_t`` its time, None
-    for never. The run goes on; where nothing else ends it, its outcome is ``left_motion``.
+    Parameters
+    ----------
+    outcome : Outcome
+        Result of the run.
+    step : int
+        Number of the last step taken, or of the failed step.
+    t : float
+        Time of ``step``, dimensionless.
+    counters : mapping of str to int, optional
+        Final values of the counters of the scheme.
+    left : int, optional
+        First recorded step at which the state was far off its energy surface, None for never. The run goes on; if
+        nothing else ends it, its outcome is ``left_motion``.
+    left_t : float, optional
+        Time of ``left``, dimensionless.
     """
 
     outcome: Outcome
@@ -347,7 +450,7 @@ class Ending:
 
     @property
     def message(self) -> str:
-        """One line that says how the run ended."""
+        """Description of the ending, one line."""
         where = f"at step {self.step} (t = {self.t:.6g})"
         completed = f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})"
         left = "" if self.left is None else f"left its energy surface at step {self.left} (t = {self.left_t:.6g})"

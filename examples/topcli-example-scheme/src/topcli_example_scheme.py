@@ -1,4 +1,4 @@
-"""A scheme for topcli in a package of its own: Bohlin's method with gamma by the BS scheme, from plain functions."""
+"""Example of a scheme in a separate package: Bohlin's method with gamma by the BS scheme."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from topcli.arithmetic.fused import fma
 from topcli.contracts import Floats, Stepper
 
 
-def turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, float, float]:
-    """Solve g' - g = (g' + g) x a for g'."""
+def rotated(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, float, float]:
+    """Rotated vector: solve g' - g = (g' + g) x a for g'."""
     b1 = fma(g2, a3, -(g3 * a2))
     b2 = fma(g3, a1, -(g1 * a3))
     b3 = fma(g1, a2, -(g2 * a1))
@@ -22,8 +22,8 @@ def turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> 
     )
 
 
-def rotation(t: float) -> tuple[float, float]:
-    """sin(x)/x and (1 - cos(x))/x**2 for t = x**2, by fdlibm's polynomials for a small angle."""
+def sinc_cosc(t: float) -> tuple[float, float]:
+    """Return sin(x)/x and (1 - cos(x))/x**2 for t = x**2, by the polynomials of fdlibm for a small angle."""
     if t <= 0.6168502750680849:
         u = t * t
         low = fma(t, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
@@ -40,7 +40,7 @@ def rotation(t: float) -> tuple[float, float]:
 
 
 def nearest_root(x: float, y: float, p1: float, p2: float) -> tuple[float, float]:
-    """The square root of 2 (x + i y) nearest to p1 + i p2."""
+    """Square root of 2 (x + i y) nearest to p1 + i p2."""
     m = math.sqrt(x * x + y * y) + abs(x)
     ratio = y / (m + 1e-290)
     t = math.sqrt(m)
@@ -59,13 +59,13 @@ def step(s: Floats, h: float, p: Floats) -> Floats:
     c = 0.5 * p[0]
     d = 0.5 * h
     f = h * c
-    n1, n2, n3 = turned(d * w1, d * w2, d * w3, g1, g2, g3)
-    # half of xi, which turns by the angle chi
+    n1, n2, n3 = rotated(d * w1, d * w2, d * w3, g1, g2, g3)
+    # half of xi, which rotates by the angle -chi
     x = 0.5 * ((w1 - w2) * (w1 + w2)) - c * g1
     y = w1 * w2 - c * g2
     chi = fma(-(d * f), n2, fma(-(d * f), g2, h * w3))
     t = chi * chi
-    sinc, cosc = rotation(t)
+    sinc, cosc = sinc_cosc(t)
     q1 = w1 + d * (w3 * w2)
     q2 = w2 - d * (w3 * w1 - p[0] * g3)
     v1, v2 = nearest_root(
@@ -80,7 +80,7 @@ def step(s: Floats, h: float, p: Floats) -> Floats:
 @topcli.scheme(
     "example-bohlin-a",
     top="kowalevski",
-    title="Bohlin A from a package of its own",
+    title="Bohlin A from a separate package",
     order=1,
     explicit=True,
     self_adjoint=False,
@@ -89,5 +89,5 @@ def step(s: Floats, h: float, p: Floats) -> Floats:
     equations="(A), Kxi, direct",
 )
 def build(top: object, options: object) -> Stepper:
-    """Gamma by Cayley's rotation, omega by Bohlin's method, on the branch nearest to the prediction."""
+    """gamma by a Cayley rotation, omega by Bohlin's method, on the branch nearest to the prediction."""
     return Stepper(step, 6)

@@ -1,1 +1,1 @@
-"""Arithmetic without physics: floats in, floats out, compiled by the engine and runnable as plain Python."""
+"""Arithmetic without physics: functions of floats that the engine compiles and that also run as plain Python."""

@@ -1,12 +1,12 @@
-"""What a kernel knows about its branches and a compiler does not."""
+"""Branch prediction hint for compiled steps."""
 
 from __future__ import annotations
 
 
-def rarely(condition: bool) -> bool:
-    """``condition`` itself. Compiled code is laid out as if it never held.
+def unlikely(condition: bool) -> bool:
+    """Return ``condition`` unchanged; compiled code is laid out as if it were always false.
 
-    What the rare branch calls may overwrite every register; said to be rare, it saves and restores them itself, and
-    the common way keeps its values in registers.
+    A function called in the branch may overwrite every register. With this hint the branch itself saves and restores
+    them, and the common path keeps its values in registers.
     """
     return condition

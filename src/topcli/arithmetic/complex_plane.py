@@ -1,4 +1,4 @@
-"""The complex plane of Kowalevski's xi: the turn by a small angle, and the square root on a chosen branch."""
+"""Complex arithmetic on pairs of floats: rotation by a small angle, square root on a chosen branch."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from topcli.arithmetic.rotations import sinc_cosc
 
 Complex = tuple[float, float]
 NEVER_ZERO = 1e-290
-"""Keeps 0/0 out of the root of 0; far below the last bit of any other denominator met there."""
+"""Avoids 0/0 in the square root of 0; far below the last bit of any other denominator that occurs there."""
 
 
-def turn_increment(chi: float, x: float, y: float) -> Complex:
-    """(e^{-i chi} - 1)(x + i y): the change of a complex number turned back by the angle chi.
+def rotation_increment(chi: float, x: float, y: float) -> Complex:
+    """Increment (e^{-i chi} - 1)(x + i y) of a complex number rotated by the angle -chi.
 
-    As an increment its error shrinks with chi, so the modulus is kept without bias.
+    The rounding error of the increment is proportional to chi, so the modulus is preserved without bias.
     """
     t = chi * chi
     sinc, cosc = sinc_cosc(t)
     return (fma(sinc, chi * y, -(cosc * (t * x))), -fma(sinc, chi * x, cosc * (t * y)))
 
 
-def turn_added(chi: float, x: float, y: float, a: float, b: float) -> Complex:
-    """a + i b + ``turn_increment``, for an a + i b that is known long before chi: two operations after the sine."""
+def add_rotation_increment(chi: float, x: float, y: float, a: float, b: float) -> Complex:
+    """Return a + i b + ``rotation_increment``, for an a + i b known long before chi: two operations after the sine."""
     t = chi * chi
     sinc, cosc = sinc_cosc(t)
     return (fma(sinc, chi * y, fma(-cosc, t * x, a)), fma(-sinc, chi * x, fma(-cosc, t * y, b)))
 
 
 def root_nearest(x: float, y: float, p1: float, p2: float) -> Complex:
-    """The square root of 2 (x + i y) that lies nearest to p1 + i p2.
+    """Square root of 2 (x + i y) nearest to p1 + i p2.
 
-    Half of the number goes in because m = |x + i y| + |x| is what its root is made of: one of the two is
-    (m + i y)/sqrt(m) for x >= 0 and (y + i m)/sqrt(m) for x < 0, with no cancellation and no angle. The division y/m
-    and the choice of the sign do not wait for sqrt(m). The root of 0 is 0. Beyond |x + i y| = 1e154 the result is inf
-    or nan.
+    The argument is half of the radicand because the root follows from m = |x + i y| + |x|: one of the two roots is
+    (m + i y)/sqrt(m) for x >= 0 and (y + i m)/sqrt(m) for x < 0, without cancellation and without an angle. The
+    division y/m and the choice of the sign do not depend on sqrt(m). The root of 0 is 0. Beyond |x + i y| = 1e154 the
+    result is inf or nan.
     """
     m = math.sqrt(x * x + y * y) + abs(x)
     ratio = y / (m + NEVER_ZERO)
@@ -50,10 +50,10 @@ def root_nearest(x: float, y: float, p1: float, p2: float) -> Complex:
 
 
 def root_sign(x: float, y: float, p1: float, p2: float) -> Complex:
-    """The square root of 2 (x + i y) whose argument has the sign of the argument of p1 + i p2 (Sogo, section 3.2.2).
+    """Square root of 2 (x + i y) whose argument has the same sign as that of p1 + i p2 (Sogo, section 3.2.2).
 
-    The signs are those of atan2, in (-pi, pi], with zero counted as plus. Where the root crosses the real
-    axis between prediction and result this rule takes the wrong root; ``root_nearest`` does not.
+    The arguments are those of atan2, in (-pi, pi], and zero counts as positive. If the root crosses the real axis
+    between prediction and result, this rule selects the wrong root; ``root_nearest`` does not.
     """
     w1, w2 = root_nearest(x, y, 1.0, 0.0)
     if (math.atan2(w2, w1) >= 0.0) != (math.atan2(p2, p1) >= 0.0):

@@ -1,12 +1,12 @@
-"""Elliptic integrals to many digits for constants, Jacobi's functions in double precision for the times between.
+"""Elliptic integrals in decimal arithmetic and Jacobi elliptic functions in double precision.
 
-A phase that grows with time is followed without loss: its constants come from Carlson's integrals in decimal
-arithmetic, the phase is reduced by its period in double-double arithmetic, and only the remainder is a double. The
-error of sn, cn and dn is then some ulp however long the time and however close to a separatrix, where the
-complementary parameter m1 = 1 - k² is what must not be rounded.
+A phase that grows with time loses no digits: its constants come from Carlson integrals in decimal arithmetic, the
+phase is reduced by its period in double-double arithmetic, and only the remainder is a double. The error of sn, cn and
+dn is then a few ulp for any time, and close to a separatrix too, where the complementary parameter m1 = 1 - k² must
+not be rounded.
 
 Sources: Carlson, Numer. Algorithms 10 (1995) 13-26 (R_F, R_C, R_J by duplication; R_J with the sum of DLMF 19.36);
-Bulirsch, Numer. Math. 7 (1965) 78-90 (sn, cn, dn by Landen's transformation from m1).
+Bulirsch, Numer. Math. 7 (1965) 78-90 (sn, cn, dn by the Landen transformation from m1).
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from numpy.typing import NDArray
 from topcli.arithmetic.double_double import dd_add, quick_two_sum
 
 DIGITS = 80
-"""Decimal digits to compute constants with: sums of products of four doubles are exact."""
+"""Decimal digits of the constants; sums of products of four doubles are then exact."""
 DUPLICATION_LIMIT = Decimal("3e-7")
-"""Carlson's series are of order six: this deviation leaves a relative error of 1e-39."""
+"""Relative deviation at which duplication ends; the series of order six then has a relative error of 1e-39."""
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798")
-DD = tuple[float, float]
+DoubleDouble = tuple[float, float]
 Array = NDArray[np.floating[Any]]
 
 
-def to_dd(x: Decimal) -> DD:
-    """``x`` as an unevaluated sum of two doubles."""
+def to_dd(x: Decimal) -> DoubleDouble:
+    """Return ``x`` as an unevaluated sum of two doubles."""
     high = float(x)
     return high, float(x - Decimal(high))
 
 
 def carlson_rf(x: Decimal, y: Decimal, z: Decimal) -> Decimal:
-    """R_F(x, y, z) for arguments >= 0 of which at most one is 0 (Carlson 1995, eq. 2.1 and 4.1)."""
+    """Carlson integral R_F(x, y, z) for arguments >= 0, at most one of them 0 (Carlson 1995, eq. 2.1 and 4.1)."""
     mean = (x + y + z) / 3
     while max(abs(mean - x), abs(mean - y), abs(mean - z)) >= mean * Decimal("1e-11"):
         sx, sy, sz = x.sqrt(), y.sqrt(), z.sqrt()
@@ -51,12 +51,12 @@ def carlson_rf(x: Decimal, y: Decimal, z: Decimal) -> Decimal:
 
 
 def carlson_rc(x: Decimal, y: Decimal) -> Decimal:
-    """R_C(x, y) = R_F(x, y, y) for x >= 0, y > 0."""
+    """Carlson integral R_C(x, y) = R_F(x, y, y) for x >= 0, y > 0."""
     return carlson_rf(x, y, y)
 
 
 def carlson_rj(x: Decimal, y: Decimal, z: Decimal, p: Decimal) -> Decimal:
-    """R_J(x, y, z, p) for x, y, z >= 0, of which at most one is 0, and p > 0."""
+    """Carlson integral R_J(x, y, z, p) for x, y, z >= 0, at most one of them 0, and p > 0."""
     mean = (x + y + z + 2 * p) / 5
     delta = (p - x) * (p - y) * (p - z)
     total, power = Decimal(0), Decimal(1)
@@ -78,42 +78,42 @@ def carlson_rj(x: Decimal, y: Decimal, z: Decimal, p: Decimal) -> Decimal:
     return power * series / (mean * mean.sqrt()) + 6 * total
 
 
-def _halves(a: Any) -> tuple[Any, Any]:
-    """``(top, bottom)`` of at most 26 bits each with top + bottom = a exactly (Veltkamp); |a| < 2^996."""
+def _split(a: Any) -> tuple[Any, Any]:
+    """Return ``(top, bottom)`` with at most 26 bits each and top + bottom = a exactly (Veltkamp), for |a| < 2^996."""
     t = 134217729.0 * a  # 2^27 + 1
     top = t - (t - a)
     return top, a - top
 
 
-def _exact_product(a: Any, b: Any) -> tuple[Any, Any]:
-    """a b in double-double, elementwise, without the fused operation, which arrays do not have (Dekker)."""
+def _two_product(a: Any, b: Any) -> tuple[Any, Any]:
+    """Product a b in double-double, elementwise, without fma, which NumPy arrays lack (Dekker)."""
     p = a * b
-    a1, a2 = _halves(a)
-    b1, b2 = _halves(b)
+    a1, a2 = _split(a)
+    b1, b2 = _split(b)
     return p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2
 
 
-def multiple(step: DD, n: Array) -> tuple[Array, Array]:
-    """``n`` times ``step`` for whole numbers n as floats, shape (m,), in double-double."""
+def multiple(step: DoubleDouble, n: Array) -> tuple[Array, Array]:
+    """Product of ``step`` and whole numbers ``n`` given as floats, shape (m,), in double-double."""
     hi, lo = step
-    p, e = _exact_product(hi, n)
+    p, e = _two_product(hi, n)
     th, tl = quick_two_sum(p, lo * n)  # type: ignore[arg-type]
     return quick_two_sum(th, tl + e)  # type: ignore[return-value]
 
 
 def add(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
-    """a + b in double-double, elementwise."""
+    """Sum a + b in double-double, elementwise."""
     return dd_add(*a, *b)
 
 
-def reduce(u: tuple[Array, Array], period: DD) -> tuple[Array, tuple[Array, Array]]:
-    """``(j, r)`` with u = j period + r and |r| <= period/2, elementwise; r in double-double."""
+def reduce(u: tuple[Array, Array], period: DoubleDouble) -> tuple[Array, tuple[Array, Array]]:
+    """Return ``(j, r)`` with u = j period + r and |r| <= period/2, elementwise; r in double-double."""
     j = np.round(u[0] / period[0])
     return j, add(u, multiple(period, -j))
 
 
 def _by_landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
-    """sn, cn, dn for |u| <= K/2 and 0 < m1 <= 1, each to some ulp of its own size."""
+    """Jacobi's sn, cn, dn for |u| <= K/2 and 0 < m1 <= 1, with errors of a few ulp each."""
     a, root = 1.0, m1
     ladder = []
     while True:
@@ -138,11 +138,11 @@ def _by_landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
     return np.where(tiny, u, sn), np.where(tiny, 1.0, c * sn), np.where(tiny, 1.0, dn)
 
 
-def jacobi(r: tuple[Array, Array], quarter: DD | None, m1: float) -> tuple[Array, Array, Array]:
-    """sn, cn, dn of ``r`` (double-double, |r| <= K) for the complementary parameter ``m1``.
+def jacobi(r: tuple[Array, Array], quarter: DoubleDouble | None, m1: float) -> tuple[Array, Array, Array]:
+    """Jacobi's sn, cn, dn of ``r`` (double-double, |r| <= K) for the complementary parameter ``m1``.
 
-    ``quarter`` is K, or None for m1 = 0, where it is infinite. Beyond K/2 the functions are those of K - |r|, so that
-    cn keeps its digits where it is small.
+    ``quarter`` is the quarter period K, or None for m1 = 0, where K is infinite. Beyond K/2 the functions are evaluated
+    at K - |r|, so that cn keeps its digits where it is small.
     """
     if quarter is None:
         decay = np.exp(-np.abs(r[0]))

@@ -1,7 +1,7 @@
-"""The fused multiply-add: a b + c, rounded once.
+"""Fused multiply-add: a b + c, rounded once.
 
-Where the machine has the instruction, compiled code uses it in the place of ``fma`` and nowhere else: what is fused is
-said in the kernel and not left to a compiler, so that the results are the same on every machine.
+Compiled code uses the machine instruction, if there is one, for calls of ``fma`` and nowhere else. The source code
+rather than the compiler decides which operations are fused, so the results are the same on every machine.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from fractions import Fraction
 
 
 def fma(a: float, b: float, c: float) -> float:
-    """a b + c rounded once, by exact fractions: what the processor's instruction gives, bit for bit.
+    """Return a b + c rounded once, computed with exact fractions; bit-identical to the processor's instruction.
 
-    Overflows to infinity, underflows gradually, and gives nan where a nan or an invalid operation goes in. Numbers of
-    another kind, exact fractions or mpmath's, follow their own rules. Raises TypeError for arrays, whose products
+    Overflow gives infinity, underflow is gradual, and a nan or an invalid operation gives nan. For other types of
+    numbers, such as ``Fraction`` or mpmath's, the result is ``a * b + c``. Raises TypeError for arrays, whose products
     would be rounded.
     """
     if not (isinstance(a, float) and isinstance(b, float) and isinstance(c, float)):
@@ -27,7 +27,7 @@ def fma(a: float, b: float, c: float) -> float:
         return c
     exact = Fraction(a) * Fraction(b) + Fraction(c)
     if exact == 0:
-        # an exact zero takes the sign that the two terms share, or is +0
+        # an exact zero has the sign common to both terms, else +0
         same = math.copysign(1.0, a) * math.copysign(1.0, b) * math.copysign(1.0, c) > 0.0
         return math.copysign(0.0, c) if same and c == 0.0 else 0.0
     try:

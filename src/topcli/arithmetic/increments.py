@@ -1,9 +1,10 @@
-"""From the change that a step makes to the step: old + change, plainly or with the rounding error carried along.
+"""Steps of the form old + change, with a plain or a compensated sum.
 
-A change of size h is known with an error of h times the last bit; the one addition old + change rounds at the last bit
-itself. ``carried_sum`` keeps what that addition loses and gives it to the next one (Kahan, Comm. ACM 8 (1965) 40), so
-that only the errors of the changes are left, and round-off grows as h sqrt(N) instead of sqrt(N). The change is still
-taken at the rounded state: what that makes of the lost part is smaller by h, and as random as the rounding.
+A change of size h has a rounding error of about h times the last bit of the state, whereas the addition old + change
+has an error of the last bit itself. ``compensated_sum`` carries the error of this addition to the next step (Kahan,
+Comm. ACM 8 (1965) 40). Only the errors of the changes remain, and round-off grows as h sqrt(N) instead of sqrt(N). The
+change is still evaluated at the rounded state; the resulting error is smaller by a factor of h and as random as the
+rounding.
 """
 
 from __future__ import annotations
@@ -15,31 +16,32 @@ from topcli.arithmetic.double_double import quick_two_sum
 Floats = tuple[float, ...]
 StepFunction = Callable[[Floats, float, Floats], Floats]
 Change = StepFunction
-"""``change(state, h, p)``: new state minus old, a tuple of the state's length."""
+"""``change(state, h, p)`` returns the new state minus the old one."""
 
 
-def carried_sum(y: float, e: float, d: float) -> tuple[float, float]:
-    """``(s, r)``: s is y + (e + d) rounded, r what the rounding lost, so that s + r = y + (e + d).
+def compensated_sum(y: float, e: float, d: float) -> tuple[float, float]:
+    """Return ``(s, r)``: the rounded sum s of y + (e + d) and its rounding error r, so that s + r = y + (e + d).
 
-    Exact for |y| >= |e + d| (Dekker). In the step or two in which a component passes zero r itself may be rounded, by
-    no more than the last bit of d, which d is wrong by anyway. An addition is all that the next step waits for.
+    Exact for |y| >= |e + d| (Dekker). In the one or two steps in which a component passes zero, r itself may be
+    rounded, with an error of at most the last bit of d, no larger than the error of d. Compensation adds one addition
+    to the critical path of a step.
     """
     return quick_two_sum(y, d + e)
 
 
-def carried_sums(y: Floats, e: Floats, d: Floats) -> tuple[Floats, Floats]:
-    """``carried_sum`` of each of six components: the sums, and what each of them lost."""
-    y1, e1 = carried_sum(y[0], e[0], d[0])
-    y2, e2 = carried_sum(y[1], e[1], d[1])
-    y3, e3 = carried_sum(y[2], e[2], d[2])
-    y4, e4 = carried_sum(y[3], e[3], d[3])
-    y5, e5 = carried_sum(y[4], e[4], d[4])
-    y6, e6 = carried_sum(y[5], e[5], d[5])
+def compensated_sums(y: Floats, e: Floats, d: Floats) -> tuple[Floats, Floats]:
+    """Return the compensated sums of six components and their rounding errors."""
+    y1, e1 = compensated_sum(y[0], e[0], d[0])
+    y2, e2 = compensated_sum(y[1], e[1], d[1])
+    y3, e3 = compensated_sum(y[2], e[2], d[2])
+    y4, e4 = compensated_sum(y[3], e[3], d[3])
+    y5, e5 = compensated_sum(y[4], e[4], d[4])
+    y6, e6 = compensated_sum(y[5], e[5], d[5])
     return (y1, y2, y3, y4, y5, y6), (e1, e2, e3, e4, e5, e6)
 
 
 def plain3(change: Change) -> StepFunction:
-    """The step of three components."""
+    """Step old + change of three components."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         x1, x2, x3 = change(s, h, p)
@@ -49,7 +51,7 @@ def plain3(change: Change) -> StepFunction:
 
 
 def plain6(change: Change) -> StepFunction:
-    """The step of six components."""
+    """Step old + change of six components."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         x1, x2, x3, x4, x5, x6 = change(s, h, p)
@@ -59,35 +61,35 @@ def plain6(change: Change) -> StepFunction:
 
 
 def compensated3(change: Change) -> StepFunction:
-    """The step of three components, followed by what their sums have lost so far."""
+    """Compensated step of three components, which are followed by the rounding errors of their sums."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         y1, y2, y3, e1, e2, e3 = s
         x1, x2, x3 = change((y1, y2, y3), h, p)
-        y1, e1 = carried_sum(y1, e1, x1)
-        y2, e2 = carried_sum(y2, e2, x2)
-        y3, e3 = carried_sum(y3, e3, x3)
+        y1, e1 = compensated_sum(y1, e1, x1)
+        y2, e2 = compensated_sum(y2, e2, x2)
+        y3, e3 = compensated_sum(y3, e3, x3)
         return (y1, y2, y3, e1, e2, e3)
 
     return step
 
 
 def compensated6(change: Change) -> StepFunction:
-    """The step of six components, followed by what their sums have lost so far."""
+    """Compensated step of six components, which are followed by the rounding errors of their sums."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         y = (s[0], s[1], s[2], s[3], s[4], s[5])
-        y, e = carried_sums(y, (s[6], s[7], s[8], s[9], s[10], s[11]), change(y, h, p))
+        y, e = compensated_sums(y, (s[6], s[7], s[8], s[9], s[10], s[11]), change(y, h, p))
         return (*y, *e)
 
     return step
 
 
 def first3(s: Floats, h: float, p: Floats) -> Floats:
-    """The three components of a working state that begins with them."""
+    """First three slots of the working state."""
     return (s[0], s[1], s[2])
 
 
 def first6(s: Floats, h: float, p: Floats) -> Floats:
-    """The six components of a working state that begins with them."""
+    """First six slots of the working state."""
     return (s[0], s[1], s[2], s[3], s[4], s[5])

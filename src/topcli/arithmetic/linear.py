@@ -1,4 +1,4 @@
-"""Linear equations in three unknowns."""
+"""Linear systems in three unknowns."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ Matrix = tuple[float, float, float, float, float, float, float, float, float]
 
 
 def solve3(m: Matrix, r1: float, r2: float, r3: float) -> Vector:
-    """The x of three equations m x = r, by Cramer's rule; ``m`` row by row."""
+    """Solve m x = r for x by Cramer's rule; ``m`` in row-major order."""
     m11, m12, m13, m21, m22, m23, m31, m32, m33 = m
     c11 = m22 * m33 - m23 * m32
     c12 = m23 * m31 - m21 * m33

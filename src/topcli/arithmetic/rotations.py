@@ -1,27 +1,26 @@
-"""Rotations of a vector given by a small rotation vector: the increments of Cayley and of Rodrigues.
+"""Rotations of a vector by a small rotation vector, in the form of increments: Cayley and Rodrigues.
 
-The equation is Poisson's, dgamma/dt = gamma x omega, so a positive angle turns *against* the rotation
-vector. Both functions return the **change** of the vector and not the turned vector: the change is of the
-size of the angle, its rounding errors are as much smaller than the vector's own last bit, and the one
-addition ``gamma + change`` that is left rounds without bias. That keeps |gamma| within a random walk of
-round-off where the absolute form drifts.
+They integrate Poisson's equation, dgamma/dt = gamma x omega, so a positive angle rotates *against* the rotation vector.
+The functions return the **change** of the vector instead of the rotated vector. The change is proportional to the
+angle, and so are its rounding errors; the one remaining addition ``gamma + change`` rounds without bias. The error of
+|gamma| is then a random walk, whereas the product of matrix and vector drifts.
 """
 
 from __future__ import annotations
 
 import math
 
-from topcli.arithmetic.branches import rarely
+from topcli.arithmetic.branches import unlikely
 from topcli.arithmetic.fused import fma
 
 Pair = tuple[float, float]
 Vector = tuple[float, float, float]
 SMALL_ANGLE_SQ = 0.6168502750680849
-"""(pi/4)**2: up to here the polynomials below are accurate to the last bit or so."""
+"""(pi/4)**2; up to this limit the polynomials below are accurate to about the last bit."""
 
 
 def cayley_quotient(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, Vector]:
-    """``cayley_increment`` as a factor and what it multiplies."""
+    """Factor and vector whose product is ``cayley_increment``."""
     b1 = fma(g2, a3, -(g3 * a2))
     b2 = fma(g3, a1, -(g1 * a3))
     b3 = fma(g1, a2, -(g2 * a1))
@@ -30,26 +29,26 @@ def cayley_quotient(a1: float, a2: float, a3: float, g1: float, g2: float, g3: f
 
 
 def cayley_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
-    """The d that solves d = (2 g + d) x a: one BS step g' - g = (g' + g) x a (Sogo, Method A).
+    """Solve d = (2 g + d) x a for d: one BS step g' - g = (g' + g) x a (Sogo, Method A).
 
-    ``a`` is h/2 omega for the BS scheme and h/4 (omega' + omega) for the modified one. In closed form,
-    because a is normal to b = g x a, d = 2 (b + b x a) / (1 + a.a).
+    ``a`` is h/2 omega for the BS scheme and h/4 (omega' + omega) for the modified one. Because a is normal to
+    b = g x a, the closed form is d = 2 (b + b x a) / (1 + a.a).
     """
     r, (x1, x2, x3) = cayley_quotient(a1, a2, a3, g1, g2, g3)
     return (r * x1, r * x2, r * x3)
 
 
-def cayley_added(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
-    """g + ``cayley_increment``, rounded once."""
+def cayley_rotated(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """Rotated vector g + ``cayley_increment``, rounded once per component."""
     r, (x1, x2, x3) = cayley_quotient(a1, a2, a3, g1, g2, g3)
     return (fma(r, x1, g1), fma(r, x2, g2), fma(r, x3, g3))
 
 
-def cayley_turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
-    """The turned vector g + ``cayley_increment`` as a product of matrix and vector, which drifts: for comparison only.
+def cayley_matrix_product(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """Rotated vector g + ``cayley_increment`` as a product of matrix and vector; it drifts and serves for comparison.
 
-    ((1 - a.a) g + 2 a (a.g) + 2 g x a)/(1 + a.a), written as one would: 1 - a.a and 1 + a.a are rounded apart from each
-    other, and where a.a hardly changes from step to step so do their errors.
+    The obvious formula ((1 - a.a) g + 2 a (a.g) + 2 g x a)/(1 + a.a) rounds 1 - a.a and 1 + a.a separately. If a.a
+    hardly changes from step to step, the errors hardly change either, and they accumulate.
     """
     r = 1.0 / (1.0 + a1 * a1 + a2 * a2 + a3 * a3)
     t = 1.0 - a1 * a1 - a2 * a2 - a3 * a3
@@ -62,9 +61,10 @@ def cayley_turned(a1: float, a2: float, a3: float, g1: float, g2: float, g3: flo
 
 
 def sinc_cosc_polynomials(t: float) -> Pair:
-    """``sinc_cosc`` up to SMALL_ANGLE_SQ; exactly 1 and 1/2 at 0 (fdlibm's polynomials).
+    """``sinc_cosc`` for t up to SMALL_ANGLE_SQ, by the polynomials of fdlibm; exactly 1 and 1/2 at 0.
 
-    Split so that four operations one after the other are waited for; each result is rounded twice at its own size.
+    The evaluation order makes the dependency chain four operations long; the last two operations of each result round
+    at the size of the result.
     """
     u = t * t
     low = fma(t, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
@@ -78,8 +78,8 @@ def sinc_cosc_polynomials(t: float) -> Pair:
 
 
 def sinc_cosc(t: float) -> Pair:
-    """sin(x)/x and (1 - cos(x))/x**2 as functions of t = x*x >= 0: polynomials, then libm."""
-    if rarely(not t <= SMALL_ANGLE_SQ):
+    """Return sin(x)/x and (1 - cos(x))/x**2 as functions of t = x*x >= 0: polynomials for small t, else libm."""
+    if unlikely(not t <= SMALL_ANGLE_SQ):
         x = math.sqrt(t)
         half = math.sin(0.5 * x)
         return math.sin(x) / x, 2.0 * half * half / t
@@ -87,21 +87,22 @@ def sinc_cosc(t: float) -> Pair:
 
 
 def sinc_cosc_small(t: float) -> Pair:
-    """``sinc_cosc`` where it needs no libm, nan beyond."""
+    """``sinc_cosc`` for t up to SMALL_ANGLE_SQ, nan beyond."""
     sinc, cosc = sinc_cosc_polynomials(t)
     return (sinc, cosc) if t <= SMALL_ANGLE_SQ else (math.nan, math.nan)
 
 
-IN_LANES = {sinc_cosc: sinc_cosc_small}
-"""What stands in for a kernel where several trajectories share a vector: a call of libm behind a branch would then be
-made for every one of them at every step. A nan says that the one trajectory must be stepped by itself."""
+VECTOR_VARIANTS = {sinc_cosc: sinc_cosc_small}
+"""Replacements for functions in vectorised code, where several trajectories share a vector and a call of libm behind a
+branch would be made for each of them at every step. A nan in the result means that the trajectory needs a scalar step.
+"""
 
 
 def rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
-    """R(a) g - g for the rotation of Sogo's Method C by the angle |a| about a; exactly zero at a = 0.
+    """Increment R(a) g - g of the rotation by the angle |a| about a (Sogo, Method C); exactly zero at a = 0.
 
-    R(a) g - g = S b + K (b x a) with b = g x a, S = sin|a|/|a| and K = (1 - cos|a|)/|a|**2. Neither
-    needs the axis a/|a|, which does not exist at a = 0.
+    R(a) g - g = S b + K (b x a) with b = g x a, S = sin|a|/|a| and K = (1 - cos|a|)/|a|**2. The axis a/|a|, undefined
+    at a = 0, is not needed.
     """
     sinc, cosc = sinc_cosc(a1 * a1 + fma(a2, a2, a3 * a3))
     b1 = fma(g2, a3, -(g3 * a2))
@@ -115,7 +116,7 @@ def rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g
 
 
 def resolvent(a1: float, a2: float, a3: float, b1: float, b2: float, b3: float) -> Vector:
-    """The z that solves z - z x a = b: z = (b + b x a + (a.b) a) / (1 + a.a)."""
+    """Solve z - z x a = b for z: z = (b + b x a + (a.b) a) / (1 + a.a)."""
     r = 1.0 / ((1.0 + a1 * a1) + (a2 * a2 + a3 * a3))
     k = a1 * b1 + a2 * b2 + a3 * b3
     return (

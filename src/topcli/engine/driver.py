@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.arithmetic.branches import rarely
+from topcli.arithmetic.branches import unlikely
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
 from topcli.engine.native import CompileError, native, native_text
 from topcli.engine.source import place_of, plain_function
@@ -38,7 +38,7 @@ def make(step, enter, leave):
         left = until_record
         for i in range(steps):
             s = step(s, h, p)
-            if rarely(not (({sum}) * 0.0 == 0.0)):  # so for all that is not finite and for some that is huge
+            if unlikely(not (({sum}) * 0.0 == 0.0)):  # so for all that is not finite and for some that is huge
                 if not ({finite} == 0.0):
                     {store_failed}
                     return -(i + 1)
@@ -74,7 +74,7 @@ def _template(width: int, d: int, constants: int, checked: int) -> Callable[...,
         record=(newline + " " * 8).join(f"out[k + {i}] = y[{i}]" for i in range(d)),
         d=d,
     )
-    scope: dict[str, Any] = {"rarely": rarely}
+    scope: dict[str, Any] = {"unlikely": unlikely}
     exec(compile(text, f"<time loop {width}/{d}/{constants}>", "exec"), scope)
     return scope["make"]
 

@@ -16,7 +16,7 @@ from functools import cache
 from typing import Any
 
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.rotations import IN_LANES
+from topcli.arithmetic.rotations import VECTOR_VARIANTS
 from topcli.contracts import StepFunction, Stepper
 from topcli.engine.source import compilable_copy
 
@@ -84,7 +84,7 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
     ``d`` numbers for every recorded step of a trajectory, whose rows follow each other and begin ``stride`` numbers
     after those of the trajectory before. ``params`` holds the constants, then the fractions of h.
     """
-    inlined = {id(kernel): stand_in for kernel, stand_in in IN_LANES.items()} | {id(fma): fma}
+    inlined = {id(kernel): stand_in for kernel, stand_in in VECTOR_VARIANTS.items()} | {id(fma): fma}
     stage, fractions = stages_of(stepper)
     step = compilable_copy(stage, lambda kernel: kernel, inlined)
     # all but the counters, which are finite always: a nan that stands for a rare branch may be in any other slot

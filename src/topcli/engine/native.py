@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from topcli import __version__
-from topcli.arithmetic.branches import rarely
+from topcli.arithmetic.branches import unlikely
 from topcli.arithmetic.fused import fma
 from topcli.engine.code_cache import ObjectCode, store_code, stored_code
 from topcli.engine.fingerprint import fingerprint
@@ -184,7 +184,7 @@ def _fma_instruction() -> Any:
 
 @cache
 def _expectation() -> Any:
-    """``rarely`` for numba: the condition, with LLVM told that it is false."""
+    """``unlikely`` for numba: the condition, with LLVM told that it is false."""
     from llvmlite import ir
     from numba import types
     from numba.extending import intrinsic
@@ -210,7 +210,7 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
     signature_type = types.int64(*(kinds[c] for c in signature))
     return cfunc(signature_type, error_model="numpy", forceinline=True)(
-        compilable_copy(function, jit, {id(fma): _fma_instruction(), id(rarely): _expectation()})
+        compilable_copy(function, jit, {id(fma): _fma_instruction(), id(unlikely): _expectation()})
     )
 
 

@@ -1,1 +1,1 @@
-"""Time discretizations: one family a file, and the registry that lists them."""
+"""Time discretizations, one package per top, and their registry."""

@@ -1,16 +1,16 @@
-"""Symmetric compositions: several steps of a self-adjoint scheme, of lengths that cancel its leading errors.
+"""Symmetric compositions: several steps of a self-adjoint scheme whose step sizes cancel the leading errors.
 
-A self-adjoint step of order 2 is the flow of a field X1 + h² X3 + h⁴ X5 + ... With the same weights c forwards and
-backwards, its stages c1 h, c2 h, ..., c1 h make a self-adjoint step, of order 4 where sum c = 1 and sum c³ = 0; orders
-6 and 8 take two and four conditions more (Hairer, Lubich, Wanner, Geometric Numerical Integration, section V.3).
+A self-adjoint step of order 2 is the flow of a vector field X1 + h² X3 + h⁴ X5 + ... With symmetric weights c, the
+stages c1 h, c2 h, ..., c1 h form a self-adjoint step, of order 4 if sum c = 1 and sum c³ = 0; orders 6 and 8 need two
+and four more conditions (Hairer, Lubich, Wanner, Geometric Numerical Integration, section V.3).
 
-Invariants that the base conserves at every h survive. HK's modified integrals, which depend on h, do not, because the
-stages have different lengths. Measured for the Lagrange top at h = 0.1 over 1e4 steps: the modified energy, constant to
-3e-15 under HK, deviates by 3e-3 under each composition; the energy itself, off by 3e-3 under HK, by 6e-5 (yoshida4),
-1e-6 (suzuki4), 9e-9 (kahan-li6) and 5e-12 (kahan-li8).
+Invariants that the base scheme conserves for every h remain conserved. HK's modified integrals depend on h and are
+lost, because the stages have different step sizes. Measured for the Lagrange top at h = 0.1 over 1e4 steps: the
+modified energy, constant to 3e-15 under HK, deviates by 3e-3 under each composition; the energy itself deviates by 3e-3
+under HK, and by 6e-5 (yoshida4), 1e-6 (suzuki4), 9e-9 (kahan-li6) and 5e-12 (kahan-li8) under the compositions.
 
-What makes it fast: the stages are one loop around the base's step, which the compiler inlines; the state stays in
-registers, is entered and left once, and the cost is that of so many base steps.
+Performance: the stages are one loop around the base step, which the compiler inlines. The state stays in registers and
+is converted once, so the cost is that of the base steps.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.tops import TOPS
 
 BASE_ORDER = 2
-"""The order of a base that the weights are made for."""
+"""Order of the base scheme that the weights assume."""
 
 
 @dataclass(frozen=True)
 class Composition:
-    """A palindrome of ``weights`` that add up to one, and the ``order`` that it gives to a base of order 2."""
+    """Symmetric ``weights`` with sum one, and the resulting ``order`` for a base scheme of order 2."""
 
     name: str
     title: str
@@ -43,14 +43,14 @@ class Composition:
 
     @property
     def stages(self) -> int:
-        """Steps of the base in one step."""
+        """Number of base steps in one step."""
         return len(self.weights)
 
 
 def palindrome(*half: float) -> tuple[float, ...]:
-    """The weights ``half``, the one in the middle, and ``half`` backwards.
+    """Return the weights ``half``, the middle weight, and ``half`` in reverse order.
 
-    The one in the middle is what the others leave of 1, to the last bit: what was missing would be a wrong clock.
+    The middle weight is 1 minus the sum of the others, to the last bit: any difference would be an error in time.
     """
     return (*half, math.fsum([1.0, *(-c for c in half), *(-c for c in half)]), *reversed(half))
 
@@ -96,7 +96,7 @@ COMPOSITIONS = {
 
 
 def find_composition(name: str) -> Composition:
-    """The composition called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
+    """Return the composition called ``name`` (case-insensitive); raise UnknownNameError with the nearest names."""
     found = COMPOSITIONS.get(name.lower())
     if found is None:
         raise UnknownNameError(f"unknown composition {quoted(name)}; {nearest(name, COMPOSITIONS)}")
@@ -104,10 +104,10 @@ def find_composition(name: str) -> Composition:
 
 
 def composed_step(step: StepFunction, weights: tuple[float, ...]) -> StepFunction:
-    """``step`` with h times each of ``weights`` in turn, as one step.
+    """Return the step that applies ``step`` with h times each of ``weights`` in turn.
 
-    A stage whose result is not finite is the last one, as it would end a run of the base: the stages after it could
-    hide an infinity, or the nan that says that an iteration did not converge.
+    The composition stops after the first stage whose state is not finite, as a run of the base scheme would. Later
+    stages could hide an infinity, or the nan of an iteration that did not converge.
     """
 
     def composed(s: Floats, h: float, p: Floats) -> Floats:
@@ -116,7 +116,7 @@ def composed_step(step: StepFunction, weights: tuple[float, ...]) -> StepFunctio
             broken = 0.0
             for x in s:
                 broken += x - x
-            if broken != 0.0:  # a nan is
+            if broken != 0.0:  # true for nan
                 break
         return s
 
@@ -124,11 +124,11 @@ def composed_step(step: StepFunction, weights: tuple[float, ...]) -> StepFunctio
 
 
 def compose(base: Scheme, name: str) -> Scheme:
-    """``base`` under the composition called ``name``; the scheme is called ``<base>+<name>``.
+    """Compose ``base`` by the composition called ``name``; the result is called ``<base>+<name>``.
 
-    Invariants that the base conserves survive, because they do not depend on the length of a step; its modified
-    integrals do depend on it, and are lost. Options are the base's. Raises UnknownNameError for an unknown
-    composition, and UsageError for a base that cannot be composed.
+    The exact invariants of the base scheme are those of the result; its modified integrals depend on the step size and
+    are lost. The options are those of the base scheme. Raises UnknownNameError for an unknown composition, and
+    UsageError if the base scheme cannot be composed.
     """
     return _composed(base, find_composition(name))
 
@@ -147,7 +147,7 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         weights = composition.weights
         return replace(method, step=composed_step(method.step, weights), stages=(method.step, weights))
 
-    stages = f"{composition.stages} steps of {base.name} of unequal lengths in one: {composition.title}"
+    stages = f"{composition.stages} steps of {base.name} with different step sizes: {composition.title}"
     return replace(
         base,
         name=f"{base.name}+{composition.name}",
@@ -156,28 +156,28 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         citation=f"{composition.citation}; {base.citation}",
         build=build,
         modified=None,
-        doc=f"{stages} ({composition.citation}).\n\n{KEPT}\n\n{base.name}: {base.doc}",
+        doc=f"{stages} ({composition.citation}).\n\n{CONSERVED}\n\n{base.name}: {base.doc}",
     )
 
 
-KEPT = (
-    "Self-adjoint, as the base is, and what the base conserves whatever the length of a step is conserved. Integrals "
-    "of the base that depend on the length are lost: they deviate by as much as they differ from the top's own, which "
-    "in turn are kept to the new order."
+CONSERVED = (
+    "Self-adjoint, like the base scheme. Invariants that the base scheme conserves for every step size are conserved. "
+    "Its modified integrals depend on the step size and are lost: they deviate by their difference from the integrals "
+    "of the top, which are conserved to the new order."
 )
 
 
 def obstacle(base: Scheme) -> str:
-    """Why ``base`` cannot be composed, as the rest of a sentence about it; empty when it can.
+    """Reason why ``base`` cannot be composed, a verb phrase; empty if it can.
 
-    What depends on the method itself is judged with the default options, where there are such.
+    The method is built with the default options, if there are any.
     """
     if not base.self_adjoint:
-        return "is not self-adjoint, which the order of a composition rests on"
+        return "is not self-adjoint, which the order of a composition requires"
     if base.top in TOPS:
         try:
             options = base.options()
-        except ValidationError:  # options without a default: judged when the scheme is built
+        except ValidationError:  # options without defaults: tested when the scheme is built
             options = None
         if options is not None:
             top = TOPS[base.top].new()
@@ -185,25 +185,25 @@ def obstacle(base: Scheme) -> str:
             if reason:
                 return reason
     if base.order != BASE_ORDER:
-        return f"has order {base.order}, and the compositions are for order {BASE_ORDER}"
+        return f"has order {base.order}, but compositions need order {BASE_ORDER}"
     return ""
 
 
 def _method_obstacle(method: Method, top: Top) -> str:
-    """Why ``method`` cannot be composed; empty when it can."""
+    """Reason why ``method`` cannot be composed; empty if it can."""
     if isinstance(method, Sampler):
         return "is a solution in closed form, which has no steps"
     if isinstance(method, Block):
-        return "advances many steps at once, and a composition is made of single ones"
+        return "advances many steps per call, but a composition needs single steps"
     if _depends_on_h(method, top):
-        return "works on a form of the state that depends on h, and the stages have steps of different lengths"
+        return "works on a form of the state that depends on h, but the stages have different step sizes"
     return ""
 
 
 def _depends_on_h(stepper: Stepper, top: Top) -> bool:
-    """Whether ``enter`` or ``leave`` makes anything of h: told by values, nan among them, which taints what it enters.
+    """True if ``enter`` or ``leave`` depends on h (tested numerically, with nan as a taint).
 
-    The stages hand the working state on as it is, and that is right where it means the same for every h.
+    The stages pass the working state on unchanged, which requires that its meaning does not depend on h.
     """
     p = top.constants()
     y = tuple(0.5 * math.cos(i + 1.0) for i in range(len(top.components)))
@@ -212,7 +212,7 @@ def _depends_on_h(stepper: Stepper, top: Top) -> bool:
         try:
             plain = _bits(change(state, 0.25, p))
             return any(_bits(change(state, h, p)) != plain for h in (-0.75, 1e-3, math.nan))
-        except (ArithmeticError, ValueError):  # what h = nan raises, h was used for
+        except (ArithmeticError, ValueError):  # raised by h = nan, hence h was used
             return True
 
     if stepper.enter and differs(stepper.enter, y):
@@ -221,5 +221,5 @@ def _depends_on_h(stepper: Stepper, top: Top) -> bool:
 
 
 def _bits(values: Sequence[float]) -> list[str]:
-    """``values`` in a form in which nan equals itself, and -0.0 is not 0.0."""
+    """Return ``values`` as strings, such that nan equals nan and -0.0 differs from 0.0."""
     return [float(value).hex() for value in values]

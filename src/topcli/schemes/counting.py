@@ -1,12 +1,12 @@
-"""Steps that count events: what could go wrong silently is told in the report's counters.
+"""Counters of events in a step, which report failures that would otherwise be silent.
 
-A counter is one more slot at the end of the working state. What an event looks at is what the step computes anyway:
-once both are inlined the compiler merges the two, and what is left beside the step's chain of dependencies is a
-comparison and an addition. The state is what it was, bit for bit.
+A counter is one more slot at the end of the working state. An event uses quantities that the step computes anyway: once
+both are inlined, the compiler merges them, and only a comparison and an addition are added, off the critical path. The
+state is unchanged, bit for bit.
 
-Measured (ratio of times to the step without): HK 1.00 (Kowalevski), 1.02 (Euler, heavy), 1.03 (Lagrange), 1.08 (Euler
-with gamma, 0.9 ns); the hybrids 1.01, Bohlin's methods 1.02. Where it shows, a slot that counts nothing costs as much.
-A count is always finite and is not looked at for that.
+Measured (ratio to the time of a step without counter): HK 1.00 (Kowalevski), 1.02 (Euler, heavy), 1.03 (Lagrange), 1.08
+(Euler with gamma, 0.9 ns); the hybrids 1.01, Bohlin's methods 1.02. A slot that counts nothing has the same cost.
+Counters are always finite and are not tested for finiteness.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from topcli.arithmetic.branches import rarely
+from topcli.arithmetic.branches import unlikely
 from topcli.contracts import Floats, Stepper
 
 Event = Callable[[Floats, Floats, float, Floats], bool]
-"""``event(old, new, h, p)``: whether to count the step from the working state ``old`` to ``new``."""
+"""``event(old, new, h, p)`` is true if the step from working state ``old`` to ``new`` is to be counted."""
 Prediction = Callable[[Floats, float, Floats], tuple[float, float]]
 
 NEAR_SINGULAR = "near_singular_solves"
 AMBIGUOUS = "ambiguous_roots"
 SMALL = 2.0**-10
-"""A determinant below this times the sum of its terms' magnitudes has lost three digits to cancellation."""
+"""A determinant below this fraction of the sum of the magnitudes of its terms has lost three digits to cancellation."""
 
 
-def counting(stepper: Stepper, name: str, event: Event, branch: bool = False) -> Stepper:
-    """``stepper`` with a counter ``name`` of the steps that are an ``event``.
+def with_counter(stepper: Stepper, name: str, event: Event, branch: bool = False) -> Stepper:
+    """Add to ``stepper`` a counter ``name`` of the steps for which ``event`` is true.
 
-    With ``branch`` machine code jumps to the addition instead of selecting its result. That saves operations, and it
-    cuts the step in two, which the compiler then orders apart: what is faster has to be measured.
+    With ``branch`` the machine code branches to the addition instead of selecting its result. This saves operations but
+    splits the step into two parts that the compiler schedules separately; which is faster has to be measured.
     """
     inner_enter, inner_leave = stepper.enter, stepper.leave
     step = stepper.step
@@ -48,7 +48,7 @@ def counting(stepper: Stepper, name: str, event: Event, branch: bool = False) ->
         old = s[:-1]
         new = step(old, h, p)
         count = s[-1]
-        if rarely(event(old, new, h, p)):
+        if unlikely(event(old, new, h, p)):
             count = count + 1.0
         return (*new, count)
 
@@ -76,7 +76,7 @@ def counting(stepper: Stepper, name: str, event: Event, branch: bool = False) ->
 
 
 def small_determinant(determinant: Callable[[Floats, float, Floats], tuple[float, float]]) -> Event:
-    """The event that ``determinant(state, h, p)``, which gives it and the size of its terms, is near zero."""
+    """Event: a determinant is near zero; ``determinant(state, h, p)`` returns it and the size of its terms."""
 
     def event(old: Floats, new: Floats, h: float, p: Floats) -> bool:
         value, terms = determinant(old, h, p)
@@ -85,11 +85,11 @@ def small_determinant(determinant: Callable[[Floats, float, Floats], tuple[float
     return event
 
 
-def two_roots(predict: Prediction) -> Event:
-    """The event that both square roots lie about as near to the prediction of omega1 + i omega2.
+def ambiguous_root(predict: Prediction) -> Event:
+    """Event: both square roots are about equally close to the prediction of omega1 + i omega2.
 
-    The distances of the root r and of -r from the prediction q differ by less than a factor of 1.3 where
-    8 |r.q| <= r.r + q.q. Either the prediction is bad or both roots are near 0, where they merge.
+    The distances of the root r and of -r from the prediction q differ by less than a factor of 1.3 if
+    8 |r.q| <= r.r + q.q. Either the prediction is bad, or both roots are near 0, where they coincide.
     """
 
     def event(old: Floats, new: Floats, h: float, p: Floats) -> bool:

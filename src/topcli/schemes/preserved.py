@@ -1,6 +1,7 @@
-"""Which invariants of a top are polynomials of low degree: the ones that whole classes of methods conserve.
+"""Polynomial invariants of low degree, which whole classes of methods conserve.
 
-Every Runge-Kutta method conserves linear invariants, the implicit midpoint rule quadratic ones too (Cooper 1987).
+Every Runge-Kutta method conserves linear invariants; the implicit midpoint rule also conserves quadratic ones (Cooper
+1987).
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ LINES = 3
 
 
 def polynomial_invariants(top: Top, degree: int) -> tuple[str, ...]:
-    """Names of the invariants of ``top`` that are polynomials of the state of at most ``degree``.
+    """Return the names of the invariants of ``top`` that are polynomials of the state of at most ``degree``.
 
-    Decided by their values: along a line the difference of order ``degree + 1`` of such a polynomial vanishes.
-    Three lines in general position are tried; round-off is allowed for.
+    This is determined numerically: along a line, the finite difference of order ``degree + 1`` of such a polynomial
+    vanishes. Three lines in general position are used, with a tolerance for round-off.
     """
     d = len(top.components)
     orders = np.arange(degree + 2.0)

@@ -1,4 +1,4 @@
-"""The registry of schemes: one decorator to register, one function to look up, plugins by entry point or file."""
+"""Registry of schemes: a decorator to register them, functions to look them up, plugins by entry point or file."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _origin = "topcli"
 
 @dataclass(frozen=True)
 class PluginFailure:
-    """A plugin that could not be imported: its name and the reason, in one line."""
+    """Plugin that could not be imported, with the reason in one line."""
 
     name: str
     reason: str
@@ -58,12 +58,69 @@ def scheme(
     adaptive: bool = False,
     limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
 ) -> Callable[[Build], Build]:
-    """Register ``build(top, options) -> Method`` as the scheme ``name`` of ``top``.
+    """Register the decorated function ``build(top, options)`` as a scheme.
 
-    ``top`` is a form of a top, several of them, or None for every one; one name may also serve several tops with a
-    decorated function each. ``conserves`` names invariants, or gives them for a top; ``limits`` says in which hard
-    cases or under which conditions the scheme fails, and why, or gives that for a top. The docstring of the function
-    documents the scheme. Raises ValueError for a name already taken for a top or with a +, or a missing docstring.
+    The function returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block``
+    (own time loop) of ``topcli.contracts``. Its docstring is the description of the scheme. All traits are declared
+    here and checked by the tests. Times and states are dimensionless.
+
+    Parameters
+    ----------
+    name : str
+        Name of the scheme in configs, case-insensitive, without ``+``. Several tops may have schemes of the same name.
+    top : str, iterable of str, or None
+        Form or forms of tops (``Top.form``) that the scheme integrates; None for every top.
+    title : str
+        Title for people, on one line.
+    order : int or None
+        Order of convergence; None for an exact solution, or if the order follows from a tolerance.
+    explicit : bool
+        True if a step needs no iteration.
+    self_adjoint : bool
+        True if a step with -h inverts a step with h. A self-adjoint scheme of order 2 can be composed.
+    citation : str
+        Source of the method.
+    equations : str
+        Equations of the source, or the formula of the step.
+    conserves : iterable of str or callable, optional
+        Names of the invariants conserved to round-off for every h, or a function ``conserves(top)`` returning them.
+    options : type of BaseModel, optional
+        Pydantic model of the options; an instance is the second argument of ``build``.
+    modified : callable, optional
+        ``modified(top, h, options)`` returns the integrals of the scheme itself, which depend on h, as a tuple of
+        ``Invariant``; their functions map states, shape (n, d), to values, shape (n,).
+    adaptive : bool, optional
+        True if the method takes internal steps within each h, controlled by a tolerance.
+    limits : mapping of str to str or callable, optional
+        Conditions under which the scheme fails, each with the reason in a sentence, or a function ``limits(top)``
+        returning them. A key that names a hard case (``topcli stress``) is checked against the result of that case.
+
+    Returns
+    -------
+    callable
+        Decorator that registers the function and returns it unchanged.
+
+    Raises
+    ------
+    ValueError
+        If the function has no docstring, the name contains ``+``, the options have a field ``compose``, the top is
+        unknown, or the name is already registered for the top.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> from topcli.contracts import Stepper
+    >>> from topcli.tops.euler import field
+    >>> def step(y, h, p):
+    ...     f = field(y, p)
+    ...     return (y[0] + h * f[0], y[1] + h * f[1], y[2] + h * f[2])
+    >>> @topcli.scheme("euler-rule", top="euler", title="Euler's rule", order=1, explicit=True, self_adjoint=False,
+    ...                citation="Euler 1768", equations="y' = y + h f(y)")
+    ... def build(top, options):
+    ...     '''Euler's rule, the simplest scheme.'''
+    ...     return Stepper(step, 3)
+    >>> build(None, None).step((1.0, 2.0, 3.0), 0.5, (3.0, 2.0, 1.0, 1.0, -2.0, 1.0))
+    (4.0, -1.0, 4.0)
     """
     forms = TOPS if top is None else (top,) if isinstance(top, str) else tuple(top)
     origin = _origin
@@ -73,7 +130,7 @@ def scheme(
         if not doc:
             raise ValueError(f"scheme {name!r} has no docstring")
         if "+" in name or "compose" in options.model_fields:
-            raise ValueError(f"scheme {name!r}: a + in a name and an option 'compose' stand for compositions")
+            raise ValueError(f"scheme {name!r}: '+' in a name and an option 'compose' are reserved for compositions")
         doc = inspect.cleandoc(doc)
 
         def register_for(form: str) -> None:
@@ -81,7 +138,7 @@ def scheme(
             if key in _schemes:
                 raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {_schemes[key].origin}")
             if form not in TOPS:
-                raise ValueError(f"scheme {name!r}: no top {form!r}; {nearest(form, TOPS)}")
+                raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
             _schemes[key] = Scheme(
                 name=name.lower(),
                 top=form,
@@ -112,7 +169,7 @@ def scheme(
 
 @cache
 def _modules() -> tuple[str, ...]:
-    """Names of the built-in modules that may register schemes: all that lie in a folder beside this file."""
+    """Names of the built-in modules that may register schemes: all modules in the packages beside this file."""
     root = Path(__file__).parent
     return tuple(
         f"topcli.schemes.{folder.name}.{module.name}"
@@ -123,7 +180,7 @@ def _modules() -> tuple[str, ...]:
 
 
 def _likely_first(name: str, top: str) -> list[str]:
-    """``_modules()``, first those named after the scheme, then those in the folder of its top."""
+    """Return ``_modules()``, starting with those named after the scheme, then those in the package of its top."""
     file, family = name.replace("-", "_"), re.split(r"[+/]", top)[0]
 
     def rank(module: str) -> tuple[bool, bool]:
@@ -154,7 +211,7 @@ def _checked(build: Build, name: str) -> Build:
 
 
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
-    """Import one plugin whole or not at all: what a failing one had registered is taken back."""
+    """Import a plugin; if that fails, remove the schemes it had registered and return the failure."""
     global _origin
     tables: list[dict[Any, Any]] = [_schemes, TOPS, _for_every_top]
     before, previous = [dict(table) for table in tables], _origin
@@ -167,7 +224,7 @@ def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> Plugin
                     register_for(form)
     except (KeyboardInterrupt, MemoryError):
         raise
-    except BaseException as error:  # a plugin may do anything, even exit; it must not take us along
+    except BaseException as error:  # including SystemExit: a plugin must not end the program
         for table, kept in zip(tables, before, strict=True):
             table.clear()
             table.update(kept)
@@ -180,7 +237,7 @@ def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> Plugin
 
 @cache
 def plugin_failures() -> tuple[PluginFailure, ...]:
-    """Import the built-in schemes and the plugins of the entry-point group; the plugins that failed."""
+    """Import the built-in schemes and the plugins of the entry-point group; return the plugins that failed."""
     for module in _modules():
         import_module(module)
     failures = []
@@ -197,7 +254,7 @@ def plugin_failures() -> tuple[PluginFailure, ...]:
 def load_scheme_file(path: Path) -> None:
     """Import the schemes of a Python file (``--scheme-file``), which may import modules that lie beside it.
 
-    Raises UsageError when the file cannot be read or imported, or registers nothing.
+    Raises UsageError if the file cannot be read or imported, or registers no scheme.
     """
     plugin_failures()
     if not os.path.isfile(path):  # False also for what cannot be a path
@@ -219,23 +276,41 @@ def load_scheme_file(path: Path) -> None:
 
 
 def all_schemes() -> tuple[Scheme, ...]:
-    """Every registered scheme, by top and name."""
+    """Return all registered schemes, sorted by top and name."""
     plugin_failures()
     return tuple(_schemes[key] for key in sorted(_schemes, key=lambda key: (key[1], key[0])))
 
 
 def find_scheme(name: str, top: str) -> Scheme:
-    """The scheme called ``name`` (matched without case) for the form ``top`` of a top.
+    """Return the scheme called ``name`` for one form of a top.
 
-    ``base+composition``, such as ``hk+kahan-li8``, is the scheme ``base`` composed (see ``topcli.schemes.compose``).
-    Raises UnknownNameError with the nearest names, SchemeMisfitError naming the tops that the scheme fits, or
-    UsageError for a scheme that cannot be composed.
+    Parameters
+    ----------
+    name : str
+        Name of the scheme, case-insensitive. ``base+composition``, such as ``hk+kahan-li8``, is the scheme ``base``
+        composed (see ``topcli.schemes.compose``).
+    top : str
+        Form of the top (``Top.form``).
+
+    Returns
+    -------
+    Scheme
+        Registered or composed scheme.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such scheme; the message suggests the nearest names.
+    SchemeMisfitError
+        If the scheme exists but does not fit the top; the message names the tops it fits.
+    UsageError
+        If the scheme cannot be composed.
     """
     base, plus, composition = name.rpartition("+")
     if plus:
         return composed(find_scheme(base, top), composition)
     key = (name.lower(), top)
-    # names are unique, so the first module that registers this one settles it: the others need not be imported
+    # names are unique: once a module has registered this one, the others need not be imported
     for module in _likely_first(*key):
         import_module(module)
         if key in _schemes:
@@ -253,26 +328,26 @@ def find_scheme(name: str, top: str) -> Scheme:
 
 
 def composed(base: Scheme, name: str) -> Scheme:
-    """``base`` under the composition ``name``, as ``compose`` makes it; its refusal also names schemes that can be."""
+    """Compose ``base`` by the composition ``name``; the error message lists the schemes that can be composed."""
     find_composition(name)
     if reason := obstacle(base):
         raise UsageError(
             f"scheme {base.name!r} cannot be composed: it {reason}; "
-            f"schemes for {base.top} that can: {', '.join(composable_names(base.top)) or 'none'}"
+            f"schemes for {base.top} that can be: {', '.join(composable_names(base.top)) or 'none'}"
         )
     return compose(base, name)
 
 
 def composable_names(form: str) -> list[str]:
-    """Names of the registered schemes for the form of a top that can be composed."""
+    """Return the names of the schemes for the given form of a top that can be composed."""
     return [scheme.name for scheme in all_schemes() if scheme.top == form and not obstacle(scheme)]
 
 
 def names_for(top: str) -> list[str]:
-    """Names of the schemes that step the form ``top`` of a top."""
+    """Return the names of the schemes for the form ``top`` of a top."""
     plugin_failures()
     return sorted(name for name, kind in _schemes if kind == top)
 
 
 class SchemeMisfitError(UsageError):
-    """A scheme that exists but does not step the asked top (exit code 2)."""
+    """The scheme exists but does not fit the requested top (exit code 2)."""

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from topcli.analysis.roundoff import block_weights, doubling_lags, structure
 from topcli.arithmetic.increments import compensated6, first6
-from topcli.arithmetic.rotations import cayley_increment, cayley_turned
+from topcli.arithmetic.rotations import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
@@ -32,7 +32,7 @@ def turned_step(s: Floats, h: float, p: Floats) -> Floats:
     m1, m2, m3, a1, a2, a3 = s
     d = -0.5 * h
     n1, n2 = m1 - h * a2, m2 + h * a1
-    b1, b2, b3 = cayley_turned(d * n1, d * n2, d * m3, a1, a2, a3)
+    b1, b2, b3 = cayley_matrix_product(d * n1, d * n2, d * m3, a1, a2, a3)
     return (n1, n2, m3, b1, b2, b3)
 
 

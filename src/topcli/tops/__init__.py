@@ -1,7 +1,7 @@
-"""The tops: parameters, equations of motion, integrals. One file a top.
+"""Tops: parameters, equations of motion, integrals; one module per top.
 
-``TOPS`` lists every form of every top. A kind has several forms where its state can be written in several ways; the
-first of them is the kind's own, and the vectors of the initial state tell which is meant.
+``TOPS`` maps the name of each form of a top to its class. A kind has several forms if its state can be written in
+several ways. The first form is the default; the vectors of the initial state select the form.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ TOPS: dict[str, type[Top]] = {
 
 
 def top_names() -> list[str]:
-    """Names of the tops, wherever one is named: each kind, and each form that differs from its kind."""
+    """Return the names of the tops: each kind, and each form that differs from its kind."""
     return list(dict.fromkeys(name for top in TOPS.values() for name in (top.kind, top.form)))
 
 
 def forms(name: str) -> list[type[Top]]:
-    """Forms of the top called ``name``, matched without case: all those of a kind, its own first, or one form.
+    """Return the forms of the top called ``name`` (case-insensitive): all those of a kind, its default first, or one.
 
-    Raises UnknownNameError with the nearest names.
+    Raises UnknownNameError, with the nearest names, for an unknown kind.
     """
     wanted = name.lower()
     found = [top for top in TOPS.values() if top.kind == wanted]
@@ -40,9 +40,9 @@ def forms(name: str) -> list[type[Top]]:
 
 
 def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
-    """The form of the top called ``name`` whose initial state has the ``vectors``; its own form when none fits.
+    """Return the form of the top called ``name`` whose initial state has the ``vectors``, else the default form.
 
-    Raises UnknownNameError with the nearest names.
+    Raises UnknownNameError, with the nearest names, for an unknown kind.
     """
     found = forms(name)
     return next((top for top in found if set(top.vectors) == set(vectors)), found[0])

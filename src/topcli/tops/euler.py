@@ -1,4 +1,4 @@
-"""The Euler top: the free rigid body, any moments of inertia (Sogo, section 1.2), without and with the vertical."""
+"""Euler top: free rigid body with any moments of inertia (Sogo, section 1.2), without and with the vertical."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
 
 
 def field(y: Floats, p: Floats) -> Floats:
-    """Sogo's (Euler) without gravity: omega_i' = alpha_i omega_j omega_k."""
+    """Right-hand side of Sogo's (Euler) without gravity: omega_i' = alpha_i omega_j omega_k."""
     w1, w2, w3 = y
     return (p[3] * w2 * w3, p[4] * w3 * w1, p[5] * w1 * w2)
 
 
 def field_with_gamma(y: Floats, p: Floats) -> Floats:
-    """Sogo's (Euler) without gravity and (Poisson)."""
+    """Right-hand side of Sogo's (Euler) without gravity, and of (Poisson)."""
     w1, w2, w3, g1, g2, g3 = y
     return (
         p[3] * w2 * w3,
@@ -33,8 +33,8 @@ def field_with_gamma(y: Floats, p: Floats) -> Floats:
 class Euler(Top):
     """Euler top with moments (A, B, C) and no torque; dimensionless. The state is omega in the body frame.
 
-    Moments that break the triangle inequality are no rigid body's, but the equations mean something for them too:
-    a warning, not an error.
+    Moments that violate the triangle inequality cause a warning, not an error: no rigid body has them, but the
+    equations are still defined.
     """
 
     kind: ClassVar[str] = "euler"
@@ -52,16 +52,16 @@ class Euler(Top):
     C: float = Field(default=1.0, gt=0.0, description="third moment of inertia; positive")
 
     def constants(self) -> Floats:
-        """``(A, B, C, alpha1, alpha2, alpha3)`` with alpha1 = (B - C)/A and so on in turn."""
+        """Return ``(A, B, C, alpha1, alpha2, alpha3)`` with alpha1 = (B - C)/A, and the others cyclically."""
         A, B, C = self.A, self.B, self.C
         return (A, B, C, (B - C) / A, (C - A) / B, (A - B) / C)
 
     def euler_poisson(self) -> EulerPoisson:
-        """The same top in the general Euler-Poisson equations."""
+        """Return the coefficients of this top in the general Euler-Poisson equations."""
         return EulerPoisson((self.A, self.B, self.C), (0.0, 0.0, 0.0))
 
     def invariants(self) -> tuple[Invariant, ...]:
-        """m² and m·omega (twice the energy), Sogo section 1.2."""
+        """Return m² and m·omega (twice the energy); Sogo, section 1.2."""
         moments = np.array((self.A, self.B, self.C))
 
         def m_sq(y: Array) -> Array:
@@ -79,7 +79,7 @@ class Euler(Top):
 
 
 class EulerGamma(Euler):
-    """Euler top that carries the vertical gamma, a direction at rest in space, seen from the body."""
+    """Euler top with the vertical gamma, a direction fixed in space, expressed in the body frame."""
 
     form: ClassVar[str] = "euler+gamma"
     title: ClassVar[str] = "Euler top (free rigid body) with the vertical"
@@ -89,7 +89,7 @@ class EulerGamma(Euler):
     field: ClassVar = staticmethod(field_with_gamma)
 
     def invariants(self) -> tuple[Invariant, ...]:
-        """m², m·omega, gamma² and m·gamma."""
+        """Return m², m·omega, gamma² and m·gamma."""
         moments = np.array((self.A, self.B, self.C))
 
         def gamma_sq(y: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The heavy top in general: any moments of inertia, any centre of gravity (Sogo, section 1.1)."""
+"""General heavy top: any moments of inertia, any centre of gravity (Sogo, section 1.1)."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def field(s: Floats, p: Floats) -> Floats:
 class Heavy(Top):
     """Heavy top with moments (A, B, C) and mg(x0, y0, z0); dimensionless.
 
-    Its three integrals do not make it integrable: the motion is chaotic unless the top is Euler's, Lagrange's or
-    Kowalevski's (or a special orbit). The default top is chaotic.
+    With only three integrals it is not integrable: apart from special orbits the motion is chaotic, unless the
+    parameters are those of Euler's, Lagrange's or Kowalevski's top. The default top is chaotic.
     """
 
     kind: ClassVar[str] = "heavy"
@@ -50,26 +50,26 @@ class Heavy(Top):
     z0: float = Field(default=0.8, description="mg z0, the centre of gravity on the third axis times the weight")
 
     def constants(self) -> Floats:
-        """``(A, B, C, mg x0, mg y0, mg z0)``."""
+        """Return ``(A, B, C, mg x0, mg y0, mg z0)``."""
         return (self.A, self.B, self.C, self.x0, self.y0, self.z0)
 
     def euler_poisson(self) -> EulerPoisson:
-        """The same numbers."""
+        """Return the coefficients of this top in the general Euler-Poisson equations: its own parameters."""
         return EulerPoisson((self.A, self.B, self.C), (self.x0, self.y0, self.z0))
 
     def warnings(self) -> tuple[str, ...]:
-        """A line when the moments break the triangle inequality: no rigid body has such moments."""
+        """Return a warning if the moments violate the triangle inequality."""
         moments = sorted(zip((self.A, self.B, self.C), "ABC", strict=True))
         (small, first), (middle, second), (large, third) = moments
         if large <= small + middle:
             return ()
         return (
             f"top: no rigid body has moments with {third} = {large:g} > {first} + {second} = {small + middle:g} "
-            "(triangle inequality); the equations are integrated all the same",
+            "(triangle inequality); the equations are integrated anyway",
         )
 
     def invariants(self) -> tuple[Invariant, ...]:
-        """gamma², m·gamma and E, Sogo section 1.1, eq. (constant)."""
+        """Return gamma², m·gamma and E; Sogo, section 1.1, eq. (constant)."""
         moments = np.array((self.A, self.B, self.C))
         gravity = np.array((self.x0, self.y0, self.z0))
 

@@ -1,4 +1,4 @@
-"""The Kowalevski top: A = B = 2C, centre of gravity on the first axis (Sogo, section 3)."""
+"""Kowalevski top: A = B = 2C, centre of gravity on the first axis (Sogo, section 3)."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def field(y: Floats, p: Floats) -> Floats:
 class Kowalevski(Top):
     """Kowalevski top with moments (A, A, A/2) and mg(x0, y0, z0) = (c0, 0, 0); dimensionless.
 
-    The paper sets A = B = 2, C = 1 "without loss of generality", and so does the default. For another A the
-    equations of motion divide by C = A/2 and become the paper's with c0 replaced by c = c0/C: time, omega and
-    gamma keep their meaning, 2l and E are C times the paper's expressions, and k² = |omega² - c gamma|².
-    c0 is any real number; c0 = 0 is the free symmetric top.
+    The paper sets A = B = 2, C = 1 "without loss of generality"; these are the defaults. For another A, dividing the
+    equations of motion by C = A/2 gives those of the paper with c0 replaced by c = c0/C: time, omega and gamma keep
+    their meaning, 2l and E are C times the expressions of the paper, and k² = |omega² - c gamma|². c0 may be any real
+    number; c0 = 0 is the free symmetric top.
     """
 
     kind: ClassVar[str] = "kowalevski"
@@ -58,24 +58,24 @@ class Kowalevski(Top):
     @model_validator(mode="after")
     def _in_range(self) -> Kowalevski:
         if not (self.C > 0.0 and math.isfinite(self.c0 / self.C)):
-            raise ValueError(f"A = {self.A!r} and c0 = {self.c0!r} leave the range of numbers: c0/(A/2) is not finite")
+            raise ValueError(f"A = {self.A!r} and c0 = {self.c0!r} are out of range: c0/(A/2) is not finite")
         return self
 
     @property
     def C(self) -> float:
-        """The third moment of inertia, A/2."""
+        """Third moment of inertia, A/2."""
         return 0.5 * self.A
 
     def constants(self) -> Floats:
-        """``(c,)`` with c = c0/C."""
+        """Return ``(c,)`` with c = c0/C."""
         return (self.c0 / self.C,)
 
     def euler_poisson(self) -> EulerPoisson:
-        """The same top in the general Euler-Poisson equations."""
+        """Return the coefficients of this top in the general Euler-Poisson equations."""
         return EulerPoisson((self.A, self.A, self.C), (self.c0, 0.0, 0.0))
 
     def invariants(self) -> tuple[Invariant, ...]:
-        """gamma², 2l = m·gamma, E and Kowalevski's k², Sogo section 3.1."""
+        """Return gamma², 2l = m·gamma, E and Kowalevski's k²; Sogo, section 3.1."""
         C, c0, c = self.C, self.c0, self.c0 / self.C
 
         def gamma_sq(y: Array) -> Array:

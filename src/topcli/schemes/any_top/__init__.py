@@ -1,1 +1,1 @@
-"""Schemes that step every top."""
+"""Schemes for every top."""

@@ -1,4 +1,4 @@
-"""SciPy's adaptive method DOP853, for every top."""
+"""Adaptive method DOP853 of SciPy, for every top."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_EVALUATIONS = 1_000_000
 
 
 class Tolerances(BaseModel):
-    """The tolerances of an adaptive method: its error per step is kept below ``atol + rtol |y|``."""
+    """Tolerances of the adaptive method; the error per step is kept below ``atol + rtol |y|``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -27,23 +27,23 @@ class Tolerances(BaseModel):
 @scheme(
     "dop853",
     top=None,
-    title="Dormand and Prince's method of order 8 (SciPy)",
+    title="Dormand-Prince method of order 8 (SciPy)",
     order=8,
     explicit=True,
     self_adjoint=False,
     adaptive=True,
     conserves=lambda top: polynomial_invariants(top, 1),
     citation="Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993; scipy.integrate.DOP853",
-    equations="DOP853 from t to t + h, in as many steps of its own as the tolerances ask for",
+    equations="DOP853 from t to t + h, in as many internal steps as the tolerances require",
     options=Tolerances,
 )
 def build_dop853(top: Top, options: Tolerances) -> Stepper:
-    """The adaptive integrator that most people would reach for, with tolerances instead of a step size.
+    """A widely used adaptive integrator, controlled by tolerances instead of a step size.
 
-    It chooses its own steps within each h and ends on t = n h exactly, so that an h longer than its own steps costs
-    it least. What it learnt about its step size is carried along. It runs in the interpreter, some thousand times
-    slower than the compiled steps. Where its steps shrink below round-off, or one h takes more than a million
-    evaluations of the equations, the run ends as `no_convergence`.
+    It chooses internal steps within each h and ends at t = n h exactly; it is therefore most efficient if h is longer
+    than its internal steps. The internal step size is carried from one step to the next. The method runs in the
+    interpreter, about a thousand times slower than the compiled steps. If the internal steps shrink below round-off, or
+    one h takes more than a million evaluations of the equations, the run ends as `no_convergence`.
     """
     from scipy.integrate import DOP853
 

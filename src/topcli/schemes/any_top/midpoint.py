@@ -1,12 +1,13 @@
-"""The implicit midpoint rule for every top with gravity.
+"""Implicit midpoint rule for every top with gravity.
 
-The step is written for the general Euler-Poisson equations. The six coefficients of the top at hand are carried in
-the working state, so that one piece of machine code serves all tops. Bobenko and Suris' inertial form of Lagrange's
-top, m' = p x a, a' = m x a, is the same equations with omega = -m, gamma = a, equal moments and g = p.
+The step solves the general Euler-Poisson equations. Their six coefficients are part of the working state, so that the
+same machine code serves all tops. The inertial form of Lagrange's top of Bobenko and Suris, m' = p x a, a' = m x a, is
+the special case omega = -m, gamma = a with equal moments and g = p.
 
-What makes it fast:
-- given the mean omega Poisson's equation is Cayley's rotation in closed form: Newton has three unknowns, not six;
-- its 3x3 systems are solved by Cramer's rule, the columns of the matrix from one reciprocal of 1 + |h omega/2|²;
+Performance:
+- given the mean omega, Poisson's equation is a Cayley rotation in closed form, so that Newton's method has three
+  unknowns, not six;
+- the 3x3 systems are solved by Cramer's rule; the columns of the matrix need one reciprocal, of 1 + |h omega/2|²;
 - two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would leave errors of one sign above round-off.
 """
 
@@ -15,11 +16,11 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.double_double import two_sum
-from topcli.arithmetic.increments import carried_sums, first6
+from topcli.arithmetic.increments import compensated_sums, first6
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment
 from topcli.contracts import Floats, Stepper, Top, checked_equations
-from topcli.schemes.compensated import CompensatedOption, compensation_wanted
+from topcli.schemes.compensated import CompensatedOption, is_compensated
 from topcli.schemes.heavy.linear_system import implicit_matrix
 from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.preserved import polynomial_invariants
@@ -28,17 +29,17 @@ from topcli.tops import TOPS
 
 INERTIAL = "lagrange/inertial"
 FORMS = tuple(form for form in ("heavy", "kowalevski", "lagrange", INERTIAL) if form in TOPS)
-NEWTON = 25
-"""Newton iterations before a step is given up; three or four are the rule."""
+NEWTON_LIMIT = 25
+"""Maximum number of Newton iterations; three or four are typical."""
 SETTLED = 2.0**-33
-"""The last change, in units of omega, that ends the iteration: Newton squares it, far below the last bit."""
+"""Tolerance of the last correction relative to omega; by quadratic convergence the error is far below the last bit."""
 
 
 def angular_acceleration(o1: float, o2: float, o3: float, q1: float, q2: float, q3: float, p: Floats) -> Vector:
-    """I^-1 (I omega x omega + gamma x g) at omega = o, gamma = q.
+    """Angular acceleration I^-1 (I omega x omega + gamma x g) at omega = o, gamma = q.
 
-    The differences of moments carry their own rounding errors along: the three must add up to zero, or the energy
-    would drift by an ulp per unit time.
+    The differences of the moments are used with their rounding errors: the three must add up to zero, otherwise the
+    energy drifts by an ulp per unit time.
     """
     A, B, C, x, y, z = p
     k1, r1 = two_sum(B, -C)
@@ -55,13 +56,13 @@ def angular_acceleration(o1: float, o2: float, o3: float, q1: float, q2: float, 
 def midpoint_change(
     state: Floats, h: float, p: Floats
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """The change in one step of the implicit midpoint rule; ``p`` is (A, B, C, mg x0, mg y0, mg z0).
+    """Change in one step of the implicit midpoint rule; ``p`` is (A, B, C, mg x0, mg y0, mg z0).
 
-    Returns the change, then 0.0 or, when Newton's iteration did not settle, nan, then the number of iterations.
+    Returns the change, the status (0.0, or nan if Newton's iteration did not converge), and the number of iterations.
 
-    Given the mean omega, Poisson's equation is Cayley's rotation of gamma; Newton's iteration finds the half change
-    v of omega. At its end omega's change is computed afresh from the equations, so that what is left of the
-    iteration's error is of the size of a rounding error of the change.
+    Given the mean omega, Poisson's equation is a Cayley rotation of gamma; Newton's iteration finds half the change of
+    omega, v. After the last iteration the change of omega is evaluated again from the equations, so that the remaining
+    error of the iteration is comparable to a rounding error of the change.
     """
     w1, w2, w3, g1, g2, g3 = state
     A, B, C, x, y, z = p
@@ -71,7 +72,7 @@ def midpoint_change(
     v1, v2, v3 = 0.0, 0.0, 0.0
     status = math.nan
     iterations = 0.0
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_LIMIT):
         iterations += 1.0
         o1, o2, o3 = w1 + v1, w2 + v2, w3 + v3
         a1, a2, a3 = d * o1, d * o2, d * o3
@@ -90,38 +91,38 @@ def midpoint_change(
 
 
 def midpoint(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float, float, float, float]:
-    """One step of the implicit midpoint rule: the new state, then status and iterations of ``midpoint_change``."""
+    """One step of the implicit midpoint rule: new state, then status and iterations as in ``midpoint_change``."""
     w1, w2, w3, g1, g2, g3 = state
     x1, x2, x3, y1, y2, y3, status, iterations = midpoint_change(state, h, p)
     return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, status, iterations)
 
 
 WIDTH = 14
-"""omega, gamma; A, B, C, mg(x0, y0, z0); whether the iteration settled; the iterations so far."""
+"""Length of the working state: omega, gamma; A, B, C, mg(x0, y0, z0); status; iterations so far."""
 
 
 def midpoint_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step of the working state."""
+    """One step on the working state."""
     w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, _, iterations = s
     x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
     return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, A, B, C, x, y, z, status, iterations + more)
 
 
 def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step of the working state with what the sums have lost, before the status."""
+    """One compensated step; the rounding errors of the sums are in the slots before the status."""
     w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, e1, e2, e3, e4, e5, e6, _, iterations = s
     x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
-    new, lost = carried_sums((w1, w2, w3, g1, g2, g3), (e1, e2, e3, e4, e5, e6), (x1, x2, x3, y1, y2, y3))
+    new, lost = compensated_sums((w1, w2, w3, g1, g2, g3), (e1, e2, e3, e4, e5, e6), (x1, x2, x3, y1, y2, y3))
     return (*new, A, B, C, x, y, z, *lost, status, iterations + more)
 
 
 def enter_inertial(y: Floats, h: float, p: Floats) -> Floats:
-    """The working state of the inertial frame's m and a."""
+    """Working state from m and a of the inertial frame."""
     return (-y[0], -y[1], -y[2], y[3], y[4], y[5], 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
-    """The inertial frame's m and a."""
+    """m and a of the inertial frame, from the working state."""
     return (-s[0], -s[1], -s[2], s[3], s[4], s[5])
 
 
@@ -139,10 +140,10 @@ def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
     limits=lambda top: {"singular-step": LONG_NEWTON} if top.form == "heavy" else {},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
-    """Solved by Newton's iteration to round-off; a step that does not settle ends the run as `no_convergence`.
+    """Solved to round-off by Newton's method; if a step does not converge, the run ends as `no_convergence`.
 
-    Its own inverse under h -> -h. Every quadratic integral is conserved exactly, for any top: gamma², m·gamma and the
-    energy. Kowalevski's k² is of degree four and only stays close.
+    The step is self-adjoint. Every quadratic integral is conserved exactly, for any top: gamma², m·gamma and the
+    energy. Kowalevski's k², of degree four, is only approximately conserved.
     """
     equations = checked_equations(top, "scheme 'midpoint'")
     coefficients = (*equations.moments, *equations.gravity)
@@ -152,7 +153,7 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
 
     inertial = top.form == INERTIAL
     enter, leave = (enter_inertial, leave_inertial) if inertial else (enter_body, first6)
-    if not compensation_wanted(options):
+    if not is_compensated(options):
         return Stepper(midpoint_step, WIDTH, enter, leave, ("iterations",), iterative=True)
 
     def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods for every top, to compare the special schemes with: `rk2` and `rk4`."""
+"""Explicit Runge-Kutta methods for every top, as baselines for the other schemes: `rk2` and `rk4`."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from topcli.schemes.limits import explicit_limits, rk2_limits
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 
-Field_ = Callable[[Floats, Floats], Floats]
-Moved = Callable[[Floats, float, Floats], Floats]
-Mean = Callable[[Floats, Floats, Floats, Floats], Floats]
+VectorField = Callable[[Floats, Floats], Floats]
+Axpy = Callable[[Floats, float, Floats], Floats]
+WeightedSum = Callable[[Floats, Floats, Floats, Floats], Floats]
 
 
-def moved3(s: Floats, a: float, k: Floats) -> Floats:
-    """S + a k, of length three."""
+def axpy3(s: Floats, a: float, k: Floats) -> Floats:
+    """Return s + a k for vectors of length three."""
     return (s[0] + a * k[0], s[1] + a * k[1], s[2] + a * k[2])
 
 
-def moved6(s: Floats, a: float, k: Floats) -> Floats:
-    """S + a k, of length six."""
+def axpy6(s: Floats, a: float, k: Floats) -> Floats:
+    """Return s + a k for vectors of length six."""
     return (
         s[0] + a * k[0],
         s[1] + a * k[1],
@@ -31,57 +31,62 @@ def moved6(s: Floats, a: float, k: Floats) -> Floats:
     )
 
 
-def simpson(a: float, b: float, c: float, d: float) -> float:
-    """The weights of the four slopes of the classical Runge-Kutta method, times six."""
+def weighted_sum(a: float, b: float, c: float, d: float) -> float:
+    """Weighted sum of the four slopes of the classical Runge-Kutta method, times six."""
     return (a + d) + 2.0 * (b + c)
 
 
-def mean3(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """``simpson`` of vectors of length three."""
-    return (simpson(a[0], b[0], c[0], d[0]), simpson(a[1], b[1], c[1], d[1]), simpson(a[2], b[2], c[2], d[2]))
-
-
-def mean6(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """``simpson`` of vectors of length six."""
+def weighted_sum3(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
+    """``weighted_sum`` of vectors of length three."""
     return (
-        simpson(a[0], b[0], c[0], d[0]),
-        simpson(a[1], b[1], c[1], d[1]),
-        simpson(a[2], b[2], c[2], d[2]),
-        simpson(a[3], b[3], c[3], d[3]),
-        simpson(a[4], b[4], c[4], d[4]),
-        simpson(a[5], b[5], c[5], d[5]),
+        weighted_sum(a[0], b[0], c[0], d[0]),
+        weighted_sum(a[1], b[1], c[1], d[1]),
+        weighted_sum(a[2], b[2], c[2], d[2]),
     )
 
 
-VECTORS: dict[int, tuple[Moved, Mean]] = {3: (moved3, mean3), 6: (moved6, mean6)}
+def weighted_sum6(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
+    """``weighted_sum`` of vectors of length six."""
+    return (
+        weighted_sum(a[0], b[0], c[0], d[0]),
+        weighted_sum(a[1], b[1], c[1], d[1]),
+        weighted_sum(a[2], b[2], c[2], d[2]),
+        weighted_sum(a[3], b[3], c[3], d[3]),
+        weighted_sum(a[4], b[4], c[4], d[4]),
+        weighted_sum(a[5], b[5], c[5], d[5]),
+    )
 
 
-def _vectors(top: Top) -> tuple[Moved, Mean]:
-    """The vector operations for the state of ``top``."""
+VECTOR_OPERATIONS: dict[int, tuple[Axpy, WeightedSum]] = {3: (axpy3, weighted_sum3), 6: (axpy6, weighted_sum6)}
+
+
+def _vector_operations(top: Top) -> tuple[Axpy, WeightedSum]:
+    """Vector operations for the state of ``top``."""
     d = len(top.components)
-    if d not in VECTORS:
-        raise ValueError(f"top {top.form!r} has {d} components; rk2 and rk4 are written for {sorted(VECTORS)}")
-    return VECTORS[d]
+    if d not in VECTOR_OPERATIONS:
+        known = " or ".join(str(length) for length in VECTOR_OPERATIONS)
+        raise ValueError(f"top {top.form!r} has {d} components; rk2 and rk4 support only {known}")
+    return VECTOR_OPERATIONS[d]
 
 
-def rk2_step(field: Field_, moved: Moved) -> StepFunction:
-    """The explicit midpoint rule for a field."""
+def rk2_step(field: VectorField, axpy: Axpy) -> StepFunction:
+    """Step of the explicit midpoint rule."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
-        return moved(s, h, field(moved(s, 0.5 * h, field(s, p)), p))
+        return axpy(s, h, field(axpy(s, 0.5 * h, field(s, p)), p))
 
     return step
 
 
-def rk4_step(field: Field_, moved: Moved, mean: Mean) -> StepFunction:
-    """The classical Runge-Kutta method for a field."""
+def rk4_step(field: VectorField, axpy: Axpy, combine: WeightedSum) -> StepFunction:
+    """Step of the classical Runge-Kutta method."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         k1 = field(s, p)
-        k2 = field(moved(s, 0.5 * h, k1), p)
-        k3 = field(moved(s, 0.5 * h, k2), p)
-        k4 = field(moved(s, h, k3), p)
-        return moved(s, h / 6.0, mean(k1, k2, k3, k4))
+        k2 = field(axpy(s, 0.5 * h, k1), p)
+        k3 = field(axpy(s, 0.5 * h, k2), p)
+        k4 = field(axpy(s, h, k3), p)
+        return axpy(s, h / 6.0, combine(k1, k2, k3, k4))
 
     return step
 
@@ -99,8 +104,8 @@ def rk4_step(field: Field_, moved: Moved, mean: Mean) -> StepFunction:
     limits=rk2_limits,
 )
 def build_rk2(top: Top, options: NoOptions) -> Stepper:
-    """A general-purpose baseline of order two: irreversible, conserves linear integrals only."""
-    return Stepper(rk2_step(top.field, _vectors(top)[0]), len(top.components))
+    """General-purpose baseline of order two: not reversible, conserves linear integrals only."""
+    return Stepper(rk2_step(top.field, _vector_operations(top)[0]), len(top.components))
 
 
 @scheme(
@@ -116,5 +121,5 @@ def build_rk2(top: Top, options: NoOptions) -> Stepper:
     limits=explicit_limits,
 )
 def build_rk4(top: Top, options: NoOptions) -> Stepper:
-    """A general-purpose baseline of order four: irreversible, conserves linear integrals only."""
-    return Stepper(rk4_step(top.field, *_vectors(top)), len(top.components))
+    """General-purpose baseline of order four: not reversible, conserves linear integrals only."""
+    return Stepper(rk4_step(top.field, *_vector_operations(top)), len(top.components))

@@ -1,1 +1,1 @@
-"""Schemes and closed forms of the Euler top."""
+"""Schemes and closed-form solutions for the Euler top."""

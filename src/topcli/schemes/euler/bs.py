@@ -1,7 +1,7 @@
-"""The BS schemes of the Euler top (Sogo, section 1.2): m turns by Cayley's rotation with the old or the new omega.
+"""BS schemes of the Euler top (Sogo, section 1.2): Cayley rotation of m with the old or the new omega.
 
-``bs`` is a closed form with one division; ``bs-implicit`` is Newton's method on three unknowns from HK's step, each
-correction a closed form. Notation as in ``hk``; every function returns the change of omega.
+``bs`` has a closed form with one division. ``bs-implicit`` is solved by Newton's method in three unknowns, started from
+HK's step, with corrections in closed form. Notation as in ``hk``; every function returns the change of omega.
 """
 
 from __future__ import annotations
@@ -11,7 +11,14 @@ from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.euler.hk import hk_increment
 from topcli.schemes.euler.newton import newton, with_status
-from topcli.schemes.euler.omega_gamma import CITATION, FORMS, new, old, rotation_invariants, stepper_of
+from topcli.schemes.euler.omega_gamma import (
+    CITATION,
+    FORMS,
+    new_omega,
+    old_omega,
+    omega_gamma_stepper,
+    rotation_invariants,
+)
 from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.registry import scheme
 
@@ -19,9 +26,9 @@ from topcli.schemes.registry import scheme
 def bs_increment(
     w1: float, w2: float, w3: float, A: float, B: float, C: float, d: float, c1: float, c2: float, c3: float
 ) -> Vector:
-    """omega' - omega of m' - m = d (m' + m) x omega: Cayley's rotation of m, divided by the moments.
+    """Change omega' - omega for m' - m = d (m' + m) x omega: Cayley rotation of m, divided by the moments.
 
-    m x omega is written with the differences of the moments, so that it vanishes exactly for a spherical top.
+    m x omega is computed from the differences of the moments, so that it vanishes exactly for a spherical top.
     """
     b1 = A * (c1 * (w2 * w3))
     b2 = B * (c2 * (w3 * w1))
@@ -38,10 +45,10 @@ def bs_increment(
 
 
 def implicit_residual(w: Vector, q: Floats, x: Vector) -> Vector:
-    """By how much a change x misses m' - m = d (m' + m) x omega', divided by the moments.
+    """Residual of m' - m = d (m' + m) x omega', divided by the moments, for the change x of omega.
 
-    x_i = c_i ((omega_j + x_j)(omega_k + x_k) + omega_j omega_k) + e_i (m_j x_k - m_k x_j) with e_i = d/I_i and m of
-    the old state; q = (c_1, c_2, c_3, e_1, e_2, e_3, m_1, m_2, m_3).
+    The equations are x_i = c_i ((omega_j + x_j)(omega_k + x_k) + omega_j omega_k) + e_i (m_j x_k - m_k x_j) with
+    e_i = d/I_i and m of the old state; q = (c_1, c_2, c_3, e_1, e_2, e_3, m_1, m_2, m_3).
     """
     c1, c2, c3, e1, e2, e3, m1, m2, m3 = q
     w1, w2, w3 = w
@@ -54,7 +61,7 @@ def implicit_residual(w: Vector, q: Floats, x: Vector) -> Vector:
 
 
 def implicit_correction(w: Vector, q: Floats, x: Vector, r: Vector) -> Vector:
-    """Newton's correction of x for the residual r, by Cramer's rule."""
+    """Newton correction of x for the residual r, by Cramer's rule."""
     c1, c2, c3, e1, e2, e3, m1, m2, m3 = q
     y1 = w[0] + x[0]
     y2 = w[1] + x[1]
@@ -78,16 +85,16 @@ def implicit_correction(w: Vector, q: Floats, x: Vector, r: Vector) -> Vector:
 
 
 implicit_increment = newton(implicit_residual, implicit_correction)
-"""omega' - omega of the BS scheme with the new omega, ``implicit_increment(omega, q, start)``."""
+"""``implicit_increment(omega, q, start)``: change omega' - omega in the BS scheme with the new omega."""
 
 
 def bs_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vector:
-    """m' - m = d (m' + m) x omega."""
+    """Change of omega by m' - m = d (m' + m) x omega."""
     return bs_increment(w1, w2, w3, p[0], p[1], p[2], d, d * p[3], d * p[4], d * p[5])
 
 
 def implicit_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vector:
-    """m' - m = d (m' + m) x omega', solved from HK's change."""
+    """Change of omega by m' - m = d (m' + m) x omega', solved iteratively from HK's change."""
     c1 = d * p[3]
     c2 = d * p[4]
     c3 = d * p[5]
@@ -108,11 +115,11 @@ def implicit_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
     options=CompensatedOption,
 )
 def build_bs(top: Top, options: CompensatedOption) -> Stepper:
-    """m turns by Cayley's rotation with the old omega, and so does gamma: m², gamma² and m·gamma are conserved.
+    """Cayley rotation of m and gamma with the old omega: m², gamma² and m·gamma are conserved.
 
-    m·omega is not: it grows until the top turns about the axis of its smallest moment.
+    m·omega is not conserved: it grows until the top rotates about the axis of its smallest moment.
     """
-    return stepper_of(top, bs_change, old, options)
+    return omega_gamma_stepper(top, bs_change, old_omega, options)
 
 
 @scheme(
@@ -129,10 +136,10 @@ def build_bs(top: Top, options: CompensatedOption) -> Stepper:
     limits={"singular-step": NEWTON_SINGULAR},
 )
 def build_bs_implicit(top: Top, options: CompensatedOption) -> Stepper:
-    """The inverse of ``bs`` with -h: m and gamma turn by Cayley's rotation with the new omega.
+    """Inverse of ``bs`` with -h: Cayley rotation of m and gamma with the new omega.
 
-    Newton's method with halved corrections as a safeguard finds omega to round-off. m², gamma² and m·gamma are
-    conserved; m·omega falls until the top turns about the axis of its largest moment. A step that does not settle ends
-    the run as `no_convergence`.
+    omega is determined to round-off by Newton's method, with step halving as a safeguard. m², gamma² and m·gamma are
+    conserved; m·omega decreases until the top rotates about the axis of its largest moment. If a step does not
+    converge, the run ends as `no_convergence`.
     """
-    return with_status(stepper_of(top, implicit_change, new, options), len(top.components))
+    return with_status(omega_gamma_stepper(top, implicit_change, new_omega, options), len(top.components))

@@ -1,6 +1,6 @@
-"""The free motion of the Euler top and the HK map by Jacobi's functions, evaluated after any number of steps.
+"""Free motion of the Euler top and HK map in Jacobi elliptic functions, evaluated after any number of steps.
 
-With one axis D about which the motion circulates, the middle axis S and the third axis C,
+With the axis D about which the motion circulates, the middle axis S and the third axis C,
 
     omega_D = a_D dn u,   omega_S = a_S sn u,   omega_C = a_C cn u,   u = u_0 + n (step in u).
 """
@@ -11,41 +11,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from topcli.arithmetic.elliptic import DD, add, jacobi, multiple, reduce
+from topcli.arithmetic.elliptic import DoubleDouble, add, jacobi, multiple, reduce
 from topcli.contracts import Array
 
 
 @dataclass(frozen=True)
 class Precession:
-    """How the body turns about its angular momentum m: the angle psi of axis D, in turns.
+    """Rotation of the body about its angular momentum m: the angle psi of axis D, in revolutions.
 
-    psi advances by ``per_step`` a step and by ``per_half`` a half period 2K of u; within it by
-    ``weight`` (P(r) - P(u_0)), P the integral of the third kind with characteristic ``n``.
+    psi advances by ``per_step`` per step, by ``per_half`` per half period 2K of u, and within a half period by
+    ``weight`` (P(r) - P(u_0)), with the elliptic integral P of the third kind with characteristic ``n``.
     """
 
-    per_step: DD
-    per_half: DD
+    per_step: DoubleDouble
+    per_half: DoubleDouble
     weight: float
     n: float
     start: float
 
 
 @dataclass(frozen=True)
-class Elliptic:
-    """omega as elliptic functions: the axes (D, S, C), their signed amplitudes, u in steps, the quarter period K."""
+class EllipticMotion:
+    """omega in elliptic functions: axes (D, S, C), signed amplitudes, start and step of u, quarter period K."""
 
     axes: tuple[int, int, int]
     amplitudes: tuple[float, float, float]
-    start: DD
-    step: DD
-    quarter: DD | None
+    start: DoubleDouble
+    step: DoubleDouble
+    quarter: DoubleDouble | None
     """None on the separatrix, where K is infinite."""
     m1: float
     precession: Precession | None = None
 
 
-def omega_at(elliptic: Elliptic, n: Array) -> tuple[Array, Array, tuple[Array, Array, Array], Array]:
-    """``(omega (m, 3), j, (r, sn u, cn r), dn)`` after ``n`` (m,) steps, with u = 2 K j + r."""
+def omega_at(elliptic: EllipticMotion, n: Array) -> tuple[Array, Array, tuple[Array, Array, Array], Array]:
+    """Return ``(omega (m, 3), j, (r, sn r, cn r), dn)`` after ``n`` (m,) steps, with u = 2 K j + r."""
     u = add(elliptic.start, multiple(elliptic.step, n))
     if elliptic.quarter is None:
         j, r = np.zeros_like(n), u
@@ -60,9 +60,9 @@ def omega_at(elliptic: Elliptic, n: Array) -> tuple[Array, Array, tuple[Array, A
 
 
 def _frame(m: Array, axis: int) -> tuple[Array, Array, Array]:
-    """m/|m| and two unit vectors normal to it, the first in the plane of m and the body's ``axis``; each (m, 3)."""
+    """m/|m| and two unit vectors normal to it, the first in the plane of m and the body ``axis``; each (m, 3)."""
     exponent = np.frexp(np.abs(m).max(axis=1, keepdims=True))[1]
-    m = np.ldexp(m, -exponent)  # exact, and no square leaves the range
+    m = np.ldexp(m, -exponent)  # exact, and no square overflows
     along = m / np.linalg.norm(m, axis=1, keepdims=True)
     second, third = (axis + 1) % 3, (axis + 2) % 3
     normal = np.zeros_like(along)
@@ -72,7 +72,7 @@ def _frame(m: Array, axis: int) -> tuple[Array, Array, Array]:
 
 
 def gamma_at(
-    elliptic: Elliptic,
+    elliptic: EllipticMotion,
     precession: Precession,
     n: Array,
     omega: Array,
@@ -82,7 +82,7 @@ def gamma_at(
     moments: Array,
     y0: Array,
 ) -> Array:
-    """gamma (m, 3): its component along m is constant, the rest turns by -psi in the frame of m and axis D."""
+    """gamma (m, 3): its component along m is constant, the rest rotates by -psi in the frame of m and axis D."""
     from scipy.special import elliprj
 
     r, s, c = parts
@@ -102,8 +102,8 @@ def gamma_at(
     return float(y0[3:] @ along0) * along + (x * cos + y * sin)[:, None] * normal + (y * cos - x * sin)[:, None] * other
 
 
-def turned(axis: Array, turns: DD, n: Array, gamma: Array) -> Array:
-    """``gamma`` (3,) after ``n`` (m,) steps of ``turns`` each, backwards about the unit vector ``axis``; (m, 3)."""
+def rotated(axis: Array, turns: DoubleDouble, n: Array, gamma: Array) -> Array:
+    """``gamma`` (3,) rotated by -``turns`` revolutions per step about the unit vector ``axis``, ``n`` (m,) steps."""
     high, low = multiple(turns, n)
     angle = 2.0 * np.pi * ((high - np.round(high)) + low)
     along = (axis @ gamma) * axis

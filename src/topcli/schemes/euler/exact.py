@@ -1,8 +1,8 @@
-"""Solutions in closed form for the Euler top: of the motion itself, and of the HK map (sampled, not iterated).
+"""Closed-form solutions for the Euler top: the motion itself, and the HK map (sampled, not iterated).
 
-Both are Jacobi's functions of a phase that grows by the same amount in every step (``elliptic_motion``). What
-is constant is computed in decimal arithmetic from the doubles as exact numbers (``arithmetic.elliptic``), so that
-neither the length of the run nor the nearness of the separatrix costs digits.
+Both are Jacobi elliptic functions of a phase that grows by the same amount in every step (``elliptic_motion``). The
+constants are computed in decimal arithmetic from the exact values of the doubles (``arithmetic.elliptic``), so that
+neither long runs nor the vicinity of the separatrix cost digits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rf, carlson_rj, to_dd
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.euler.elliptic_motion import Elliptic, Precession, gamma_at, omega_at, turned
+from topcli.schemes.euler.elliptic_motion import EllipticMotion, Precession, gamma_at, omega_at, rotated
 from topcli.schemes.euler.hk import hk_integrals
 from topcli.schemes.euler.omega_gamma import FORMS
 from topcli.schemes.registry import scheme
@@ -27,15 +27,15 @@ ONE = Decimal(1)
 
 
 def _axes(w: Vector, moments: Vector, alpha: Vector) -> tuple[int, int, int]:
-    """The axes (D, S, C): S is the middle one, D the one that the motion circulates about."""
+    """Axes (D, S, C): S is the middle axis, D the axis about which the motion circulates."""
     D, S, C = sorted(range(3), key=lambda i: -moments[i])
     if alpha[S] * (alpha[C] * w[D] ** 2 - alpha[D] * w[C] ** 2) > 0:
         return C, S, D
     return D, S, C
 
 
-def _signed_root(square: Decimal, like: Decimal) -> Decimal:
-    return square.sqrt().copy_sign(like)
+def _signed_root(norm_sq: Decimal, like: Decimal) -> Decimal:
+    return norm_sq.sqrt().copy_sign(like)
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,10 @@ class Phase:
 
 
 def _phase(w: Vector, axes: tuple[int, int, int], squares: Vector, alpha: Vector) -> Phase:
-    """The phase at the start for the ``squares`` of the amplitudes of D, S, C.
+    """Initial phase for the ``squares`` of the amplitudes of D, S, C.
 
-    a_D and a_C have the signs of omega_D and omega_C, so that |u_0| <= K; omega_S' = alpha_S omega_C omega_D gives a_S.
+    a_D and a_C have the signs of omega_D and omega_C, so that |u_0| <= K; the sign of a_S follows from
+    omega_S' = alpha_S omega_C omega_D.
     """
     D, S, C = axes
     a_D, a_C = _signed_root(squares[0], w[D]), _signed_root(squares[2], w[C])
@@ -62,14 +63,14 @@ def _phase(w: Vector, axes: tuple[int, int, int], squares: Vector, alpha: Vector
 
 
 def _third_kind(u: Decimal, s: Decimal, c2: Decimal, d2: Decimal, n: Decimal) -> Decimal:
-    """The integral of 1/(1 - n sn²) from 0 to u, by s = sn u, c2 = cn² u, d2 = dn² u; n <= 0 (DLMF 19.25.14)."""
+    """Integral of 1/(1 - n sn²) from 0 to u, from s = sn u, c2 = cn² u, d2 = dn² u; n <= 0 (DLMF 19.25.14)."""
     return u + n / 3 * s**3 * carlson_rj(c2, d2, ONE, 1 - n * s * s)
 
 
-def motion(w: Vector, moments: Vector, h: Decimal) -> Elliptic:
-    """The free motion from ``w``, which is not at rest (Landau and Lifshitz, Mechanics, section 37).
+def free_motion(w: Vector, moments: Vector, h: Decimal) -> EllipticMotion:
+    """Free motion from ``w``, for non-constant omega (Landau and Lifshitz, Mechanics, section 37).
 
-    The angle psi of axis D about m turns at the rate |m| (I_S omega_S² + I_C omega_C²)/(I_S² omega_S² + I_C² omega_C²).
+    The rate of the angle psi of axis D about m is |m| (I_S omega_S² + I_C omega_C²)/(I_S² omega_S² + I_C² omega_C²).
     """
     alpha = _quotients(moments)
     axes = D, S, C = _axes(w, moments, alpha)
@@ -77,7 +78,7 @@ def motion(w: Vector, moments: Vector, h: Decimal) -> Elliptic:
     e12, e13, e23 = I1 - I2, I1 - I3, I2 - I3
     p = I2 * e12 * w[S] ** 2 + I3 * e13 * w[C] ** 2  # m.omega I_D - m²
     q = I1 * e13 * w[D] ** 2 + I2 * e23 * w[S] ** 2  # m² - m.omega I_C
-    # m² - m.omega I_S: the one quantity that cancels near the separatrix
+    # m² - m.omega I_S, the only quantity with cancellation near the separatrix
     m1 = e13 * (I1 * e12 * w[D] ** 2 - I3 * e23 * w[C] ** 2) / (e12 * q)
     rate = (e12 * q / (I1 * I2 * I3)).sqrt()
     at = _phase(w, axes, (q / (I1 * e13), p / (I2 * e12), p / (I3 * e13)), alpha)
@@ -93,7 +94,7 @@ def motion(w: Vector, moments: Vector, h: Decimal) -> Elliptic:
         float(n),
         float(_third_kind(at.u, at.s, at.c2, at.d2, n)),
     )
-    return Elliptic(
+    return EllipticMotion(
         axes,
         at.amplitudes,
         to_dd(at.u),
@@ -104,12 +105,12 @@ def motion(w: Vector, moments: Vector, h: Decimal) -> Elliptic:
     )
 
 
-def hk_motion(w: Vector, moments: Vector, alpha: Vector, h: Decimal) -> Elliptic:
-    """The iterates of the HK map from ``w``, which is not at rest: u advances by 2 v a step.
+def hk_motion(w: Vector, moments: Vector, alpha: Vector, h: Decimal) -> EllipticMotion:
+    """Iterates of the HK map from ``w``, for non-constant omega: u advances by 2 v per step.
 
-    With K_i = 1 - d² alpha_j alpha_k omega_i², d = h/2, cn² v = K_S/K_D and dn² v = K_S/K_C. The amplitudes are
-    written without the differences of the K's, so that they keep their digits as h -> 0. Raises RunError for steps so
-    long that K_S <= 0, where v is no longer real.
+    With K_i = 1 - d² alpha_j alpha_k omega_i² and d = h/2, cn² v = K_S/K_D and dn² v = K_S/K_C. The formulas for the
+    amplitudes avoid differences of the K_i, so that no digits are lost as h -> 0. Raises RunError for steps so long
+    that K_S <= 0, where v is not real.
     """
     axes = D, S, C = _axes(w, moments, alpha)
     d2 = (h / 2) ** 2
@@ -119,8 +120,8 @@ def hk_motion(w: Vector, moments: Vector, alpha: Vector, h: Decimal) -> Elliptic
     if KS <= 0:
         longest = abs(float(2 / ((alpha[C] * alpha[D]).sqrt() * w[S])))
         raise RunError(
-            f"hk-exact: h = {float(h):g} is too long for this closed form, whose phase would not be real from this "
-            f"state; take |h| < {longest:.3g}"
+            f"hk-exact: h = {float(h):g} is too large for the closed form: its phase is not real for this initial "
+            f"state; use |h| < {longest:.3g}"
         )
     squares = (
         (w[D] ** 2 - alpha[D] / alpha[S] * w[S] ** 2) / KS,
@@ -133,7 +134,7 @@ def hk_motion(w: Vector, moments: Vector, alpha: Vector, h: Decimal) -> Elliptic
     v = sn_v * carlson_rf(KS / KD, KS / KC, ONE)
     at = _phase(w, axes, squares, alpha)
     quarter = to_dd(carlson_rf(Decimal(0), m1, ONE)) if m1 else None
-    return Elliptic(axes, at.amplitudes, to_dd(at.u), to_dd(2 * v), quarter, float(m1))
+    return EllipticMotion(axes, at.amplitudes, to_dd(at.u), to_dd(2 * v), quarter, float(m1))
 
 
 def _quotients(moments: Vector) -> Vector:
@@ -141,11 +142,11 @@ def _quotients(moments: Vector) -> Vector:
     return ((B - C) / A, (C - A) / B, (A - B) / C)
 
 
-def _steadily(w: Vector, h: Decimal, n: Array, gamma: Array) -> Array:
-    """gamma (m, 3) after ``n`` steps at constant omega."""
+def _steady_rotation(w: Vector, h: Decimal, n: Array, gamma: Array) -> Array:
+    """gamma (m, 3) after ``n`` (m,) steps at constant omega."""
     size = sum((x * x for x in w), Decimal(0)).sqrt()
     axis = np.array([float(x / size) if size else 0.0 for x in w])
-    return turned(axis, to_dd(size * h / (2 * PI)), n, gamma)
+    return rotated(axis, to_dd(size * h / (2 * PI)), n, gamma)
 
 
 def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
@@ -155,8 +156,8 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
         w, moments, step = _decimals(y0[:3]), _decimals(p[:3]), Decimal(h)
         if _at_rest(w, _quotients(moments)):
             omega = np.tile(y0[:3], (len(n), 1))
-            return np.hstack([omega, _steadily(w, step, steps, y0[3:])]) if len(y0) == 6 else omega
-        elliptic = motion(w, moments, step)
+            return np.hstack([omega, _steady_rotation(w, step, steps, y0[3:])]) if len(y0) == 6 else omega
+        elliptic = free_motion(w, moments, step)
     omega, j, parts, dn = omega_at(elliptic, steps)
     if len(y0) == 3:
         return omega
@@ -166,7 +167,7 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
 
 
 def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-    """States (m, 3) of the HK map after ``n`` (m,) steps of ``h`` from ``y0`` (3,); the alphas of ``p`` are exact."""
+    """States (m, 3) of the HK map after ``n`` (m,) steps of ``h`` from ``y0`` (3,), with the alphas of ``p``."""
     with localcontext(prec=DIGITS):
         w, moments, alpha = _decimals(y0), _decimals(p[:3]), _decimals(p[3:])
         if _at_rest(w, alpha):
@@ -181,7 +182,7 @@ def _decimals(values: Iterable[float]) -> Vector:
 
 
 def _at_rest(w: Vector, alpha: Vector) -> bool:
-    """Whether omega is constant: no product of two components makes a torque."""
+    """True if omega is constant, that is, all its rates of change vanish."""
     return all(alpha[i] * w[(i + 1) % 3] * w[(i + 2) % 3] == 0 for i in range(3))
 
 
@@ -194,13 +195,13 @@ def _at_rest(w: Vector, alpha: Vector) -> bool:
     self_adjoint=True,
     conserves=lambda top: tuple(invariant.name for invariant in top.invariants()),
     citation="Jacobi 1849; Landau, Lifshitz, Mechanics, section 37",
-    equations="the equations of motion themselves, by Jacobi's functions and Carlson's integrals",
+    equations="the equations of motion, solved by Jacobi elliptic functions and Carlson integrals",
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """omega by Jacobi's functions sn, cn, dn, gamma by an elliptic integral of the third kind; no time stepping.
+    """omega by the Jacobi functions sn, cn, dn, gamma by an elliptic integral of the third kind; no time stepping.
 
-    Every state is found from the initial one alone, to some ulp, at any time; on the separatrix and next to it as well.
-    Rotations about a principal axis and the spherical top are special cases of their own.
+    Every state is computed directly from the initial state, with an error of a few ulp at any time, including on and
+    near the separatrix. Rotations about a principal axis and the spherical top are treated separately.
     """
     return Sampler(exact_states)
 
@@ -208,21 +209,21 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
 @scheme(
     "hk-exact",
     top="euler",
-    title="Closed form of the Hirota-Kimura map",
+    title="Closed-form solution of the Hirota-Kimura map",
     order=2,
     explicit=True,
     self_adjoint=True,
     modified=hk_integrals,
     citation="Hirota, Kimura 2000; Petrera, Suris 2010",
-    equations="the first difference equations of section 1.2, solved by Jacobi's functions",
+    equations="the first difference equations of section 1.2, solved by Jacobi elliptic functions",
     limits={
-        "singular-step": "Where K_S <= 0 the phase of the map is no longer real; such steps, of the order of "
-        "2/|omega| and beyond, are refused with the longest that is not.",
+        "singular-step": "If K_S <= 0 the phase of the map is not real. Such steps, of the order of 2/|omega| and "
+        "larger, are refused; the message gives the largest admissible step.",
     },
 )
 def build_hk_exact(top: Top, options: NoOptions) -> Sampler:
-    """The states of ``hk`` without its round-off: Jacobi's functions at a phase that grows by 2 v a step.
+    """States of ``hk`` without its round-off: Jacobi elliptic functions of a phase that grows by 2 v per step.
 
-    The map lives on the same elliptic curves as its modified integrals say; v and the modulus depend on h.
+    The orbits of the map lie on the elliptic curves defined by its modified integrals; v and the modulus depend on h.
     """
     return Sampler(hk_states)

@@ -1,13 +1,14 @@
-"""The scheme of Hirota and Kimura (Kahan's method) for the Euler top, without and with the vertical gamma.
+"""Hirota-Kimura (Kahan) step of the Euler top, without and with the vertical gamma.
 
-Notation: d = h/2, alpha_1 = (B - C)/A and so on in turn, c_i = d alpha_i, u_i = c_i omega_j omega_k (half of Euler's
+Notation: d = h/2, alpha_1 = (B - C)/A and cyclically, c_i = d alpha_i, u_i = c_i omega_j omega_k (half of Euler's
 rule), i, j, k cyclic. The matrix of both HK and Newton's method for the midpoint rule is
 M = 1 - [c_i (omega_k e_j + omega_j e_k)]. With b_i = c_j c_k omega_i² and v_i = omega_i + u_i, M x = r is solved by
 
     x_i = ((1 - b_i) r_i + c_i (v_k r_j + v_j r_k))/Delta,    Delta = 1 - (b_1 + b_2 + b_3) - 2 u_1 c_2 c_3 omega_1.
 
-Every function returns omega' - omega (or half of it): the only rounding at the size of omega itself is one addition, so
-that round-off is a random walk. A step is a closed form with one division, and gamma's starts beside it.
+Every function returns omega' - omega (or half of it). The only operation that rounds at the size of omega is then one
+addition, so that round-off is a random walk. The step has a closed form with one division, which overlaps with the
+computation of gamma.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ import numpy as np
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import Vector
 from topcli.contracts import Array, Floats, Invariant, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, compensation_wanted, increment_stepper
-from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.compensated import CompensatedOption, increment_stepper, is_compensated
+from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.euler.omega_gamma import CITATION, FORMS, omega_change
 from topcli.schemes.limits import SINGULAR
 from topcli.schemes.registry import scheme
@@ -28,11 +29,11 @@ from topcli.tops.euler import Euler
 
 
 def hk_quotient(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> tuple[float, Vector]:
-    """2/Delta and what it is multiplied by in the change of the HK scheme: the solution of M x = 2 u, in closed form.
+    """Factor 2/Delta and vector whose product is the change in the HK scheme, the solution of M x = 2 u.
 
-    With c_i v_j u_k and its kin multiplied out the numerators are u_i (1 + b_i) + c_i (omega_j u_k + omega_k u_j). The
-    last term could be omega_i (b_j + b_k), but b's coefficients are rounded, the same in every step, and what that does
-    would add up. What the division waits for stands first: the rest is then computed while it runs.
+    With the products c_i v_j u_k expanded, the numerators are u_i (1 + b_i) + c_i (omega_j u_k + omega_k u_j). The last
+    term equals omega_i (b_j + b_k), but the rounding errors of the coefficients of b are the same in every step and
+    their effect would accumulate. The denominator is computed first, so that the division overlaps with the rest.
     """
     a1 = (c2 * c3) * w1
     t1 = (2.0 * c1) * w2
@@ -54,7 +55,7 @@ def hk_quotient(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float
 
 
 def hk_increment(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> Vector:
-    """omega' - omega of the HK scheme."""
+    """Change omega' - omega in the HK scheme."""
     r, (n1, n2, n3) = hk_quotient(w1, w2, w3, c1, c2, c3)
     return (r * n1, r * n2, r * n3)
 
@@ -62,9 +63,10 @@ def hk_increment(w1: float, w2: float, w3: float, c1: float, c2: float, c3: floa
 def hk_gamma_increment(
     a1: float, a2: float, a3: float, x1: float, x2: float, x3: float, g1: float, g2: float, g3: float
 ) -> Vector:
-    """gamma' - gamma of the HK scheme, linear once omega' is known: y - y x a = gamma x (2 a + x).
+    """Change y = gamma' - gamma in the HK scheme, from the linear system y - y x a = gamma x (2 a + x).
 
-    ``a`` is d omega and ``x`` is d (omega' - omega). The solution is y = (b + b x a + a (a.b))/(1 + a.a).
+    ``a`` is d omega and ``x`` is d (omega' - omega). With b = gamma x (2 a + x) the solution is
+    y = (b + b x a + a (a.b))/(1 + a.a).
     """
     s1 = fma(2.0, a1, x1)
     s2 = fma(2.0, a2, x2)
@@ -82,7 +84,7 @@ def hk_gamma_increment(
 
 
 def hk_step(s: Floats, h: float, p: Floats) -> Floats:
-    """The HK step, p = (A, B, C, alpha_1, alpha_2, alpha_3); each component is rounded once."""
+    """HK step of omega, p = (A, B, C, alpha_1, alpha_2, alpha_3); each component is rounded once."""
     w1, w2, w3 = s
     d = 0.5 * h
     r, (n1, n2, n3) = hk_quotient(w1, w2, w3, d * p[3], d * p[4], d * p[5])
@@ -90,7 +92,7 @@ def hk_step(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def hk_gamma_step(s: Floats, h: float, p: Floats) -> Floats:
-    """The HK step with gamma carried along; omega is that of ``hk_step``."""
+    """HK step of omega and gamma; omega is the same as in ``hk_step``."""
     w1, w2, w3, g1, g2, g3 = s
     d = 0.5 * h
     r, (n1, n2, n3) = hk_quotient(w1, w2, w3, d * p[3], d * p[4], d * p[5])
@@ -100,7 +102,7 @@ def hk_gamma_step(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """Delta of ``hk_quotient``; ``p`` is (A, B, C, alpha1, alpha2, alpha3)."""
+    """Delta of ``hk_quotient`` and the sum of the magnitudes of its terms."""
     w1, w2, w3 = state[0], state[1], state[2]
     d = 0.5 * h
     c1, c2, c3 = d * p[3], d * p[4], d * p[5]
@@ -117,18 +119,18 @@ def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
 LONGEST = 2.0**511
 """Steps from here on have squares that are no double."""
 GAMMA_GROWS = (
-    "omega stays bounded, as the modified integrals have it, but gamma's linear map has nothing that holds its "
-    "length: with steps of about a turn it grows without bound."
+    "omega stays bounded by the modified integrals, but no integral bounds the length of gamma: with steps of about "
+    "one revolution it grows without bound."
 )
 
 
 def hk_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vector:
-    """HK: every product y z becomes (y' z + y z')/2."""
+    """Change of omega in an HK step."""
     return hk_increment(w1, w2, w3, d * p[3], d * p[4], d * p[5])
 
 
 def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:
-    """The change of omega and gamma in an HK step."""
+    """Change of omega and gamma in an HK step."""
     w1, w2, w3, g1, g2, g3 = s
     d = 0.5 * h
     x1, x2, x3 = hk_change(w1, w2, w3, d, p)
@@ -137,12 +139,12 @@ def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Invariant, ...]:
-    """The exact integrals of the HK map (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011).
+    """Exact integrals of the HK map (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011).
 
-    With K_i = 1 - (h/2)² alpha_j alpha_k omega_i², m²/K_i, m·omega/K_i and K_i/K_j are conserved. m² and m·omega are
-    divided by the mean K of the three. K_1/K_2 = 1 + (h/2)² alpha_3 q with
-    q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2, and it is q that is given: it keeps its digits however small h is,
-    and becomes an integral of the motion as h -> 0.
+    With K_i = 1 - (h/2)² alpha_j alpha_k omega_i², the quantities m²/K_i, m·omega/K_i and K_i/K_j are conserved. Here
+    m² and m·omega are divided by the mean of the three K_i. Instead of K_1/K_2 = 1 + (h/2)² alpha_3 q, the integral is
+    q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2: it loses no digits for small h and tends to an integral of the motion
+    as h -> 0.
     """
     alpha = np.array(top.constants()[3:])
     square = (0.5 * h) ** 2 if abs(h) < LONGEST else math.inf
@@ -193,19 +195,19 @@ def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Inva
     self_adjoint=True,
     modified=hk_integrals,
     citation="Hirota, Kimura 2000; " + CITATION,
-    equations="the first difference equations of section 1.2; gamma as in dEulerPoisson, last term corrected",
+    equations="the first difference equations of section 1.2; gamma as in dEulerPoisson with the last term corrected",
     options=CompensatedOption,
     limits=lambda top: {"singular-step": SINGULAR} | ({} if len(top.components) == 3 else {"resonance": GAMMA_GROWS}),
 )
 def build_hk(top: Top, options: CompensatedOption) -> Stepper:
-    """Every product of two components y z becomes (y' z + y z')/2: linear in the new state, solved in closed form.
+    """Every product y z of two components becomes (y' z + y z')/2: linear in the new state, solved in closed form.
 
-    m² and m·omega are not conserved, but m²/K and m·omega/K are, with K = 1 + O(h²): their errors are of size h² and
-    return to zero. With gamma carried, gamma² and m·gamma are conserved no better.
+    m²/K and m·omega/K are conserved, with K = 1 + O(h²); m² and m·omega themselves are not, but their errors are of
+    size h² and return to zero. With gamma as part of the state, gamma² and m·gamma are not conserved either.
     """
     d = len(top.components)
-    if compensation_wanted(options):
+    if is_compensated(options):
         made = increment_stepper(omega_change(hk_change) if d == 3 else hk_gamma_change, d, options)
     else:
         made = Stepper(hk_step if d == 3 else hk_gamma_step, d)
-    return counting(made, NEAR_SINGULAR, small_determinant(euler_determinant), branch=True)
+    return with_counter(made, NEAR_SINGULAR, small_determinant(euler_determinant), branch=True)

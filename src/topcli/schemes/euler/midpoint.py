@@ -1,6 +1,6 @@
-"""The implicit midpoint rule for the Euler top: Newton's method on three unknowns from HK's step.
+"""Implicit midpoint rule for the Euler top, solved by Newton's method in three unknowns from HK's step.
 
-Notation as in ``hk``: each correction is the closed-form solution of HK's linear system at the mean omega.
+Notation as in ``hk``. Each correction is the closed-form solution of HK's linear system at the mean omega.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.euler.hk import hk_increment
 from topcli.schemes.euler.newton import newton, with_status
-from topcli.schemes.euler.omega_gamma import CITATION, FORMS, mean, stepper_of
+from topcli.schemes.euler.omega_gamma import CITATION, FORMS, mean_omega, omega_gamma_stepper
 from topcli.schemes.limits import NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.registry import scheme
 
 
 def midpoint_residual(w: Vector, q: Floats, z: Vector) -> Vector:
-    """By how much half a change z misses z_i = c_i (omega_j + z_j)(omega_k + z_k); q = (c_1, c_2, c_3)."""
+    """Residual of z_i = c_i (omega_j + z_j)(omega_k + z_k) for half the change, z; q = (c_1, c_2, c_3)."""
     y1 = w[0] + z[0]
     y2 = w[1] + z[1]
     y3 = w[2] + z[2]
@@ -24,7 +24,7 @@ def midpoint_residual(w: Vector, q: Floats, z: Vector) -> Vector:
 
 
 def midpoint_correction(w: Vector, q: Floats, z: Vector, r: Vector) -> Vector:
-    """Newton's correction of z for the residual r: M x = r at omega + z."""
+    """Newton correction of z for the residual r: the solution of M x = r at omega + z."""
     y1 = w[0] + z[0]
     y2 = w[1] + z[1]
     y3 = w[2] + z[2]
@@ -46,14 +46,14 @@ def midpoint_correction(w: Vector, q: Floats, z: Vector, r: Vector) -> Vector:
 
 
 midpoint_half = newton(midpoint_residual, midpoint_correction)
-"""(omega' - omega)/2 of the midpoint rule, ``midpoint_half(omega, (c_1, c_2, c_3), start)``."""
+"""``midpoint_half(omega, (c_1, c_2, c_3), start)``: half the change of omega in the midpoint rule."""
 
 
 def midpoint_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vector:
-    """omega' - omega = h f((omega' + omega)/2), solved from HK's change.
+    """Change of omega by omega' - omega = h f((omega' + omega)/2), solved iteratively from HK's change.
 
-    At the end the change is computed afresh from the equation: what the iteration leaves is always of the same sign,
-    and would drift by 4e-20 a step.
+    After the iteration the change is evaluated again from the equation: the error of the iteration always has the same
+    sign and would cause a drift of 4e-20 per step.
     """
     c1 = d * p[3]
     c2 = d * p[4]
@@ -78,9 +78,9 @@ def midpoint_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR},
 )
 def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
-    """m and gamma turn by Cayley's rotation with the mean omega: all integrals are conserved.
+    """Cayley rotation of m and gamma with the mean omega: all integrals are conserved.
 
-    Newton's method on three unknowns starts from HK's step, which misses by O(h³); two or three corrections reach
-    round-off. A step that does not settle ends the run as `no_convergence`.
+    Newton's method in three unknowns starts from HK's step, whose error is O(h³); two or three corrections reach
+    round-off. If a step does not converge, the run ends as `no_convergence`.
     """
-    return with_status(stepper_of(top, midpoint_change, mean, options), len(top.components))
+    return with_status(omega_gamma_stepper(top, midpoint_change, mean_omega, options), len(top.components))

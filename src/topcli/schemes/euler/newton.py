@@ -15,53 +15,53 @@ Correction = Callable[[Vector, Floats, Vector, Vector], Vector]
 Solve = Callable[[Vector, Floats, Vector], Vector]
 NEWTON_LIMIT = 40
 HALVINGS = 12
-LAST_STEP = 1e-16
-"""Newton's method is done when the square of its correction is below this, relative to the square of the change: it
-doubles the digits, so that what is left is below the last bit."""
-NEGLIGIBLE = 1e-60
-"""Or below this, relative to the square of omega: on the way into a steady rotation the change itself dies out."""
+CORRECTION_TOLERANCE_SQ = 1e-16
+"""Bound on the squared correction relative to the squared change, at which the iteration ends; by quadratic convergence
+the remaining error is below the last bit."""
+OMEGA_TOLERANCE_SQ = 1e-60
+"""Bound on the squared correction relative to the squared omega, sufficient as well: near a steady rotation the change
+itself tends to zero."""
 
 
-def square(x: Vector) -> float:
-    """x.x"""
+def norm_sq(x: Vector) -> float:
+    """Squared Euclidean norm of ``x``."""
     return x[0] * x[0] + (x[1] * x[1] + x[2] * x[2])
 
 
 def newton(residual: Residual, correction: Correction) -> Solve:
-    """A solver of ``residual(w, q, x) = 0`` for x from a start, by Newton's method with halved steps as a safeguard.
+    """Return a solver ``solve(w, q, start)`` of ``residual(w, q, x) = 0`` by Newton's method with step halving.
 
-    A correction is halved until the residual shrinks. Without convergence the result is NaN: the run then ends
-    there and says so.
+    A correction is halved until the norm of the residual decreases. Without convergence the result is nan.
     """
 
     def solve(w: Vector, q: Floats, start: Vector) -> Vector:
         x = start
         r = residual(w, q, x)
-        size = square(r)
-        floor = NEGLIGIBLE * square(w)
+        size = norm_sq(r)
+        floor = OMEGA_TOLERANCE_SQ * norm_sq(w)
         for _ in range(NEWTON_LIMIT):
             d1, d2, d3 = correction(w, q, x, r)
             tried = (x[0] + d1, x[1] + d2, x[2] + d3)
-            if square((d1, d2, d3)) <= LAST_STEP * square(tried) + floor:
+            if norm_sq((d1, d2, d3)) <= CORRECTION_TOLERANCE_SQ * norm_sq(tried) + floor:
                 return tried
             left = residual(w, q, tried)
             t = 1.0
             for _ in range(HALVINGS):
-                if square(left) < size:
+                if norm_sq(left) < size:
                     break
                 t = 0.5 * t
                 tried = (x[0] + t * d1, x[1] + t * d2, x[2] + t * d3)
                 left = residual(w, q, tried)
             x = tried
             r = left
-            size = square(r)
+            size = norm_sq(r)
         return (math.nan, math.nan, math.nan)
 
     return solve
 
 
 def with_status(stepper: Stepper, d: int) -> Stepper:
-    """``stepper`` with a status behind its state: nan where Newton's method, which then gives nan, did not converge."""
+    """Append a status to the state of ``stepper``: nan if Newton's method returned nan, without convergence."""
     step, inner_enter = stepper.step, stepper.enter
 
     def stepped(s: Floats, h: float, p: Floats) -> Floats:

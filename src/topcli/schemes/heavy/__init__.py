@@ -1,1 +1,1 @@
-"""Schemes of the general heavy top."""
+"""Schemes for the general heavy top."""

@@ -1,29 +1,30 @@
-"""The scheme of Hirota and Kimura (Kahan's method) for the general heavy top.
+"""Hirota-Kimura (Kahan) step of the general heavy top.
 
-What makes it fast:
-- the 6x6 system shrinks to one 3x3 system: gamma's change is Cayley's rotation plus a part linear in omega's;
-- Cramer's rule for that, with all three columns from one reciprocal of 1 + |h omega/2|²; two divisions are waited for;
-- what depends on the moments and h alone is computed once, before the loop.
+Performance:
+- the 6x6 system reduces to a 3x3 system, because the change of gamma is a Cayley rotation plus a term linear in the
+  change of omega;
+- the 3x3 system is solved by Cramer's rule; its columns need one reciprocal, of 1 + |h omega/2|², so that there are two
+  divisions on the critical path;
+- the compiler moves expressions in the moments and h out of the loop.
 """
 
 from __future__ import annotations
 
-from topcli.arithmetic.increments import plain6
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import cayley_increment, resolvent
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption, increment_stepper
-from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.heavy.linear_system import implicit_matrix
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
 
 def hk_heavy_change(state: Floats, h: float, p: Floats) -> Floats:
-    """The change in one HK step (Sogo, dEulerPoisson, last sign corrected); ``p`` is (A, B, C, mg x0, mg y0, mg z0).
+    """Change in one HK step (Sogo, dEulerPoisson, last sign corrected); ``p`` is (A, B, C, mg x0, mg y0, mg z0).
 
-    The change of gamma is that of the BS step (omega kept) plus a part linear in the change of omega. Singular,
-    hence not finite, only for steps far beyond any use.
+    The change of gamma is that of the BS step (omega constant) plus a term linear in the change of omega. The system is
+    singular only for step sizes far too large to be useful.
     """
     w1, w2, w3, g1, g2, g3 = state
     A, B, C, x, y, z = p
@@ -41,12 +42,8 @@ def hk_heavy_change(state: Floats, h: float, p: Floats) -> Floats:
     return (u1, u2, u3, b1 + z1, b2 + z2, b3 + z3)
 
 
-hk_heavy = plain6(hk_heavy_change)
-"""The HK step from (omega, gamma)."""
-
-
 def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """That of ``hk_heavy``'s three equations for omega; ``p`` is (A, B, C, mg x0, mg y0, mg z0)."""
+    """Determinant of the system for omega in ``hk_heavy_change`` and the sum of the magnitudes of its terms."""
     w1, w2, w3, g1, g2, g3 = state[0], state[1], state[2], state[3], state[4], state[5]
     d = 0.5 * h
     m11, m12, m13, m21, m22, m23, m31, m32, m33 = implicit_matrix((d * w1, d * w2, d * w3), (g1, g2, g3), d, p)
@@ -69,9 +66,11 @@ def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
-    """Linear in the new state: gamma by Cayley's inverse, then three equations for omega, solved in closed form.
+    """Linear in the new state: gamma is eliminated, and the three equations for omega are solved in closed form.
 
-    It conserves none of the three integrals exactly; the deviations are of size h². Where a special top has a
-    scheme `hk` of its own it is the same map, written faster.
+    None of the three integrals is conserved exactly; the deviations are of size h². Special tops have faster
+    implementations of the same map under the same name.
     """
-    return counting(increment_stepper(hk_heavy_change, 6, options), NEAR_SINGULAR, small_determinant(heavy_determinant))
+    return with_counter(
+        increment_stepper(hk_heavy_change, 6, options), NEAR_SINGULAR, small_determinant(heavy_determinant)
+    )

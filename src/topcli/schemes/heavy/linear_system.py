@@ -1,13 +1,13 @@
-"""The linear system behind implicit steps of the general Euler-Poisson equations.
+"""Linear system of implicit steps of the general Euler-Poisson equations.
 
 With I = (A, B, C), g = mg(x0, y0, z0), d = h/2 and a = d omega, the HK scheme and Newton's method for the midpoint rule
-meet the same linear problem. Poisson's equation gives the change of gamma from that of omega by the inverse of
-1 - (. x a), which exists for every a, and what is left are three equations for the change of omega, with the matrix::
+lead to the same linear problem. Poisson's equation gives the change of gamma in terms of that of omega by the inverse
+of 1 - (. x a), which exists for every a. Three equations for the change of omega remain, with the matrix K::
 
     K delta = delta - d I^-1 (I omega x delta + I delta x omega + zeta x g),   zeta - zeta x a = d gamma x delta
 
-Everything is solved for *changes* of the state: rounding errors are then of the size of the change, and the one
-addition state + change rounds without bias.
+The unknowns are *changes* of the state: their rounding errors are proportional to the change, and the one addition
+state + change rounds without bias.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from topcli.contracts import Floats
 
 
 def implicit_matrix(a: Vector, gamma: Vector, d: float, p: Floats) -> Matrix:
-    """The matrix K above, row by row, for a = d omega and gamma; ``p`` is (A, B, C, mg x0, mg y0, mg z0)."""
+    """Matrix K, in row-major order, for a = d omega and gamma; ``p`` is (A, B, C, mg x0, mg y0, mg z0)."""
     a1, a2, a3 = a
     A, B, C, x, y, z = p
     e1, e2, e3 = d * gamma[0], d * gamma[1], d * gamma[2]

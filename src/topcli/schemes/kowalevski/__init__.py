@@ -1,1 +1,1 @@
-"""Schemes of the Kowalevski top."""
+"""Schemes for the Kowalevski top."""

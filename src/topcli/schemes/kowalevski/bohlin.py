@@ -1,9 +1,9 @@
-"""Bohlin's method with gamma by Method A, B or C (Sogo, section 3.2.2) for the Kowalevski top.
+"""Bohlin's method for the Kowalevski top, with gamma by Method A, B or C (Sogo, section 3.2.2).
 
-What makes it fast:
-- omega1 and omega2 are known last, a square root: all that the old gamma and omega3 say alone is ready by then;
-- gamma' gives the angle at once, not by way of omega3'; small angles take polynomials, whose sums are fused, no libm;
-- the square root is algebraic, with its division and the choice of its sign beside the square root, not after it.
+Performance:
+- omega1 and omega2 come last, from a square root; all terms in the old gamma and omega3 are computed before;
+- the angle follows directly from gamma', without omega3'; small angles need polynomials with fused sums, not libm;
+- the square root is algebraic; its division and the choice of its sign overlap with the square root instruction.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.arithmetic.complex_plane import root_nearest, root_sign, turn_added
+from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest, root_sign
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.rotations import cayley_added, rodrigues_increment
+from topcli.arithmetic.rotations import cayley_rotated, rodrigues_increment
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.schemes.counting import AMBIGUOUS, counting, two_roots
+from topcli.schemes.counting import AMBIGUOUS, ambiguous_root, with_counter
 from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
 CONSERVES = ("gamma_sq", "k_sq")
 LIMITS = {
-    "homoclinic-spacing": "Of order 1 near a separatrix: its error acts as a larger distance from the homoclinic "
-    "orbit, and the swings follow each other after 15.3 instead of 28.17 (the paper's Figure 2).",
-    "rest-on-axis": "Rest with gamma along the third axis, where xi = 0, is a fixed point of the map: it never moves, "
-    "and counts an ambiguous root in every step.",
+    "homoclinic-spacing": "Near a separatrix the error of a method of order 1 acts like a larger distance from the "
+    "homoclinic orbit: the time between swings is 15.3 instead of 28.17 (the paper's Figure 2).",
+    "rest-on-axis": "Rest with gamma along the third axis, where xi = 0, is a fixed point of the map: the state never "
+    "changes, and every step counts as an ambiguous root.",
     "huge": OVERFLOW,
 }
 SWITCH_BELOW = -0.8
-"""Method B leaves the paper's chart where gamma3 is below this, |z| > 3 (the other chart then has |z| < 1/3).
+"""Method B switches from the paper's chart to the other one if gamma3 is below this, |z| > 3 (|z| < 1/3 in the other).
 
-Not at the equator, because Euler's rule on the other chart is another scheme of order 1: so late a switch leaves
-the paper's own scene, where gamma3 >= -0.663, to the paper's own chart.
+The switch is not at the equator, because Euler's rule on the other chart is a different scheme of order 1. With this
+value the scene of the paper, in which gamma3 >= -0.663, is computed on the paper's chart only.
 """
 Root = Callable[[float, float, float, float], tuple[float, float]]
 Method = Callable[[float, float, float, float, float, float, float], tuple[float, float, float]]
@@ -42,39 +42,39 @@ ROOTS: dict[str, Root] = {"nearest": root_nearest, "sign": root_sign}
 
 
 class BranchOptions(BaseModel):
-    """Which of the two square roots becomes omega1 + i omega2."""
+    """Choice between the two square roots for omega1 + i omega2."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     branch: Literal["nearest", "sign"] = Field(
         default="nearest",
-        description="the root nearest to the prediction, or the one whose argument has its sign (the paper)",
+        description="choose the root nearest to the prediction, or the one with the same sign of its argument (paper)",
     )
 
 
 class ChartOptions(BranchOptions):
-    """Options of Method B: the branch, and the chart of the sphere."""
+    """Options of Method B: branch of the root and chart of the sphere."""
 
     chart: Literal["switch", "single"] = Field(
         default="switch",
-        description="go to the other pole's coordinate near gamma3 = -1, or keep the paper's, which fails there",
+        description="switch to the chart of the other pole near gamma3 = -1, or use only the paper's, singular there",
     )
 
 
 def method_a(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> tuple[float, float, float]:
-    """Gamma by Method A, the BS scheme: gamma' - gamma = h/2 (gamma' + gamma) x omega."""
+    """New gamma by Method A, the BS scheme: gamma' - gamma = h/2 (gamma' + gamma) x omega."""
     d = 0.5 * h
-    return cayley_added(d * w1, d * w2, d * w3, g1, g2, g3)
+    return cayley_rotated(d * w1, d * w2, d * w3, g1, g2, g3)
 
 
 def _euler_on_chart(
     side: float, w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float
 ) -> tuple[float, float, float]:
-    """Euler's rule for z = (gamma1 + i gamma2)/(1 + side gamma3), and gamma from the new z.
+    """New gamma by Euler's rule for z = (gamma1 + i gamma2)/(1 + side gamma3).
 
-    dz/dt = i/2 (side omega - 2 omega3 z - side conj(omega) z**2) with side = 1 is the paper's equation; the
-    other pole's chart is its mirror image gamma3 -> -gamma3, (omega1, omega2) -> -(omega1, omega2). What gamma and
-    omega3 say alone is known long before omega1 and omega2, which are a square root.
+    dz/dt = i/2 (side omega - 2 omega3 z - side conj(omega) z**2) with side = 1 is the equation of the paper; the chart
+    of the other pole is its mirror image gamma3 -> -gamma3, (omega1, omega2) -> -(omega1, omega2). Terms in gamma and
+    omega3 are computed first, because omega1 and omega2, from a square root, are available last.
     """
     r = 1.0 / fma(side, g3, 1.0)
     x = g1 * r
@@ -94,36 +94,36 @@ def _euler_on_chart(
 def method_b_single(
     w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float
 ) -> tuple[float, float, float]:
-    """Gamma by Method B on the paper's one chart, which has no point for gamma3 = -1."""
+    """New gamma by Method B on the single chart of the paper, which is singular at gamma3 = -1."""
     return _euler_on_chart(1.0, w1, w2, w3, g1, g2, g3, h)
 
 
 def method_b_switch(
     w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float
 ) -> tuple[float, float, float]:
-    """Gamma by Method B on the paper's chart, or the other pole's near its missing point: |z| <= 3 before a step."""
+    """New gamma by Method B with a switch of charts near the singular point, so that |z| <= 3 before a step."""
     return _euler_on_chart(-1.0 if g3 < SWITCH_BELOW else 1.0, w1, w2, w3, g1, g2, g3, h)
 
 
 def method_c(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> tuple[float, float, float]:
-    """Gamma by Method C, the rotation by the angle h |omega| about omega; the identity at omega = 0."""
+    """New gamma by Method C, the rotation by the angle h |omega| about omega; the identity for omega = 0."""
     d1, d2, d3 = rodrigues_increment(h * w1, h * w2, h * w3, g1, g2, g3)
     return (g1 + d1, g2 + d2, g3 + d3)
 
 
 def bohlin_step(method: Method, root: Root) -> StepFunction:
-    """The step in three parts, gamma by ``method``, omega3, omega1 + i omega2 by ``root`` (section 3.2.2)."""
+    """Return the step: gamma by ``method``, then omega3, then omega1 + i omega2 by ``root`` (section 3.2.2)."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3 = s
         half = 0.5 * p[0]
         f = h * half
         n1, n2, n3 = method(w1, w2, w3, g1, g2, g3, h)
-        # half of xi, then of what is put in front of e^{-i chi} - 1
+        # half of xi
         x = 0.5 * ((w1 - w2) * (w1 + w2)) - half * g1
         y = w1 * w2 - half * g2
-        chi = fma(-(0.5 * h * f), n2, fma(-(0.5 * h * f), g2, h * w3))  # h/2 (v3 + w3), without waiting for v3
-        z1, z2 = turn_added(chi, x, y, fma(half, n1, x), fma(half, n2, y))
+        chi = fma(-(0.5 * h * f), n2, fma(-(0.5 * h * f), g2, h * w3))  # h/2 (v3 + w3), independent of v3
+        z1, z2 = add_rotation_increment(chi, x, y, fma(half, n1, x), fma(half, n2, y))
         q1, q2 = direct(s, h, p)
         v1, v2 = root(z1, z2, q1, q2)
         return (v1, v2, fma(-f, n2 + g2, w3), n1, n2, n3)
@@ -132,18 +132,18 @@ def bohlin_step(method: Method, root: Root) -> StepFunction:
 
 
 def direct(s: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """Euler's rule for omega1, omega2, by which the root is chosen (direct)."""
+    """Prediction of omega1, omega2 by Euler's rule, which selects the root (direct)."""
     d = 0.5 * h
     return (s[0] + d * (s[2] * s[1]), s[1] - d * (s[2] * s[0] - p[0] * s[5]))
 
 
-def with_roots_counted(stepper: Stepper) -> Stepper:
-    """``stepper`` with a counter of the steps in which the two roots were hardly told apart."""
-    return counting(stepper, AMBIGUOUS, two_roots(direct))
+def with_root_counter(stepper: Stepper) -> Stepper:
+    """Add a counter of the steps with an ambiguous root to ``stepper``."""
+    return with_counter(stepper, AMBIGUOUS, ambiguous_root(direct))
 
 
-def counting_step(step: StepFunction) -> StepFunction:
-    """``step`` with a seventh slot that counts the changes of the chart, in either direction."""
+def with_switch_counter(step: StepFunction) -> StepFunction:
+    """Add a seventh slot to ``step`` that counts switches of the chart, in either direction."""
 
     def counted(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3, count = s
@@ -156,12 +156,12 @@ def counting_step(step: StepFunction) -> StepFunction:
 
 
 def enter_counted(s: Floats, h: float, p: Floats) -> Floats:
-    """The physical state with a count of zero."""
+    """Physical state with a count of zero."""
     return (s[0], s[1], s[2], s[3], s[4], s[5], 0.0)
 
 
 def leave_counted(s: Floats, h: float, p: Floats) -> Floats:
-    """The physical state without the count."""
+    """Physical state without the count."""
     return (s[0], s[1], s[2], s[3], s[4], s[5])
 
 
@@ -179,14 +179,14 @@ def leave_counted(s: Floats, h: float, p: Floats) -> Floats:
     options=BranchOptions,
 )
 def build_a(top: Top, options: BranchOptions) -> Stepper:
-    """Gamma turns by Cayley's rotation with the old omega.
+    """Cayley rotation of gamma with the old omega.
 
     Then omega3 follows by the trapezoidal rule, and omega1 + i omega2 is the square root of e^{-i chi} xi + c gamma',
-    where xi = omega² - c gamma turns by chi = h/2 (omega3' + omega3). |gamma| and |xi| = k are conserved. The order
-    is lost where omega1 + i omega2 passes 0, where the square root is singular. From rest with gamma along the third
-    axis, where xi = 0, the true top falls but no scheme of this family ever moves: it is a fixed point of the map.
+    where xi = omega² - c gamma rotates by chi = h/2 (omega3' + omega3). |gamma| and |xi| = k are conserved. The order
+    is reduced where omega1 + i omega2 passes 0, because the square root is singular there. Rest with gamma along the
+    third axis, where xi = 0, is a fixed point of all schemes of this family, although the top falls from there.
     """
-    return with_roots_counted(Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6))
+    return with_root_counter(Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6))
 
 
 @scheme(
@@ -205,16 +205,16 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
 def build_b(top: Top, options: ChartOptions) -> Stepper:
     """Euler's rule for the stereographic coordinate z of gamma; omega as in bohlin-a.
 
-    The paper's z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1. By default the step takes the
-    coordinate from the other pole, 1/conj(z), where gamma3 < -0.8. Euler's rule on it is a slightly different scheme
-    of the same order, and z is found anew from gamma at each step, so that nothing but the state is carried, a switch
-    costs nothing, and a resumed run equals a whole one. The run reports how often the chart was switched.
+    The paper's z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1. By default the step uses the coordinate
+    of the other pole, 1/conj(z), if gamma3 < -0.8. Euler's rule in this coordinate is a slightly different scheme of
+    the same order. z is computed from gamma at each step, so that only the physical state is carried, a switch costs
+    nothing, and a resumed run equals an uninterrupted one. The number of switches is reported.
     """
     root = ROOTS[options.branch]
     if options.chart == "single":
-        return with_roots_counted(Stepper(bohlin_step(method_b_single, root), 6))
-    step = counting_step(bohlin_step(method_b_switch, root))
-    return with_roots_counted(Stepper(step, 7, enter_counted, leave_counted, counters=("chart_switches",)))
+        return with_root_counter(Stepper(bohlin_step(method_b_single, root), 6))
+    step = with_switch_counter(bohlin_step(method_b_switch, root))
+    return with_root_counter(Stepper(step, 7, enter_counted, leave_counted, counters=("chart_switches",)))
 
 
 @scheme(
@@ -235,8 +235,8 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     options=BranchOptions,
 )
 def build_c(top: Top, options: BranchOptions) -> Stepper:
-    """Gamma turns by Rodrigues' rotation through the angle h |omega| about the old omega; omega as in bohlin-a.
+    """Rotation of gamma by the angle h |omega| about the old omega (Rodrigues' formula); omega as in bohlin-a.
 
-    The rotation needs no axis, so omega = 0 is an ordinary point.
+    The formula does not need the axis omega/|omega|, so omega = 0 is a regular point.
     """
-    return with_roots_counted(Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6))
+    return with_root_counter(Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6))

@@ -1,19 +1,19 @@
-"""The discrete gradient method that keeps all four integrals of the Kowalevski top.
+"""Discrete gradient method that conserves all four integrals of the Kowalevski top.
 
-With m = (y' + y)/2 and D the 6x4 matrix of discrete gradients between y and y'::
+With m = (y' + y)/2 and the 6x4 matrix D of discrete gradients between y and y'::
 
-    y' = y + h f(m) - D x,   x such that gamma², 2l, E and k² are kept
+    y' = y + h f(m) - D x,   x such that gamma², 2l, E and k² are conserved
 
-where h f(m) - D x is h f(m) without its part in the span of D. The discrete gradients of the quadratic gamma², 2l, E
-are their gradients at m, that of k² is the mean of its gradient on the way from y to y', for which Simpson's rule is
-exact. Everything is symmetric in y and y', so the step is self-adjoint. The values aimed at are carried from the
-initial state, which keeps round-off from adding up.
+where D x is the component of h f(m) in the span of D. The discrete gradients of the quadratic gamma², 2l, E are their
+gradients at m; that of k² is the mean of its gradient on the segment from y to y', for which Simpson's rule is exact.
+All terms are symmetric in y and y', so the step is self-adjoint. The target values are those of the initial state, so
+that round-off does not accumulate.
 
-What makes it fast: gamma is eliminated as in HK, the 3x3 and 4x4 systems are solved in scalars without a call or an
-array, and one matrix serves all iterations of a step.
+The equations are solved by a simplified Newton iteration with the matrix 1 - h/2 f' at the midpoint of HK's step: the
+derivative of D x is only O(h²), because f is normal to every gradient.
 
-Solved by a simplified Newton iteration with the matrix 1 - h/2 f' of HK's midpoint: the derivative of D x differs from
-zero by O(h²) only, because f is normal to every gradient.
+Performance: gamma is eliminated as in HK, the 3x3 and 4x4 systems are solved in scalars without calls or arrays, and
+all iterations of a step share one matrix.
 """
 
 from __future__ import annotations
@@ -26,45 +26,46 @@ from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.heavy.linear_system import implicit_matrix
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
-    Four,
-    Six,
+    Floats4,
+    Floats6,
     combination,
-    components,
-    factorized,
+    directional_derivatives,
+    factorize,
     first_three,
     gram,
     length_sq,
     mean_column,
-    solved,
-    targets_with_k,
+    solve,
+    target_values,
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
-from topcli.schemes.kowalevski.projected import REACH, VANISHING, leave
-from topcli.schemes.kowalevski.projection import onto_but_no_worse
+from topcli.schemes.kowalevski.projected import MAX_CORRECTION, VANISHING, leave
+from topcli.schemes.kowalevski.projection import project_unless_worse
 from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.kowalevski import field
 
-FOUR = 16
-"""Iterations before a step by the midpoint rule is made instead; three to five are the rule."""
-MIDPOINT = 40
-"""Iterations for that before the step is given up."""
+DG_ITERATIONS = 16
+"""Maximum number of iterations, after which the midpoint rule is used instead; three to five are typical."""
+MIDPOINT_ITERATIONS = 40
+"""Maximum number of iterations for the midpoint rule, after which the step fails."""
 COUNTERS = ("iterations", "midpoint_steps", "short_corrections")
-"""Iterations made; steps by the midpoint rule instead; steps that left an integral out or short, the gradients being
-nearly dependent."""
-Seven = tuple[float, float, float, float, float, float, float]
+"""Number of iterations; of midpoint steps used instead; of steps in which an integral was omitted or its correction
+shortened, because the gradients were nearly dependent."""
+Floats7 = tuple[float, float, float, float, float, float, float]
 FLOOR = 2.0**10
-"""How far above ``SETTLED`` an iteration may stall."""
+"""Factor by which an iteration may stall above ``SETTLED``."""
 SETTLED = 4.0 * EPS
-"""Change of the step, in units of the state, that ends the iteration: the last bits of the new state."""
+"""Tolerance of the iteration, relative to the state: the last bits of the new state."""
 
 
-def wanted_and_short(y: Floats, e: Floats, excess: Four, reach: float, four: bool, h: float, p: Floats) -> Seven:
-    """The right-hand side h f(m) - D x for the change ``e``, and how many integrals are not met in full.
+def right_hand_side(y: Floats, e: Floats, excess: Floats4, reach: float, four: bool, h: float, p: Floats) -> Floats7:
+    """Right-hand side h f(m) - D x for the change ``e``, and the number of integrals that are not fully corrected.
 
-    ``excess`` is by how much y's integrals are too large. Not met are those that a Gram matrix near singular leaves
-    out. With ``four`` false it is h f(m) alone: the implicit midpoint rule, which keeps the three quadratic integrals.
+    ``excess`` are the deviations of the integrals of y from the targets. Integrals are omitted if the Gram matrix is
+    nearly singular. With ``four`` false the result is h f(m) alone: the implicit midpoint rule, which conserves the
+    three quadratic integrals.
     """
     c = p[0]
     m: Floats = (
@@ -80,15 +81,15 @@ def wanted_and_short(y: Floats, e: Floats, excess: Four, reach: float, four: boo
     if not four:
         return (v[0], v[1], v[2], v[3], v[4], v[5], 0.0)
     column = mean_column(y, e, c)
-    r1, r2, r3, r4 = components(m, c, column, v)
+    r1, r2, r3, r4 = directional_derivatives(m, c, column, v)
     residual = (r1 + excess[0], r2 + excess[1], r3 + excess[2], r4 + excess[3])
-    x1, x2, x3, x4, short = solved(factorized(gram(m, c, column), True), residual, reach * length_sq(v))
+    x1, x2, x3, x4, short = solve(factorize(gram(m, c, column), True), residual, reach * length_sq(v))
     b = combination(m, c, column, (x1, x2, x3, x4))
     return (v[0] - b[0], v[1] - b[1], v[2] - b[2], v[3] - b[3], v[4] - b[4], v[5] - b[5], short)
 
 
-def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r: Six) -> Six:
-    """The z with z - h/2 f'(m) z = r; ``a`` is d omega, ``e`` d gamma at m, ``matrix`` that for omega."""
+def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r: Floats6) -> Floats6:
+    """Solve z - h/2 f'(m) z = r for z; ``a`` is d omega and ``e`` d gamma at m, ``matrix`` the system for omega."""
     a1, a2, a3 = a
     e1, e2, e3 = e
     _, s2, s3 = resolvent(a1, a2, a3, r[3], r[4], r[5])
@@ -101,7 +102,7 @@ def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r:
 
 
 def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
-    """Omega, gamma; the four values aimed at; whether the iteration settled; the counters."""
+    """One step on omega, gamma; the four target values; the status of the iteration; the counters."""
     w1, w2, w3, g1, g2, g3, i1, i2, i3, k, _, iterations, midpoint_steps, short_corrections = s
     c = p[0]
     d = 0.5 * h
@@ -111,7 +112,7 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     xi = math.sqrt(x1 * x1 + x2 * x2)
     excess = (k1 - i1, k2 - i2, k3 - i3, 0.5 * ((xi - k) * (xi + k)))
     w, g = abs(w1) + abs(w2) + abs(w3), abs(g1) + abs(g2) + abs(g3)
-    reach = min(1.0, REACH * (h * h) * (w * w + abs(c) * g))
+    reach = min(1.0, MAX_CORRECTION * (h * h) * (w * w + abs(c) * g))
     tolerance = SETTLED * (w + g)
     q1, q2, q3, n1, n2, n3 = hk_kowalevski(y, h, p)
     z1, z2, z3, z4, z5, z6 = q1 - w1, q2 - w2, q3 - w3, n1 - g1, n2 - g2, n3 - g3
@@ -123,16 +124,16 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     start = (z1, z2, z3, z4, z5, z6)
     status = math.nan
     off, short = 0.0, 0.0
-    for i in range(FOUR + MIDPOINT):
-        if i == FOUR:
+    for i in range(DG_ITERATIONS + MIDPOINT_ITERATIONS):
+        if i == DG_ITERATIONS:
             four = False
             z1, z2, z3, z4, z5, z6 = start
         iterations += 1.0
-        f1, f2, f3, f4, f5, f6, short = wanted_and_short(y, (z1, z2, z3, z4, z5, z6), excess, reach * reach, four, h, p)
+        f1, f2, f3, f4, f5, f6, short = right_hand_side(y, (z1, z2, z3, z4, z5, z6), excess, reach * reach, four, h, p)
         r = (f1 - z1, f2 - z2, f3 - z3, f4 - z4, f5 - z5, f6 - z6)
         before = off
         off = abs(r[0]) + abs(r[1]) + abs(r[2]) + abs(r[3]) + abs(r[4]) + abs(r[5])
-        # near a degenerate torus the last bits of D^T f, magnified, are what is left of the iteration: it stalls there
+        # near a degenerate torus the iteration stalls at the magnified rounding errors of D^T f
         if off <= tolerance or (0.25 * before < off <= FLOOR * tolerance and i > 0):
             z1, z2, z3, z4, z5, z6 = f1, f2, f3, f4, f5, f6
             status = 0.0
@@ -142,7 +143,7 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     new: Floats = (w1 + z1, w2 + z2, w3 + z3, g1 + z4, g2 + z5, g3 + z6)
     if not four:
         midpoint_steps += 1.0
-        new, _ = onto_but_no_worse(new, (reach * reach) * length_sq((z1, z2, z3, z4, z5, z6)), c, (i1, i2, i3, k))
+        new, _ = project_unless_worse(new, (reach * reach) * length_sq((z1, z2, z3, z4, z5, z6)), c, (i1, i2, i3, k))
     if short > 0.0:
         short_corrections += 1.0
     return (
@@ -164,8 +165,8 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:
-    """The physical state with the values of its integrals; nothing iterated yet."""
-    return (y[0], y[1], y[2], y[3], y[4], y[5], *targets_with_k(y, p), 0.0, 0.0, 0.0, 0.0)
+    """Physical state, target values of the integrals, status and counters."""
+    return (y[0], y[1], y[2], y[3], y[4], y[5], *target_values(y, p), 0.0, 0.0, 0.0, 0.0)
 
 
 @scheme(
@@ -180,17 +181,17 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     equations="y' = y + h (1 - D (D^T D)^-1 D^T) f((y + y')/2), D the discrete gradients of gamma², 2l, E, k²",
     limits={
         "singular-step": NEWTON_SINGULAR,
-        "huge": "The iteration ends at the round-off of the whole state: where omega is larger than gamma by many "
-        "powers of ten, gamma's last digits are not settled, and gamma² moves by 1e-12. Beyond |omega| of about 1e77 "
-        "|xi|² leaves the range and the step is the midpoint rule's.",
+        "huge": "The iteration ends at the round-off of the whole state: if omega is larger than gamma by many powers "
+        "of ten, the last digits of gamma are not converged, and gamma² changes by 1e-12. Beyond |omega| of about 1e77 "
+        "|xi|² overflows, and the midpoint rule is used.",
     },
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """The implicit midpoint rule without its part along the discrete gradients of gamma², 2l, E and k².
+    """Implicit midpoint rule without its component along the discrete gradients of gamma², 2l, E and k².
 
-    Its own inverse under h -> -h; all four integrals are conserved. On degenerate tori, where the gradients are
-    dependent, as many integrals are used as are independent. For k = 0 (Delone's motion), and where the iteration does
-    not settle, the step is the midpoint rule's, projected as hk-projected's is; the run reports how often. A step that
-    does not settle either ends the run as `no_convergence`.
+    Self-adjoint; all four integrals are conserved. On degenerate tori, where the gradients are linearly dependent, only
+    independent integrals are used. For k = 0 (Delone's motion), and if the iteration does not converge, the step is
+    that of the midpoint rule, projected as in hk-projected; the number of such steps is reported. If the midpoint rule
+    does not converge either, the run ends as `no_convergence`.
     """
     return Stepper(dg4_step, 14, enter, leave, COUNTERS, iterative=True)

@@ -1,13 +1,14 @@
-"""The Kowalevski top's four integrals and their gradients, and a projection that knows when these are dependent.
+"""Four integrals of the Kowalevski top, their gradients, and linear systems with nearly dependent gradients.
 
 With C = 1 the integrals are gamma²/2, 2l = 2 (w1 g1 + w2 g2) + w3 g3, E = w1² + w2² + w3²/2 + c g1, and k²/2 or k,
-k = |xi|, xi = (w1 + i w2)² - c (g1 + i g2). Their gradients are the columns of a 6x4 matrix D. It is never stored:
-of its fourth column, ``(a1, a2, 0, b1, b2, 0)``, only four numbers are not plain.
+k = |xi|, xi = (w1 + i w2)² - c (g1 + i g2). Their gradients are the columns of a 6x4 matrix D, which is never stored;
+``column`` denotes the four nontrivial numbers of its fourth column ``(a1, a2, 0, b1, b2, 0)``.
 
-On degenerate tori the four gradients are linearly dependent, and near them almost so. D^T D is therefore factorized
-one integral after the other; what is left of an integral's gradient beside those before it decides whether the
-integral is used at all, and the correction along a direction is cut to a given length: with nearly dependent gradients
-the round-off of the integrals would move the state far. The order is that of the report: k² is the first to go.
+On degenerate tori the four gradients are linearly dependent, and nearby they are almost so. D^T D is therefore
+factorized one integral after the other. An integral is used only if its gradient has a sufficient component normal to
+the previous ones, and the correction along a direction is limited to a given length: with nearly dependent gradients
+the round-off of the integrals would change the state considerably. The order is that of the report, so that k² is
+omitted first.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from topcli.contracts import Floats
 
 EPS = 2.0**-52
 DEPENDENT = 2.0**-44
-"""Squared sine of the angle between a gradient and the span of those before it, below which it is round-off."""
-Four = tuple[float, float, float, float]
-Six = tuple[float, float, float, float, float, float]
+"""Squared sine of the angle between a gradient and the span of the previous ones, below which it is round-off."""
+Floats4 = tuple[float, float, float, float]
+Floats6 = tuple[float, float, float, float, float, float]
 Gram = tuple[float, float, float, float, float, float, float, float, float, float]
 Factors = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
 def xi_of(w1: float, w2: float, g1: float, g2: float, c: float) -> tuple[float, float]:
-    """Kowalevski's xi."""
+    """Kowalevski's xi = (w1 + i w2)² - c (g1 + i g2)."""
     return ((w1 - w2) * (w1 + w2) - c * g1, 2.0 * w1 * w2 - c * g2)
 
 
@@ -41,19 +42,19 @@ def first_three(y: Floats, c: float) -> tuple[float, float, float]:
 
 
 def sizes(y: Floats, c: float) -> tuple[float, float, float]:
-    """Sizes of the terms that make up gamma²/2, 2l, and E or k: what their round-off is measured against."""
+    """Sizes of the terms of gamma²/2, 2l, and E or k, relative to which round-off is measured."""
     w = abs(y[0]) + abs(y[1]) + abs(y[2])
     g = abs(y[3]) + abs(y[4]) + abs(y[5])
     return (g * g, w * g, w * w + abs(c) * g)
 
 
-def fourth_column(w1: float, w2: float, u1: float, u2: float, c: float) -> Four:
-    """``(a1, a2, b1, b2)`` of the gradient of Re(conj(u) xi): of k²/2 for u = xi, of k for u = xi/k."""
+def fourth_column(w1: float, w2: float, u1: float, u2: float, c: float) -> Floats4:
+    """``(a1, a2, b1, b2)`` of the gradient of Re(conj(u) xi), which is that of k²/2 for u = xi, of k for u = xi/k."""
     return (2.0 * (u1 * w1 + u2 * w2), 2.0 * (u2 * w1 - u1 * w2), -c * u1, -c * u2)
 
 
-def mean_column(y: Floats, e: Floats, c: float) -> Four:
-    """``(a1, a2, b1, b2)`` of the mean gradient of k²/2 between y and y + e: Simpson's rule on a cubic."""
+def mean_column(y: Floats, e: Floats, c: float) -> Floats4:
+    """``(a1, a2, b1, b2)`` of the mean gradient of k²/2 between y and y + e, by Simpson's rule for a cubic."""
     w1, w2, g1, g2 = y[0], y[1], y[3], y[4]
     m1, m2 = w1 + 0.5 * e[0], w2 + 0.5 * e[1]
     n1, n2 = w1 + e[0], w2 + e[1]
@@ -72,8 +73,8 @@ def mean_column(y: Floats, e: Floats, c: float) -> Four:
     )
 
 
-def combination(y: Floats, c: float, column: Four, x: Four) -> Six:
-    """D x, the gradients at ``y`` added up with the weights ``x``."""
+def combination(y: Floats, c: float, column: Floats4, x: Floats4) -> Floats6:
+    """D x, the linear combination of the gradients at ``y`` with the weights ``x``."""
     w1, w2, w3, g1, g2, g3 = y
     a1, a2, b1, b2 = column
     x1, x2, x3, x4 = x
@@ -89,8 +90,8 @@ def combination(y: Floats, c: float, column: Four, x: Four) -> Six:
     )
 
 
-def components(y: Floats, c: float, column: Four, v: Floats) -> Four:
-    """D^T v, the rates of change of the integrals at ``y`` along ``v``."""
+def directional_derivatives(y: Floats, c: float, column: Floats4, v: Floats) -> Floats4:
+    """D^T v, the derivatives of the integrals at ``y`` in the direction ``v``."""
     w1, w2, w3, g1, g2, g3 = y
     a1, a2, b1, b2 = column
     v1, v2, v3, v4, v5, v6 = v
@@ -102,8 +103,8 @@ def components(y: Floats, c: float, column: Four, v: Floats) -> Four:
     )
 
 
-def gram(y: Floats, c: float, column: Four) -> Gram:
-    """D^T D: 11, 12, 13, 14, 22, 23, 24, 33, 34, 44."""
+def gram(y: Floats, c: float, column: Floats4) -> Gram:
+    """Elements 11, 12, 13, 14, 22, 23, 24, 33, 34, 44 of D^T D."""
     w1, w2, w3, g1, g2, g3 = y
     a1, a2, b1, b2 = column
     gg = g1 * g1 + g2 * g2
@@ -126,11 +127,12 @@ def gram(y: Floats, c: float, column: Four) -> Gram:
     )
 
 
-def factorized(m: Gram, fourth: bool) -> Factors:
-    """L and the inverse pivots of L diag L^T = ``m``, with 0 for the inverse pivot of an integral that is left out.
+def factorize(m: Gram, fourth: bool) -> Factors:
+    """Factorize ``m`` = L diag L^T; the inverse pivot of an omitted integral is 0.
 
-    Returns i1, i2, i3, i4, l21, l31, l41, l32, l42, l43. ``fourth`` says whether the fourth integral may be used. Only
-    what exceeds ``DEPENDENT`` of the diagonal is a pivot; comparisons are written so that nan leaves out.
+    Returns the inverse pivots i1, i2, i3, i4 and l21, l31, l41, l32, l42, l43. The fourth integral is used only if
+    ``fourth`` is true. A pivot must exceed ``DEPENDENT`` times the diagonal element; the comparisons are written such
+    that a nan omits the integral.
     """
     m11, m12, m13, m14, m22, m23, m24, m33, m34, m44 = m
     i1 = 1.0 / m11 if m11 > 0.0 else 0.0
@@ -148,10 +150,10 @@ def factorized(m: Gram, fourth: bool) -> Factors:
     return (i1, i2, i3, i4, l21, l31, l41, l32, l42, l43)
 
 
-def along(r: float, i: float, limit: float) -> tuple[float, float, float]:
-    """One component of the solution for the residual ``r`` and the inverse pivot ``i``, cut to the length allowed.
+def bounded_component(r: float, i: float, limit: float) -> tuple[float, float, float]:
+    """Component of the solution for the residual ``r`` and the inverse pivot ``i``, with squared length <= ``limit``.
 
-    Returns the residual that it takes care of, the component, and 1.0 where that is not all.
+    Returns the part of the residual that is corrected, the component, and 1.0 if that part is not all of ``r``.
     """
     z = r * i
     length = r * z
@@ -163,17 +165,17 @@ def along(r: float, i: float, limit: float) -> tuple[float, float, float]:
     return 0.0, 0.0, 1.0
 
 
-def solved(f: Factors, r: Four, limit: float) -> tuple[float, float, float, float, float]:
-    """The x of D^T D x = r over the integrals in use, and how many are not met in full.
+def solve(f: Factors, r: Floats4, limit: float) -> tuple[float, float, float, float, float]:
+    """Solve D^T D x = r for the integrals in use; return x and the number of integrals that are not fully corrected.
 
-    D x is then the shortest correction that changes the integrals by ``r``. Its parts along the directions of the
-    factorization are normal to each other; the square of each one's length is kept within ``limit``.
+    D x is the shortest correction that changes the integrals by ``r``. Its components in the directions of the
+    factorization are orthogonal; the squared length of each is limited to ``limit``.
     """
     i1, i2, i3, i4, l21, l31, l41, l32, l42, l43 = f
-    r1, z1, o1 = along(r[0], i1, limit)
-    r2, z2, o2 = along(r[1] - l21 * r1, i2, limit)
-    r3, z3, o3 = along((r[2] - l31 * r1) - l32 * r2, i3, limit)
-    _, z4, o4 = along(((r[3] - l41 * r1) - l42 * r2) - l43 * r3, i4, limit)
+    r1, z1, o1 = bounded_component(r[0], i1, limit)
+    r2, z2, o2 = bounded_component(r[1] - l21 * r1, i2, limit)
+    r3, z3, o3 = bounded_component((r[2] - l31 * r1) - l32 * r2, i3, limit)
+    _, z4, o4 = bounded_component(((r[3] - l41 * r1) - l42 * r2) - l43 * r3, i4, limit)
     x3 = z3 - l43 * z4
     x2 = z2 - (l32 * x3 + l42 * z4)
     x1 = z1 - (l21 * x2 + (l31 * x3 + l41 * z4))
@@ -181,11 +183,11 @@ def solved(f: Factors, r: Four, limit: float) -> tuple[float, float, float, floa
 
 
 def length_sq(v: Floats) -> float:
-    """The squared Euclidean length."""
+    """Squared Euclidean length."""
     return (v[0] * v[0] + (v[1] * v[1] + v[2] * v[2])) + (v[3] * v[3] + (v[4] * v[4] + v[5] * v[5]))
 
 
-def targets_with_k(y: Floats, p: Floats) -> Four:
+def target_values(y: Floats, p: Floats) -> Floats4:
     """gamma²/2, 2l, E and k of the state."""
     xi, eta = xi_of(y[0], y[1], y[3], y[4], p[0])
     i1, i2, i3 = first_three((y[0], y[1], y[2], y[3], y[4], y[5]), p[0])

@@ -1,57 +1,60 @@
-"""The scheme of Hirota and Kimura (Kahan's method) for the Kowalevski top: a 6x6 linear system, solved in closed form.
+"""Hirota-Kimura (Kahan) step of the Kowalevski top: a 6x6 linear system, solved in closed form.
 
 With d = h/2, c = ``p[0]``, the change 2 x of omega and the change 2 y of gamma, the discrete equations (Sogo,
 dEulerPoisson with A = B = 2C, y0 = z0 = 0, last sign corrected) are linear in x and y. Write W = d omega, X = d x,
-G = d**2 c gamma, a = W3/2, q = 1 + a**2, s = W3 - G2, v = W1 + a W2. Then, Y being d**2 c y:
+Y = d**2 c y, G = d**2 c gamma, a = W3/2, q = 1 + a**2, s = W3 - G2, v = W1 + a W2. Then:
 
 1. the third equation gives X3 = -(G2 + Y2), the first X1 = W2 (s - Y2)/2 + a X2;
-2. the second, 2 q X2 = (G3 + Y3) - v (s - Y2), gives y3 where X2 is known, and not the other way round: with b, the
-   part of X2 that comes from y, as the unknown in the place of y3, nothing is divided by but q::
+2. the second, 2 q X2 = (G3 + Y3) - v (s - Y2), is solved for y3 rather than X2: with b, the part of X2 that depends on
+   y, as unknown instead of y3, the only divisor is q::
 
        X2 = (X2 at y = 0) + d**2 c b/2,    y3 = q b - v y2;
 
 3. the first equation of gamma gives y1 = eta + j y2 - n b with j = s + W2 v, n = q W2 + G3/2;
-4. which leaves two equations, whose determinant is that of the six and a polynomial::
+4. two equations remain, whose determinant is that of the 6x6 system and a polynomial::
 
        m11 y2 - m12 b = e2
        m22 b - m21 y2 = e3
 
-   Their right sides, like eta, are those of gamma x (omega + x), taken at y = 0.
+   Their right-hand sides, like eta, are those of gamma x (omega + x), evaluated at y = 0.
 
-With y2 and y3 as unknowns everything is multiplied by q, so that no division precedes the determinant's: 82 products
-instead of 50. Many trajectories side by side wait for products only. Products are fused with sums by hand (``fma``),
-never by the compiler. Every term of the change is of its size, so that round-off is random.
+With y2 and y3 as unknowns and all equations multiplied by q, no division would precede that by the determinant, but
+there would be 82 products instead of 50, and the speed of an ensemble depends only on the number of products. Products
+are fused with sums by hand (``fma``), never by the compiler. No term is larger than the change itself, so that
+round-off is random.
 
-What makes it fast:
-- the 6x6 system shrinks to one 2x2 system in closed form: 50 products, most of them fused with a sum, two divisions;
-- every component is old + change, with what the determinant does not decide ready before it is known;
-- scaled by h/2 inside the step only: the state stays physical, resumes bit for bit, and c = 0 is no special case.
+Performance:
+- the 6x6 system reduces to a 2x2 system in closed form: 50 products, most of them fused with a sum, two divisions;
+- every component is old + change, and terms independent of the determinant are computed before it is known;
+- the scaling by h/2 is internal to the step: the state stays physical, resumes bit for bit, and c = 0 is not a special
+  case.
 
-**Compensated.** Kahan's method for y' = f(y), f quadratic, is x = h f(y) + h/2 J(y) x with the Jacobian J. A computed
-change x has its rounding error, and it belongs to the rounded state y instead of y + e. Put into the right side once
-more it gives the wanted change up to terms smaller by h. With t = x + e, the number that is added to y::
+**Compensated step.** Kahan's method for y' = f(y), f quadratic, is x = h f(y) + h/2 J(y) x with the Jacobian J. The
+computed change x has a rounding error, and it is the change from the rounded state y instead of y + e. Inserted into
+the right-hand side once more, it gives the exact change up to terms smaller by a factor of h. With t = x + e, the
+number that is added to y::
 
     e' = (y + t - y') + r,    r = (h f(y) - t) + h/2 J(y) (x + 2 e) + e
 
-where h f(y), whose difference from t leaves only the last bits, is formed exactly. The next step does not wait for it.
-It is done for gamma, whose change is rounded two to three times as much as omega's, and then gamma² does not move; for
-omega as well it would cost a sixth more.
+where h f(y) is computed exactly, because its difference from t consists of the last bits only. This is off the critical
+path of the next step. It is done for gamma, whose change has rounding errors two to three times as large as that of
+omega; gamma² then does not drift. Doing it for omega as well would increase the cost by a sixth.
 """
 
 from __future__ import annotations
 
 from topcli.arithmetic.double_double import quick_two_sum, two_prod, two_sum
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import carried_sum, first6, plain6
+from topcli.arithmetic.increments import compensated_sum, first6, plain6
 from topcli.contracts import Floats, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, compensation_wanted, enter_compensated
-from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.compensated import CompensatedOption, enter_compensated, is_compensated
+from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
 
 def coefficients(w: Floats, g: Floats, h: float, c: float) -> Floats:
-    """(m11, m12, m21, m22) of the two equations for y2 and b, then q, v, j, n."""
+    """Coefficients m11, m12, m21, m22 of the two equations for y2 and b, then q, v, j, n."""
     w1, w2, w3 = w
     g1, g2, g3 = g
     d = 0.5 * h
@@ -75,11 +78,11 @@ def coefficients(w: Floats, g: Floats, h: float, c: float) -> Floats:
 
 
 def hk_kowalevski_change(state: Floats, h: float, p: Floats) -> Floats:
-    """The change of (omega, gamma) in one HK step.
+    """Change of (omega, gamma) in one HK step.
 
-    Exact up to round-off for steps of any use, h |omega| < 3. The determinant vanishes for some h of the order of
-    1/|omega| and beyond, where the step is singular; and the terms of the closed form differ by (h |omega|/6)**4: three
-    digits are lost where h |omega| is 30, and above 1e4 or so the result, though finite, has no correct digit left.
+    Accurate to round-off for useful steps, h |omega| < 3. The determinant vanishes for some h of the order of 1/|omega|
+    and larger, where the step is singular. The sizes of the terms of the closed form differ by (h |omega|/6)**4: three
+    digits are lost at h |omega| = 30, and above about 1e4 the result is finite but has no correct digits.
     """
     w1, w2, w3, g1, g2, g3 = state
     d = 0.5 * h
@@ -96,13 +99,13 @@ def hk_kowalevski_change(state: Floats, h: float, p: Floats) -> Floats:
     t = w2 * half_s
     b1 = fma(a, x2, w1 + t)
     b2 = w2 + x2
-    # Here, because the compiler keeps something of this order: 3 % of a step.
+    # computed at this point because the compiler partly keeps the source order; worth 3 % of a step
     m11, m12, m21, m22, q, v, j, n = coefficients((w1, w2, w3), (g1, g2, g3), h, p[0])
     eta = fma(-g3, b2, g2 * S)  # times d, as are e2 and e3
     e2 = fma(-(a + a), eta, fma(g3, b1, -(g1 * S)))
     e3 = fma(-g2, b1, fma(W2, eta, g1 * b2))
 
-    # The order of the sums is chosen for the length of the dependency chain.
+    # the order of the sums minimizes the length of the dependency chain
     r = h / fma(-m12, m21, m11 * m22)
     two_y2 = r * fma(e3, m12, e2 * m22)
     two_b = r * fma(e3, m11, e2 * m21)
@@ -118,19 +121,19 @@ def hk_kowalevski_change(state: Floats, h: float, p: Floats) -> Floats:
 
 
 hk_kowalevski = plain6(hk_kowalevski_change)
-"""The HK step from (omega, gamma)."""
+"""HK step of (omega, gamma)."""
 
 
 def kowalevski_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """That of ``hk_kowalevski``'s two equations; where it is small, both of its terms are as large."""
+    """Determinant of the 2x2 system of ``hk_kowalevski`` and the size of its terms, equal if they nearly cancel."""
     w, g = (state[0], state[1], state[2]), (state[3], state[4], state[5])
     m11, m12, m21, m22, _, _, _, _ = coefficients(w, g, h, p[0])
     term = m11 * m22
     return (fma(-m12, m21, term), 2.0 * abs(term))
 
 
-def _missing(h: float, a: float, b: float, u: float, v: float, rest: float, t: float, e: float) -> float:
-    """h (a b - u v) + h/2 ``rest`` + e - t, where that is small: exact but for its own last bits."""
+def _residual(h: float, a: float, b: float, u: float, v: float, rest: float, t: float, e: float) -> float:
+    """Residual h (a b - u v) + h/2 ``rest`` + e - t, if small, accurate to its own last bits."""
     p, p_low = two_prod(a, b)
     q, q_low = two_prod(u, v)
     s, s_low = two_sum(p, -q)
@@ -138,8 +141,8 @@ def _missing(h: float, a: float, b: float, u: float, v: float, rest: float, t: f
     return fma(0.5 * h, rest, ((x - t) + e) + fma(h, (p_low - q_low) + s_low, x_low))
 
 
-def hk_kowalevski_refined(state: Floats, h: float, p: Floats) -> Floats:
-    """One step of (omega, gamma) and of the six numbers e by which they fall short."""
+def hk_kowalevski_compensated(state: Floats, h: float, p: Floats) -> Floats:
+    """Compensated HK step of (omega, gamma), which are followed by their six compensation terms e."""
     w1, w2, w3, g1, g2, g3, e1, e2, e3, e4, e5, e6 = state
     x1, x2, x3, y1, y2, y3 = hk_kowalevski_change((w1, w2, w3, g1, g2, g3), h, p)
     u1 = fma(2.0, e1, x1)
@@ -154,12 +157,12 @@ def hk_kowalevski_refined(state: Floats, h: float, p: Floats) -> Floats:
     t1 = y1 + e4
     t2 = y2 + e5
     t3 = y3 + e6
-    r1 = _missing(h, g2, w3, g3, w2, j1, t1, e4)
-    r2 = _missing(h, g3, w1, g1, w3, j2, t2, e5)
-    r3 = _missing(h, g1, w2, g2, w1, j3, t3, e6)
-    w1, e1 = carried_sum(w1, e1, x1)
-    w2, e2 = carried_sum(w2, e2, x2)
-    w3, e3 = carried_sum(w3, e3, x3)
+    r1 = _residual(h, g2, w3, g3, w2, j1, t1, e4)
+    r2 = _residual(h, g3, w1, g1, w3, j2, t2, e5)
+    r3 = _residual(h, g1, w2, g2, w1, j3, t3, e6)
+    w1, e1 = compensated_sum(w1, e1, x1)
+    w2, e2 = compensated_sum(w2, e2, x2)
+    w3, e3 = compensated_sum(w3, e3, x3)
     g1, e4 = quick_two_sum(g1, t1)
     g2, e5 = quick_two_sum(g2, t2)
     g3, e6 = quick_two_sum(g3, t3)
@@ -181,12 +184,12 @@ def hk_kowalevski_refined(state: Floats, h: float, p: Floats) -> Floats:
 def build(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form.
 
-    Every quadratic term y z of the field becomes (y' z + y z')/2, every linear term its mean. The step is its own
-    inverse under h -> -h. It conserves none of the four integrals exactly; their deviations stay bounded, of size h².
-    Compensated, what the change of gamma rounds is carried along as well.
+    Every quadratic term y z of the vector field becomes (y' z + y z')/2, every linear term its mean. The step is
+    self-adjoint. None of the four integrals is conserved exactly; their deviations stay bounded, of size h². With
+    `compensated`, the rounding errors in the change of gamma are compensated as well.
     """
-    if compensation_wanted(options):
-        stepper = Stepper(hk_kowalevski_refined, 12, enter_compensated, first6, checked=6)
+    if is_compensated(options):
+        stepper = Stepper(hk_kowalevski_compensated, 12, enter_compensated, first6, checked=6)
     else:
         stepper = Stepper(hk_kowalevski, 6)
-    return counting(stepper, NEAR_SINGULAR, small_determinant(kowalevski_determinant))
+    return with_counter(stepper, NEAR_SINGULAR, small_determinant(kowalevski_determinant))

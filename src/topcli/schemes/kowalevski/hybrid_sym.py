@@ -1,54 +1,56 @@
-"""The self-adjoint hybrid: the three relations of the paper's hybrid, each with the new state, solved together.
+"""Self-adjoint hybrid: the three relations of the paper's hybrid in terms of the new state, solved simultaneously.
 
-With the half change v of omega, the means o = omega + v and q, and xi = (w1 + i w2)² - c (g1 + i g2)::
+With half the change of omega, v, the means o of omega and q of gamma, and xi = (w1 + i w2)² - c (g1 + i g2)::
 
-    gamma' - gamma = h q x o                                       (Cayley's rotation)
+    gamma' - gamma = h q x o                                       (Cayley rotation)
     2 v3 + h c q2 = 0                                              (omega3 by the trapezoidal rule)
-    4 v12 o12 - c (gamma' - gamma)12 - (e^{-i h o3} - 1) xi = 0    (xi turns by the mean omega3)
+    4 v12 o12 - c (gamma' - gamma)12 - (e^{-i h o3} - 1) xi = 0    (xi rotates by the mean omega3)
 
-The last one is the change of (w1 + i w2)²; the square root is in the choice of the solution, the one that Newton's
-iteration finds from HK's step. Everything is a difference, so that its round-off is of the size of the step's changes.
-Exchanging old and new with h -> -h changes the sign of v and of the equations, no more: the step is self-adjoint.
+The last one is the change of (w1 + i w2)². Its square root corresponds to the choice of the solution: that to which
+Newton's iteration converges from HK's step. All terms are differences, so that their rounding errors are proportional
+to the change in the step. Exchanging old and new state together with h -> -h only changes the sign of v and of the
+equations: the step is self-adjoint.
 
-xi = k u with a unit number u, k and gamma² are carried (``carried_xi``), so that round-off does not accumulate
-in them; where xi is used, what omega and gamma say of it has its own rounding error taken off.
+xi = k u with |u| = 1, and k and gamma² are carried (``carried_xi``), so that round-off does not accumulate in them. The
+difference between the carried xi and that computed from omega and gamma, a rounding error, enters the equations.
 
-What makes it fast:
-- HK's step is so close a start that Newton's method on three unknowns takes one iteration at h = 0.001, two at 0.1;
-- their 3x3 systems are solved by Cramer's rule, and gamma is eliminated by Cayley's rotation in closed form;
-- the rotation and xi's turn are polynomials: no angle is formed, libm is not called.
+Performance:
+- HK's step is so accurate that Newton's method in three unknowns needs one iteration at h = 0.001, two at 0.1;
+- the 3x3 systems are solved by Cramer's rule, and gamma is eliminated by a Cayley rotation in closed form;
+- the rotation of xi is evaluated by polynomials, without calls of libm.
 """
 
 from __future__ import annotations
 
 import math
 
-from topcli.arithmetic.complex_plane import turn_increment
-from topcli.arithmetic.increments import carried_sums
+from topcli.arithmetic.complex_plane import rotation_increment
+from topcli.arithmetic.increments import compensated_sums
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment, resolvent
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
-from topcli.schemes.kowalevski.carried_xi import enter_carried, leave_carried, to_length_sq
+from topcli.schemes.kowalevski.carried_xi import enter_carried, leave_carried, length_correction
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.limits import FAR_OVERFLOW, NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.registry import scheme
 
-NEWTON = 30
-"""Newton iterations before a step is given up; two or three are the rule."""
+NEWTON_LIMIT = 30
+"""Maximum number of Newton iterations; two or three are typical."""
 HALVINGS = 8
-"""How often an iteration's change may be halved until it brings the equations closer."""
+"""Maximum number of halvings of a correction that does not reduce the residual."""
 SETTLED = 4.0 * 2.0**-52
-"""Residual of an equation in units of its terms that counts as solved: round-off."""
+"""Tolerance of the residual, relative to the terms of the equation: round-off."""
 TINY = 1e-300
-Seven = tuple[float, float, float, float, float, float, float]
-Ten = tuple[float, float, float, float, float, float, float, float, float, float]
+Floats7 = tuple[float, float, float, float, float, float, float]
+Floats10 = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
-def residuals(y: Floats, xi: Floats, h: float, c: float, v1: float, v2: float, v3: float) -> Seven:
-    """The complex equation, omega3's, the change of gamma, and the largest residual in units of its terms.
+def residuals(y: Floats, xi: Floats, h: float, c: float, v1: float, v2: float, v3: float) -> Floats7:
+    """Residuals of the complex equation and of that for omega3, the change of gamma, the largest relative residual.
 
-    ``xi`` is xi, what omega and gamma say of it beyond that, and the two relative changes to unit u and gamma².
+    ``xi`` consists of the carried xi, the difference of the xi computed from omega and gamma, and the relative length
+    corrections of u and gamma.
     """
     w1, w2, w3, g1, g2, g3 = y
     x1, x2, z1, z2, to_u, to_g = xi
@@ -56,7 +58,7 @@ def residuals(y: Floats, xi: Floats, h: float, c: float, v1: float, v2: float, v
     o1, o2, o3 = w1 + v1, w2 + v2, w3 + v3
     b1, b2, b3 = cayley_increment(d * o1, d * o2, d * o3, g1, g2, g3)
     b1, b2, b3 = b1 + to_g * g1, b2 + to_g * g2, b3 + to_g * g3
-    t1, t2 = turn_increment(h * o3, x1, x2)
+    t1, t2 = rotation_increment(h * o3, x1, x2)
     t1, t2 = t1 + to_u * x1, t2 + to_u * x2
     f1 = ((4.0 * (v1 * o1 - v2 * o2) - c * b1) - t1) + z1
     f2 = ((4.0 * (v1 * o2 + v2 * o1) - c * b2) - t2) + z2
@@ -67,17 +69,17 @@ def residuals(y: Floats, xi: Floats, h: float, c: float, v1: float, v2: float, v
     return (f1, f2, f3, b1, b2, b3, off)
 
 
-def newton_change(y: Floats, x1: float, x2: float, h: float, c: float, v: Floats, f: Floats, b: Floats) -> Vector:
-    """Newton's change of v for the residuals ``f`` and the change ``b`` of gamma at ``v``."""
+def newton_correction(y: Floats, x1: float, x2: float, h: float, c: float, v: Floats, f: Floats, b: Floats) -> Vector:
+    """Newton correction of ``v`` for the residuals ``f`` and the change ``b`` of gamma."""
     w1, w2, w3, g1, g2, g3 = y
     d = 0.5 * h
     a1, a2, a3 = d * (w1 + v[0]), d * (w2 + v[1]), d * (w3 + v[2])
     e1, e2, e3 = d * (g1 + 0.5 * b[0]), d * (g2 + 0.5 * b[1]), d * (g3 + 0.5 * b[2])
-    # columns: the change of the mean gamma with each component of v
+    # columns: derivatives of the mean gamma with respect to the components of v
     s11, s21, _ = resolvent(a1, a2, a3, 0.0, e3, -e2)
     s12, s22, _ = resolvent(a1, a2, a3, -e3, 0.0, e1)
     s13, s23, _ = resolvent(a1, a2, a3, e2, -e1, 0.0)
-    t1, t2 = turn_increment(2.0 * a3, x1, x2)
+    t1, t2 = rotation_increment(2.0 * a3, x1, x2)
     n1, n2 = 4.0 * (w1 + 2.0 * v[0]), 4.0 * (w2 + 2.0 * v[1])
     c2 = 2.0 * c
     k = h * c
@@ -99,8 +101,8 @@ def newton_change(y: Floats, x1: float, x2: float, h: float, c: float, v: Floats
     )
 
 
-def hybrid_sym_change(s: Ten, h: float, p: Floats) -> Ten:
-    """The change of omega, gamma and u, whether the iteration settled (0.0 or nan), and its iterations."""
+def hybrid_sym_change(s: Floats10, h: float, p: Floats) -> Floats10:
+    """Change of omega, gamma and u, the status (0.0, or nan without convergence), and the number of iterations."""
     w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq = s
     c = p[0]
     y = (w1, w2, w3, g1, g2, g3)
@@ -108,18 +110,18 @@ def hybrid_sym_change(s: Ten, h: float, p: Floats) -> Ten:
     x1, x2 = k * u1, k * u2
     z1 = ((w1 - w2) * (w1 + w2) - c * g1) - x1
     z2 = (2.0 * w1 * w2 - c * g2) - x2
-    to_u = to_length_sq(u1 * u1 + u2 * u2, 1.0)
-    xi = (x1, x2, z1, z2, to_u, to_length_sq(g1 * g1 + (g2 * g2 + g3 * g3), g_sq))
+    to_u = length_correction(u1 * u1 + u2 * u2, 1.0)
+    xi = (x1, x2, z1, z2, to_u, length_correction(g1 * g1 + (g2 * g2 + g3 * g3), g_sq))
     q1, q2, q3, _, _, _ = hk_kowalevski(y, h, p)
     v1, v2, v3 = 0.5 * (q1 - w1), 0.5 * (q2 - w2), 0.5 * (q3 - w3)
     f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, v1, v2, v3)
     status = math.nan
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_LIMIT):
         if off <= SETTLED:
             status = 0.0
             break
         iterations += 1.0
-        e1, e2, e3 = newton_change(y, x1, x2, h, c, (v1, v2, v3), (f1, f2, f3), (b1, b2, b3))
+        e1, e2, e3 = newton_correction(y, x1, x2, h, c, (v1, v2, v3), (f1, f2, f3), (b1, b2, b3))
         before = off
         n1, n2, n3 = v1 + e1, v2 + e2, v3 + e3
         f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, n1, n2, n3)
@@ -130,13 +132,13 @@ def hybrid_sym_change(s: Ten, h: float, p: Floats) -> Ten:
             n1, n2, n3 = v1 + e1, v2 + e2, v3 + e3
             f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, n1, n2, n3)
         v1, v2, v3 = n1, n2, n3
-    d1, d2 = turn_increment(h * (w3 + v3), u1, u2)
+    d1, d2 = rotation_increment(h * (w3 + v3), u1, u2)
     to_u1, to_u2 = d1 + to_u * u1, d2 + to_u * u2
     return (2.0 * v1, 2.0 * v2, 2.0 * v3, b1, b2, b3, to_u1, to_u2, status, iterations)
 
 
 def hybrid_sym_step(s: Floats, h: float, p: Floats) -> Floats:
-    """Omega, gamma; u, k, gamma²; whether the iteration settled; the iterations so far."""
+    """One step on omega, gamma; u, k, gamma²; the status; the iterations so far."""
     w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, _, iterations = s
     old = (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq)
     x1, x2, x3, y1, y2, y3, z1, z2, status, more = hybrid_sym_change(old, h, p)
@@ -145,27 +147,27 @@ def hybrid_sym_step(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
-    """The same with what the sums of omega3, gamma and u have lost, before the status.
+    """One compensated step; the rounding errors of the sums of omega3, gamma and u are in the slots before the status.
 
-    Omega1 and omega2 need nothing: in every step they are brought back to what u and gamma say of them.
+    omega1 and omega2 need no compensation: in every step they are determined by u and gamma.
     """
     w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8, _, iterations = s
     old = (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq)
     x1, x2, x3, y1, y2, y3, z1, z2, status, more = hybrid_sym_change(old, h, p)
     w1, w2 = w1 + x1, w2 + x2
-    (w3, g1, g2, g3, u1, u2), lost = carried_sums(
+    (w3, g1, g2, g3, u1, u2), lost = compensated_sums(
         (w3, g1, g2, g3, u1, u2), (e3, e4, e5, e6, e7, e8), (x3, y1, y2, y3, z1, z2)
     )
     return (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, *lost, status, iterations + more)
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:
-    """The physical state with what is carried; nothing iterated yet."""
+    """Working state: physical state, carried quantities, status, number of iterations."""
     return (*enter_carried(y, h, p), 0.0, 0.0)
 
 
 def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
-    """The same with nothing lost yet."""
+    """Working state of the compensated step."""
     return (*enter_carried(y, h, p), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -183,12 +185,12 @@ def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR, "huge": FAR_OVERFLOW},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
-    """The hybrid's relations between old and new state, solved together by Newton's iteration from HK's step.
+    """The relations of the hybrid between old and new state, solved simultaneously by Newton's method from HK's step.
 
-    Its own inverse under h -> -h. |gamma| and k = |omega² - c gamma| are conserved; 2l and E stay close without drift.
-    A step whose iteration does not settle ends the run as `no_convergence`; it can happen where omega1 + i omega2
-    comes so close to 0 within a step that the two square roots merge; the order becomes erratic there. `midpoint4` and
-    `hk-symproj`, which take no root, keep k² and order 2.
+    Self-adjoint. |gamma| and k = |omega² - c gamma| are conserved; 2l and E deviate without drift. If a step does not
+    converge, the run ends as `no_convergence`. This can happen where omega1 + i omega2 comes so close to 0 that the two
+    square roots nearly coincide; the order is erratic there. `midpoint4` and `hk-symproj`, which need no square root,
+    conserve k² and have order 2.
     """
     if options.compensated:
         return Stepper(compensated_step, 18, enter_compensated, leave_carried, ("iterations",), iterative=True)

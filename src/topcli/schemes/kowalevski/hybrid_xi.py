@@ -1,27 +1,27 @@
-"""The paper's hybrid with xi carried along instead of recomputed: xi = k u, |u| = 1 (``carried_xi``).
+"""Hybrid of the paper with xi as a carried quantity: xi = k u, |u| = 1 (``carried_xi``).
 
-What makes it fast: as for the hybrid; u and gamma are brought back to their lengths beside the long chain of
-dependencies, and u's turn is the polynomial that the hybrid needs anyway.
+Performance: as for the hybrid. The renormalization of u and gamma is off the critical path, and the rotation of u needs
+the same polynomials as the rotation of xi in the hybrid.
 """
 
 from __future__ import annotations
 
-from topcli.arithmetic.complex_plane import turn_increment
+from topcli.arithmetic.complex_plane import rotation_increment
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import carried_sum
+from topcli.arithmetic.increments import compensated_sum
 from topcli.arithmetic.rotations import cayley_increment
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
-from topcli.schemes.kowalevski.carried_xi import enter_carried, leave_carried, to_length_sq
+from topcli.schemes.kowalevski.carried_xi import enter_carried, leave_carried, length_correction
 from topcli.schemes.kowalevski.hk import hk_kowalevski, hk_kowalevski_change
-from topcli.schemes.kowalevski.hybrid import with_hk_counted
+from topcli.schemes.kowalevski.hybrid import with_hk_counters
 from topcli.schemes.limits import OVERFLOW, SINGULAR
 from topcli.schemes.registry import scheme
 
 
 def hybrid_xi_step(root: Root) -> StepFunction:
-    """The step with the square root on the branch that ``root`` chooses by HK's omega."""
+    """Return the step whose square root is on the branch selected by ``root`` from HK's omega."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq = s
@@ -29,9 +29,9 @@ def hybrid_xi_step(root: Root) -> StepFunction:
         q1, q2, v3, _, _, _ = hk_kowalevski((w1, w2, w3, g1, g2, g3), h, p)
         m = 0.25 * h
         d1, d2, d3 = cayley_increment(m * (q1 + w1), m * (q2 + w2), m * (v3 + w3), g1, g2, g3)
-        to_g = to_length_sq(g1 * g1 + (g2 * g2 + g3 * g3), g_sq)
-        t1, t2 = turn_increment((0.5 * h) * (v3 + w3), u1, u2)
-        to_u = to_length_sq(u1 * u1 + u2 * u2, 1.0)
+        to_g = length_correction(g1 * g1 + (g2 * g2 + g3 * g3), g_sq)
+        t1, t2 = rotation_increment((0.5 * h) * (v3 + w3), u1, u2)
+        to_u = length_correction(u1 * u1 + u2 * u2, 1.0)
         n1 = g1 + (d1 + to_g * g1)
         n2 = g2 + (d2 + to_g * g2)
         x1 = u1 + (t1 + to_u * u1)
@@ -43,7 +43,7 @@ def hybrid_xi_step(root: Root) -> StepFunction:
 
 
 def compensated_step(root: Root) -> StepFunction:
-    """The same with what the sums of omega3, gamma and u have lost; omega1 and omega2 are no sums but a root."""
+    """Return the compensated step, with the rounding errors of omega3, gamma and u; omega1, omega2 are not sums."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8 = s
@@ -52,16 +52,16 @@ def compensated_step(root: Root) -> StepFunction:
         m = 0.25 * h
         o3 = 2.0 * w3 + x3
         d1, d2, d3 = cayley_increment(m * (2.0 * w1 + x1), m * (2.0 * w2 + x2), m * o3, g1, g2, g3)
-        to_g = to_length_sq(g1 * g1 + (g2 * g2 + g3 * g3), g_sq)
-        t1, t2 = turn_increment((0.5 * h) * o3, u1, u2)
-        to_u = to_length_sq(u1 * u1 + u2 * u2, 1.0)
+        to_g = length_correction(g1 * g1 + (g2 * g2 + g3 * g3), g_sq)
+        t1, t2 = rotation_increment((0.5 * h) * o3, u1, u2)
+        to_u = length_correction(u1 * u1 + u2 * u2, 1.0)
         q1, q2 = w1 + x1, w2 + x2
-        w3, e3 = carried_sum(w3, e3, x3)
-        g1, e4 = carried_sum(g1, e4, d1 + to_g * g1)
-        g2, e5 = carried_sum(g2, e5, d2 + to_g * g2)
-        g3, e6 = carried_sum(g3, e6, d3 + to_g * g3)
-        u1, e7 = carried_sum(u1, e7, t1 + to_u * u1)
-        u2, e8 = carried_sum(u2, e8, t2 + to_u * u2)
+        w3, e3 = compensated_sum(w3, e3, x3)
+        g1, e4 = compensated_sum(g1, e4, d1 + to_g * g1)
+        g2, e5 = compensated_sum(g2, e5, d2 + to_g * g2)
+        g3, e6 = compensated_sum(g3, e6, d3 + to_g * g3)
+        u1, e7 = compensated_sum(u1, e7, t1 + to_u * u1)
+        u2, e8 = compensated_sum(u2, e8, t2 + to_u * u2)
         w1, w2 = root(fma(half_c, g1, half_k * u1), fma(half_c, g2, half_k * u2), q1, q2)
         return (w1, w2, w3, g1, g2, g3, u1, u2, k, g_sq, e3, e4, e5, e6, e7, e8)
 
@@ -69,12 +69,12 @@ def compensated_step(root: Root) -> StepFunction:
 
 
 def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
-    """The physical state with what is carried; nothing lost yet."""
+    """Working state of the compensated step: physical state, carried quantities, compensation terms."""
     return (*enter_carried(y, h, p), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class HybridOptions(BranchOptions, CompensatedOption):
-    """The branch of the root, and the compensation."""
+    """Options: branch of the root, compensated sums."""
 
 
 @scheme(
@@ -89,21 +89,21 @@ class HybridOptions(BranchOptions, CompensatedOption):
     equations="dEulerPoisson, modified BS scheme, Kxi",
     limits={
         "singular-step": SINGULAR,
-        "resonance": "What brings u and gamma back to their lengths is added along the old directions: where they "
-        "turn by more than a right angle in one step it drives the lengths away instead, and gamma² grows.",
+        "resonance": "u and gamma are renormalized along their old directions: if they rotate by more than a right "
+        "angle in one step, this increases the deviation of the lengths, and gamma² grows.",
         "huge": OVERFLOW,
     },
     options=HybridOptions,
 )
 def build(top: Top, options: HybridOptions) -> Stepper:
-    """The paper's hybrid, the same trajectory up to round-off, without round-off's drift of gamma² and k².
+    """The hybrid of the paper without the drift of gamma² and k² by round-off; the same trajectory up to round-off.
 
-    k and gamma² keep the values of the initial state: xi = k u is carried as a unit number u that turns, gamma is kept
-    at its length. Like the hybrid it is not self-adjoint, 2l and E drift, and the order falls to 3/2 where
-    omega1 + i omega2 passes 0; `midpoint4` and `hk-symproj` keep k² and order 2 there.
+    k and gamma² keep their initial values: of xi = k u only u with |u| = 1 is rotated, and the length of gamma is
+    renormalized. Like the hybrid it is not self-adjoint, 2l and E drift, and the order is reduced to 3/2 where
+    omega1 + i omega2 passes 0; `midpoint4` and `hk-symproj` conserve k² and have order 2 there.
     """
     if options.compensated:
         step = compensated_step(ROOTS[options.branch])
-        return with_hk_counted(Stepper(step, 16, enter_compensated, leave_carried, checked=6))
+        return with_hk_counters(Stepper(step, 16, enter_compensated, leave_carried, checked=6))
     step = hybrid_xi_step(ROOTS[options.branch])
-    return with_hk_counted(Stepper(step, 10, enter_carried, leave_carried, checked=6))
+    return with_hk_counters(Stepper(step, 10, enter_carried, leave_carried, checked=6))

@@ -1,27 +1,29 @@
-"""The Kowalevski top as a Hamiltonian system: changes of the state that keep gamma², 2l and E, and Newton's matrix.
+"""Kowalevski top as a Lie-Poisson system: changes of the state that conserve gamma², 2l and E, and Newton matrix.
 
-With m = (2 w1, 2 w2, w3) the bracket turns the gradient (a, b) of any function with respect to (m, gamma) into the
-vector field J(a, b) = (m x a + gamma x b, gamma x a), which keeps gamma² and m.gamma = 2l. The field of the motion is
-F = J grad E, and J is antisymmetric: J(a, b) changes a function whose own field is X at the rate -(a, b).X. Hence
+With m = (2 w1, 2 w2, w3) the bracket maps the gradient (a, b) of a function with respect to (m, gamma) to its
+Hamiltonian vector field J(a, b) = (m x a + gamma x b, gamma x a), which conserves gamma² and m.gamma = 2l. The vector
+field of the motion is F = J grad E, and J is antisymmetric: along J(a, b), a function with Hamiltonian field X changes
+at the rate -(a, b).X. Hence
 
-- J(a, b) keeps E as well if (a, b) is normal to F;
-- of these the one with the part of X normal to F changes the function with field X the most, at the rate of minus the
-  square of that part. It vanishes only where X and F are parallel: on degenerate tori and in relative equilibria.
+- J(a, b) also conserves E if (a, b) is normal to F;
+- among these directions, that with (a, b) equal to the component of X normal to F changes the function with field X
+  the most, at the rate of minus the square of that component. It vanishes only where X and F are parallel: on
+  degenerate tori and at relative equilibria.
 
-That takes no matrix and no division, and as the three integrals are quadratic, what is normal to their gradients at
-the mean of two states changes neither of them on the way from one to the other.
+This direction needs no matrix and no division. Because the three integrals are quadratic, a change that is normal to
+their gradients at the mean of two states conserves them from one state to the other.
 """
 
 from __future__ import annotations
 
 from topcli.contracts import Floats
-from topcli.schemes.kowalevski.four_integrals import Four, Six
+from topcli.schemes.kowalevski.four_integrals import Floats4, Floats6
 
 DEPENDENT = 2.0**-40
-"""Squared sine of the angle between two fields below which it is round-off."""
+"""Squared sine of the angle between two vector fields, below which it is round-off."""
 TINY = 1e-300
-Direction = tuple[Six, float, float]
-Newton = tuple[
+Direction = tuple[Floats6, float, float]
+NewtonMatrix = tuple[
     tuple[float, float, float, float, float, float, float, float, float],
     tuple[float, float, float, float, float, float, float, float, float],
     tuple[float, float, float],
@@ -30,8 +32,8 @@ Newton = tuple[
 ]
 
 
-def field_of_m(y: Floats, c: float) -> Six:
-    """F: the rates of change of (m, gamma)."""
+def momentum_field(y: Floats, c: float) -> Floats6:
+    """Vector field F of the motion, for (m, gamma)."""
     w1, w2, w3, g1, g2, g3 = y
     return (
         w2 * w3,
@@ -43,8 +45,8 @@ def field_of_m(y: Floats, c: float) -> Six:
     )
 
 
-def field_of(y: Floats, column: Four) -> Six:
-    """The field, for (m, gamma), of a function with the gradient ``(a1, a2, 0, b1, b2, 0)`` by omega and gamma."""
+def hamiltonian_field(y: Floats, column: Floats4) -> Floats6:
+    """Hamiltonian field, for (m, gamma), of a function with the gradient ``(a1, a2, 0, b1, b2, 0)`` in omega, gamma."""
     w1, w2, w3, g1, g2, g3 = y
     a1, a2, b1, b2 = column
     p1, p2 = 0.5 * a1, 0.5 * a2
@@ -58,13 +60,13 @@ def field_of(y: Floats, column: Four) -> Six:
     )
 
 
-def inner(u: Six, v: Six) -> float:
-    """The scalar product."""
+def dot(u: Floats6, v: Floats6) -> float:
+    """Scalar product of two vectors."""
     return (u[0] * v[0] + (u[1] * v[1] + u[2] * v[2])) + (u[3] * v[3] + (u[4] * v[4] + u[5] * v[5]))
 
 
-def bracket(y: Floats, v: Six) -> Six:
-    """J v as a change of omega and gamma, for v = (a, b)."""
+def bracket(y: Floats, v: Floats6) -> Floats6:
+    """J v for v = (a, b), converted to a change of omega and gamma."""
     w1, w2, w3, g1, g2, g3 = y
     a1, a2, a3, b1, b2, b3 = v
     return (
@@ -77,13 +79,13 @@ def bracket(y: Floats, v: Six) -> Six:
     )
 
 
-def keeping_three(y: Floats, f: Six, column: Four) -> Direction:
-    """The direction J(|F|² X - (F.X) F), for the function with the gradient ``column`` and the field X.
+def conserving_direction(y: Floats, f: Floats6, column: Floats4) -> Direction:
+    """Direction J(|F|² X - (F.X) F), for the function with the gradient ``column`` and the Hamiltonian field X.
 
-    Also its rate, |F|² |X|² - (F.X)² with the sign changed, and |F|² |X|²: how much it would be at best.
+    Also returns the magnitude of its rate of change of the function, |F|² |X|² - (F.X)², and the upper bound |F|² |X|².
     """
-    x = field_of(y, column)
-    ff, fx, xx = inner(f, f), inner(f, x), inner(x, x)
+    x = hamiltonian_field(y, column)
+    ff, fx, xx = dot(f, f), dot(f, x), dot(x, x)
     normal = (
         ff * x[0] - fx * f[0],
         ff * x[1] - fx * f[1],
@@ -95,26 +97,26 @@ def keeping_three(y: Floats, f: Six, column: Four) -> Direction:
     return bracket(y, normal), ff * xx - fx * fx, ff * xx
 
 
-def fields_of_xi(y: Floats, c: float) -> tuple[Six, Six]:
-    """The parts normal to F of the fields of Re xi and Im xi; they are independent for xi = 0 too."""
-    f = field_of_m(y, c)
+def xi_fields(y: Floats, c: float) -> tuple[Floats6, Floats6]:
+    """Components normal to F of the Hamiltonian fields of Re xi and Im xi; independent even for xi = 0."""
+    f = momentum_field(y, c)
     w1, w2 = 2.0 * y[0], 2.0 * y[1]
-    u, v = field_of(y, (w1, -w2, -c, 0.0)), field_of(y, (w2, w1, 0.0, -c))
-    ff = inner(f, f) + TINY
-    su, sv = inner(f, u) / ff, inner(f, v) / ff
+    u, v = hamiltonian_field(y, (w1, -w2, -c, 0.0)), hamiltonian_field(y, (w2, w1, 0.0, -c))
+    ff = dot(f, f) + TINY
+    su, sv = dot(f, u) / ff, dot(f, v) / ff
     return (
         (u[0] - su * f[0], u[1] - su * f[1], u[2] - su * f[2], u[3] - su * f[3], u[4] - su * f[4], u[5] - su * f[5]),
         (v[0] - sv * f[0], v[1] - sv * f[1], v[2] - sv * f[2], v[3] - sv * f[3], v[4] - sv * f[4], v[5] - sv * f[5]),
     )
 
 
-def changing_xi(y: Floats, r1: float, r2: float, c: float) -> tuple[Six, float]:
-    """The change of the state that keeps gamma², 2l and E, to first order, and changes xi by r1 + i r2; then 0.0.
+def xi_correction(y: Floats, r1: float, r2: float, c: float) -> tuple[Floats6, float]:
+    """Change of the state that changes xi by r1 + i r2 and conserves gamma², 2l and E, to first order; then 0.0.
 
-    Where the two fields are dependent: no change, and 1.0.
+    If the two fields are dependent, the change is zero, followed by 1.0.
     """
-    u, v = fields_of_xi(y, c)
-    uu, uv, vv = inner(u, u), inner(u, v), inner(v, v)
+    u, v = xi_fields(y, c)
+    uu, uv, vv = dot(u, u), dot(u, v), dot(v, v)
     det = uu * vv - uv * uv
     if not det > DEPENDENT * (uu * vv):
         return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0
@@ -135,12 +137,12 @@ def changing_xi(y: Floats, r1: float, r2: float, c: float) -> tuple[Six, float]:
     )
 
 
-def newton_matrix(m: Floats, d: float, c: float) -> Newton:
-    """What ``newton_solved`` needs to solve z - d f'(m) z = r, f' being the derivative of the motion's field.
+def newton_matrix(m: Floats, d: float, c: float) -> NewtonMatrix:
+    """Factorize z - d f'(m) z = r for ``newton_solve``, with the derivative f' of the vector field of the motion.
 
-    With a = d omega and e = d gamma at ``m`` Poisson's equation gives the change of gamma as R (r + e x z), R the
-    inverse of 1 - (. x a), and three equations for omega are left. Returns R, the adjugate of their matrix, e, d c,
-    and the inverse of the determinant.
+    With a = d omega and e = d gamma at ``m``, Poisson's equation gives the change of gamma as R (r + e x z), where R is
+    the inverse of 1 - (. x a); three equations for omega remain. Returns R, the adjugate of their matrix, e, d c, and
+    the inverse of the determinant.
     """
     a1, a2, a3 = d * m[0], d * m[1], d * m[2]
     e1, e2, e3 = d * m[3], d * m[4], d * m[5]
@@ -177,8 +179,8 @@ def newton_matrix(m: Floats, d: float, c: float) -> Newton:
     )
 
 
-def newton_solved(n: Newton, r: Six) -> Six:
-    """The z with z - d f' z = r."""
+def newton_solve(n: NewtonMatrix, r: Floats6) -> Floats6:
+    """Solve z - d f' z = r for z."""
     (r11, r12, r13, r21, r22, r23, r31, r32, r33), (c11, c21, c31, c12, c22, c32, c13, c23, c33), e, k, q = n
     e1, e2, e3 = e
     x, y, z, u, v, w = r

@@ -1,14 +1,13 @@
-"""HK for the Kowalevski top, projected onto the surface of its four integrals, plainly or symmetrically.
+"""HK for the Kowalevski top, projected onto the level set of its four integrals, by standard or symmetric projection.
 
-What makes it fast:
-- D^T D is formed from a handful of sums and factorized in scalars; no array, no LAPACK;
-- HK misses the surface by O(h³), and a correction with the gradients at HK's point leaves O(h⁶): two corrections with
-  one factorization are the rule.
+Performance:
+- D^T D is computed from a few sums and factorized in scalars, without arrays or LAPACK;
+- HK leaves the level set by O(h³), and one correction with the gradients at HK's point reduces this to O(h⁶): two
+  corrections with one factorization are typical.
 
-What makes it safe: the values aimed at are those of the initial state, carried along, so that nothing accumulates; an
-integral whose gradient depends on the others' is left out, and xi takes the place of a vanishing k
-(``projection``); no correction is longer than HK's own step, and none is kept that does not bring the
-integrals closer. Then the step is HK's, and it is counted.
+Robustness: the target values are those of the initial state, so that nothing accumulates. Integrals with dependent
+gradients are omitted, and xi replaces a vanishing k (``projection``). No correction is longer than HK's step, and a
+correction that does not reduce the deviations is discarded; the step is then HK's and is counted.
 """
 
 from __future__ import annotations
@@ -16,64 +15,65 @@ from __future__ import annotations
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
-    Four,
-    Six,
+    Floats4,
+    Floats6,
     combination,
-    components,
-    factorized,
+    directional_derivatives,
+    factorize,
     fourth_column,
     gram,
     length_sq,
     mean_column,
     sizes,
-    solved,
-    targets_with_k,
+    solve,
+    target_values,
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
-from topcli.schemes.kowalevski.projection import MET, moved, onto, with_k, worst
+from topcli.schemes.kowalevski.projection import MET, deviations, largest_deviation, project, subtract
 from topcli.schemes.registry import scheme
 
 SYMMETRIC_ROUNDS = 12
-"""Rounds of the symmetric projection's iteration at most; three or four are the rule."""
+"""Maximum number of iterations of the symmetric projection; three or four are typical."""
 VANISHING = 2.0**-26
-"""k in units of its terms below which k² is round-off, and its gradient, which vanishes at xi = 0, too."""
-CLOSE = EPS / 4.0
-"""The same for the changes of the integrals over a step, which are known better than the integrals."""
-REACH = 1.0
-"""A correction's largest length: this times h² (omega² + c gamma), but no more than 1, of the step's own length."""
+"""k relative to its terms, below which k² and its gradient, which vanishes at xi = 0, are round-off."""
+SETTLED_CHANGES = EPS / 4.0
+"""Tolerance for the changes of the integrals over a step, which are more accurate than the integrals."""
+MAX_CORRECTION = 1.0
+"""Largest length of a correction relative to that of the step: this times h² (omega² + c gamma), but at most 1."""
 CONSERVES = ("gamma_sq", "two_l", "energy", "k_sq")
 LIMITS = {
-    "resonance": "With steps of about a turn HK jumps so far that no correction as short as its own step reaches the "
-    "values; counted as unmet.",
-    "singular-step": "HK's step is singular at this h, and from a state of size 1e15 and beyond there is no way back "
-    "to the values; counted as unmet.",
-    "huge": "Beyond |omega| of about 1e77 k² leaves the range of a double: no correction can be judged, and the values "
-    "are not met; counted as unmet.",
+    "resonance": "With steps of about one revolution HK jumps so far that no correction as short as its own step "
+    "restores the integrals; counted as unmet.",
+    "singular-step": "HK's step is singular for this h, and from a state of size 1e15 or more the integrals cannot be "
+    "restored; counted as unmet.",
+    "huge": "Beyond |omega| of about 1e77 k² overflows: no correction can be assessed, and the integrals are not "
+    "restored; counted as unmet.",
 }
 COUNTERS = ("corrections", "short_corrections", "unmet")
-"""Corrections made; steps where one was cut or left an integral out; steps that did not meet all four values."""
+"""Number of corrections; of steps with a shortened correction or an omitted integral; of steps that did not restore all
+four values."""
 
 
 def projected_step(s: Floats, h: float, p: Floats) -> Floats:
-    """omega, gamma; the four values aimed at; the counters."""
+    """One step on omega, gamma; the four target values; the counters."""
     w1, w2, w3, g1, g2, g3, t1, t2, t3, t4, corrections, short, unmet = s
     c = p[0]
     old = (w1, w2, w3, g1, g2, g3)
     z: Floats = hk_kowalevski(old, h, p)
-    reach = min(1.0, REACH * (h * h) * sizes(z, c)[2])
-    limit = (reach * reach) * length_sq(moved(z, old))
-    y, more, cut, missed = onto(z, limit, c, (t1, t2, t3, t4))
+    reach = min(1.0, MAX_CORRECTION * (h * h) * sizes(z, c)[2])
+    limit = (reach * reach) * length_sq(subtract(z, old))
+    y, more, cut, missed = project(z, limit, c, (t1, t2, t3, t4))
     return (y[0], y[1], y[2], y[3], y[4], y[5], t1, t2, t3, t4, corrections + more, short + cut, unmet + missed)
 
 
 def enter_projected(y: Floats, h: float, p: Floats) -> Floats:
-    """The physical state with the values of its integrals, and the counters at zero."""
-    return (y[0], y[1], y[2], y[3], y[4], y[5], *targets_with_k(y, p), 0.0, 0.0, 0.0)
+    """Physical state, target values of the integrals, counters."""
+    return (y[0], y[1], y[2], y[3], y[4], y[5], *target_values(y, p), 0.0, 0.0, 0.0)
 
 
 def leave(s: Floats, h: float, p: Floats) -> Floats:
-    """Omega and gamma."""
+    """Physical state: omega and gamma."""
     return (s[0], s[1], s[2], s[3], s[4], s[5])
 
 
@@ -86,57 +86,57 @@ def leave(s: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=False,
     conserves=CONSERVES,
     citation="Hairer, Lubich, Wanner, Geometric Numerical Integration, section IV.4 (projection methods)",
-    equations="y' = z - D(z) x with z = HK(y), the gradients D of gamma², 2l, E, k, and x such that all four are kept",
+    equations="y' = z - D(z) x, z = HK(y), D the gradients of gamma², 2l, E, k, and x such that all four are conserved",
     limits=LIMITS,
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """HK, then the shortest way back to the values that gamma², 2l, E and k had at the start.
+    """HK, followed by the shortest correction that restores the initial values of gamma², 2l, E and k.
 
-    Not self-adjoint. Where the four gradients are linearly dependent (degenerate tori, relative equilibria) as many
-    integrals are used as are independent; the step is never further from HK's than HK's from its start. The run
-    reports the corrections made, and the steps whose integrals were not all met.
+    Not self-adjoint. Where the four gradients are linearly dependent (degenerate tori, relative equilibria) only
+    independent integrals are used. A correction is never longer than HK's step. The numbers of corrections and of steps
+    that did not restore all four values are reported.
     """
     return Stepper(projected_step, 13, enter_projected, leave, COUNTERS)
 
 
-def added(y: Floats, v: Floats) -> Six:
-    """y + v."""
+def add(y: Floats, v: Floats) -> Floats6:
+    """Return y + v."""
     return (y[0] + v[0], y[1] + v[1], y[2] + v[2], y[3] + v[3], y[4] + v[4], y[5] + v[5])
 
 
-def halved(v: Floats) -> Six:
-    """v/2."""
+def half(v: Floats) -> Floats6:
+    """Return v/2."""
     return (0.5 * v[0], 0.5 * v[1], 0.5 * v[2], 0.5 * v[3], 0.5 * v[4], 0.5 * v[5])
 
 
-def column_of_k_sq(y: Floats, c: float) -> Four:
-    """The fourth column for k²/2, smooth everywhere, unlike that for k."""
+def k_sq_column(y: Floats, c: float) -> Floats4:
+    """Fourth column for k²/2, which unlike that for k is smooth everywhere."""
     x1, x2 = xi_of(y[0], y[1], y[3], y[4], c)
     return fourth_column(y[0], y[1], x1, x2, c)
 
 
 def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
-    """omega, gamma; the four values aimed at; the counters.
+    """One step on omega, gamma; the four target values; the counters.
 
-    The multipliers x are found by a simplified Newton iteration: with D of the old and of the new state, the integrals
-    of the new one change by (D^T D + D'^T D') x + O(h³).
+    The multipliers x are determined by a simplified Newton iteration: with D and D' at the old and the new state, the
+    integrals of the new state change by (D^T D + D'^T D') x + O(h³).
     """
     w1, w2, w3, g1, g2, g3, t1, t2, t3, t4, corrections, short, unmet, plain = s
     c = p[0]
     old = (w1, w2, w3, g1, g2, g3)
     size = sizes(old, c)
-    o1, o2, o3, o4, _, _ = with_k(old, c, (t1, t2, t3, t4))
+    o1, o2, o3, o4, _, _ = deviations(old, c, (t1, t2, t3, t4))
     four = t4 > VANISHING * size[2]
-    column = column_of_k_sq(old, c)
+    column = k_sq_column(old, c)
     m11, m12, m13, m14, m22, m23, m24, m33, m34, m44 = gram(old, c, column)
-    reach = min(1.0, REACH * (h * h) * size[2])
+    reach = min(1.0, MAX_CORRECTION * (h * h) * size[2])
     x1, x2, x3, x4 = 0.0, 0.0, 0.0, 0.0
     z: Floats = hk_kowalevski(old, h, p)
     first: Floats = z
-    limit = (reach * reach) * length_sq(moved(z, old))
-    new_column = column_of_k_sq(z, c)
+    limit = (reach * reach) * length_sq(subtract(z, old))
+    new_column = k_sq_column(z, c)
     n11, n12, n13, n14, n22, n23, n24, n33, n34, n44 = gram(z, c, new_column)
-    factors = factorized(
+    factors = factorize(
         (
             m11 + n11,
             m12 + n12,
@@ -157,27 +157,27 @@ def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
     cut = 0.0
     for i in range(SYMMETRIC_ROUNDS):
         if i > 0:
-            z = hk_kowalevski(added(old, combination(old, c, column, (x1, x2, x3, x4))), h, p)
-            # the new state's own gradients: each round makes what is left of them smaller by the size of x, O(h³)
-            new = added(z, combination(new, c, column_of_k_sq(new, c), (x1, x2, x3, x4)))
-            new = added(z, combination(new, c, column_of_k_sq(new, c), (x1, x2, x3, x4)))
-        # the integrals' changes by discrete gradients: their own round-off would be magnified near degenerate tori
-        e: Floats = moved(new, old)
-        r1, r2, r3, r4 = components(added(old, halved(e)), c, mean_column(old, e, c), e)
+            z = hk_kowalevski(add(old, combination(old, c, column, (x1, x2, x3, x4))), h, p)
+            # gradients at the new state, by fixed-point iteration: each pass reduces the error by a factor x = O(h³)
+            new = add(z, combination(new, c, k_sq_column(new, c), (x1, x2, x3, x4)))
+            new = add(z, combination(new, c, k_sq_column(new, c), (x1, x2, x3, x4)))
+        # changes of the integrals by discrete gradients, because round-off is magnified near degenerate tori
+        e: Floats = subtract(new, old)
+        r1, r2, r3, r4 = directional_derivatives(add(old, half(e)), c, mean_column(old, e, c), e)
         r1, r2, r3, r4 = r1 + o1, r2 + o2, r3 + o3, r4 + (t4 + 0.5 * o4) * o4
-        now = worst(r1, r2, r3, r4 / t4 if four else 0.0, size)
+        now = largest_deviation(r1, r2, r3, r4 / t4 if four else 0.0, size)
         if not now < off:
             break
         y, off = new, now
-        if off <= CLOSE:
+        if off <= SETTLED_CHANGES:
             break
-        e1, e2, e3, e4, out = solved(factors, (r1, r2, r3, r4), limit)
+        e1, e2, e3, e4, out = solve(factors, (r1, r2, r3, r4), limit)
         cut = max(cut, out)
         corrections += 1.0
         x1, x2, x3, x4 = x1 - e1, x2 - e2, x3 - e3, x4 - e4
     cut = min(cut, 1.0)
     if not four or not off <= MET:
-        y, more, cut, missed = onto(first, limit, c, (t1, t2, t3, t4))
+        y, more, cut, missed = project(first, limit, c, (t1, t2, t3, t4))
         corrections += more
         unmet += missed
         plain += 1.0
@@ -185,7 +185,7 @@ def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def enter_symmetric(y: Floats, h: float, p: Floats) -> Floats:
-    """The physical state with the values of its integrals, and the counters at zero."""
+    """Physical state, target values of the integrals, counters."""
     return (*enter_projected(y, h, p), 0.0)
 
 
@@ -198,14 +198,14 @@ def enter_symmetric(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     conserves=CONSERVES,
     citation="Hairer 2000 (symmetric projection methods)",
-    equations="y' = HK(y + D(y) x) + D(y') x, D the gradients of gamma², 2l, E, k², and x such that all four are kept",
+    equations="y' = HK(y + D(y) x) + D(y') x, D the gradients of gamma², 2l, E, k², x such that all are conserved",
     limits=LIMITS,
 )
 def build_symmetric(top: Top, options: NoOptions) -> Stepper:
-    """HK between two shifts along the gradients of gamma², 2l, E and k², off their surface and back onto it.
+    """HK between two shifts along the gradients of gamma², 2l, E and k², away from their level set and back to it.
 
-    Its own inverse under h -> -h, because HK is. For k = 0 (Delone's motion), and where the iteration does not meet the
-    four values, the step is hk-projected's. The run reports the corrections made, the steps that did not meet all four
-    values, and the plain projections.
+    Self-adjoint, because HK is. For k = 0 (Delone's motion), and if the iteration does not restore the four values, the
+    step is that of hk-projected. The numbers of corrections, of steps that did not restore all four values, and of
+    non-symmetric projections are reported.
     """
     return Stepper(symmetric_step, 14, enter_symmetric, leave, (*COUNTERS, "plain_projections"))

@@ -1,1 +1,1 @@
-"""Schemes and closed forms of the Lagrange top."""
+"""Schemes and closed-form solutions for the Lagrange top."""

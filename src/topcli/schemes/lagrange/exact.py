@@ -1,16 +1,16 @@
-"""The Lagrange top in closed form: its motion, and the nutation under the HK and the BS map.
+"""Closed-form motion of the Lagrange top.
 
-Everything rests on one motion, that of m' = nu p x a, a' = m x a, with p = e_z: the inertial form has nu = 1, and the
-body frame is the same with m = -omega, a = gamma in a frame that turns by alpha omega3 about the axis. With P = m.p,
-S = m.a, N = a², E = m²/2 + nu u, the nutation u = a.p moves by
+Both forms reduce to the system m' = nu p x a, a' = m x a with p = e_z. The inertial form has nu = 1; the body form is
+the same with m = -omega, a = gamma in a frame that rotates by alpha omega3 about the axis. With P = m.p, S = m.a,
+N = a², E = m²/2 + nu u, the nutation u = a.p satisfies
 
     u'² = 2 (E - nu u)(N - u²) - S² - N P² + 2 S P u.
 
 The angle of the horizontal part of a, with chi' = (N P - S u)/(N - u²), or of m, with theta' = nu (S - P u)/(2 E -
-2 nu u - P²), is the integral of a periodic analytic function, whose Fourier series is summed until it has converged
-to round-off; of the two the one whose denominator stays further from zero is taken, and the other vector follows from
-it without a second integral. Not covered: motions asymptotic to the upright one, and motions that are planar to within
-about 1e-4 but not exactly: their angles turn by almost half a turn at once. They are refused.
+2 nu u - P²), is the integral of a periodic analytic function, whose Fourier series is summed until it converges to
+round-off. Of the two angles, the one whose denominator stays further from zero is used; the other vector then follows
+without a second integral. Two kinds of motion are refused: those asymptotic to the upright position, and those that are
+planar to within about 1e-4 but not exactly, whose angles change by almost half a revolution in a very short time.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.lagrange.oscillation import TURN, Oscillation, oscillation
 from topcli.schemes.registry import scheme
-from topcli.tops.lagrange import Lagrange
 
 MAX_SAMPLES = 1 << 15
 _NOTHING = 1e-26
-"""Squares below this, relative to the largest, are zeros left over from decimal arithmetic."""
+"""Squares below this, relative to the largest, are zeros with rounding errors of the decimal arithmetic."""
 
 
 def _dot(x: Sequence[Decimal], y: Sequence[Decimal]) -> Decimal:
@@ -41,14 +40,14 @@ def _dot(x: Sequence[Decimal], y: Sequence[Decimal]) -> Decimal:
 
 
 def _least(low: Decimal, high: Decimal) -> float:
-    """The smaller of two squares relative to the larger, zero when it is nothing but rounding."""
+    """Ratio of the smaller to the larger of two squares; zero if it is only round-off."""
     small, large = min(low, high), max(low, high)
     return float(small / large) if large > 0 and small > large * Decimal(_NOTHING) else 0.0
 
 
 @dataclass(frozen=True)
 class _Constants:
-    """What the geometry of one motion needs, rounded once; pairs are the values where u is lowest and highest."""
+    """Constants of one motion, rounded once; pairs are the values at the minimum and the maximum of u."""
 
     nutation: Oscillation
     nu: float
@@ -61,30 +60,30 @@ class _Constants:
     up: tuple[float, float]
     """sqrt(N) - u."""
     momentum: tuple[float, float]
-    """The square of the horizontal part of m, 2 (E - nu u) - P²."""
+    """Square of the horizontal part of m, 2 (E - nu u) - P²."""
     axis_turn: tuple[float, float]
     """N P - S u."""
     momentum_turn: tuple[float, float]
     """S - P u."""
     axis_least: float
     momentum_least: float
-    """The least square of the horizontal part of a, and of m, relative to the largest."""
+    """Smallest square of the horizontal part of m, relative to the largest; ``axis_least`` is the same for a."""
 
     def squares(self, rise: Array, fall: Array) -> tuple[Array, Array]:
-        """The squares of the horizontal parts of a and m: sums and products of terms that are not negative."""
+        """Squares of the horizontal parts of a and m, as sums and products of non-negative terms."""
         axis = (self.up[1] + fall) * (self.down[0] + rise)
         if self.nu > 0.0:
             return axis, self.momentum[1] + 2.0 * self.nu * fall
         return axis, self.momentum[0] - 2.0 * self.nu * rise
 
     def turns(self, rise: Array, fall: Array) -> tuple[Array, Array]:
-        """N P - S u and S - P u, from the nearer end."""
+        """N P - S u and S - P u, computed from the nearer turning point."""
         near = rise < fall
         axis = np.where(near, self.axis_turn[0] - self.S * rise, self.axis_turn[1] + self.S * fall)
         return axis, np.where(near, self.momentum_turn[0] - self.P * rise, self.momentum_turn[1] + self.P * fall)
 
     def heights(self, rise: Array, fall: Array) -> Array:
-        """u, from the nearer end."""
+        """u, computed from the nearer turning point."""
         return np.where(rise < fall, self.lower + rise, self.upper - fall)
 
 
@@ -127,13 +126,13 @@ def _constants(y0: Floats, h: float, nu: float) -> _Constants:
 
 @dataclass(frozen=True)
 class _Angle:
-    """An angle whose rate has the period of the nutation: mean rate per step, and the series of the rest."""
+    """Angle whose rate has the period of the nutation: mean rate per step, and Fourier series of the periodic part."""
 
     mean: float
     harmonics: NDArray[np.complex128]
 
     def periodic(self, phase: NDArray[np.uint64]) -> Array:
-        """The periodic part at the phases (m,)."""
+        """Periodic part at the phases (m,)."""
         z = np.exp(phase.view(np.int64) * (4j * math.pi / TURN))
         total: NDArray[np.complex128] = np.zeros(len(z), dtype=np.complex128)
         for coefficient in self.harmonics[::-1]:
@@ -150,7 +149,7 @@ def _rate(c: _Constants, by_axis: bool, phase: NDArray[np.uint64]) -> Array:
 
 @lru_cache(maxsize=64)
 def _angle(c: _Constants, by_axis: bool, h: float) -> _Angle:
-    """The integral of the rate by the trapezoidal rule on ever more samples; ValueError when there are too many."""
+    """Integral of the rate by the trapezoidal rule, doubling the number of samples; raise ValueError at the limit."""
     samples = 32
     while samples <= MAX_SAMPLES:
         phase = np.arange(samples, dtype=np.uint64) * np.uint64(TURN // 2 // samples)
@@ -164,18 +163,18 @@ def _angle(c: _Constants, by_axis: bool, h: float) -> _Angle:
             kept = np.flatnonzero(np.abs(harmonics) > 0.01 * round_off)
             return _Angle(float(series[0].real) * h, harmonics[: kept[-1] + 1 if len(kept) else 0])
         samples *= 2
-    raise ValueError("the axis and the angular momentum both pass too close to the vertical, in almost planar motion")
+    raise ValueError("almost planar motion: both the axis and the angular momentum pass too close to the vertical")
 
 
 def _motion(y0: Floats, h: float, n: NDArray[np.int64], nu: float) -> Array:
-    """(m, a) after n steps (m,): the solution of m' = nu p x a, a' = m x a from ``y0``, shape (m, 6)."""
+    """Solution (m, a) of m' = nu p x a, a' = m x a from ``y0`` after n steps (m,), shape (m, 6)."""
     c = _constants(y0, h, nu)
     phase, begin = c.nutation.phases(n), c.nutation.phases(np.zeros(1, dtype=np.int64))
     rise, fall, rate, sn, cn = c.nutation.at(phase)
     axis_sq, momentum_sq = c.squares(rise, fall)
     axis_now, momentum_now = complex(y0[3], y0[4]), complex(y0[0], y0[1])
     if c.axis_least == c.momentum_least == 0.0:
-        # at rest upright, or swinging in a plane: the horizontal parts keep their lines and change their signs
+        # at rest upright, or planar motion: the horizontal parts stay on a line and change sign
         first, second = (sn, cn) if nu > 0.0 else (cn, sn)
         _, _, _, sn0, cn0 = c.nutation.at(begin)
         sign0, other0 = (sn0[0], cn0[0]) if nu > 0.0 else (cn0[0], sn0[0])
@@ -201,9 +200,9 @@ def _motion(y0: Floats, h: float, n: NDArray[np.int64], nu: float) -> Array:
 
 
 def inertial_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-    """The motion of the inertial form after n steps (m,) from ``y0`` (6,), shape (m, 6).
+    """States (m, 6) of the inertial form after n steps (m,) from ``y0`` (6,).
 
-    Raises RunError for a motion that has no closed form here (see the module).
+    Raises RunError for a motion that is not covered (see the module docstring).
     """
     try:
         return _motion(tuple(map(float, y0)), float(h), n, float(p[0]))
@@ -212,10 +211,10 @@ def inertial_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Arr
 
 
 def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-    """The motion of the body form after n steps (m,) from ``y0`` (6,), shape (m, 6); ``p`` as the top gives it.
+    """States (m, 6) of the body form after n steps (m,) from ``y0`` (6,); ``p`` are the constants of the top.
 
-    In a frame that turns by alpha omega3 about the axis, m = -omega and a = gamma move as in the inertial frame, but
-    with (1 - alpha) omega3 for omega3. Raises RunError as ``inertial_states`` does.
+    In a frame that rotates by alpha omega3 about the axis, m = -omega and a = gamma satisfy the equations of the
+    inertial frame with (1 - alpha) omega3 in place of omega3. Raises RunError like ``inertial_states``.
     """
     alpha, nu = float(p[0]), float(p[1])
     w1, w2, s, *gamma = map(float, y0)
@@ -230,74 +229,10 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     return np.column_stack([omega.real, omega.imag, np.full(len(n), s), vertical.real, vertical.imag, found[:, 5]])
 
 
-def nutation_bs(y0: Sequence[float], h: float, n: NDArray[np.int64]) -> Array:
-    """The nutation a.p of the BS map (Sogo, L1, L2) after n steps (m,) from (m, a) = ``y0`` (6,), in closed form.
-
-    With D = (a x m).p and E the map's own energy, Y = D + h (N - u²)/2 obeys Y² = 2 (E - u)(N - u²) - S² - N P² +
-    2 S P u + h² (N - u²)²/4, and a step is a translation on that elliptic curve. Raises ValueError where the motion has
-    no period.
-    """
-    with localcontext() as context:
-        context.prec = DIGITS
-        m, a, H = [Decimal(float(v)) for v in y0[:3]], [Decimal(float(v)) for v in y0[3:]], Decimal(h)
-        P, S, N, u = m[2], _dot(m, a), _dot(a, a), a[2]
-        D = a[0] * m[1] - a[1] * m[0]
-        E = _dot(m, m) / 2 + u + H * D / 2
-        k = H * H / 4
-        q = [k, Decimal(2), -2 * E - 2 * k * N, 2 * S * P - 2 * N, 2 * E * N - S * S - N * P * P + k * N * N]
-        moved = oscillation(q, u, H * (D + H * (N - u * u) / 2) <= 0, -N.sqrt(), None)
-    return _sampled(moved, n)
-
-
-def nutation_hk(top: Lagrange, y0: Sequence[float], h: float, n: NDArray[np.int64]) -> Array:
-    """The nutation gamma3 of the HK map after n steps (m,) from (omega, gamma) = ``y0`` (6,), in closed form.
-
-    With u, v, r (scaled |omega|², omega.gamma and |gamma|² of the horizontal parts) quadratic polynomials c, b, a of
-    z = (h/2)² nu gamma3 (Kimura, Hirota 2000), (h/2)³ nu (omega2 gamma1 - omega1 gamma2) is a root of c a - b², and a
-    step is a translation on that elliptic curve. Raises ValueError for mu = 0 and where the motion has no period.
-    """
-    if top.mu == 0.0:
-        raise ValueError("nutation_hk: mu = 0 is the free top, whose nutation under HK is not elliptic")
-    with localcontext() as context:
-        context.prec = DIGITS
-        w1, w2, s, g1, g2, g3 = (Decimal(float(v)) for v in y0)
-        A, C, d = Decimal(top.A), Decimal(top.C), Decimal(h) / 2
-        K, S, f = d * (A - C) / A * s, d * s, d * d * Decimal(top.mu) / A
-        u, v, r = d * d * (w1 * w1 + w2 * w2), d * f * (w1 * g1 + w2 * g2), f * f * (g1 * g1 + g2 * g2)
-        z, T, KK = f * g3, 1 + K * S, 1 + K * K
-        y = z + K * S - 1
-        J = (v + K * u + K + S) / y
-        R = y * r + 2 * v * (K * z + S * KK) + u * ((K * K - 1) * z + KK * T) + (z + T) * (y * y + (K + S) ** 2)
-        c2 = y * (1 + u + J * J) / R
-        c1, b1, b2, a2 = 2 * T * c2, J - 2 * K * T * c2, -K * c2, KK * c2
-        a1 = 2 + 2 * T * (1 - K * K) * c2 - 2 * K * b1
-        c0, b0, a0 = u - c1 * z - c2 * z * z, v - b1 * z - b2 * z * z, r - a1 * z - a2 * z * z
-        q = [
-            c2 * a2 - b2 * b2,
-            c2 * a1 + c1 * a2 - 2 * b2 * b1,
-            c2 * a0 + c1 * a1 + c0 * a2 - 2 * b2 * b0 - b1 * b1,
-            c1 * a0 + c0 * a1 - 2 * b1 * b0,
-            c0 * a0 - b0 * b0,
-        ]
-        if not a2 < 0:
-            raise ValueError(f"nutation_hk: the step h = {h!r} is too large for this motion")
-        # in gamma3 itself; where gamma1² + gamma2² vanishes Q = -b² <= 0
-        q = [c * f ** (2 - i) for i, c in enumerate(q)]
-        width = (a1 * a1 - 4 * a2 * a0).sqrt()
-        low = min((-a1 - width) / (2 * a2 * f), (-a1 + width) / (2 * a2 * f))
-        moved = oscillation(q, g3, (w2 * g1 - w1 * g2) * d >= 0, low, None)
-    return _sampled(moved, n)
-
-
-def _sampled(moved: Oscillation, n: NDArray[np.int64]) -> Array:
-    rise, fall, *_ = moved.at(moved.phases(n))
-    return np.where(rise < fall, float(moved.lower) + rise, float(moved.upper) - fall)
-
-
 @scheme(
     "exact",
     top="lagrange",
-    title="closed form by elliptic functions",
+    title="Closed form by elliptic functions",
     order=None,
     explicit=True,
     self_adjoint=True,
@@ -305,14 +240,14 @@ def _sampled(moved: Oscillation, n: NDArray[np.int64]) -> Array:
     citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
     equations="(Euler), (Poisson) with A = B, x0 = y0 = 0",
     limits={
-        "sleeping-threshold": "Asymptotic to the upright top, or within 1e-6 of it at the edge of stability, the "
-        "period is infinite or too long to resolve; such motions are refused.",
+        "sleeping-threshold": "For motions asymptotic to the upright top, or within 1e-6 of it at the stability limit, "
+        "the period is infinite or too long to resolve; such motions are refused.",
     },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """gamma3 by Jacobi functions, the angle by the Fourier series of its rate; to round-off at any time.
+    """gamma3 by Jacobi functions, the angle by the Fourier series of its rate; accurate to round-off at any time.
 
-    Motions asymptotic to the upright top have no period and are refused, and so are almost planar ones.
+    Motions asymptotic to the upright top, which are not periodic, and almost planar motions are refused.
     """
     return Sampler(body_states)
 
@@ -320,7 +255,7 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
 @scheme(
     "exact",
     top="lagrange/inertial",
-    title="closed form by elliptic functions",
+    title="Closed form by elliptic functions",
     order=None,
     explicit=True,
     self_adjoint=True,
@@ -329,8 +264,8 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     equations="m' = p x a, a' = m x a",
 )
 def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
-    """a.p by Jacobi functions, the precession by the Fourier series of its rate; to round-off at any time.
+    """a·p by Jacobi functions, the precession by the Fourier series of its rate; accurate to round-off at any time.
 
-    Motions asymptotic to the upright top have no period and are refused, and so are almost planar ones.
+    Motions asymptotic to the upright top, which are not periodic, and almost planar motions are refused.
     """
     return Sampler(inertial_states)

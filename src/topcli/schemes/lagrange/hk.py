@@ -1,8 +1,8 @@
-"""The scheme of Hirota and Kimura (Kahan's method) for the Lagrange top: a 6x6 linear system, solved in closed form.
+"""Hirota-Kimura (Kahan) step of the Lagrange top: a 6x6 linear system, solved in closed form.
 
 With d = h/2, alpha = (A - C)/A = ``p[0]``, nu = mg z0/A = ``p[1]``, s = omega3, k = alpha s and complex numbers
 w = omega1 + i omega2, g = gamma1 + i gamma2, the discrete equations (Sogo, dEulerPoisson with A = B, x0 = y0 = 0,
-last sign corrected) leave s as it is and are linear in the changes X of w, Y of g and y of gamma3:
+last sign corrected) leave s unchanged and are linear in the changes X of w, Y of g and y of gamma3:
 
     X = -i d (k (2 w + X) + nu (2 g + Y))
     Y = -i d s (2 g + Y) + i d (2 gamma3 w + y w + gamma3 X)
@@ -10,17 +10,17 @@ last sign corrected) leave s as it is and are linear in the changes X of w, Y of
 
 Write K = d k, S = d s, z = d**2 nu gamma3, D = (1 + iS)(1 + iK) - z. Then
 
-1. the first gives X (1 + iK) = -i (2 K w + d nu (2 g + Y));
-2. put into the second, D Y = P + y Q with P = 2 ((z + S K - i S) g + i d gamma3 w), Q = i d (1 + iK) w;
-3. put into the third, y (1 - d Im(Q V/D)) = d Im(2 conj(g) w + conj(g) X0 + P V/D), where X = X0 + X1 Y and
-   V = conj(g) X1 - conj(w). Multiplied by |D|**2 so that both divisions run at the same time, and with
+1. the first equation gives X (1 + iK) = -i (2 K w + d nu (2 g + Y));
+2. inserted into the second, D Y = P + y Q with P = 2 ((z + S K - i S) g + i d gamma3 w), Q = i d (1 + iK) w;
+3. inserted into the third, y (1 - d Im(Q V/D)) = d Im(2 conj(g) w + conj(g) X0 + P V/D), where X = X0 + X1 Y and
+   V = conj(g) X1 - conj(w). This is multiplied by |D|**2, so that both divisions are independent, and
    Im(2 conj(g) w + conj(g) X0) = 2 (Im(conj(g) w) - K Re(conj(g) w) - d nu |g|**2)/(1 + K**2).
 
-X and Y are linear in y: what each needs beside it is ready before y is, and then one operation is waited for.
+X and Y are linear in y: their coefficients are computed before y is known, and then one operation remains.
 
-S and K are the same in every step, and so are the rounding errors of what is computed from them alone: they would add
-up as N and not as its square root. Hence S + K is made exact, and 1/(1 + K**2) and S K carry their errors along; all
-of that is computed once, before the loop.
+S and K are the same in every step, and so are the rounding errors of expressions in S and K alone; they would grow as N
+instead of sqrt(N). Hence S + K is made exact, and 1/(1 + K**2) and S K are used with their rounding errors. The
+compiler moves these computations out of the loop.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ import numpy as np
 
 from topcli.arithmetic.double_double import two_prod, two_sum
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import carried_sum, first6
+from topcli.arithmetic.increments import compensated_sum, first6
 from topcli.contracts import Array, Floats, Invariant, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, compensation_wanted
-from topcli.schemes.counting import NEAR_SINGULAR, counting, small_determinant
+from topcli.schemes.compensated import CompensatedOption, is_compensated
+from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
 
 
 def pivot(state: Floats, h: float, p: Floats) -> Floats:
-    """What y is divided by, with |D|**2, and what else depends on the state and is used again.
+    """Divisor in the equation for y, and the intermediate results shared with the rest of the step.
 
-    Returns the divisor, DD, b, S, K, 1/(1 + K**2) and its low part, D1, D2, V1, V2, T1, T2.
+    Returns the divisor, |D|**2, b, S, K, 1/(1 + K**2) and its low part, D1, D2, V1, V2, T1, T2.
     """
     w1, w2, s, g1, g2, g3 = state
     d = 0.5 * h
     f = d * p[1]
 
-    # of omega3 alone
+    # functions of omega3 only
     K = d * (p[0] * s)
     D2 = d * s + K
     S = D2 - K
@@ -60,7 +60,7 @@ def pivot(state: Floats, h: float, p: Floats) -> Floats:
     rq_low = rq * (((1.0 - one) - one_low) - rq * (q_low + kk_low))
     F = f * rq
 
-    # D, and P/2 with the same b, so that D + P/(2 g) = 1 + iK where w = 0; Q/2; 2 d V
+    # D and P/2 use the same b, so that D + P/(2 g) = 1 + iK for w = 0; then Q/2 and 2 d V
     b = fma(d * f, g3, sk_low) + sk
     D1 = 1.0 - b
     DD = fma(D1, D1, D2 * D2)
@@ -69,16 +69,16 @@ def pivot(state: Floats, h: float, p: Floats) -> Floats:
     Q2 = half * fma(-K, w2, w1)
     V1 = h * fma(-F, fma(K, g1, g2), -w1)
     V2 = h * fma(F, fma(K, g2, -g1), w2)
-    # conj(D) Q/2, and what y and Y are divided by
+    # conj(D) Q/2, then the divisor of y
     T1 = fma(Q1, D1, Q2 * D2)
     T2 = fma(Q2, D1, -(Q1 * D2))
     return (fma(-T1, V2, fma(-T2, V1, DD)), DD, b, S, K, rq, rq_low, D1, D2, V1, V2, T1, T2)
 
 
 def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float]:
-    """The change of omega1, omega2 and gamma in one HK step; omega3 has none.
+    """Change of omega1, omega2 and gamma in one HK step; omega3 is constant.
 
-    Singular, hence not finite, only for steps far beyond any use.
+    The system is singular only for step sizes far too large to be useful.
     """
     w1, w2, _, g1, g2, g3 = state
     d = 0.5 * h
@@ -117,31 +117,31 @@ def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float
 
 
 def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:
-    """The HK step from (omega, gamma)."""
+    """HK step of (omega, gamma)."""
     w1, w2, w3, g1, g2, g3 = state
     x1, x2, y1, y2, y3 = hk_lagrange_change(state, h, p)
     return (w1 + x1, w2 + x2, w3, g1 + y1, g2 + y2, g3 + y3)
 
 
 def hk_lagrange_compensated(s: Floats, h: float, p: Floats) -> Floats:
-    """The HK step with what the sums have lost: of omega1, omega2 and gamma, for omega3 is handed on as it is."""
+    """Compensated HK step; the state is followed by the rounding errors of omega1, omega2 and gamma."""
     w1, w2, w3, g1, g2, g3, e1, e2, e4, e5, e6 = s
     x1, x2, y1, y2, y3 = hk_lagrange_change((w1, w2, w3, g1, g2, g3), h, p)
-    w1, e1 = carried_sum(w1, e1, x1)
-    w2, e2 = carried_sum(w2, e2, x2)
-    g1, e4 = carried_sum(g1, e4, y1)
-    g2, e5 = carried_sum(g2, e5, y2)
-    g3, e6 = carried_sum(g3, e6, y3)
+    w1, e1 = compensated_sum(w1, e1, x1)
+    w2, e2 = compensated_sum(w2, e2, x2)
+    g1, e4 = compensated_sum(g1, e4, y1)
+    g2, e5 = compensated_sum(g2, e5, y2)
+    g3, e6 = compensated_sum(g3, e6, y3)
     return (w1, w2, w3, g1, g2, g3, e1, e2, e4, e5, e6)
 
 
 def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
-    """The physical state, nothing lost yet."""
+    """Physical state followed by zeros, the compensation terms."""
     return (*y, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def lagrange_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """What ``hk_lagrange`` divides by to find the change of gamma3; ``p`` is ((A - C)/A, mg z0/A)."""
+    """Divisor of ``hk_lagrange`` in the equation for the change of gamma3, and the size of its terms."""
     value, DD, _, _, _, _, _, _, _, _, _, _, _ = pivot(
         (state[0], state[1], state[2], state[3], state[4], state[5]), h, p
     )
@@ -149,11 +149,12 @@ def lagrange_determinant(state: Floats, h: float, p: Floats) -> tuple[float, flo
 
 
 def hk_corrections(top: Lagrange, h: float, y: Array) -> tuple[Array, Array, Array]:
-    """What HK's own integrals add to gamma², m·gamma and E at states ``y`` (n, 6): three arrays (n,), of size h².
+    """Differences of the integrals of the HK map from gamma², m·gamma and E at states ``y`` (n, 6): three arrays (n,).
 
-    They follow from the conserved J = (v + K u + K + S)/y, c2 and c0 of Kimura and Hirota (2000) with all that
-    cancels for small h or small mu taken out by hand: with d = h/2, W = k (omega1, omega2) + nu (gamma1, gamma2),
-    q = nu gamma3 + k s and H = (omega1, omega2).W + (k + s) q, c2 + 1 = d^4 y (N + (d H/y)²)/R, N = |W|² + q².
+    They are of size h² and follow from the conserved quantities J = (v + K u + K + S)/y, c2 and c0 of Kimura and Hirota
+    (2000), rearranged to avoid cancellation for small h or small mu. With d = h/2,
+    W = k (omega1, omega2) + nu (gamma1, gamma2), q = nu gamma3 + k s and H = (omega1, omega2).W + (k + s) q,
+    c2 + 1 = d^4 y (N + (d H/y)²)/R, N = |W|² + q².
     """
     alpha, nu = top.constants()
     d = 0.5 * h
@@ -176,7 +177,7 @@ def hk_corrections(top: Lagrange, h: float, y: Array) -> tuple[Array, Array, Arr
         + (z + 1.0 + KS) * (Y * Y + (K + S) ** 2)
     )
     eps = d**4 * Y * (N + (d * H / Y) ** 2) / R
-    # the linear coefficient of gamma1² + gamma2² as a polynomial in gamma3, by powers of d²
+    # linear coefficient of gamma1² + gamma2² as a polynomial in gamma3, in powers of d²
     a4 = gW + Z * (q - k * k)
     a6 = (
         (V + Z * s) * wW
@@ -201,14 +202,14 @@ def hk_corrections(top: Lagrange, h: float, y: Array) -> tuple[Array, Array, Arr
 
 
 def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[Invariant, ...]:
-    """gamma², m·gamma and E with HK's own corrections, conserved exactly by the map at this h."""
+    """gamma², m·gamma and E with the corrections of the HK map, which conserves them exactly for this h."""
 
     def made(index: int, plain: Invariant) -> Invariant:
         return Invariant(
             f"modified_{plain.name}",
             f"{plain.symbol} mod",
             rf"\widetilde{{{plain.tex}}}",
-            f"{plain.meaning}, as the HK map conserves it",
+            f"{plain.meaning}, modified: conserved by the HK map",
             lambda y: plain.value(y) + hk_corrections(top, h, y)[index],
             lambda y: plain.scale(y) + np.abs(hk_corrections(top, h, y)[index]),
         )
@@ -233,10 +234,10 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
 def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form.
 
-    omega3 is conserved bit for bit. gamma², m·gamma and E are not, but each is by O(h²) from an integral of the map
-    itself: the modified integrals, exact at every h. The map is integrable.
+    omega3 is conserved bit for bit. gamma², m·gamma and E are not conserved, but each differs by O(h²) from a modified
+    integral, which the map conserves exactly for every h. The map is integrable.
     """
     made = Stepper(hk_lagrange, 6)
-    if compensation_wanted(options):
+    if is_compensated(options):
         made = Stepper(hk_lagrange_compensated, 11, enter_compensated, first6, checked=6)
-    return counting(made, NEAR_SINGULAR, small_determinant(lagrange_determinant))
+    return with_counter(made, NEAR_SINGULAR, small_determinant(lagrange_determinant))

@@ -1,9 +1,9 @@
-"""Motion of x with (dx/dt)² = Q(x), Q a polynomial of degree at most four, between two simple roots: its closed form.
+"""Closed-form solution of (dx/dt)² = Q(x) between two simple roots of Q, a polynomial of degree at most four.
 
-The constants of the motion (invariants, roots, periods, phases) are computed once, in decimal arithmetic of
+The constants of the motion (invariants, roots, periods, phases) are computed once, in decimal arithmetic with
 ``DIGITS`` digits, so that nearly equal roots cost no accuracy; the elliptic functions are then evaluated in doubles at
-phases that are reduced exactly. The form is that of Biermann and Weierstrass (Whittaker and Watson, section 20.6): with
-r the root from which the motion rises,
+phases that are reduced exactly. The formula is that of Biermann and Weierstrass (Whittaker and Watson, section 20.6):
+with the root r from which the motion rises,
 
     x(t) = r + (Q'(r)/4)/(wp(t) - Q''(r)/24),    g2 = a0 a4 - 4 a1 a3 + 3 a2²,
     g3 = a0 a2 a4 + 2 a1 a2 a3 - a2³ - a0 a3² - a1² a4,    Q = a0 x⁴ + 4 a1 x³ + 6 a2 x² + 4 a3 x + a4.
@@ -22,11 +22,11 @@ from topcli.arithmetic.elliptic import DIGITS, carlson_rf
 from topcli.contracts import Array
 
 TURN = 1 << 64
-"""Phases are whole numbers of 2^-64 turns, a turn being the period 4K of sn, two periods of x: they wrap exactly."""
+"""Phases are integers in units of 2^-64 of the period 4K of sn, which is two periods of x; they wrap exactly."""
 
 
 def horner(q: Sequence[Decimal], x: Decimal) -> Decimal:
-    """The polynomial with coefficients ``q``, highest degree first, at x."""
+    """Value at x of the polynomial with coefficients ``q``, highest degree first."""
     value = q[0]
     for coefficient in q[1:]:
         value = value * x + coefficient
@@ -34,20 +34,20 @@ def horner(q: Sequence[Decimal], x: Decimal) -> Decimal:
 
 
 def derivative(q: Sequence[Decimal]) -> list[Decimal]:
-    """The coefficients of the derivative."""
+    """Coefficients of the derivative of the polynomial with coefficients ``q``."""
     return [c * (len(q) - 1 - i) for i, c in enumerate(q[:-1])]
 
 
 def cubic_roots(g2: Decimal, g3: Decimal) -> tuple[Decimal, Decimal, Decimal]:
-    """The roots e1 >= e2 >= e3 of 4 e³ - g2 e - g3, all real, to ``DIGITS`` digits (half of them if nearly double).
+    """Real roots e1 >= e2 >= e3 of 4 e³ - g2 e - g3, to ``DIGITS`` digits, or half as many for nearly double roots.
 
-    Raises ValueError when they are not all real.
+    Raises ValueError if the roots are not all real.
     """
     if not g2 > 0 or (27 * g3 * g3 - g2**3) > g2**3 * Decimal(10) ** (6 - DIGITS):
         raise ValueError("oscillation: the cubic has complex roots")
 
     def outer(start: Decimal) -> Decimal:
-        x = start  # beyond the root, where Newton's iteration is monotone
+        x = start  # beyond the root, where Newton's method is monotone
         for _ in range(300):
             slope = 12 * x * x - g2
             step = (4 * x**3 - g2 * x - g3) / slope if slope > 0 else Decimal(0)
@@ -62,10 +62,10 @@ def cubic_roots(g2: Decimal, g3: Decimal) -> tuple[Decimal, Decimal, Decimal]:
 
 
 def jacobi(u: Array, kc2: float) -> tuple[Array, Array, Array]:
-    """sn, cn, dn at real ``u`` (n,), |u| of the order of a period, from kc2 = 1 - k² in (0, 1].
+    """Jacobi's sn, cn, dn at real ``u`` (n,), |u| of the order of a period, from kc2 = 1 - k² in (0, 1].
 
-    Descending Landen transformation started from the complementary modulus (Bulirsch, Numer. Math. 7, 1965), which
-    keeps its digits where k is nearly 1.
+    Descending Landen transformation in terms of the complementary modulus (Bulirsch, Numer. Math. 7, 1965), which is
+    accurate for k close to 1.
     """
     emc, a, d = kc2, 1.0, np.ones_like(u)
     ratios, moduli = [], []
@@ -99,10 +99,10 @@ def jacobi(u: Array, kc2: float) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True)
 class Oscillation:
-    """One motion, sampled at equal steps: what ``oscillation`` found; phases in units of 2^-64 turns.
+    """Periodic motion sampled at equal steps, the result of ``oscillation``; phases in units of 2^-64 periods of sn.
 
-    ``lower`` and ``upper`` are the turning points; ``gap`` is their difference, which is 0 for a resting x. With
-    s = sn, x - lower = gap s² (1 + bend)/(1 + bend s²).
+    ``lower`` and ``upper`` are the turning points; ``gap`` is their difference, 0 if x is at rest. With s = sn,
+    x - lower = gap s² (1 + bend)/(1 + bend s²).
     """
 
     lower: Decimal
@@ -111,20 +111,20 @@ class Oscillation:
     bend: float
     """(e3 - Q''(r)/24)/(e1 - e3)."""
     kc2: float
-    """The complementary parameter (e1 - e2)/(e1 - e3)."""
+    """Complementary parameter (e1 - e2)/(e1 - e3)."""
     quarter: float
-    """The quarter period K of sn."""
+    """Quarter period K of sn."""
     period: float
-    """The period of x in time."""
+    """Period of x in time."""
     start: int
     step: int
 
     def phases(self, n: NDArray[np.int64]) -> NDArray[np.uint64]:
-        """The phases after n (m,) steps, n of either sign."""
+        """Phases after n (m,) steps, n of either sign."""
         return np.uint64(self.start) + n.astype(np.int64).view(np.uint64) * np.uint64(self.step)
 
     def at(self, phase: NDArray[np.uint64]) -> tuple[Array, Array, Array, Array, Array]:
-        """x - lower, upper - x, dx/dt, sn and cn at the phases (m,); the first two free of cancellation."""
+        """x - lower, upper - x, dx/dt, sn and cn at the phases (m,); the first two without cancellation."""
         if self.gap == 0.0:
             still = np.zeros(len(phase))
             return still, still, still, still, still + 1.0
@@ -137,11 +137,11 @@ class Oscillation:
 
 
 def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, step: Decimal | None) -> Oscillation:
-    """The motion with (dx/dt)² = Q(x) from ``x0``, rising or falling, sampled every ``step`` of time.
+    """Motion with (dx/dt)² = Q(x) from ``x0``, rising or falling, sampled at intervals ``step`` of time.
 
-    ``q`` holds five coefficients, the highest first; Q(x0) >= 0, Q(low) <= 0, and there is one root between them.
-    ``step`` None is the step by which a map with the biquadratic invariant of Q moves: wp(step) = (a1² - a0 a2)/a0.
-    Raises ValueError for a motion that has no period (asymptotic to a resting one) or does not fit what is said.
+    ``q`` contains five coefficients, highest degree first; Q(x0) >= 0, Q(low) <= 0, with one root between x0 and low.
+    If ``step`` is None, it is the step of a map with the biquadratic invariant of Q: wp(step) = (a1² - a0 a2)/a0.
+    Raises ValueError if the motion is not periodic (asymptotic to rest) or these conditions are violated.
     """
     with localcontext() as context:
         context.prec = DIGITS
@@ -157,13 +157,13 @@ def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, s
             a0 * a2 * a4 + 2 * a1 * a2 * a3 - a2**3 - a0 * a3 * a3 - a1 * a1 * a4,
         )
         if not e1 - e2 > abs(e1) * Decimal(10) ** (8 - DIGITS // 2):
-            raise ValueError("oscillation: the motion tends to rest and has no period; it has no closed form here")
+            raise ValueError("oscillation: the motion is asymptotic to rest and not periodic, which is not supported")
         r = x0 if abs(here) <= tiny * size and tilt > 0 else _root_between(q, low, x0)
         scale, c = horner(slope, r) / 4, horner(bending, r) / 24
         half = carlson_rf(Decimal(0), e1 - e2, e1 - e3)
 
         def time_of(p: Decimal) -> Decimal:
-            """The t in (0, half] with wp(t) = p."""
+            """Time t in (0, half] with wp(t) = p."""
             return carlson_rf(max(p - e1, Decimal(0)), p - e2, p - e3)
 
         begin = time_of(c + scale / (x0 - r)) if x0 != r else Decimal(0)
@@ -189,10 +189,10 @@ def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, s
 
 
 def _root_between(q: Sequence[Decimal], low: Decimal, high: Decimal) -> Decimal:
-    """The root of Q between ``low``, where Q <= 0, and ``high``, where Q >= 0, by bisection."""
+    """Root of Q between ``low``, where Q <= 0, and ``high``, where Q >= 0, by bisection."""
     nothing = sum(map(abs, q)) * Decimal(10) ** (10 - DIGITS)
     if horner(q, low) > nothing or horner(q, high) < -nothing:
-        raise ValueError("oscillation: Q has no sign change where the motion should turn")
+        raise ValueError("oscillation: Q has no sign change at the expected turning point")
     for _ in range(4 * DIGITS):
         middle = (low + high) / 2
         if horner(q, middle) >= 0:

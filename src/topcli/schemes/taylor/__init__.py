@@ -1,1 +1,1 @@
-"""Taylor series of high order: the scheme, its recurrences, and their machine code."""
+"""Taylor series of high order: scheme, recurrences, generation of machine code."""

@@ -1,6 +1,6 @@
-"""The vector operations of ``series`` written as LLVM's intermediate language.
+"""Vector operations of ``series`` in LLVM IR.
 
-LLVM makes of a vector of eight doubles whatever the processor has: one AVX-512 register, two of AVX2, four of NEON.
+LLVM maps a vector of eight doubles to the registers of the processor: one of AVX-512, two of AVX2, four of NEON.
 """
 
 from __future__ import annotations
@@ -10,41 +10,42 @@ from collections.abc import Iterator
 
 
 def literal(x: float) -> str:
-    """The number, bit for bit."""
+    """Return ``x`` as an IR literal, bit for bit."""
     return f"0x{struct.unpack('<Q', struct.pack('<d', x))[0]:016X}"
 
 
 ROUNDING = 1.5 * 2.0**52
-"""Added to a number, it leaves the nearest integer in the lowest bits."""
+"""Adding this to a number leaves the nearest integer in the lowest bits."""
 POWER = (0.23986, 0.70294)
-"""2^x over -1/2..1/2 as 1 + x (p_1 + x p_0)."""
-FRESH = 3
-"""So many vectors of each array are still at hand when they are asked for: what was just stored is slow to load."""
+"""Coefficients p_0, p_1 of 2^x = 1 + x (p_1 + x p_0) on [-1/2, 1/2]."""
+WINDOW = 3
+"""Number of most recently stored vectors of each array that are reused from registers: a load right after a store is
+slow."""
 DECLARATIONS = """declare void @llvm.codeview.annotation(metadata)
 !0 = !{!"cut"}"""
-"""What a module needs besides, whose functions hold a ``cut``."""
+"""Declarations required by a module whose functions contain a ``barrier``."""
 
 
-class Text:
-    """Operations that append a line of LLVM's language each and return the name of the result."""
+class IRWriter:
+    """Implementation of ``Operations`` that appends IR instructions to ``lines`` and returns names of results."""
 
-    def __init__(self, lanes: int, names: Iterator[int], fresh: int = FRESH) -> None:
-        self.lanes, self._names, self._recent = lanes, names, fresh
+    def __init__(self, lanes: int, names: Iterator[int], window: int = WINDOW) -> None:
+        self.lanes, self._names, self._window = lanes, names, window
         self.lines: list[str] = []
-        self._fresh: dict[str, dict[int, str]] = {}
+        self._in_registers: dict[str, dict[int, str]] = {}
         self.vector = f"<{lanes} x double>"
 
-    def line(self, text: str) -> str:
-        """Append an instruction with a result."""
+    def emit(self, text: str) -> str:
+        """Append an instruction whose result is a vector."""
         name = f"%v{next(self._names)}"
         self.lines.append(f"  {name} = {text}")
         return name
 
     def kind(self, x: str) -> str:
-        """Scalars carry a mark, because the language wants types."""
+        """Type of an operand; the names of scalars start with %s."""
         return "double" if x.startswith("%s") or x.startswith("0x") else self.vector
 
-    def scalar(self, text: str) -> str:
+    def emit_scalar(self, text: str) -> str:
         """Append an instruction whose result is a scalar."""
         name = f"%s{next(self._names)}"
         self.lines.append(f"  {name} = {text}")
@@ -52,49 +53,49 @@ class Text:
 
     def _binary(self, word: str, x: str, y: str) -> str:
         kind = self.kind(x)
-        return (self.scalar if kind == "double" else self.line)(f"{word} {kind} {x}, {y}")
+        return (self.emit_scalar if kind == "double" else self.emit)(f"{word} {kind} {x}, {y}")
 
     def constant(self, values: tuple[float, ...]) -> str:
-        """See ``Operations``; so all the following."""
+        """Return a vector constant (this and the following methods implement ``Operations``)."""
         return "<" + ", ".join(f"double {literal(x)}" for x in values) + ">"
 
     def splat(self, x: str) -> str:
-        """A scalar in every lane."""
-        one = self.line(f"insertelement {self.vector} poison, double {x}, i32 0")
+        """Return a vector with the scalar in every lane."""
+        one = self.emit(f"insertelement {self.vector} poison, double {x}, i32 0")
         zeros = ", ".join(["i32 0"] * self.lanes)
-        return self.line(f"shufflevector {self.vector} {one}, {self.vector} poison, <{self.lanes} x i32> <{zeros}>")
+        return self.emit(f"shufflevector {self.vector} {one}, {self.vector} poison, <{self.lanes} x i32> <{zeros}>")
 
     def number(self, x: float) -> str:
-        """A scalar known beforehand."""
+        """Return a scalar constant."""
         return literal(x)
 
     def add(self, x: str, y: str) -> str:
-        """The sum."""
+        """Return x + y."""
         return self._binary("fadd", x, y)
 
     def sub(self, x: str, y: str) -> str:
-        """The difference."""
+        """Return x - y."""
         return self._binary("fsub", x, y)
 
     def mul(self, x: str, y: str) -> str:
-        """The product."""
+        """Return x y."""
         return self._binary("fmul", x, y)
 
     def fma(self, x: str, y: str, z: str) -> str:
-        """x y + z; in two roundings where the processor has no such instruction."""
+        """Return x y + z, with two roundings on processors without fma."""
         kind = self.kind(x)
         suffix = "f64" if kind == "double" else f"v{self.lanes}f64"
         call = f"call {kind} @llvm.fmuladd.{suffix}({kind} {x}, {kind} {y}, {kind} {z})"
-        return (self.scalar if kind == "double" else self.line)(call)
+        return (self.emit_scalar if kind == "double" else self.emit)(call)
 
     def negative(self, x: str) -> str:
-        """-x."""
-        return self.line(f"fneg {self.vector} {x}")
+        """Return -x."""
+        return self.emit(f"fneg {self.vector} {x}")
 
     def permute(self, x: str, lanes: tuple[int, ...]) -> str:
-        """The lanes of x at the indices; 0.0 at -1."""
+        """Return the lanes of x at the indices; 0.0 at index -1."""
         indices = ", ".join(f"i32 {k if k >= 0 else self.lanes}" for k in lanes)
-        return self.line(
+        return self.emit(
             f"shufflevector {self.vector} {x}, {self.vector} zeroinitializer, <{self.lanes} x i32> <{indices}>"
         )
 
@@ -104,49 +105,49 @@ class Text:
         return pointer
 
     def store(self, name: str, index: int, x: str) -> None:
-        """Keep x."""
+        """Store x at position ``index`` of the array ``name``."""
         pointer = self._slot(name, index)
         self.lines.append(f"  store {self.vector} {x}, ptr {pointer}, align {8 * self.lanes}")
-        self._fresh[name] = {
-            **{k: v for k, v in self._fresh.get(name, {}).items() if k > index - self._recent},
+        self._in_registers[name] = {
+            **{k: v for k, v in self._in_registers.get(name, {}).items() if k > index - self._window},
             index: x,
         }
 
     def load(self, name: str, index: int) -> str:
-        """What was kept."""
-        if index in self._fresh.get(name, {}):
-            return self._fresh[name][index]
-        return self.line(f"load {self.vector}, ptr {self._slot(name, index)}, align {8 * self.lanes}")
+        """Return the stored vector."""
+        if index in self._in_registers.get(name, {}):
+            return self._in_registers[name][index]
+        return self.emit(f"load {self.vector}, ptr {self._slot(name, index)}, align {8 * self.lanes}")
 
-    def cut(self) -> None:
-        """A label, which LLVM's schedulers of instructions leave where it is."""
+    def barrier(self) -> None:
+        """Append an annotation, which LLVM's instruction schedulers do not move instructions across."""
         self.lines.append("  call void @llvm.codeview.annotation(metadata !0)")
 
     def logarithm(self, x: str) -> str:
-        """From the exponent, and the mantissa taken for its logarithm."""
+        """Return the exponent plus the fraction of the mantissa, an approximation of the base-2 logarithm."""
         n = self.lanes
-        bits = self.line(f"bitcast {self.vector} {x} to <{n} x i64>")
+        bits = self.emit(f"bitcast {self.vector} {x} to <{n} x i64>")
         kept = ", ".join(["i64 9223372036854775807"] * n)
-        size = self.line(f"and <{n} x i64> {bits}, <{kept}>")
-        largest = self.line(f"call i64 @llvm.vector.reduce.smax.v{n}i64(<{n} x i64> {size})")
-        number = self.scalar(f"sitofp i64 {largest} to double")
+        size = self.emit(f"and <{n} x i64> {bits}, <{kept}>")
+        largest = self.emit(f"call i64 @llvm.vector.reduce.smax.v{n}i64(<{n} x i64> {size})")
+        number = self.emit_scalar(f"sitofp i64 {largest} to double")
         return self.fma(number, literal(2.0**-52), literal(-1023.0))
 
     def power(self, x: str) -> str:
-        """The exponent, and a parabola for the mantissa."""
+        """Return 2^x from the exponent and a parabola for the mantissa."""
         moved = self.add(x, literal(ROUNDING + 1023.0))
         whole = self.sub(moved, literal(ROUNDING + 1023.0))
         part = self.sub(x, whole)
-        shifted = self.line(f"shl i64 {self.line(f'bitcast double {moved} to i64')}, 52")
-        two = self.scalar(f"bitcast i64 {shifted} to double")
+        shifted = self.emit(f"shl i64 {self.emit(f'bitcast double {moved} to i64')}, 52")
+        two = self.emit_scalar(f"bitcast i64 {shifted} to double")
         return self.mul(two, self.fma(part, self.fma(part, literal(POWER[0]), literal(POWER[1])), literal(1.0)))
 
     def least(self, x: str, y: str) -> str:
-        """The smaller one, y when one is nan."""
-        less = self.line(f"fcmp olt double {x}, {y}")
-        return self.scalar(f"select i1 {less}, double {x}, double {y}")
+        """Return the smaller one, y if one is nan."""
+        less = self.emit(f"fcmp olt double {x}, {y}")
+        return self.emit_scalar(f"select i1 {less}, double {x}, double {y}")
 
     def largest(self, x: str, y: str) -> str:
-        """The larger one, y when one is nan."""
-        more = self.line(f"fcmp ogt double {x}, {y}")
-        return self.scalar(f"select i1 {more}, double {x}, double {y}")
+        """Return the larger one, y if one is nan."""
+        more = self.emit(f"fcmp ogt double {x}, {y}")
+        return self.emit_scalar(f"select i1 {more}, double {x}, double {y}")

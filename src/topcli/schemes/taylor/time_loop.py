@@ -1,22 +1,20 @@
-"""The time loop of a Taylor series, in LLVM's intermediate language.
-
-It is written out here because a compiler of Python knows no vectors; see ``series`` for the mathematics.
-"""
+"""Time loop of the Taylor series in LLVM IR; numba has no vector types. See ``series`` for the mathematics."""
 
 from __future__ import annotations
 
 from itertools import count
 
-from topcli.schemes.taylor.llvm_vectors import DECLARATIONS, Text, literal
-from topcli.schemes.taylor.series import Arrangement, expand, tail
+from topcli.schemes.taylor.llvm_vectors import DECLARATIONS, IRWriter, literal
+from topcli.schemes.taylor.series import Arrangement, expand, taylor_increment
 from topcli.schemes.taylor.vectors import two_sum
 
-STEP, PART, LAG, TIME, LEVEL, TABLES = 0, 1, 2, 3, 4, 5
-"""Slots of the working state after the two vectors of the centre: see ``series_loop``."""
-BUDGET = 50_000
-"""Expansions between two returns: some ten milliseconds."""
-EXACT = 256.0
-"""A series that reaches less far than so many steps reaches to a multiple of 2^-44 of a step; then both are exact."""
+STEP, FRACTION, LAG, TIME, LOG2_TOL, TABLES = 0, 1, 2, 3, 4, 5
+"""Slots of the working state after the two vectors of the expansion point: see ``series_loop``."""
+MAX_EXPANSIONS = 50_000
+"""Maximum number of expansions per call, about ten milliseconds."""
+EXACT_REACH = 256.0
+"""If a series reaches fewer steps than this, its reach is rounded to a multiple of 2^-44 of a step, so that the
+position of the next expansion point is exact."""
 _LOOP = """
 define i64 @advance(ptr %work, ptr %out, ptr %params, double %h, i64 %steps, i64 %every, i64 %until) #0 {{
 entry:
@@ -172,26 +170,27 @@ attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"
 """
 
 
-def series_loop(a: Arrangement, d: int, order: int, careful: bool) -> str:
-    """The time loop of a Taylor series as a module with the function ``advance``.
+def series_loop(a: Arrangement, d: int, order: int, extended_precision: bool) -> str:
+    """Return the time loop of a Taylor series, a module with the function ``advance``.
 
-    Its arguments and result are those of ``engine.driver``'s loop. ``work`` holds the state at the centre of the
-    series as an unevaluated sum of two vectors; the position of the centre in steps of h after the step reached, whole
-    and fraction; how much later than that it lies, in time; the scale of time and the logarithm of the tolerance; the
-    three tables of ``series.expand``; the units of the components; the status and the count of the moves. It may
-    return before all steps are done, when it has made ``BUDGET`` moves.
+    Arguments and result are those of the loop in ``engine.driver``. ``work`` contains, in this order: the state at the
+    expansion point as an unevaluated sum of two vectors; the position of the expansion point in steps of h after the
+    last step reached, integer part and fraction; the delay of the expansion point relative to that position, in time;
+    the scale of time and the logarithm of the tolerance; the three tables of ``series.expand``; the units of the
+    components; the status; the number of expansions. The function may return before all steps are done, after
+    ``MAX_EXPANSIONS`` expansions.
     """
     names = count()
     base = 2 * a.lanes
 
-    def text() -> Text:
-        return Text(a.lanes, names)
+    def text() -> IRWriter:
+        return IRWriter(a.lanes, names)
 
     expansion, writing, moving = text(), text(), text()
-    y0, tables = ("%hi", "%lo" if careful else None), ("%alpha", "%beta", "%delta")
+    y0, tables = ("%hi", "%lo" if extended_precision else None), ("%alpha", "%beta", "%delta")
     natural, late, missed = expand(expansion, a, order, y0, tables, "%slevel")
-    written, written_rest = tail(writing, order, "%sd", missed)
-    main, rest = tail(moving, order, "%sm", missed)
+    written, written_rest = taylor_increment(writing, order, "%sd", missed)
+    main, rest = taylor_increment(moving, order, "%sm", missed)
     new, lost = two_sum(moving, "%hi", main)
     rest = moving.add(rest, moving.add("%lo", lost))
     hi = moving.add(new, rest)
@@ -204,14 +203,14 @@ def series_loop(a: Arrangement, d: int, order: int, careful: bool) -> str:
         lanes=a.lanes,
         align=8 * a.lanes,
         step_slot=base + STEP,
-        part=base + PART,
+        part=base + FRACTION,
         lag=base + LAG,
         time=base + TIME,
-        level=base + LEVEL,
+        level=base + LOG2_TOL,
         **{name: base + TABLES + k * a.lanes for name, k in slots.items()},
         count=base + TABLES + 4 * a.lanes + 1,
-        budget=BUDGET,
-        exact=literal(EXACT),
+        budget=MAX_EXPANSIONS,
+        exact=literal(EXACT_REACH),
         expansion="\n".join(expansion.lines),
         natural=natural,
         late=late,
@@ -222,10 +221,10 @@ def series_loop(a: Arrangement, d: int, order: int, careful: bool) -> str:
         hi=hi,
         lo=lo,
         d=d,
-        first=", ".join(f"i32 {k}" for k in a.places),
+        first=", ".join(f"i32 {k}" for k in a.component_lanes),
     )
 
 
 def series_width(a: Arrangement) -> int:
-    """Slots of the working state of ``series_loop``."""
+    """Length of the working state of ``series_loop``."""
     return 6 * a.lanes + TABLES + 2

@@ -1,4 +1,4 @@
-"""What is done with vectors of floats, by machine code (``vector_ir``) or by Python (``vector_plain``)."""
+"""Operations on vectors of floats, in terms of which the Taylor series is written."""
 
 from __future__ import annotations
 
@@ -9,83 +9,83 @@ Scalar = Any
 
 
 class Operations(Protocol):
-    """Vectors of ``lanes`` floats, scalars, and arrays of vectors with one name and an index each."""
+    """Operations on scalars, vectors of ``lanes`` floats, and named arrays of vectors."""
 
     lanes: int
 
     def constant(self, values: tuple[float, ...]) -> Vector:
-        """A vector known beforehand."""
+        """Return a vector constant."""
 
     def splat(self, x: Scalar) -> Vector:
-        """A scalar in every lane."""
+        """Return a vector with the scalar in every lane."""
 
     def number(self, x: float) -> Scalar:
-        """A scalar known beforehand."""
+        """Return a scalar constant."""
 
     def add(self, x: Any, y: Any) -> Any:
-        """The sum of two vectors or scalars; likewise ``sub`` and ``mul``."""
+        """Return the sum of two vectors or of two scalars; ``sub`` and ``mul`` likewise."""
 
     def sub(self, x: Any, y: Any) -> Any:
-        """x - y."""
+        """Return x - y."""
 
     def mul(self, x: Any, y: Any) -> Any:
-        """x y."""
+        """Return x y."""
 
     def fma(self, x: Any, y: Any, z: Any) -> Any:
-        """x y + z, rounded once where the processor can."""
+        """Return x y + z, rounded once if the processor has fma."""
 
     def negative(self, x: Vector) -> Vector:
-        """-x."""
+        """Return -x."""
 
     def permute(self, x: Vector, lanes: tuple[int, ...]) -> Vector:
-        """The lanes of x at the indices; 0.0 at -1."""
+        """Return the lanes of x at the indices; 0.0 at index -1."""
 
     def store(self, name: str, index: int, x: Vector) -> None:
-        """Keep x as number ``index`` of the array ``name``."""
+        """Store x at position ``index`` of the array ``name``."""
 
     def load(self, name: str, index: int) -> Vector:
-        """What was kept."""
+        """Return the stored vector."""
 
-    def cut(self) -> None:
-        """What stands before is to be done before: a compiler that reorders everything makes long sums waited for."""
+    def barrier(self) -> None:
+        """Scheduling barrier: keep earlier instructions ahead of this point."""
 
     def logarithm(self, x: Vector) -> Scalar:
-        """The base-2 logarithm of the largest magnitude in x to 0.09; -1023 for 0.0, 1024 and more for inf and nan."""
+        """Return log2 of the largest magnitude in x, to within 0.09; -1023 for 0.0, at least 1024 for inf and nan."""
 
     def power(self, x: Scalar) -> Scalar:
-        """2^x, to 0.3 percent, for -1022 < x < 1023."""
+        """Return 2^x with a relative error of 0.3 percent, for -1022 < x < 1023."""
 
     def least(self, x: Scalar, y: Scalar) -> Scalar:
-        """The smaller one; likewise ``largest``."""
+        """Return the smaller of two scalars."""
 
     def largest(self, x: Scalar, y: Scalar) -> Scalar:
-        """The larger one."""
+        """Return the larger of two scalars."""
 
 
 Pair = tuple[Vector, Vector]
-"""A vector to more than a double: the number, and what is missing in it."""
+"""Vector in more than double precision: high and low part."""
 
 
 def two_sum(o: Operations, x: Vector, z: Vector) -> Pair:
-    """The sum of two vectors, and what it rounds."""
+    """Return the rounded sum of two vectors and its rounding error."""
     rounded = o.add(x, z)
     part = o.sub(rounded, x)
     return rounded, o.add(o.sub(x, o.sub(rounded, part)), o.sub(z, part))
 
 
-def total(o: Operations, x: Pair, z: Pair) -> Pair:
-    """The sum."""
+def pair_add(o: Operations, x: Pair, z: Pair) -> Pair:
+    """Return the sum of two pairs."""
     rounded, missing = two_sum(o, x[0], z[0])
     return rounded, o.add(missing, o.add(x[1], z[1]))
 
 
-def product(o: Operations, x: Pair, z: Pair) -> Pair:
-    """The product."""
-    rounded, missing = scaled(o, x[0], z)
+def pair_mul(o: Operations, x: Pair, z: Pair) -> Pair:
+    """Return the product of two pairs."""
+    rounded, missing = pair_scale(o, x[0], z)
     return rounded, o.fma(x[1], z[0], missing)
 
 
-def scaled(o: Operations, factor: Vector, x: Pair) -> Pair:
-    """The product with a vector that is exact."""
+def pair_scale(o: Operations, factor: Vector, x: Pair) -> Pair:
+    """Return the product of an exact vector and a pair."""
     rounded = o.mul(factor, x[0])
     return rounded, o.fma(factor, x[1], o.fma(factor, x[0], o.negative(rounded)))
