@@ -218,7 +218,7 @@ def test_hk_exact_becomes_the_motion_as_h_vanishes() -> None:
 
 
 def test_hk_exact_says_when_the_step_is_too_long() -> None:
-    with pytest.raises(RunError, match=r"hk-exact: h = 1\.5 is too long .* take \|h\| < 0\.577"):
+    with pytest.raises(RunError, match=r"hk-exact: h = 1\.5 is too large .* use \|h\| < 0\.577"):
         sampled("hk-exact", Euler(), (0.7, -6.0, 1.3), 1.5, [1])
     assert np.isfinite(sampled("hk-exact", Euler(), (0.7, -6.0, 1.3), 0.577, [1])).all()
 
