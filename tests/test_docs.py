@@ -294,6 +294,22 @@ def test_make_targets_in_the_text_exist() -> None:
     assert used <= described
 
 
+def test_files_in_the_text_exist() -> None:
+    """Paths of Python files, from the root of the checkout or shorter."""
+    own = {"mine.py"}
+    present = [
+        path.as_posix()
+        for top in ("src", "tests", "benchmarks", "docs", "examples")
+        for path in (ROOT / top).rglob("*.py")
+    ]
+    seen = 0
+    for page in READ:
+        for name in set(re.findall(r"`([\w/.-]+\.py)`", page.path.read_text(encoding="utf-8"))) - own:
+            assert any(path.endswith(f"/{name}") for path in present), f"{page.name}: {name}"
+            seen += 1
+    assert seen > 8
+
+
 def test_difference_finds_each_kind() -> None:
     now = ["name: done", "E max  1.0e-05  2.0e-13", "E drift per unit time  -1.0e-17", "ns per step  16.5", "end"]
     assert not difference(now, now)
