@@ -59,6 +59,20 @@ def test_the_picture_of_hard_cases_shows_the_declared_limits() -> None:
     assert {name: sorted(broke) for name, broke in STORED["stress"].items()} == declared, "run make docs-images"
 
 
+def test_the_target_draws_a_picture_and_keeps_what_is_known_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(images, "IMAGES", tmp_path)
+    monkeypatch.setattr(images, "SUMMARY", tmp_path / "data.json")
+    known = {name: rows for name, rows in STORED.items() if name != "fig1"}
+    (tmp_path / "data.json").write_text(json.dumps(known), encoding="utf-8")
+    monkeypatch.setattr("sys.argv", ["draw_images.py", "fig1", "--results", str(tmp_path / "results")])
+    images.main()
+    assert (tmp_path / "data.json").read_text(encoding="utf-8") == (IMAGES / "data.json").read_text(encoding="utf-8")
+    assert (tmp_path / "fig1.png").read_bytes()[:4] == b"\x89PNG"
+    assert capsys.readouterr().out.strip() == str(tmp_path / "fig1.png")
+
+
 def test_a_summary_says_when_data_differ(tmp_path: Path) -> None:
     import numpy as np
 
