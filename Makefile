@@ -1,7 +1,8 @@
 # make figures   install what runs need and draw the paper's figures into results/figures
 # make test      install what tests need and run them
 # make check     lint, format, types, layers, tests
-# make docs     the documentation as HTML in docs/_build/html
+# make docs      the documentation as HTML in docs/_build/html
+# make docs-images  the pictures in docs/images, with a summary of their data
 # make attack    mutated configs, damaged files, kills: minutes, and nothing may be found (ARGS='damage --seed 7')
 # make bench     speed against error, ours and other people's integrators: the table and the figure
 # make bench-steps  what single steps, start-up and storage cost (ratios against named baselines)
@@ -13,7 +14,7 @@ BIN := $(VENV)/bin
 NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
 export NUMBA_CACHE_DIR
 
-.PHONY: venv figures test check attack docs bench bench-steps clean
+.PHONY: venv figures test check attack docs docs-images bench bench-steps clean
 
 venv: $(VENV)/.installed
 
@@ -44,6 +45,9 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+
+docs-images: $(VENV)/.installed
+	$(BIN)/python docs/draw_images.py $(ARGS)
 
 attack: $(VENV)/.installed-dev
 	PYTHONPATH=tests $(BIN)/python -m attack $(ARGS)

@@ -1,9 +1,8 @@
 """Put the tables of docs/which-scheme.md up to date with the results of `topcli bench`.
 
-    topcli bench && topcli plot work-precision && python benchmarks/which_scheme.py [--results results]
+    topcli bench && python benchmarks/which_scheme.py [--results results] && make docs-images ARGS=work-precision
 
-Between `<!-- decades SCENE -->` or `<!-- drift SCENE H -->` and `<!-- end -->` stands what was measured; nothing else
-is touched. The figure is copied beside the page.
+Only the tables between `<!-- decades SCENE -->` or `<!-- drift SCENE H -->` and `<!-- end -->` are replaced.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from topcli.studies.bench.stored import decade_lines, markdown, microseconds, st
 from topcli.studies.report import number  # noqa: E402
 
 PAGE = ROOT / "docs" / "which-scheme.md"
-FIGURE = "work-precision.png"
 
 
 def drift_lines(result: dict[str, Any], h: float) -> tuple[list[str], list[list[str]]]:
@@ -57,16 +55,6 @@ def filled(page: str, results: dict[str, dict[str, Any]]) -> str:
     return re.sub(pattern, table, page, flags=re.DOTALL)
 
 
-def _copy_small(source: Path, target: Path) -> None:
-    """A picture for print as one for a page: half as many pixels each way."""
-    from PIL import Image
-
-    with Image.open(source) as picture:
-        half = picture.convert("RGB").resize((picture.width // 2, picture.height // 2), Image.Resampling.LANCZOS)
-    few = half.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    few.save(target, optimize=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, default=Path("results"))
@@ -76,8 +64,6 @@ def main() -> None:
         sys.exit(f"{results / 'bench'}: nothing measured; run topcli bench first, or name the folder with --results")
     PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), found), encoding="utf-8")
     print(f"{PAGE}: {', '.join(found)}")
-    if (results / "figures" / FIGURE).is_file():
-        _copy_small(results / "figures" / FIGURE, ROOT / "docs" / "images" / FIGURE)
 
 
 if __name__ == "__main__":

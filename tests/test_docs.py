@@ -1,0 +1,365 @@
+"""Every command, config and example in README, CONTRIBUTING and the documentation is executed or says why not.
+
+A ```console block shows commands after ``$`` and what they print; a line ``...`` stands for any number of lines. Marks
+in front of a block:
+
+- ``<!-- not executed: reason -->``
+- ``<!-- exits with 4 -->``
+- ``<!-- file: name -->``: the block is a file that the commands of its page find in their folder.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import PAPER, ROOT
+from topcli.analysis.reference import reference_states
+from topcli.engine.loop import Run
+from topcli.schemes.registry import find_scheme
+from topcli.tops.kowalevski import Kowalevski
+
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "examples").glob("*/README.md")),
+    ROOT / "results" / "README.md",
+]
+LANGUAGES = {"console", "python", "yaml", "toml", "sh", "{toctree}", "{eval-rst}"}
+GENERATED = "schemes.md"
+"""Made from the registry and compared with it by another test."""
+TIMINGS = ("ns per step", "compile or load")
+SLOPES = ("drift per unit time", "standard error", "over the run")
+ROUND_OFF = 1e-11
+"""Smaller numbers are round-off, which differs between machines."""
+
+
+@dataclass
+class Page:
+    path: Path
+    blocks: list[Block] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return str(self.path.relative_to(ROOT))
+
+    def files(self) -> dict[str, str]:
+        return {name: block.text for block in self.blocks if (name := block.mark("file"))}
+
+
+@dataclass
+class Block:
+    page: Page
+    line: int
+    comments: str
+    language: str
+    text: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.page.name}:{self.line}"
+
+    def mark(self, word: str) -> str | None:
+        found = re.search(rf"<!-- {word}:? (.+?) -->", self.comments)
+        return found and found[1]
+
+
+def read_page(path: Path, text: str | None = None) -> Page:
+    page = Page(path)
+    text = path.read_text(encoding="utf-8") if text is None else text
+    for found in re.finditer(r"((?:^<!-- .*? -->\n)*)^```(\S*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        line = text[: found.start(2)].count("\n") + 1
+        page.blocks.append(Block(page, line, found[1], found[2], found[3]))
+    return page
+
+
+READ = [read_page(path) for path in PAGES]
+BLOCKS = [block for page in READ for block in page.blocks]
+CONSOLE = [block for block in BLOCKS if block.language == "console"]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def named(blocks: list[Block]) -> list[object]:
+    return [pytest.param(block, id=block.name) for block in blocks]
+
+
+def number(text: str) -> float | None:
+    try:
+        return float(text.rstrip(",:"))
+    except ValueError:
+        return None
+
+
+def last_digit(text: str) -> float:
+    """One unit in the last digit of a number as it is written."""
+    mantissa, _, exponent = text.rstrip(",:").lower().partition("e")
+    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+
+def agrees(shown: str, now: str) -> bool:
+    """True if two printed lines have equal words, and equal numbers but for the last digit, round-off and timings."""
+    ours, theirs = shown.split(), now.split()
+    if ours == theirs:
+        return shown == now.rstrip()
+    if len(ours) != len(theirs):
+        return False
+    for one, other in zip(ours, theirs, strict=True):
+        a, b = number(one), number(other)
+        if one == other or (a is not None and b is not None and shown.startswith(TIMINGS)):
+            continue
+        if a is None or b is None:
+            return False
+        if max(abs(a), abs(b)) < ROUND_OFF:
+            if not any(slope in shown for slope in SLOPES) and not (a and b and 0.25 <= a / b <= 4.0):
+                return False
+        elif not abs(a - b) <= 1.01 * last_digit(one):
+            return False
+    return True
+
+
+def difference(shown: list[str], now: list[str]) -> str:
+    """Empty if the lines shown are those printed, else the first line shown that is not."""
+    at, gap = 0, False
+    for line in shown:
+        if line == "...":
+            gap = True
+            continue
+        matches = [i for i in range(at, len(now) if gap else min(at + 1, len(now))) if agrees(line, now[i])]
+        if not matches:
+            return f"shown: {line!r}; printed: {now[at : at + 3]}"
+        at, gap = matches[0] + 1, False
+    return "" if gap or at == len(now) else f"printed as well: {now[at]!r}"
+
+
+def sessions(block: Block) -> list[tuple[str, list[str]]]:
+    """The commands of a console block, each with the lines shown as its output."""
+    found: list[tuple[str, list[str]]] = []
+    for line in block.text.splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        else:
+            found[-1][1].append(line)
+    return found
+
+
+def run(command: str, cwd: Path) -> tuple[int, list[str]]:
+    """Exit code of a topcli command, and the lines that a person at a terminal of 160 columns sees."""
+    program, *arguments = shlex.split(command)
+    assert program == "topcli", f"mark it as not executed: {command}"
+    done = subprocess.run(
+        [sys.executable, "-u", "-m", "topcli", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=cwd,
+        env=os.environ | {"COLUMNS": "160"},
+        check=False,
+    )
+    return done.returncode, without_progress(done.stdout.splitlines())
+
+
+def without_progress(lines: list[str]) -> list[str]:
+    """Lines but those that a slow machine adds, such as ``stress: 75.0%, 3 of 4 steps, 0.13 steps/s, 8 s left``."""
+    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ steps", line)]
+
+
+def prepare(page: Page, folder: Path) -> None:
+    for name, text in page.files().items():
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / "configs").symlink_to(ROOT / "configs")
+
+
+@pytest.mark.parametrize("block", named([block for block in CONSOLE if not block.mark("not executed")]))
+def test_console_blocks_show_what_is_printed(block: Block, tmp_path: Path) -> None:
+    prepare(block.page, tmp_path)
+    commands = sessions(block)
+    assert commands
+    for command, shown in commands:
+        code, now = run(command, tmp_path)
+        assert code == int(block.mark("exits with") or 0), (command, now)
+        assert not difference(shown, now), command
+
+
+def test_blocks_that_are_not_executed_give_a_reason() -> None:
+    skipped = [block for block in BLOCKS if block.mark("not executed")]
+    assert all(len((block.mark("not executed") or "").split()) >= 3 for block in skipped)
+    assert len(skipped) < len(CONSOLE) / 2
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, id=page.name) for page in READ])
+def test_commands_stand_in_console_blocks_only(page: Page) -> None:
+    assert {block.language for block in page.blocks} <= LANGUAGES
+    for block in page.blocks:
+        if block.language == "sh":
+            assert all(line.startswith("make ") for line in block.text.splitlines()), block.name
+    if page.path.name != GENERATED:
+        assert not re.findall(r"^    +(?:\$ |topcli |make )", page.path.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    "block", named([block for block in BLOCKS if block.language == "python" and not block.mark("file")])
+)
+def test_python_examples_run(block: Block, tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", block.text], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("block", named([block for block in BLOCKS if block.language in ("yaml", "toml")]))
+def test_configs_are_valid(block: Block, tmp_path: Path) -> None:
+    path = tmp_path / f"config.{block.language}"
+    path.write_text(block.text, encoding="utf-8")
+    code, printed = run(f"topcli run {path} --dry-run", tmp_path)
+    assert code == 0, printed
+
+
+def test_the_config_of_the_readme_is_the_packaged_one(tmp_path: Path) -> None:
+    (config,) = (block.text for block in READ[0].blocks if block.language == "yaml")
+    (tmp_path / "kowalevski_hk.yaml").write_text(config)
+    assert run("topcli show kowalevski_hk.yaml", tmp_path) == run("topcli show kowalevski_hk", tmp_path)
+
+
+def test_the_scheme_of_the_readme_can_be_compared(tmp_path: Path) -> None:
+    prepare(READ[0], tmp_path)
+    assert "`topcli compare hk euler-rule --scheme-file mine.py`" in README
+    code, printed = run("topcli compare hk euler-rule --scheme-file mine.py --set N=2000 --set h=0.01", tmp_path)
+    assert code == 0, printed
+    assert any("euler-rule" in line for line in printed)
+
+
+LINKS = [
+    pytest.param(page.path.parent, target, id=f"{page.name}->{target}")
+    for page in READ
+    for target in dict.fromkeys(re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.path.read_text(encoding="utf-8")))
+]
+
+
+@pytest.mark.parametrize(("folder", "target"), LINKS)
+def test_links_lead_somewhere(folder: Path, target: str) -> None:
+    assert (folder / target).is_file()
+
+
+def test_every_page_is_in_the_contents_and_in_the_readme() -> None:
+    index = next(page for page in READ if page.path.name == "index.md")
+    listed = [
+        line
+        for block in index.blocks
+        if block.language == "{toctree}"
+        for line in block.text.splitlines()
+        if line and not line.startswith(":")
+    ]
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    assert sorted(listed) == sorted(pages)
+    assert {f"docs/{name}.md" for name in pages} <= set(re.findall(r"\]\(([^)#]+)", README))
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 150
+    assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 130
+
+
+def inline(program: str) -> list[str]:
+    """Commands of ``program`` within the text of all pages, and in the marks and blocks that are not executed."""
+    texts = [page.path.read_text(encoding="utf-8") for page in READ if page.path.name != GENERATED]
+    return sorted({" ".join(one.split()) for text in texts for one in re.findall(rf"`({program} [^`]+)`", text)})
+
+
+@pytest.mark.parametrize("command", inline("topcli"))
+def test_commands_in_the_text_exist(command: str, cli) -> None:
+    """Their names and options; what else they are given is the reader's."""
+    skipped = {"python", "-c"}
+    words = [word for word in command.partition(" |")[0].split()[1:] if word not in skipped]
+    if words == ["--help"]:
+        return
+    subject = words[:2] if words[0] == "list" and len(words) > 1 else words[:1]
+    page = cli(*subject, "--help")
+    assert page.code == 0, page.err
+    for word in words:
+        if word.startswith("--"):
+            assert re.search(rf"{re.escape(word)}\b", page.out), word
+
+
+def test_make_targets_in_the_text_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
+    used = {command.split()[1] for command in inline("make")}
+    assert len(used) >= 6
+    assert used <= targets
+    described = set(re.findall(r"^# make ([a-z-]+)", makefile, re.MULTILINE))
+    assert used <= described
+
+
+def test_files_in_the_text_exist() -> None:
+    """Paths of Python files, from the root of the checkout or shorter."""
+    own = {"mine.py"}
+    present = [
+        path.as_posix()
+        for top in ("src", "tests", "benchmarks", "docs", "examples")
+        for path in (ROOT / top).rglob("*.py")
+    ]
+    seen = 0
+    for page in READ:
+        for name in set(re.findall(r"`([\w/.-]+\.py)`", page.path.read_text(encoding="utf-8"))) - own:
+            assert any(path.endswith(f"/{name}") for path in present), f"{page.name}: {name}"
+            seen += 1
+    assert seen > 8
+
+
+def test_difference_finds_each_kind() -> None:
+    now = ["name: done", "E max  1.0e-05  2.0e-13", "E drift per unit time  -1.0e-17", "ns per step  16.5", "end"]
+    assert not difference(now, now)
+    assert not difference(["name: done", "...", "end"], now)
+    assert not difference([now[0], "E max  1.1e-05  4.0e-13", "...", "ns per step  99.9", "..."], now)
+    assert not difference(["...", "E drift per unit time  3.0e-16", "..."], now)
+    assert "printed as well" in difference(now[:-1], now)
+    for wrong in (
+        "E max  1.3e-05  2.0e-13",
+        "E max  1.0e-05  2.0e-12",
+        "E  max  1.0e-05  2.0e-13",
+        "E min  1.0e-05  2.0e-13",
+    ):
+        assert "shown" in difference(["...", wrong, "..."], now), wrong
+    assert difference(["...", "end", "...", "name: done", "..."], now)
+    assert difference(["...", "ns per step", "..."], now)
+
+
+def test_progress_of_a_slow_machine_is_left_out() -> None:
+    slow = ["stress: 75.0%, 3 of 4 steps, 0.13 steps/s, 8 s left", "coarse: completed 5000 steps (t = 50)"]
+    assert without_progress(slow) == slow[1:]
+
+
+def test_pages_are_read_with_their_marks() -> None:
+    console = "<!-- not executed: it is long -->\n```console\n$ topcli a\nb\n```\n"
+    page = read_page(ROOT / "README.md", f"{console}\n<!-- file: c.yaml -->\n```yaml\nh: 1\n```\n")
+    one, other = page.blocks
+    assert (one.mark("not executed"), one.mark("file"), one.line) == ("it is long", None, 2)
+    assert sessions(one) == [("topcli a", ["b"])]
+    assert page.files() == {"c.yaml": "h: 1\n"}
+    assert other.name == "README.md:8"
+    assert all(a.line < b.line for a, b in pairwise(page.blocks))
+
+
+BEYOND = re.findall(
+    r"\| `([a-z0-9-]+)`.* \| [0-9.]+ \| ([0-9.e-]+) \|", (ROOT / "docs" / "beyond-the-paper.md").read_text("utf-8")
+)
+
+
+def test_the_table_of_schemes_beyond_the_paper() -> None:
+    """The largest component of the error at t = 50 of the paper's scene with h = 0.05."""
+    assert len(BEYOND) == 8
+    top = Kowalevski()
+    exact = reference_states(top, PAPER, np.array([50.0]))[0]
+    for name, shown in BEYOND:
+        scheme = find_scheme(name, "kowalevski")
+        *_, last = Run(top, scheme.build(top, scheme.options()), PAPER, 0.05, 1000, 1000)
+        assert math.isclose(float(np.abs(last.states[-1] - exact).max()), float(shown), rel_tol=0.05), name
