@@ -93,7 +93,7 @@ class Output(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     format: Literal["parquet", "csv"] = Field(default="parquet", description="the format of the series")
-    every: Count = Field(default=1, description="record one row every this many steps (1 to N)")
+    every: Count = Field(default=1, description="the number of steps from one recorded row to the next (1 to N)")
     columns: Columns | None = Field(
         default=None,
         description="the columns to record, by name or symbol: n, t, components, invariants; all when absent",

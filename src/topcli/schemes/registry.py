@@ -9,7 +9,7 @@ import os
 import pkgutil
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from dataclasses import dataclass
 from functools import cache, wraps
 from importlib import import_module
@@ -156,7 +156,7 @@ def _checked(build: Build, name: str) -> Build:
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import one plugin whole or not at all: what a failing one had registered is taken back."""
     global _origin
-    tables: list[dict[Any, Any]] = [_schemes, TOPS, _for_every_top]
+    tables: list[MutableMapping[Any, Any]] = [_schemes, TOPS, _for_every_top]
     before, previous = [dict(table) for table in tables], _origin
     _origin = origin
     try:
