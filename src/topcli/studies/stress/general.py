@@ -1,4 +1,4 @@
-"""Cases that every top has: long, singular and negative steps, one alone, the ends of the range, long runs."""
+"""Cases that every top has: long, singular, negative and single steps, the ends of the range, long runs."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ LARGEST_STEP = 60.0
 
 @cache
 def singular_step(top: Top, state: Floats) -> float:
-    """The least h > 0 at which the determinant of HK's linear system changes its sign at ``state``, by bisection.
+    """Return the least h > 0 at which the determinant of HK's linear system changes sign at ``state``, by bisection.
 
-    Raises ValueError when there is none up to ``LARGEST_STEP``.
+    Raises ValueError if there is none up to ``LARGEST_STEP``.
     """
     equations = checked_equations(top, "the stress case singular-step")
     p = (*equations.moments, *equations.gravity)
@@ -48,10 +48,10 @@ def general_cases(
     resonant: float,
     singular: bool = True,
 ) -> tuple[Case, ...]:
-    """The cases for the schemes of ``top``'s form.
+    """Return the cases for the schemes of ``top``'s form.
 
-    ``generic`` and ``regular`` are states, the latter of a motion that is not chaotic; ``fast`` is one that turns fast,
-    for which ``resonant`` is a step about as long as a turn; ``singular`` says whether HK's determinant can vanish.
+    ``generic``, ``regular`` and ``fast`` are states: ``regular`` of a motion that is not chaotic, ``fast`` of a fast
+    rotation with a period of about ``resonant``. ``singular`` is False if HK's determinant cannot vanish.
     """
     form = top.form
 
@@ -123,7 +123,7 @@ def general_cases(
 
 
 def swing_time(eps: float) -> float:
-    """The time of the first swing of the Kowalevski top from gamma3 = eps near the relative equilibrium at omega1 = 2.
+    """Time of the first swing of the Kowalevski top from gamma3 = eps near the relative equilibrium at omega1 = 2.
 
     sqrt 2 ln(8 sqrt 7/eps), to leading order in eps, for A = B = 2, C = 1, c0 = 1.
     """
