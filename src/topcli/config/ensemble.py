@@ -82,7 +82,7 @@ class Spaced(BaseModel):
     count: Size = Field(description="the number of values")
 
     def values(self) -> list[float]:
-        """The values in order."""
+        """Return the values in order."""
         return np.linspace(self.start, self.stop, self.count).tolist()
 
 
@@ -302,7 +302,7 @@ class EnsembleExperiment:
     first: Experiment
     members: Members
     top: Top
-    """The top as the config gives it; a grid may vary its parameters."""
+    """Top as the config gives it; a grid may vary its parameters."""
 
     @property
     def name(self) -> str:
