@@ -103,7 +103,7 @@ def _floats(value: Any) -> Any:
     """Return plain data with whole numbers as floats."""
     if isinstance(value, list):
         return [_floats(item) for item in value]
-    number = None if isinstance(value, bool) else number_of(value)
+    number = number_of(value)
     return value if number is None else number
 
 
