@@ -110,7 +110,7 @@ def test_a_ladder_ends_at_the_budget_and_says_so(short: Problem) -> None:
     mine = Scripted([1e-1, 1e-2, 1e-3, 1e-4, 1e-5], [0.001, 0.002, 0.004, 0.008, 0.016], short)
     standing = explore(mine, short, mine.reference, Effort(0.01, 1))
     assert [rung.error for rung in standing.rungs] == [1e-1, 1e-2, 1e-3, 1e-4]
-    assert standing.ended == "h = 0.062 would take some 0.016 s a run, and 0.01 s are allowed"
+    assert standing.ended == "h = 0.062 would take about 0.016 s a run; 0.01 s are allowed"
     patient = Scripted(mine.errors, mine.spent, short, patience=2.0)
     assert len(explore(patient, short, mine.reference, Effort(0.01, 1)).rungs) == 5
 
@@ -137,7 +137,7 @@ def test_a_step_that_cannot_be_compiled_is_told_and_stops_nothing_else(short: Pr
     bad = replace(find_scheme("hk", "kowalevski"), name="bad", build=lambda top, options: Stepper(step, 6))
     talk: list[str] = []
     both = Entrants((bad, find_scheme("rk4", "kowalevski")), (), ())
-    result = bench(short, both, [], Effort(0.001, 1), told=talk.append)
+    result = bench(short, both, [], Effort(0.001, 1), on_message=talk.append)
     assert "cannot be compiled" in result["competitors"][0]["broken"]
     assert len(talk) == 1
     assert talk[0].startswith("error: kowalevski_generic_hk: bad failed")
@@ -161,7 +161,7 @@ def test_a_missing_peer_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch
     absent = Peer("absent", "not there", "topcli.no_such_module", ("no_such_package_of_anybody",))
     assert "no_such_package_of_anybody not installed" in missing(absent)
     talk: list[str] = []
-    result = bench(short, choose(short, ("hk",)), [absent], Effort(0.001, 1), told=talk.append)
+    result = bench(short, choose(short, ("hk",)), [absent], Effort(0.001, 1), on_message=talk.append)
     assert result["skipped_peers"] == [{"name": "absent", "reason": missing(absent)}]
     assert talk == [f"kowalevski_generic_hk: peer absent is skipped: {missing(absent)}"]
 
@@ -170,7 +170,7 @@ def test_a_peer_that_fails_is_named(short: Problem, monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(PEERS, "broken", Peer("broken", "", "topcli.no_such_module", ("numpy",)))
     monkeypatch.setattr(entrants.subprocess, "Popen", _worker_that_dies)
     talk: list[str] = []
-    result = bench(short, choose(short, ("hk",)), [PEERS["broken"]], Effort(0.001, 1), told=talk.append)
+    result = bench(short, choose(short, ("hk",)), [PEERS["broken"]], Effort(0.001, 1), on_message=talk.append)
     assert [row["name"] for row in result["failed_peers"]] == ["broken"]
     assert "died with code 7: no luck" in result["failed_peers"][0]["reason"]
     assert "broken failed" in talk[0]

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from config_texts import BASE, CONFIGS, ENSEMBLES, FILES, PAPER_GAMMA, refusal, write
-from topcli.config.emit import to_yaml
+from topcli.config.document import Document
 from topcli.config.load import experiment_from, load_experiment, scene_files
-from topcli.config.overrides import parse_override
-from topcli.config.scalars import resolve_scalar
-from topcli.config.yaml_text import parse_yaml
+from topcli.config.overrides import apply_overrides, parse_override
+from topcli.config.yaml_text import parse_yaml, resolve_scalar, to_yaml
 from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError
 
@@ -73,7 +72,7 @@ def test_name_defaults(tmp_path: Path) -> None:
     del data["name"]
     assert experiment_from(data).name == "kowalevski_bohlin_a"
     message = refusal(write(tmp_path, BASE.replace("name: x\n", ""), "-x.yaml"))
-    assert "name: missing, and the file's own name does not serve" in message
+    assert "name: missing, and the file name cannot be used instead" in message
     assert message.count("\n") == 0
 
 
@@ -239,3 +238,10 @@ def test_yaml_emitter_reads_back() -> None:
     }
     found, _ = parse_yaml(to_yaml(data), "text")
     assert repr(found) == repr(data)
+
+
+def test_override_changes_one_place_of_an_aliased_section() -> None:
+    data, lines = parse_yaml("a: &shared {k: [1, 2]}\nb: *shared\n", "x")
+    document = Document(data, {path: f"x:{line}" for path, line in lines.items()})
+    apply_overrides(document, ["b.k=3"])
+    assert document.data == {"a": {"k": [1, 2]}, "b": {"k": 3}}

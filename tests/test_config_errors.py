@@ -146,7 +146,7 @@ SYNTAX = [
     (BASE + "x: [1,\n", ":12:1: YAML: "),
     (BASE + "x: 'a\n", ":12:1: YAML: found unexpected end of stream"),
     (BASE + "x: \x07\n", ":11: YAML: the character U+0007 is not allowed"),
-    (BASE.replace("hk", '"\\ud800"'), ":6: scheme: the text holds half of a surrogate pair"),
+    (BASE.replace("hk", '"\\ud800"'), ":6:9: scheme: the text holds half of a surrogate pair"),
     ("", ": is empty; `topcli init` writes a config"),
     ("# nothing\n\n", ": is empty; `topcli init` writes a config"),
     ("- a\n", ":1: a config is a list of `key: value` lines, not a list"),

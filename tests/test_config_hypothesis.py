@@ -13,12 +13,11 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from topcli.config.emit import to_yaml
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import name_fault
 from topcli.config.overrides import parse_override
 from topcli.config.toml_text import key_lines
-from topcli.config.yaml_text import parse_yaml
+from topcli.config.yaml_text import parse_yaml, to_yaml
 from topcli.errors import ConfigError, TopcliError
 from topcli.schemes.registry import all_schemes
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -193,7 +193,7 @@ def test_a_gyrostat_from_a_file(cli: Callable[..., Said], in_tmp: Path, descript
     from topcli.schemes import registry
 
     registry.all_schemes()
-    tables: list[dict[Any, Any]] = [registry._schemes, TOPS, registry._for_every_top]
+    tables: list[MutableMapping[Any, Any]] = [registry._schemes, TOPS, registry._for_every_top]
     before = [dict(table) for table in tables]
     file = in_tmp / f"gyrostat{len(description)}.py"
     file.write_text(FILE.replace("{description}", description))

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from test_ensemble_config import BASE, ensemble, loaded, states
-from topcli.config.draws import Drawn, energy_of
-from topcli.config.ensemble import Combined
+from topcli.config.ensemble import Combined, Drawn, energy_of
 from topcli.tops import TOPS
 
 

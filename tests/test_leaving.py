@@ -25,7 +25,7 @@ from topcli.studies.ensemble import run_ensemble
 from topcli.studies.run import run_experiment
 from topcli.studies.simulate import simulate
 from topcli.studies.simulate_ensemble import simulate_ensemble
-from topcli.studies.stress.case import Case, Result, Workshop
+from topcli.studies.stress.case import Case, CaseCache, Result
 from topcli.studies.stress.checks import stays_bounded
 from topcli.studies.stress.suite import tried
 from topcli.tops.euler import Euler
@@ -253,7 +253,7 @@ def test_stress_counts_it_as_broken() -> None:
     resolved = load_experiment("kowalevski_hk").resolved()
     config = {key: resolved[key] for key in ("top", "initial")} | {"h": 2.0, "N": 100}
     case = Case("far", "kowalevski", "?", lambda: config, stays_bounded)
-    judged = tried(case, find_scheme("hk", "kowalevski"), Workshop())
+    judged = tried(case, find_scheme("hk", "kowalevski"), CaseCache())
     assert judged.finding.result is Result.BROKE
     assert judged.finding.figures["largest"] > 1e10
     assert (judged.finding.step, judged.finding.why) == (14, "left its energy surface at step 14 (t = 28)")

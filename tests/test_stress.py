@@ -15,7 +15,7 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Scheme, Stepper, Top
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress import CASES, case_names, cases_named
-from topcli.studies.stress.case import Case, Finding, Result, Trial, Workshop
+from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
 from topcli.studies.stress.general import singular_step, swing_time
 from topcli.studies.stress.kowalevski import DELONE, EVENT, GENERIC, TOP, TORUS_E4, degenerate, separation
 from topcli.studies.stress.suite import Judged, stress, verdict_of
@@ -43,7 +43,7 @@ def finding(
     one = case_of(case, form)
     experiment = one.experiment(scheme, options)
     changes: dict[str, Any] = {"scheme": replace(experiment.scheme, **told)} | ({"N": N} if N else {})
-    return one.check(Trial(one, experiment.model_copy(update=changes), Workshop()))
+    return one.check(Trial(one, experiment.model_copy(update=changes), CaseCache()))
 
 
 def bent(step: Callable[[Floats, float, Floats], Floats]) -> Callable[[Top, Any], Stepper]:

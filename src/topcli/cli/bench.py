@@ -120,7 +120,13 @@ def bench(
         started = now()
         try:
             result = measure(
-                problem, field, peers, Effort(budget, repetitions), processes=processes, progress=teller, told=say
+                problem,
+                field,
+                peers,
+                Effort(budget, repetitions),
+                processes=processes,
+                on_progress=teller,
+                on_message=say,
             )
         finally:
             teller.close()

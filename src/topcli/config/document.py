@@ -1,6 +1,6 @@
 """A config as read: plain data, and for every key the place where it was written.
 
-Plain data is what JSON knows: dicts with text keys, lists, text, numbers, booleans and None.
+Plain data holds only what JSON has: dicts with text keys, lists, text, numbers, booleans and None.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ KeyPath = tuple[str | int, ...]
 MAX_NODES = 5_000
 MAX_DEPTH = 16
 MAX_INTEGER_BITS = 1024
+HALF_PAIR = "the text holds half of a surrogate pair, which is no character"
 
 
 @dataclass
@@ -26,7 +27,7 @@ class Document:
     places: dict[KeyPath, str] = field(default_factory=dict)
 
     def place(self, path: KeyPath) -> str:
-        """Where ``path``, or the section that holds it, was written; empty for data without a file."""
+        """Place of ``path``, or of the section that holds it; empty for data without a file."""
         for length in range(len(path), -1, -1):
             found = self.places.get(path[:length])
             if found is not None:
@@ -35,7 +36,7 @@ class Document:
 
 
 def key_text(path: KeyPath) -> str:
-    """A path as a user writes it: ``initial.gamma``, with odd keys quoted and positions in brackets.
+    """Return a path as a user writes it: ``initial.gamma``, with odd keys quoted and positions in brackets.
 
     >>> key_text(("output", "columns", 2))
     'output.columns[2]'
@@ -51,7 +52,7 @@ def key_text(path: KeyPath) -> str:
 
 
 def describe(value: object) -> str:
-    """A value in a message: short, on one line, and clear about its type.
+    """Return a value as messages show it: short, on one line, and clear about its type.
 
     >>> describe("0.01"), describe(True), describe([1, 2])
     ("the text '0.01'", 'true', 'a list')
@@ -71,8 +72,13 @@ def describe(value: object) -> str:
             return shortened(repr(value))
 
 
+def has_half_pair(text: str) -> bool:
+    """True if ``text`` holds half of a surrogate pair, which no encoding can write."""
+    return not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
 def plain(value: object, document: Document, path: KeyPath = ()) -> Any:
-    """A copy of ``value`` as plain data; tuples and numpy's scalars and arrays become lists and numbers.
+    """Return a copy of ``value`` as plain data; tuples and numpy's scalars and arrays become lists and numbers.
 
     Raises ConfigError naming the key of anything else (dates, objects, keys that are not text, integers
     beyond 1024 bits) and of data nested deeper than 16 levels or of more than 5000 values.
@@ -112,8 +118,8 @@ def plain(value: object, document: Document, path: KeyPath = ()) -> Any:
         raise refuse(path, f"must be a number, text, list or section, not a {type(value).__name__}")
 
     def _text(value: str, path: KeyPath) -> str:
-        if not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
-            raise refuse(path, "the text holds half of a surrogate pair, which is no character")
+        if has_half_pair(value):
+            raise refuse(path, HALF_PAIR)
         return str.__str__(value)
 
     return copy(value, path)

@@ -2,48 +2,56 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import os
+import stat
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from topcli.config.document import Document, plain
-from topcli.config.files import SUFFIXES, read_document
-from topcli.config.models import Config, Experiment, duration_fault, name_fault
+from topcli.config.document import Document, KeyPath, describe, plain
+from topcli.config.models import (
+    Config,
+    Experiment,
+    duration_fault,
+    name_fault,
+    read_columns,
+    read_initial,
+    read_scheme,
+    read_top,
+)
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, validate
-from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
-from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
+from topcli.config.yaml_text import parse_yaml
+from topcli.errors import ConfigError, UnknownNameError, nearest, quoted, shortened
 from topcli.tops import TOPS, forms
 
 if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
+    from topcli.config.ensemble import EnsembleExperiment, Members
+    from topcli.contracts import Top
+
+MAX_BYTES = 1_000_000
+SUFFIXES = (".yaml", ".yml", ".toml")
 
 
 def load_experiment(source: Path | str, overrides: Sequence[str] = ()) -> Experiment:
-    """The experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
+    """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
     ``overrides`` are ``key=value`` texts, applied before the config is validated.
     Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
     an ensemble, which ``load_any`` loads.
     """
-    path = find_config(source)
-    document = read_document(path)
-    apply_overrides(document, overrides)
-    return _single(document, path.stem)
+    return _single(*_named_document(source, overrides))
 
 
 def load_any(source: Path | str, overrides: Sequence[str] = ()) -> Experiment | EnsembleExperiment:
-    """The experiment, or the ensemble, of a config file or of a packaged scene. Raises as ``load_experiment``."""
-    path = find_config(source)
-    document = read_document(path)
-    apply_overrides(document, overrides)
-    return _experiment(document, path.stem)
+    """Load the experiment or ensemble of a config file or of a packaged scene. Raises as ``load_experiment``."""
+    return _experiment(*_named_document(source, overrides))
 
 
 def experiment_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment:
-    """The experiment of a config given as a dict; without a name it is called after its top and scheme.
+    """Return the experiment of a config given as a dict; its default name is made of its top and scheme.
 
     Lists may be tuples or numpy arrays. Raises as ``load_experiment``; the messages name the key.
     """
@@ -51,8 +59,145 @@ def experiment_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> E
 
 
 def any_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment | EnsembleExperiment:
-    """The experiment, or the ensemble, of a config given as a dict. Raises as ``experiment_from``."""
+    """Return the experiment or ensemble of a config given as a dict. Raises as ``experiment_from``."""
     return _experiment(_document(data, overrides), None)
+
+
+def scene_folder() -> Path:
+    """Folder of the scenes: inside the package if a wheel installed it, otherwise ``configs`` of the checkout."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "scenes"
+    return inside if inside.is_dir() else package.parents[1] / "configs"
+
+
+def scene_files() -> dict[str, Path]:
+    """Files of the packaged scenes by name; a scene is a config that needs no path."""
+    folder = scene_folder()
+    if not folder.is_dir():
+        return {}
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix in SUFFIXES}
+
+
+def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]:
+    """Yield name, first trajectory, number of trajectories and description of each packaged scene.
+
+    ``top`` restricts them to one top. Raises UnknownNameError for an unknown top.
+    """
+    wanted = [form.form for form in forms(top)] if top else list(TOPS)
+    for name, path in scene_files().items():
+        one = load_any(path)
+        first, count = (one, 1) if isinstance(one, Experiment) else (one.first, one.count)
+        if first.top.form in wanted:
+            yield name, first, count, _first_sentence(path)
+
+
+def _first_sentence(path: Path) -> str:
+    """First sentence of the comment at the top of a config; empty if there is none."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines())
+    words = " ".join(line.removeprefix("#").strip() for line in lines)
+    return words.split(". ")[0].removesuffix(".")
+
+
+def find_config(source: Path | str) -> Path:
+    """Return the file of ``source``: itself if it is named like a config, otherwise the scene of that name.
+
+    Scenes are matched without case, and with - for _. Raises UnknownNameError with the nearest scenes.
+    """
+    path = Path(source)
+    if path.suffix.lower() in SUFFIXES:
+        return path
+    text = os.fspath(source)
+    if not text or path.suffix or os.sep in text or "/" in text:
+        return path  # reading it reports what is wrong with it
+    scenes = scene_files()
+    wanted = text.lower().replace("-", "_")
+    for name, scene in scenes.items():
+        if name.lower().replace("-", "_") == wanted:
+            return scene
+    files = [text + suffix for suffix in SUFFIXES if os.path.isfile(text + suffix)]
+    near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes)
+    raise UnknownNameError(f"no packaged scene is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a config file, with line ends as ``\\n`` and without a byte-order mark.
+
+    Raises ConfigError for a missing file (with the nearest names beside it), a folder, a special, unreadable
+    or too large file, and for bytes that are not UTF-8 text.
+    """
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise ConfigError(f"{path}: is a folder; give a config file (.yaml, .yml or .toml)")
+        if not stat.S_ISREG(status.st_mode):
+            raise ConfigError(f"{path}: is not a regular file; give a config file (.yaml, .yml or .toml)")
+        if status.st_size > MAX_BYTES:
+            raise ConfigError(f"{path}: {status.st_size} bytes; a config is at most {MAX_BYTES}")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file{_files_nearby(path)}") from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ConfigError(f"{path}: cannot be read: {reason}") from None
+    if b"\0" in content:
+        raise ConfigError(f"{path}: is a binary file; a config is UTF-8 text")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ConfigError(
+            f"{path}:{line}: is not UTF-8 text (byte 0x{content[error.start]:02x}); a config is UTF-8 text"
+        ) from None
+    return text.replace("\r\n", "\n")
+
+
+def _files_nearby(path: Path) -> str:
+    """End of a message about a missing file: the configs in its folder; empty if there are none."""
+    try:
+        names = sorted(entry for entry in os.listdir(path.parent) if entry.endswith(SUFFIXES))
+    except (OSError, ValueError):
+        return f"; nor is there a folder {path.parent}"
+    # by their stems, because the common ending makes any two names look alike
+    stems = {Path(name).stem: name for name in names}
+    close = [stems[stem] for stem in difflib.get_close_matches(path.stem, stems, n=2)]
+    if close:
+        return f"; did you mean {' or '.join(map(quoted, close))}?"
+    return f"; there are {', '.join(map(shortened, names[:5]))}{', ...' if len(names) > 5 else ''}" if names else ""
+
+
+def read_document(path: Path) -> Document:
+    """Read a YAML or TOML config file.
+
+    Raises ConfigError with ``file:line:column`` for wrong syntax, and as ``read_text`` does.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ConfigError(f"{path}: not a config; the name of a config ends in .yaml, .yml or .toml")
+    text = read_text(path)
+    if suffix == ".toml":
+        from topcli.config.toml_text import parse_toml
+
+        data, lines = parse_toml(text, str(path))
+    else:
+        data, lines = parse_yaml(text, str(path))
+    if data is None or data == {}:
+        raise ConfigError(f"{path}: is empty; `topcli init` writes a config to start from")
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}:1: a config is a list of `key: value` lines, not {describe(data)}")
+    places: dict[KeyPath, str] = {key: f"{path}:{line}" for key, line in lines.items()}
+    places.setdefault((), f"{path}:{min(lines.values(), default=1)}")
+    document = Document(data, places)
+    if suffix == ".toml":  # which has dates, and no bounds
+        document.data = plain(data, document)
+    return document
+
+
+def _named_document(source: Path | str, overrides: Sequence[str]) -> tuple[Document, str]:
+    """Document of a file or scene with the overrides applied, and the default name of its experiment."""
+    path = find_config(source)
+    document = read_document(path)
+    apply_overrides(document, overrides)
+    return document, path.stem
 
 
 def _document(data: Mapping[str, Any], overrides: Sequence[str]) -> Document:
@@ -65,7 +210,7 @@ def _document(data: Mapping[str, Any], overrides: Sequence[str]) -> Document:
 
 
 def _single(document: Document, default_name: str | None) -> Experiment:
-    """The experiment of a document that must not be an ensemble."""
+    """Return the experiment of a document that must not be an ensemble."""
     found = _experiment(document, default_name)
     if not isinstance(found, Experiment):
         problems = Problems(document)
@@ -79,93 +224,27 @@ def _single(document: Document, default_name: str | None) -> Experiment:
     return found
 
 
-def scene_folder() -> Path:
-    """The folder of the scenes: inside the package when a wheel installed it, else ``configs`` of the checkout."""
-    package = Path(__file__).resolve().parents[1]
-    inside = package / "scenes"
-    return inside if inside.is_dir() else package.parents[1] / "configs"
-
-
-def scene_files() -> dict[str, Path]:
-    """The packaged scenes by name: configs that are found without a path."""
-    folder = scene_folder()
-    if not folder.is_dir():
-        return {}
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix in SUFFIXES}
-
-
-def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]:
-    """The packaged scenes, those of ``top`` where one is named: name, first trajectory, their number, a sentence.
-
-    Raises UnknownNameError for an unknown top.
-    """
-    wanted = [form.form for form in forms(top)] if top else list(TOPS)
-    for name, path in scene_files().items():
-        one = load_any(path)
-        first, count = (one, 1) if isinstance(one, Experiment) else (one.first, one.count)
-        if first.top.form in wanted:
-            yield name, first, count, _first_sentence(path)
-
-
-def _first_sentence(path: Path) -> str:
-    """The first sentence of the comment that a config begins with; empty where there is none."""
-    lines = itertools.takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines())
-    words = " ".join(line.removeprefix("#").strip() for line in lines)
-    return words.split(". ")[0].removesuffix(".")
-
-
-def find_config(source: Path | str) -> Path:
-    """The file of ``source``: itself when it is named like a config, else the scene of that name.
-
-    Scenes are matched without case, and with - for _. Raises UnknownNameError with the nearest scenes.
-    """
-    path = Path(source)
-    if path.suffix.lower() in SUFFIXES:
-        return path
-    text = os.fspath(source)
-    if not text or path.suffix or os.sep in text or "/" in text:
-        return path  # reading it says what is wrong with it
-    scenes = scene_files()
-    wanted = text.lower().replace("-", "_")
-    for name, scene in scenes.items():
-        if name.lower().replace("-", "_") == wanted:
-            return scene
-    files = [text + suffix for suffix in SUFFIXES if os.path.isfile(text + suffix)]
-    near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes)
-    raise UnknownNameError(f"no packaged scene is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
-
-
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
+    """Return the experiment or ensemble of a document. Raises as ``load_experiment``."""
     problems = Problems(document)
     optional = ("name", "output", "ensemble")
     data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
     if "name" not in data and default_name is not None:
         if fault := name_fault(default_name):
-            problems.add(("name",), f"missing, and the file's own name does not serve: it {fault}")
+            problems.add(("name",), f"missing, and the file name cannot be used instead: it {fault}")
         data["name"] = "unnamed" if fault else default_name
-    many = data.get("ensemble")
-    if many is not None:
+    if "ensemble" in data:
         data.setdefault("initial", {})
     config = validate(Config, data, (), problems)
-    cls = top = state = scheme = members = columns = None
-    initial = data.get("initial")
-    if "top" in data:
-        named = initial
-        if many is not None and isinstance(initial, dict):
-            from topcli.config.members import vectors_named
-
-            named = dict.fromkeys(vectors_named(many)) | initial
-        cls, top = read_top(data["top"], named, problems)
+    cls, top = _top(data, problems)
+    scheme = state = members = columns = None
     if cls and "scheme" in data:
         scheme = read_scheme(data["scheme"], cls, problems)
-    if cls and many is not None:
-        from topcli.config.members import read_members
-
-        parameters = data["top"] if isinstance(data["top"], dict) else {}
-        members = read_members(many, initial, cls, top, parameters, problems) if top else None
+    if cls and "ensemble" in data:
+        members = _members(data, cls, top, problems)
         state = members.groups[0].state(0) if members else None
     elif cls and "initial" in data:
-        state = read_initial(initial, cls, problems)
+        state = read_initial(data["initial"], cls, problems)
     if config:
         if config.output.every > config.N:
             problems.add(("output", "every"), f"must be at most N = {config.N}, not {config.output.every}")
@@ -175,7 +254,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
             integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
             columns = read_columns(config.output.columns, top.components, integrals, problems)
     problems.raise_any()
-    # what is missing here has been raised as a problem
+    # a missing part has been raised as a problem
     assert config is not None
     assert top is not None
     assert state is not None
@@ -196,3 +275,25 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
 
     first = experiment.model_copy(update={"top": members.groups[0].top})
     return EnsembleExperiment(first, members, experiment.top)
+
+
+def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:
+    """Return the class of the top and the top; None for each that is missing or cannot be read."""
+    if "top" not in data:
+        return None, None
+    named = data.get("initial")
+    if "ensemble" in data and isinstance(named, dict):
+        from topcli.config.members import vectors_named
+
+        named = dict.fromkeys(vectors_named(data["ensemble"])) | named
+    return read_top(data["top"], named, problems)
+
+
+def _members(data: dict[str, Any], cls: type[Top], top: Top | None, problems: Problems) -> Members | None:
+    """Return the members of the ensemble; None if they, or the top, are wrong."""
+    from topcli.config.members import read_members
+
+    if top is None:
+        return None
+    parameters = data["top"] if isinstance(data["top"], dict) else {}
+    return read_members(data["ensemble"], data["initial"], cls, top, parameters, problems)

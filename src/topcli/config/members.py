@@ -1,4 +1,4 @@
-"""The section ``ensemble`` of a config: many initial states, from a list, a grid, or seeded random draws."""
+"""Reading the section ``ensemble`` of a config: initial states from a list, a grid, or seeded random draws."""
 
 from __future__ import annotations
 
@@ -10,10 +10,22 @@ from typing import Any
 import numpy as np
 
 from topcli.config.document import Document, KeyPath, describe
-from topcli.config.draws import Draw, Drawn, draw_examples, energy_of
-from topcli.config.ensemble import MAX_TRAJECTORIES, Combined, Group, Listed, Members, Random, Section, Spaced
+from topcli.config.ensemble import (
+    MAX_TRAJECTORIES,
+    Combined,
+    Draw,
+    Drawn,
+    Group,
+    Listed,
+    Members,
+    Random,
+    Section,
+    Spaced,
+    draw_examples,
+    energy_of,
+)
+from topcli.config.models import number_of, read_initial, read_vector
 from topcli.config.problems import Problems, unknown_key, validate
-from topcli.config.sections import number_of, read_initial, read_vector
 from topcli.contracts import Top
 
 SOURCES = ("states", "grid", "random")
@@ -22,7 +34,7 @@ ABSOLUTE = ("sphere", "energy")
 
 
 def vectors_named(raw: object) -> list[str]:
-    """Vectors that the section names, right or wrong: they help to tell which form of the top is meant."""
+    """Vectors that the section names, valid or not; they help to choose the form of the top."""
     if not isinstance(raw, dict):
         return []
     drawn = raw["random"] if isinstance(raw.get("random"), dict) else {}
@@ -34,7 +46,7 @@ def vectors_named(raw: object) -> list[str]:
 def read_members(
     raw: object, initial: object, cls: type[Top], top: Top, parameters: Mapping[str, Any], problems: Problems
 ) -> Members | None:
-    """The initial states of an ensemble of ``top``; None when the section, or ``initial``, is wrong.
+    """Return the initial states of an ensemble of ``top``; None if the section or ``initial`` is wrong.
 
     ``parameters`` are the parameters of the top as the config gives them, for a grid over some of them.
     """
@@ -62,7 +74,7 @@ def read_members(
     if found is None or section is None:
         return None
     kept = {key: _floats(value) for key, value in initial.items()}
-    for key, value in kept.items():  # of which a trajectory may replace any
+    for key, value in kept.items():  # a trajectory may replace any of them
         for item in value if isinstance(value, list) else [value]:
             if isinstance(item, float) and not math.isfinite(item):
                 problems.add(("initial", key), f"must hold finite numbers, not {item!r}")
@@ -71,7 +83,7 @@ def read_members(
 
 
 def _example(cls: type[Top], source: str = "random") -> str:
-    """Half a sentence with an example of a ``source`` of initial states."""
+    """End of a message: an example of a ``source`` of initial states."""
     first = next(iter(cls.vectors))
     if source == "states":
         return f"for example [{{{first}: [1, 0, 0]}}, {{{first}: [0, 1, 0]}}]"
@@ -82,16 +94,16 @@ def _example(cls: type[Top], source: str = "random") -> str:
 
 
 def _draw_forms(cls: type[Top], name: str) -> str:
-    """The ways to draw the vector ``name``, each as an example."""
+    """Examples of the ways to draw the vector ``name``."""
     *others, last = [f"{name}: {example}" for example in draw_examples(cls, name)]
     return f"{', '.join(others)} or {last}"
 
 
 def _floats(value: Any) -> Any:
-    """Plain data with whole numbers as floats, which is what they are used as."""
+    """Return plain data with whole numbers as floats."""
     if isinstance(value, list):
         return [_floats(item) for item in value]
-    number = None if isinstance(value, bool) else number_of(value)
+    number = number_of(value)
     return value if number is None else number
 
 
@@ -122,7 +134,7 @@ def _listed(
 
 
 def _state(raw: dict[str, Any], cls: type[Top], path: KeyPath, problems: Problems) -> tuple[float, ...] | None:
-    """An initial state whose mistakes are told at ``path``."""
+    """Return an initial state, with its mistakes reported at ``path``."""
     own = Problems(Document({}))
     state = read_initial(raw, cls, own)
     for message in own.messages:
@@ -133,7 +145,7 @@ def _state(raw: dict[str, Any], cls: type[Top], path: KeyPath, problems: Problem
 def _gridded(
     raw: object, initial: dict[str, Any], cls: type[Top], parameters: Mapping[str, Any], problems: Problems
 ) -> tuple[tuple[Group, ...], Any] | None:
-    """The product of the axes: parameters vary slowest, then the components in their order, the last one fastest."""
+    """Return the product of the axes: parameters vary slowest, then the components in their order, the last fastest."""
     path: KeyPath = ("ensemble", "grid")
     order = [*(f"top.{name}" for name in cls.model_fields), *cls.components]
     known = [*cls.components, *order[: -len(cls.components)]]
@@ -164,8 +176,8 @@ def _gridded(
         own = Problems(Document({}))
         top = validate(cls, {**parameters, **chosen}, ("top",), own, beside=("kind",))
         for message in own.messages:
-            told = ", ".join(f"{name} = {value!r}" for name, value in chosen.items())
-            problems.add(path, f"at {told}: {message}" if told else message)
+            at = ", ".join(f"{name} = {value!r}" for name, value in chosen.items())
+            problems.add(path, f"at {at}: {message}" if at else message)
         tops.append(top)
     if states is None or None in tops:
         return None
@@ -173,7 +185,7 @@ def _gridded(
 
 
 def _axis(raw: object, path: KeyPath, problems: Problems) -> tuple[list[float], Any] | None:
-    """The values of an axis, and how the config gives them, with its defaults."""
+    """Return the values of an axis, and the axis as plain data with its defaults."""
     if isinstance(raw, dict):
         spaced = validate(Spaced, raw, path, problems)
         return None if spaced is None else (spaced.values(), spaced.model_dump())
@@ -197,7 +209,7 @@ def _axis(raw: object, path: KeyPath, problems: Problems) -> tuple[list[float], 
 def _combined(
     axes: Mapping[str, list[float]], initial: dict[str, Any], cls: type[Top], path: KeyPath, problems: Problems
 ) -> Combined | None:
-    """Every combination of the components' values, the vectors completed as ``initial`` asks for."""
+    """Return every combination of the components' values, the vectors completed as ``initial`` asks for."""
     before = len(problems.messages)
     for key in initial:
         if key not in (*cls.vectors, "normalize"):
@@ -226,11 +238,11 @@ def _combined(
             own = Problems(Document({}))
             vector = read_vector(raw, cls, name, normalize, own)
             if vector is None:
-                told = ", ".join(f"{one} = {value!r}" for one, value in zip(varied, values, strict=True))
-                where: KeyPath = path if told else ("initial", name)
+                at = ", ".join(f"{one} = {value!r}" for one, value in zip(varied, values, strict=True))
+                where: KeyPath = path if at else ("initial", name)
                 for message in own.messages:
                     text = message.removeprefix(f"initial.{name}: ")
-                    problems.add(where, f"at {told}: {name}: {text}" if told else text)
+                    problems.add(where, f"at {at}: {name}: {text}" if at else text)
                 break
             vectors[row] = vector
         pieces.append(vectors)
@@ -270,13 +282,13 @@ def _drawn(
 
 
 def _draw(raw: object, cls: type[Top], top: Top, name: str, problems: Problems) -> Draw | None:
-    """How the vector ``name`` is drawn."""
+    """Return the rule to draw the vector ``name``."""
     path: KeyPath = ("ensemble", "random", name)
     unit = name in cls.unit_vectors
     kinds = ["sphere", "near"] if unit else ["sphere", "near", "energy"]
     start, stop = cls.vectors[name]
     if stop - start != 3:
-        problems.add(path, "cannot be drawn: it is no vector of three components")
+        problems.add(path, "cannot be drawn: it is not a vector of three components")
         return None
     if raw == "sphere" and unit:
         return Draw(name, "sphere", 1.0)

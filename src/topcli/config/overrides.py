@@ -6,17 +6,18 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from topcli.config.document import Document, describe, key_text, plain
+from topcli.config.document import Document, describe, key_text
+from topcli.config.yaml_text import parse_yaml
 from topcli.errors import ConfigError, quoted, shortened
 
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _POSITION = re.compile(r"^(:\d+)*: ")
 BARE = {"top": "kind", "scheme": "name"}
-"""Sections that may be given as a bare name, and the key that the name stands for."""
+"""Sections that may be given as a bare name, each with the key whose value the name is."""
 
 
 def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
-    """The path and the value of ``key=value``: a dotted path, and a value as YAML writes it.
+    """Return the path and the value of ``key=value``: a dotted path, and a value in YAML.
 
     >>> parse_override("initial.gamma=[auto, 0, 1e-3]")
     (('initial', 'gamma'), ['auto', 0, 0.001])
@@ -32,26 +33,24 @@ def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
         raise ConfigError(f"{label}: {quoted(key)} is not a key; expected key=value with a key such as h or top.c0")
     if not value.strip():
         raise ConfigError(f"{label}: no value is given; expected key=value, such as --set h=0.01")
-    from topcli.config.yaml_text import parse_yaml
-
     try:
         data, _ = parse_yaml(value, "")
     except ConfigError as error:
         raise ConfigError(f"{label}: {_POSITION.sub('', str(error))}") from None
-    return path, plain(data, Document({}, {(): label}))
+    return path, data
 
 
 def override_label(text: str) -> str:
-    """How messages name an override."""
+    """Name of an override in messages."""
     shown = shortened(text)
     return f"--set {shown}" if shown.isprintable() else f"--set {shown!r}"
 
 
 def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
-    """Set the overridden keys in ``document``; whole sections before keys inside them, whatever the order.
+    """Set the overridden keys in ``document``; whole sections before keys inside them, in whichever order given.
 
-    A bare name of a top or a scheme becomes a section where a key inside it is set.
-    Raises ConfigError for a malformed or repeated override, and for a key inside what is no section.
+    A bare name of a top or a scheme becomes a section if a key inside it is set.
+    Raises ConfigError for a malformed or repeated override, and for a key inside a value that is not a section.
     """
     parsed: dict[tuple[str, ...], tuple[str, Any]] = {}
     for text in overrides:

@@ -1,4 +1,4 @@
-"""Mistakes in a config, gathered so that several are told at once, each with its place and key."""
+"""Mistakes in a config, gathered so that several are reported at once, each with its place and key."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Problems:
     unknown_names: int = 0
 
     def add(self, path: KeyPath, text: str, *, unknown_name: bool = False) -> None:
-        """Note that ``path`` is wrong; ``unknown_name`` when it names a top or scheme that does not exist."""
+        """Add a mistake at ``path``; ``unknown_name`` marks the name of a top or scheme that does not exist."""
         parts = (self.document.place(path), key_text(path), text)
         message = ": ".join(part for part in parts if part)
         if message not in self.messages:
@@ -33,7 +33,7 @@ class Problems:
             self.unknown_names += unknown_name
 
     def raise_any(self) -> None:
-        """Raise the first three: UnknownNameError where all are unknown names, else ConfigError."""
+        """Raise the first three: UnknownNameError if all are unknown names, otherwise ConfigError."""
         if not self.messages:
             return
         lines = self.messages[:SHOWN]
@@ -43,23 +43,22 @@ class Problems:
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:
-    """What to say about a key that does not exist."""
+    """Message about a key that does not exist."""
     names = list(known)
     same = [name for name in names if name.lower() == key.lower()]
     if same:
         return f"unknown key; did you mean {same[0]!r}?"
     if len(names) <= 1:
-        return f"unknown key; only {names[0]!r} may stand here" if names else "unknown key; none may stand here"
+        return f"unknown key; only {names[0]!r} is allowed here" if names else "unknown key; none is allowed here"
     return f"unknown key; {nearest(key, names)}"
 
 
 def validate(
     model: type[Model], data: dict[str, Any], path: KeyPath, problems: Problems, beside: Iterable[str] = ()
 ) -> Model | None:
-    """An instance of ``model`` from plain data, without conversions between types; None when it does not fit.
+    """Return an instance of ``model`` from plain data, without conversions between types; None if it does not fit.
 
-    Unknown keys are refused whatever the model says of them; ``beside`` are keys of the section that are not
-    the model's.
+    Unknown keys are refused even by a model that allows them; ``beside`` lists further keys of the section.
     """
     fields = model.model_fields
     known = {key: value for key, value in data.items() if key in fields}
@@ -67,7 +66,7 @@ def validate(
         if key not in fields and key not in beside:
             problems.add((*path, key), unknown_key(key, [*fields, *beside]))
     try:
-        # JSON, because pydantic's strict mode then still takes a list for a tuple and a text for an enum
+        # JSON, because pydantic's strict mode then still accepts a list for a tuple and text for an enum
         instance = model.model_validate_json(json.dumps(known), strict=True)
     except ValidationError as error:
         for found in error.errors(include_url=False):
@@ -77,7 +76,7 @@ def validate(
 
 
 def _explain(found: Any, model: type[BaseModel]) -> str:
-    """A line for one of pydantic's errors."""
+    """Message for one of pydantic's errors."""
     value, limits = describe(found.get("input")), found.get("ctx", {})
     match found["type"]:
         case "missing":
@@ -120,7 +119,7 @@ def _explain_type(kind: str, value: str) -> str:
 
 
 def _model_at(model: type[BaseModel], path: Iterable[str | int]) -> type[BaseModel] | None:
-    """The model of the section ``path`` inside ``model``, where that is a model."""
+    """Return the model of the section ``path`` inside ``model``; None if the section has no model."""
     for part in path:
         inner = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from pydantic import BaseModel
+
 from topcli.analysis.columns import spellings
-from topcli.config.ensemble_schema import any_ensemble_schema, ensemble_schema
-from topcli.config.models import Config
-from topcli.config.sections import AUTO
+from topcli.config.ensemble import Random, Section, Spaced, energy_of
+from topcli.config.members import SOURCES
+from topcli.config.models import AUTO, Config
 from topcli.contracts import Scheme, Top
 from topcli.schemes.compose import COMPOSITIONS, obstacle
 from topcli.schemes.registry import all_schemes
@@ -18,7 +20,7 @@ Schema = dict[str, Any]
 
 
 def config_schema() -> Schema:
-    """The JSON Schema (draft 2020-12) of a config: every key, every registered top and scheme.
+    """Return the JSON Schema (draft 2020-12) of a config: every key, every registered top and scheme.
 
     The base describes each key; for each kind of top an ``if``/``then`` states the parameters, the initial
     vectors, the schemes that step it, and the columns.
@@ -50,7 +52,7 @@ def config_schema() -> Schema:
 
 
 def _for_top(cls: type[Top]) -> Schema:
-    """What the sections hold when the top is of class ``cls``."""
+    """Schema of the sections for a top of class ``cls``."""
     kind: Schema = {"const": cls.kind}
     schemes = [scheme for scheme in all_schemes() if scheme.top == cls.form]
     top = cls.new()
@@ -94,13 +96,13 @@ def _for_top(cls: type[Top]) -> Schema:
 
 
 def _is_top(name: Schema) -> Schema:
-    """A config whose top has this ``name``, bare or in a section."""
+    """Schema of a config whose top has this ``name``, bare or in a section."""
     named: Schema = {"type": "object", "required": ["kind"], "properties": {"kind": name}}
     return {"required": ["top"], "properties": {"top": {"anyOf": [name, named]}}}
 
 
 def _scheme(scheme: Scheme) -> Schema:
-    """A scheme by its bare name or as a section with its options, and composed where it can be."""
+    """Schema of a scheme by its bare name or as a section with its options, and composed if it can be."""
     name = {"const": scheme.name, "description": scheme.title}
     forms = [name, _section(scheme.options, "name", name)]
     if not obstacle(scheme):
@@ -112,7 +114,7 @@ def _scheme(scheme: Scheme) -> Schema:
 
 
 def _section(model: Any, key: str, value: Schema) -> Schema:
-    """The section of ``model``'s fields and of ``key``, which names what the section is."""
+    """Schema of a section with the fields of ``model`` and with ``key``, which names the top or scheme."""
     schema = model.model_json_schema()
     properties = schema.get("properties", {})
     _drop_titles(properties)
@@ -130,7 +132,7 @@ def _section(model: Any, key: str, value: Schema) -> Schema:
 
 
 def _vector(cls: type[Top], name: str) -> Schema:
-    """A vector of the initial state."""
+    """Schema of a vector of the initial state."""
     start, stop = cls.vectors[name]
     unit = name in cls.unit_vectors
     item: Schema = {"anyOf": [{"type": "number"}, {"enum": list(AUTO)}]} if unit else {"type": "number"}
@@ -147,8 +149,83 @@ def _vector(cls: type[Top], name: str) -> Schema:
 
 
 def _drop_titles(properties: Schema) -> None:
-    """Titles made of the keys' names say nothing."""
+    """Remove the titles, which only repeat the keys."""
     for value in properties.values():
         value.pop("title", None)
         if isinstance(value.get("properties"), dict):
             _drop_titles(value["properties"])
+
+
+def any_ensemble_schema() -> Schema:
+    """Schema of the section ``ensemble`` for an unknown top, with the vectors and parameters of all tops."""
+    classes = list(TOPS.values())
+    vectors = list(dict.fromkeys(name for cls in classes for name in cls.vectors))
+    draws: Schema = {}
+    for name in vectors:
+        ways = [way for cls in classes if name in cls.vectors for way in _draw(cls, name)["anyOf"]]
+        draws[name] = {"anyOf": [way for i, way in enumerate(ways) if way not in ways[:i]]}
+    known = [key for cls in classes for key in _axes(cls)]
+    initial: Schema = {name: {"type": "array"} for name in vectors} | {"normalize": {"type": "boolean"}}
+    return _ensemble_section(initial, draws, list(dict.fromkeys(known)))
+
+
+def ensemble_schema(cls: type[Top], initial: Schema) -> Schema:
+    """Schema of the section ``ensemble`` for tops of class ``cls``; ``initial`` are the keys of an initial state."""
+    return _ensemble_section(initial, {name: _draw(cls, name) for name in cls.vectors}, _axes(cls))
+
+
+def _axes(cls: type[Top]) -> list[str]:
+    """Keys of a grid."""
+    return [*cls.components, *(f"top.{name}" for name in cls.model_fields)]
+
+
+def _ensemble_section(initial: Schema, draws: Schema, known: list[str]) -> Schema:
+    section, random = _bare_schema(Section), _bare_schema(Random)
+    axis: Schema = {"anyOf": [{"type": "array", "items": {"type": "number"}, "minItems": 1}, _bare_schema(Spaced)]}
+    section["properties"]["states"] |= {
+        "type": "array",
+        "minItems": 1,
+        "items": {"type": "object", "additionalProperties": False, "properties": initial},
+    }
+    section["properties"]["grid"] |= {
+        "type": "object",
+        "additionalProperties": False,
+        "properties": dict.fromkeys(known, axis),
+    }
+    section["properties"]["random"] |= random | {
+        "properties": random["properties"] | draws,
+        "anyOf": [{"required": [name]} for name in draws],
+    }
+    for source in SOURCES:
+        section["properties"][source].pop("default")
+    return {"anyOf": [section | {"anyOf": [{"required": [source]} for source in SOURCES]}, {"type": "null"}]}
+
+
+def _bare_schema(model: type[BaseModel]) -> Schema:
+    """Schema of ``model`` without the titles and its docstring."""
+    schema = model.model_json_schema()
+    _drop_titles(schema["properties"])
+    return {key: value for key, value in schema.items() if key not in ("title", "description")}
+
+
+def _draw(cls: type[Top], name: str) -> Schema:
+    """Schema of the ways to draw a vector."""
+    unit = name in cls.unit_vectors
+    positive: Schema = {"type": "number", "exclusiveMinimum": 0}
+    kinds: Schema = {
+        "sphere": {"const": 1.0} if unit else positive | {"description": "uniform on the sphere of this radius"},
+        "near": positive
+        | {"description": f"uniform within this {'angle' if unit else 'distance'} of the vector in initial"},
+    }
+    if not unit and energy_of(cls.new()):
+        kinds["energy"] = {
+            "type": "number",
+            "description": "a direction uniform on the sphere, scaled to this energy of the whole state",
+        }
+    sections: list[Schema] = [
+        {"type": "object", "required": [kind], "additionalProperties": False, "properties": {kind: value}}
+        for kind, value in kinds.items()
+    ]
+    if unit:
+        sections.append({"const": "sphere", "description": "uniform on the unit sphere"})
+    return {"anyOf": sections}

@@ -1,4 +1,4 @@
-"""The commented config that a new experiment starts from, in YAML or TOML."""
+"""Commented configs to start a new experiment from, in YAML or TOML."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
-from topcli.config.draws import draw_examples
-from topcli.config.emit import flow
+from topcli.config.ensemble import draw_examples
 from topcli.config.models import Config, Output
+from topcli.config.yaml_text import flow
 from topcli.contracts import Scheme, Top
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.tops import top_class
 
 SCHEMA_FILE = "topcli.schema.json"
 DEFAULT_SCHEMES = ("hybrid", "hk")
-"""The scheme of a starter config where none is asked for: the first of these that the top has."""
+"""Default scheme of a starter config: the first of these that the top has."""
 _VECTOR = [2, 0, 0]
 _UNIT_VECTOR = ["auto", 0, 1e-3]
 
@@ -28,7 +28,7 @@ Line = tuple[str, Any, str]
 def starter_config(
     top: str = "kowalevski", scheme: str | None = None, schema: str = SCHEMA_FILE, toml: bool = False
 ) -> str:
-    """A commented config for ``top`` and ``scheme``, which loads; optional keys are given with their defaults.
+    """Return a commented config for ``top`` and ``scheme`` that loads; optional keys have their defaults.
 
     ``schema`` is the path of the JSON Schema that the editor's modeline names.
     Raises UnknownNameError with the nearest names, or UsageError for a scheme that does not fit the top.
@@ -98,7 +98,7 @@ def _sections(cls: type[Top], scheme: Scheme) -> Sequence[tuple[str, str, list[L
 
 
 def _fields(model: type[BaseModel]) -> list[Line]:
-    """A line for each field with its default and description; commented out where the default is none."""
+    """Lines for the fields with defaults and descriptions; commented out where the default is none."""
     return [
         (
             key,
@@ -110,7 +110,7 @@ def _fields(model: type[BaseModel]) -> list[Line]:
 
 
 def _initial(cls: type[Top]) -> list[Line]:
-    """The vectors of the initial state."""
+    """Lines for the vectors of the initial state."""
     lines: list[Line] = []
     for name, (start, stop) in cls.vectors.items():
         unit = name in cls.unit_vectors
@@ -123,7 +123,7 @@ def _initial(cls: type[Top]) -> list[Line]:
 
 
 def _ensemble(cls: type[Top], toml: bool) -> list[str]:
-    """A block to uncomment: many trajectories instead of one."""
+    """Block to uncomment for many trajectories instead of one."""
     lines = ["[ensemble.random]"] if toml else ["ensemble:", "  random:"]
     indent, sign = ("", " = ") if toml else ("    ", ": ")
     lines += [f"{indent}{key}{sign}{value}" for key, value in (("count", 100), ("seed", 0))]

@@ -24,7 +24,7 @@ _TOKEN = re.compile(
 
 
 def parse_toml(text: str, label: str) -> tuple[dict[str, Any], dict[KeyPath, int]]:
-    """The data of a TOML text and the line of every key outside inline tables.
+    """Return the data of a TOML text and the line of every key outside inline tables.
 
     Raises ConfigError with ``label:line:column``.
     """
@@ -51,7 +51,7 @@ def parse_toml(text: str, label: str) -> tuple[dict[str, Any], dict[KeyPath, int
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """The line on which each key of a valid TOML text, or each table's header, first appears."""
+    """Return the line on which each key or table header of a valid TOML text first appears."""
     lines: dict[KeyPath, int] = {}
     table: KeyPath = ()
     position, number = 0, 1
@@ -81,7 +81,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 def _dotted_key(text: str, position: int) -> tuple[KeyPath, int]:
-    """The parts of the key at ``position`` and where it ends; no parts for a blank line or a comment."""
+    """Return the parts of the key at ``position`` and its end; no parts for a blank line or a comment."""
     parts: list[str] = []
     while found := _KEY_PART.match(text, position):
         parts.append(next(part for part in found.groups()[:3] if part is not None))

@@ -1,27 +1,63 @@
-"""YAML text to plain data with the line of every key.
+"""YAML text to plain data with the line of every key, and plain data to YAML text.
 
-The text goes through ruamel.yaml's events, one by one, so that nothing is built before it is checked: no tags, no
-duplicate keys, no merge keys, bounded depth and size.
+Reading follows the core schema of YAML 1.2: ``1e-3`` is a number, ``no`` is text. The text goes through ruamel.yaml's
+events once, so that nothing is built before it is checked: no tags, no duplicate keys, no merge keys, bounded depth
+and size.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NoReturn
 
-from topcli.config.document import MAX_DEPTH, MAX_NODES, KeyPath, describe, key_text
-from topcli.config.scalars import resolve_scalar
+from topcli.config.document import HALF_PAIR, MAX_DEPTH, MAX_NODES, KeyPath, describe, has_half_pair, key_text
 from topcli.errors import NAME_LENGTH, ConfigError, quoted, shortened
 
 Lines = dict[KeyPath, int]
 
+_WORDS: dict[str, bool | None] = {
+    "": None,
+    "~": None,
+    **dict.fromkeys(("null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_OTHER_BASE = re.compile(r"0o[0-7]{1,300}|0x[0-9a-fA-F]{1,250}")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITE = re.compile(r"[-+]?\.(inf|Inf|INF)")
+_LONGEST_INTEGER = 300
+
+
+def resolve_scalar(text: str) -> str | int | float | bool | None:
+    """Return the value of an unquoted scalar; whole numbers of more than 300 digits become floats.
+
+    >>> resolve_scalar("1e-3"), resolve_scalar("no"), resolve_scalar("0x1f"), resolve_scalar("-auto")
+    (0.001, 'no', 31, '-auto')
+    """
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INTEGER.fullmatch(text):
+        return int(text) if len(text) <= _LONGEST_INTEGER else float(text)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _OTHER_BASE.fullmatch(text):
+        return int(text, 0)
+    if _INFINITE.fullmatch(text):
+        return float(text.replace(".", ""))
+    if text in (".nan", ".NaN", ".NAN"):
+        return float("nan")
+    return text
+
 
 def parse_yaml(text: str, label: str) -> tuple[Any, Lines]:
-    """The plain data of a YAML text and the line of every key; ``label`` names the text in messages.
+    """Return the plain data of a YAML text and the line of every key; ``label`` names the text in messages.
 
-    An empty text gives None. Raises ConfigError with ``label:line:column``.
+    An empty text gives None; nothing in the data is shared. Raises ConfigError with ``label:line:column``.
     """
     builder = _Builder(label, _events(text, label))
     return builder.document(), builder.lines
@@ -29,7 +65,7 @@ def parse_yaml(text: str, label: str) -> tuple[Any, Lines]:
 
 @cache
 def _scanner() -> type:
-    """ruamel.yaml's scanner without tags: they are refused anyway, and decoding one takes quadratic time."""
+    """Scanner of ruamel.yaml that refuses tags at once, because decoding one takes quadratic time."""
     from ruamel.yaml.scanner import Scanner, ScannerError
 
     class Tagless(Scanner):
@@ -75,7 +111,7 @@ def _events(text: str, label: str) -> Iterator[Any]:
 
 @dataclass
 class _Anchor:
-    """An anchored value, with its size and height for what its aliases will cost; ``ready`` once complete."""
+    """An anchored value, with the size and height that each alias adds; ``ready`` once complete."""
 
     value: Any = None
     nodes: int = 0
@@ -97,7 +133,7 @@ class _Builder:
         raise ConfigError(f"{self.label}:{mark.line + 1}:{mark.column + 1}: {text}")
 
     def document(self) -> Any:
-        """The value of the only document; None when there is none."""
+        """Return the value of the only document; None if there is none."""
         self._next("StreamStart")
         event = next(self.events)
         if _kind(event) == "StreamEnd":
@@ -115,7 +151,7 @@ class _Builder:
             self.refuse(event, f"YAML: unexpected {_kind(event)}")
 
     def node(self, event: Any, path: KeyPath) -> Any:
-        """The value that starts with ``event``."""
+        """Return the value that starts with ``event``."""
         self.count(event, 1, len(path))
         kind = _kind(event)
         if kind == "Alias":
@@ -127,6 +163,8 @@ class _Builder:
         match kind:
             case "Scalar":
                 value = resolve_scalar(event.value) if event.implicit[0] else event.value
+                if isinstance(value, str) and has_half_pair(value):
+                    self.refuse(event, ": ".join(part for part in (key_text(path), HALF_PAIR) if part))
             case "SequenceStart":
                 value = self.sequence(path)
             case _:
@@ -138,7 +176,7 @@ class _Builder:
         return value
 
     def count(self, event: Any, nodes: int, depth: int) -> None:
-        """Bound the size and the depth of what has been built, aliases expanded."""
+        """Bound the size and depth of the data built, with aliases expanded."""
         self.nodes += nodes
         self.deepest = max(self.deepest, depth)
         if self.nodes > MAX_NODES:
@@ -153,7 +191,7 @@ class _Builder:
         if not anchor.ready:
             self.refuse(event, f"alias *{name} is inside its own anchor; write the value out")
         self.count(event, anchor.nodes, len(path) + anchor.height)
-        return anchor.value
+        return deepcopy(anchor.value)  # an override may change one of the places
 
     def sequence(self, path: KeyPath) -> list[Any]:
         items: list[Any] = []
@@ -187,3 +225,50 @@ class _Builder:
 
 def _kind(event: Any) -> str:
     return type(event).__name__.removesuffix("Event")
+
+
+_UNQUOTED = re.compile(r"[+-]?\.?[A-Za-z0-9][A-Za-z0-9._+-]*")
+
+
+def to_yaml(data: dict[str, Any]) -> str:
+    """Return ``data`` as YAML: sections by indentation, the values inside them on one line each.
+
+    Floats read back bit for bit. ruamel.yaml's own dump writes the same values, but takes 2 to 3 ms of each run instead
+    of 0.1 ms, and ``flow``, which the commented starter config needs for single values, would remain.
+    """
+    lines = []
+    for key, value in data.items():
+        if isinstance(value, dict) and value:
+            lines.append(f"{_scalar(key)}:")
+            lines += [f"  {_scalar(inner)}: {flow(item)}" for inner, item in value.items()]
+        else:
+            lines.append(f"{_scalar(key)}: {flow(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def flow(value: Any) -> str:
+    """Return ``value`` on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_scalar(key)}: {flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(flow(item) for item in value) + "]"
+    return _scalar(value)
+
+
+def _scalar(value: str | float | bool | None) -> str:
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "true" if value else "false"
+        case str():
+            is_text = _UNQUOTED.fullmatch(value) and isinstance(resolve_scalar(value), str)
+            return value if is_text else '"' + "".join(map(_escaped, value)) + '"'
+        case _:
+            return repr(value)
+
+
+def _escaped(letter: str) -> str:
+    if letter in '"\\':
+        return "\\" + letter
+    return letter if letter.isprintable() else f"\\U{ord(letter):08x}"

@@ -122,7 +122,7 @@ def make_stress(
     source = stress_source()
     study = None if force else stored_stress(results)
     if study is None or study.get("source") != source:
-        study = stress_data(stress(progress=progress))
+        study = stress_data(stress(on_progress=progress))
         write_stress(study, results, source)
     data_path = out / f"{NAME}.parquet"
     pictures = [out / f"{NAME}.{suffix}" for suffix in formats]

@@ -9,7 +9,7 @@ import os
 import pkgutil
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from dataclasses import dataclass
 from functools import cache, wraps
 from importlib import import_module
@@ -213,7 +213,7 @@ def _checked(build: Build, name: str) -> Build:
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import a plugin; if that fails, remove the schemes it had registered and return the failure."""
     global _origin
-    tables: list[dict[Any, Any]] = [_schemes, TOPS, _for_every_top]
+    tables: list[MutableMapping[Any, Any]] = [_schemes, TOPS, _for_every_top]
     before, previous = [dict(table) for table in tables], _origin
     _origin = origin
     try:

@@ -12,8 +12,7 @@ from topcli.analysis.ensemble import Ensemble
 from topcli.config.ensemble import EnsembleExperiment, Group, Listed, Members
 from topcli.config.load import any_from, load_any
 from topcli.config.members import SOURCES
-from topcli.config.models import Experiment
-from topcli.config.sections import UNIT_TOLERANCE
+from topcli.config.models import UNIT_TOLERANCE, Experiment
 from topcli.contracts import Array, Top
 from topcli.engine.endings import Endings
 from topcli.engine.ensemble import Piece

@@ -1,37 +1,75 @@
 """Tops: parameters, equations of motion, integrals; one module per top.
 
-``TOPS`` maps the name of each form of a top to its class. A kind has several forms if its state can be written in
-several ways. The first form is the default; the vectors of the initial state select the form.
+``TOPS`` maps every form of every top to its class. A kind has several forms if its state can be written in several
+ways; the first of them is the default, and the vectors of the initial state choose among them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Iterator, MutableMapping
+from importlib import import_module
 
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.tops.euler import Euler, EulerGamma
-from topcli.tops.heavy import Heavy
-from topcli.tops.kowalevski import Kowalevski
-from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
-TOPS: dict[str, type[Top]] = {
-    top.form: top for top in (Kowalevski, Euler, EulerGamma, Lagrange, LagrangeInertial, Heavy)
+BUILT_IN = {
+    "kowalevski": "kowalevski.Kowalevski",
+    "euler": "euler.Euler",
+    "euler+gamma": "euler.EulerGamma",
+    "lagrange": "lagrange.Lagrange",
+    "lagrange/inertial": "lagrange.LagrangeInertial",
+    "heavy": "heavy.Heavy",
 }
+"""Module and class of each built-in form. A form is its kind, or begins with its kind and + or /."""
+
+
+class Tops(MutableMapping[str, type[Top]]):
+    """Classes of the tops by form; a built-in class is imported when it is first needed, which shortens start-up."""
+
+    def __init__(self) -> None:
+        self._classes: dict[str, type[Top] | str] = dict(BUILT_IN)
+
+    def __getitem__(self, form: str) -> type[Top]:
+        found = self._classes[form]
+        if isinstance(found, str):
+            module, name = found.split(".")
+            found = self._classes[form] = getattr(import_module(f"topcli.tops.{module}"), name)
+        return found
+
+    def __setitem__(self, form: str, top: type[Top]) -> None:
+        self._classes[form] = top
+
+    def __delitem__(self, form: str) -> None:
+        del self._classes[form]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._classes)
+
+    def __len__(self) -> int:
+        return len(self._classes)
+
+    def kind(self, form: str) -> str:
+        """Kind of a form, without importing its class."""
+        found = self._classes[form]
+        return re.split(r"[+/]", form)[0] if isinstance(found, str) else found.kind
+
+
+TOPS = Tops()
 
 
 def top_names() -> list[str]:
-    """Return the names of the tops: each kind, and each form that differs from its kind."""
-    return list(dict.fromkeys(name for top in TOPS.values() for name in (top.kind, top.form)))
+    """Names of the tops for users: each kind, and each form that differs from its kind."""
+    return list(dict.fromkeys(name for form in TOPS for name in (TOPS.kind(form), form)))
 
 
 def forms(name: str) -> list[type[Top]]:
-    """Return the forms of the top called ``name`` (case-insensitive): all those of a kind, its default first, or one.
+    """Forms of the top called ``name``, matched without case: all of a kind with the default first, or a single one.
 
     Raises UnknownNameError, with the nearest names, for an unknown kind.
     """
     wanted = name.lower()
-    found = [top for top in TOPS.values() if top.kind == wanted]
+    found = [TOPS[form] for form in TOPS if TOPS.kind(form) == wanted]
     if not found and wanted in TOPS:
         return [TOPS[wanted]]
     if not found:
@@ -40,7 +78,7 @@ def forms(name: str) -> list[type[Top]]:
 
 
 def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
-    """Return the form of the top called ``name`` whose initial state has the ``vectors``, else the default form.
+    """Return the form of the top called ``name`` whose initial state has the ``vectors``; the default if none does.
 
     Raises UnknownNameError, with the nearest names, for an unknown kind.
     """

@@ -1,4 +1,4 @@
-"""What takes part: our schemes, in this process, and the peers, each in one or several of their own."""
+"""The competitors: our schemes in this process, and the peers in one or several processes of their own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class NoResultError(Exception):
 
 @dataclass(frozen=True)
 class FirstCall:
-    """What the first call of a setting gave: ``states`` (m, d) at the problem's times, and the CPU seconds it took."""
+    """Result of the first call of a setting: ``states`` (m, d) at the problem's times, and its CPU seconds."""
 
     states: Array
     seconds: float
@@ -46,20 +46,20 @@ class Competitor(Protocol):
     patience: float
 
     def rungs(self) -> Iterator[Rung]:
-        """The settings, coarse to fine."""
+        """Yield the settings, coarse to fine."""
         ...
 
     def run(self, rung: Rung) -> FirstCall:
-        """Make ready and call once. Raises NoResultError."""
+        """Prepare and call once. Raises NoResultError."""
         ...
 
     def seconds(self, rung: Rung, calls: int) -> list[float]:
-        """CPU seconds of one of so many warm calls, in each process that takes part. Raises NoResultError."""
+        """Return the mean CPU seconds of a warm call over ``calls`` calls, for each process. Raises NoResultError."""
         ...
 
 
 class SchemeCompetitor:
-    """A scheme through the engine's own loop, driven over the whole run."""
+    """A scheme in the engine's own loop, driven over the whole run."""
 
     kind = "topcli"
     patience = 1.0
@@ -76,11 +76,11 @@ class SchemeCompetitor:
         self._fixed: Loop | None = None
 
     def rungs(self) -> Iterator[Rung]:
-        """See ``ladder``."""
+        """Yield the rungs of ``ladder``."""
         return ladder(self._scheme, self._y0, self._problem.interval)
 
     def _loop(self, rung: Rung) -> Loop:
-        """The loop for a rung; without options of its own it is the same for all."""
+        """Return the loop for a rung; rungs without options share one."""
         if rung.options or self._fixed is None:
             defaults = self._problem.experiment.options if self._own() else self._scheme.options()
             options = self._scheme.options.model_validate({**defaults.model_dump(), **dict(rung.options)})
@@ -92,7 +92,7 @@ class SchemeCompetitor:
         return self._fixed
 
     def _own(self) -> bool:
-        """Whether this is the scheme of the problem's config, whose options then count."""
+        """True if this is the scheme of the problem's config, whose options then apply."""
         return self._problem.experiment.scheme.name == self._scheme.name
 
     def _drive(self, rung: Rung) -> int:
@@ -107,7 +107,7 @@ class SchemeCompetitor:
     def run(self, rung: Rung) -> FirstCall:
         """Compile or load, enter the working state, and drive once.
 
-        What entering makes of the initial state is kept: a timed call starts from a copy, as the peers' do.
+        The entered initial state is kept: a timed call starts from a copy of it, as the peers' calls do.
         """
         known = self._fixed is not None and not rung.options
         loop = self._loop(rung)
@@ -123,7 +123,7 @@ class SchemeCompetitor:
         return FirstCall(states, seconds, 0.0 if known else loop.seconds)
 
     def seconds(self, rung: Rung, calls: int) -> list[float]:
-        """Drive again, warm."""
+        """Drive again, warm, and return the mean CPU seconds of a call."""
         started = time.process_time()
         for _ in range(calls):
             self._drive(rung)
@@ -139,15 +139,15 @@ _ONE_THREAD = {
 
 
 class PeerProcess:
-    """A running worker: one request, one answer."""
+    """A running worker that answers each request once."""
 
     def __init__(self, peer: Peer, problem: Problem) -> None:
-        self._talk: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
+        self._log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "topcli.studies.peers.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._talk,
+            stderr=self._log,
             text=True,
             env={**os.environ, **_ONE_THREAD},
         )
@@ -155,20 +155,20 @@ class PeerProcess:
         self.send({"peer": peer.name, "config": problem.experiment.resolved(), "times": times})
 
     def send(self, request: dict[str, Any]) -> None:
-        """Send a request and do not wait."""
+        """Send a request without waiting for the answer."""
         assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # told when the answer is read
+        with suppress(BrokenPipeError):  # reading the answer reports it
             print(json.dumps(request), file=self._process.stdin, flush=True)
 
     def answer(self) -> dict[str, Any]:
-        """The answer to the last request. Raises NoResultError for what went wrong, a process that died among it."""
+        """Return the answer to the last request. Raises NoResultError if it failed or the process died."""
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
             code = self._process.wait()
-            self._talk.seek(0)
-            said = self._talk.read().decode(errors="replace").strip().splitlines()
-            raise NoResultError(f"its process died with code {code}" + (f": {said[-1]}" if said else ""))
+            self._log.seek(0)
+            lines = self._log.read().decode(errors="replace").strip().splitlines()
+            raise NoResultError(f"its process died with code {code}" + (f": {lines[-1]}" if lines else ""))
         answer = json.loads(line)
         if "failed" in answer:
             raise NoResultError(answer["failed"])
@@ -178,7 +178,7 @@ class PeerProcess:
         """End the process."""
         self._process.kill()
         self._process.communicate()
-        self._talk.close()
+        self._log.close()
 
 
 class PeerCompetitor:
@@ -193,7 +193,7 @@ class PeerCompetitor:
         self._values, self._processes, self._problem = variant["values"], processes, problem
 
     def rungs(self) -> Iterator[Rung]:
-        """The values that the peer's file gives."""
+        """Yield the values that the peer's file gives."""
         return (Rung(value) for value in self._values)
 
     def _ask(self, verb: str, *arguments: Any) -> None:
@@ -201,7 +201,7 @@ class PeerCompetitor:
             process.send({verb: [self.name, *arguments]})
 
     def run(self, rung: Rung) -> FirstCall:
-        """Prepare and call once in every process, side by side."""
+        """Prepare and call once in every process, in parallel."""
         self._ask("run", rung.value)
         answers, failure = [], None
         for process in self._processes:  # every answer is read, also after a failure
@@ -216,7 +216,7 @@ class PeerCompetitor:
         return FirstCall(states, seconds, min(answer["compile_seconds"] for answer in answers))
 
     def seconds(self, rung: Rung, calls: int) -> list[float]:
-        """Call again, warm, in one process after the other."""
+        """Call again, warm, in one process after the other, and return the CPU seconds of each."""
         spent = []
         for process in self._processes:
             process.send({"time": [self.name, rung.value, calls]})
@@ -225,7 +225,7 @@ class PeerCompetitor:
 
 
 def closed_form(scheme: Scheme, problem: Problem, calls: int = 20) -> tuple[Array, float]:
-    """The states of a solution in closed form at the problem's times, and the CPU seconds of evaluating them."""
+    """Return the states of a closed form at the problem's times, and the CPU seconds of evaluating them."""
     method = scheme.build(problem.top, scheme.options())
     assert isinstance(method, Sampler)
     y0, n, p = np.array(problem.experiment.y0), np.arange(problem.intervals + 1), problem.top.constants()

@@ -1,4 +1,4 @@
-"""The front in words and numbers: who is fastest at each decade of error, by how much, and before whom."""
+"""The front in words and numbers: the fastest at each decade of error, the next, and their ratio."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from typing import Any
 from topcli.analysis.pareto import Point, at_error, pareto_front
 
 DECADES = tuple(float(f"1e-{n}") for n in range(3, 13))
-"""The errors that the front is told for."""
+"""Errors for which the front is described."""
 BASELINE = "scipy dop853"
-"""What everybody knows: SciPy with its right-hand side in Python."""
+"""The well-known baseline: SciPy with its right-hand side in Python."""
 LEVEL = 1.05
-"""Two that differ by less than this factor are told to be level."""
+"""Competitors within this factor of each other are called level."""
 
 Competitor = dict[str, Any]
 
 
 def points_of(competitor: Competitor) -> list[Point]:
-    """The points of a competitor in a result, without those whose error is not finite: JSON has no number for it."""
+    """Points of a competitor in a result with a finite error; JSON stores the others as null."""
     return [
         Point(row["error"], row["seconds"], row["value"]) for row in competitor["points"] if row["error"] is not None
     ]
 
 
 def setting(parameter: str, value: float) -> str:
-    """A setting in words: ``h=0.042``, ``tol=1e-9``."""
+    """Text of a setting: ``h=0.042``, ``tol=1e-9``."""
     if value >= 1e-3:
         return f"{parameter}={value:.2g}"
     return f"{parameter}={value:.1e}".replace("e-0", "e-").replace(".0e", "e")
 
 
 def ratio_text(ratio: float) -> str:
-    """How many times faster, to two digits, without an exponent."""
+    """Text of a ratio of times, to two digits, without an exponent."""
     return f"{float(f'{ratio:.2g}'):g}"
 
 
@@ -48,7 +48,7 @@ def _entry(competitor: Competitor, point: Point) -> dict[str, Any]:
 
 
 def ranking(competitors: Sequence[Competitor], error: float) -> list[dict[str, Any]]:
-    """Those that reach ``error``, the fastest first, each with its setting and its seconds per unit of time."""
+    """Competitors that reach ``error``, fastest first, each with its setting and its seconds per unit of time."""
     found = []
     for competitor in competitors:
         point = at_error(points_of(competitor), error)
@@ -58,7 +58,7 @@ def ranking(competitors: Sequence[Competitor], error: float) -> list[dict[str, A
 
 
 def _after(ranked: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """The fastest that is not another variant of the best: the same program under other settings."""
+    """Return the fastest entry that is not a variant of the best, that is the same program with other settings."""
     program = ranked[0]["name"].split()[0] if ranked else ""
     return next((entry for entry in ranked[1:] if entry["name"].split()[0] != program), None)
 
@@ -77,10 +77,10 @@ def _words(error: float, ranked: Sequence[dict[str, Any]]) -> str:
 
 
 def decade_rows(competitors: Sequence[Competitor]) -> list[dict[str, Any]]:
-    """For each decade of error: the best of all and the next, the best of ours and of the peers, and their ratio.
+    """Return for each decade of error the best of all and the next, the best of ours and of the peers, and ratios.
 
-    ``ratio`` is how many times faster ours is than the best peer, ``baseline_ratio`` than SciPy's DOP853 with a Python
-    right-hand side; None where either does not reach the error.
+    ``ratio`` is the time of the best peer, and ``baseline_ratio`` that of SciPy's DOP853 with a Python right-hand side,
+    over the time of our best; None if either does not reach the error.
     """
     rows = []
     for error in DECADES:
@@ -105,7 +105,7 @@ def decade_rows(competitors: Sequence[Competitor]) -> list[dict[str, Any]]:
 
 
 def front(competitors: Sequence[Competitor]) -> list[dict[str, Any]]:
-    """The measured points that no other beats in both error and time, by falling error."""
+    """Return the measured points that no other beats in both error and time, by decreasing error."""
     named = [(competitor, point) for competitor in competitors for point in points_of(competitor)]
     kept = pareto_front([point for _, point in named])
     return [{**_entry(*named[i]), "error": named[i][1].error, "kind": named[i][0]["kind"]} for i in kept]

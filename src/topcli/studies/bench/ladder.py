@@ -1,4 +1,4 @@
-"""Ladders: the settings that a scheme is tried with, from coarse to fine."""
+"""Ladders: the settings of a scheme to measure, from coarse to fine."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from topcli.contracts import Array, Scheme
 from topcli.errors import UsageError
 
 TOLERANCES = ("tol", "rtol")
-"""An adaptive scheme's ladder goes over the first of these options that it has; ``atol`` follows in proportion."""
+"""The ladder of an adaptive scheme varies the first of these options that it has, and ``atol`` in proportion."""
 FIRST_TOLERANCE, LAST_TOLERANCE = 1e-2, 1e-18
 RUNGS = 60
-"""At most so many rungs; long before that a budget or round-off ends a ladder."""
+"""Largest number of rungs; a budget or round-off ends a ladder long before."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Rung:
 
 
 def _limits(model: type[BaseModel], key: str) -> tuple[float, float]:
-    """The least and the largest value that an option takes, as its declaration says."""
+    """Return the smallest and largest value that the declaration of an option allows."""
     low, high = 0.0, math.inf
     for constraint in model.model_fields[key].metadata:
         low = max(low, getattr(constraint, "ge", None) or 0.0, math.nextafter(getattr(constraint, "gt", None) or 0, 1))
@@ -39,7 +39,7 @@ def _limits(model: type[BaseModel], key: str) -> tuple[float, float]:
 
 
 def tolerance_option(scheme: Scheme) -> str | None:
-    """The option that the ladder of an adaptive scheme goes over; None for a scheme of fixed steps.
+    """Return the option that the ladder of an adaptive scheme varies; None for a scheme of fixed steps.
 
     Raises UsageError for an adaptive scheme without such an option.
     """
@@ -54,7 +54,7 @@ def tolerance_option(scheme: Scheme) -> str | None:
 
 
 def _tolerance_ladder(scheme: Scheme, name: str) -> Iterator[Rung]:
-    """Half decades of the tolerance within its limits, and the least that it may be."""
+    """Yield half decades of the tolerance within its limits, and its smallest value."""
     low, high = _limits(scheme.options, name)
     least = max(low, LAST_TOLERANCE)
     values = [float(f"{mantissa}e{e}") for e in range(0, -400, -1) for mantissa in ("1", "0.32")]
@@ -70,10 +70,10 @@ def _tolerance_ladder(scheme: Scheme, name: str) -> Iterator[Rung]:
 
 
 def _step_ladder(order: int, y0: Array, interval: float) -> Iterator[Rung]:
-    """Finer and finer steps that divide the interval: by halves to order 2, by the root of it above.
+    """Yield finer and finer steps that divide the interval, by a factor 2 up to order 2 and sqrt(2) above.
 
-    The first is some four over the largest component of the state, the angle of a step about four radians: coarser is
-    of no use to anybody.
+    The first is about four over the largest component of the state, an angle of four radians per step; nobody needs a
+    coarser one.
     """
     ratio = 2.0 if order <= 2 else math.sqrt(2.0)
     size = max(float(max(abs(y) for y in y0)), 1e-300)
@@ -87,7 +87,7 @@ def _step_ladder(order: int, y0: Array, interval: float) -> Iterator[Rung]:
 
 
 def ladder(scheme: Scheme, y0: Array, interval: float) -> Iterator[Rung]:
-    """The rungs of ``scheme`` for states that start at ``y0`` and are looked at every ``interval``, coarse to fine.
+    """Yield the rungs of ``scheme``, coarse to fine, from the state ``y0`` with a comparison every ``interval``.
 
     Steps h for a scheme of fixed steps; half decades of its tolerance for an adaptive one. Raises UsageError for an
     adaptive scheme that has none.

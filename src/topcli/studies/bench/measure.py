@@ -1,7 +1,7 @@
 """Measure competitors on one problem: errors once, then times in interleaved repetitions.
 
 Errors are Euclidean norms of the difference of states from the Taylor reference in double-double arithmetic at the
-common times. Seconds are those of the CPU, in the process that works, so that a busy machine disturbs them least.
+common times. Times are CPU seconds of the working process, which depend least on the load of the machine.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from topcli.studies.bench.ladder import Rung
 from topcli.studies.bench.scenes import Problem
 
 ROUND_OFF = 1e-6
-"""Below this error a ladder ends where two finer rungs in turn gain less than a factor of two."""
+"""Below this error a ladder ends when two finer rungs in a row gain less than a factor of two."""
 SLICE = 0.002
-"""Seconds that one repetition takes at least: what is quicker is called several times."""
+"""Shortest repetition in seconds; a quicker call is repeated within it."""
 ALLOWANCE = 0.2
-"""Seconds that the repetitions of one rung take together, unless three take longer."""
+"""Seconds for all repetitions of one rung, unless three take longer."""
 LONG = 0.25
-"""What takes longer than this in seconds is timed once."""
+"""Calls longer than this, in seconds, are timed once."""
 USELESS = 1.0
-"""A setting with a larger error than this is timed once too: it says nothing about speed."""
+"""Settings with a larger error than this are timed once, because their speed is of no interest."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much to measure: CPU seconds a call may take, and repetitions of it."""
+    """Amount of measurement: CPU seconds allowed for a call, and repetitions of it."""
 
     budget: float = 0.06
     repetitions: int = 7
@@ -53,32 +53,32 @@ class Measured:
     samples: list[list[float]] = field(default_factory=list)
 
     def best(self) -> list[float]:
-        """The repetitions in the process with the smallest median; the first call where there are none."""
+        """Repetitions in the process with the smallest median; the first call if there are none."""
         return min(self.samples, key=lambda one: float(np.median(one))) if self.samples else [self.first]
 
     def point(self) -> Point:
-        """Its place in the plane of error and seconds."""
+        """Point of the rung in the plane of error and seconds."""
         return Point(self.error, float(np.median(self.best())), self.rung.value)
 
 
 @dataclass
-class Standing:
-    """What was measured of one competitor: its rungs, those that ``failed`` and why, and where its ladder ``ended``."""
+class Measurements:
+    """Measurements of one competitor: its rungs, those that ``failed`` and why, and why its ladder ``ended``."""
 
     competitor: Competitor
     rungs: list[Measured] = field(default_factory=list)
     failed: list[tuple[float, str]] = field(default_factory=list)
     ended: str = "the ladder's end"
     broken: str = ""
-    """Why nothing more could be had of it; empty where nothing happened."""
+    """Why this competitor stopped; empty if it did not."""
 
     def points(self) -> list[Point]:
-        """Its rungs in the plane of error and seconds."""
+        """Points of the rungs in the plane of error and seconds."""
         return [rung.point() for rung in self.rungs]
 
 
 def deviations(invariants: Sequence[Invariant], states: Array) -> dict[str, float]:
-    """How far each invariant gets from its first value, relative to the size of the terms that make it up."""
+    """Return the largest deviation of each invariant from its first value, relative to the size of its terms."""
     found = {}
     with np.errstate(all="ignore"):
         for invariant in invariants:
@@ -88,7 +88,7 @@ def deviations(invariants: Sequence[Invariant], states: Array) -> dict[str, floa
 
 
 def _estimate(rung: Rung, before: Sequence[Measured]) -> float:
-    """Seconds that the next rung will take: in proportion to its steps, or growing as the last ones did."""
+    """Estimate the seconds of the next rung: in proportion to its steps, or growing as the last ones did."""
     if not before:
         return 0.0
     last = before[-1]
@@ -99,38 +99,38 @@ def _estimate(rung: Rung, before: Sequence[Measured]) -> float:
 
 
 def _saturated(rungs: Sequence[Measured]) -> bool:
-    """Whether the last two rungs gained nothing any more. Finer tolerances cost little: those are all tried."""
+    """True if the last two rungs gained nothing; never for tolerances, which cost little and are all tried."""
     if len(rungs) < 3 or rungs[-1].rung.steps == rungs[-2].rung.steps:
         return False
     best = min(rung.error for rung in rungs[:-2])
     return best < ROUND_OFF and min(rung.error for rung in rungs[-2:]) > 0.5 * best
 
 
-def explore(competitor: Competitor, problem: Problem, reference: Array, effort: Effort) -> Standing:
-    """Climb the ladder of ``competitor`` once: the errors, and a first idea of the time.
+def explore(competitor: Competitor, problem: Problem, reference: Array, effort: Effort) -> Measurements:
+    """Climb the ladder of ``competitor`` once, for the errors and a first estimate of the times.
 
-    It ends where the next rung would take longer than the budget, or where round-off has been reached.
+    The ladder ends when the next rung would exceed the budget, or when round-off has been reached.
     """
-    standing = Standing(competitor)
+    measured = Measurements(competitor)
     allowed = effort.budget * competitor.patience
     invariants = problem.top.invariants()
     for rung in competitor.rungs():
-        told = f"{competitor.parameter} = {rung.value:.2g}"
-        estimate = _estimate(rung, standing.rungs)
+        setting = f"{competitor.parameter} = {rung.value:.2g}"
+        estimate = _estimate(rung, measured.rungs)
         if estimate > allowed:
-            standing.ended = f"{told} would take some {estimate:.2g} s a run, and {allowed:.2g} s are allowed"
+            measured.ended = f"{setting} would take about {estimate:.2g} s a run; {allowed:.2g} s are allowed"
             break
         try:
             first = competitor.run(rung)
         except NoResultError as failure:
-            standing.failed.append((rung.value, str(failure)))
+            measured.failed.append((rung.value, str(failure)))
             continue
-        except UsageError as error:  # a step that cannot be compiled: no other rung can be
-            standing.ended = standing.broken = str(error)
+        except UsageError as error:  # a step that cannot be compiled fails at every rung
+            measured.ended = measured.broken = str(error)
             break
         with np.errstate(over="ignore", invalid="ignore"):
             errors = np.linalg.norm(first.states - reference, axis=1)
-        standing.rungs.append(
+        measured.rungs.append(
             Measured(
                 rung,
                 float(errors.max()),
@@ -140,51 +140,52 @@ def explore(competitor: Competitor, problem: Problem, reference: Array, effort: 
                 first.compile_seconds,
             )
         )
-        if _saturated(standing.rungs):
-            standing.ended = f"round-off: finer than {told} gains nothing"
+        if _saturated(measured.rungs):
+            measured.ended = f"round-off: steps finer than {setting} gain nothing"
             break
-    return standing
+    return measured
 
 
 def _repetitions(rung: Measured, most: int) -> int:
-    """How often the call of a rung is repeated."""
+    """Number of repetitions of the call of a rung."""
     if rung.first > LONG or not rung.error <= USELESS:
         return 0
     return min(most, max(3, math.floor(ALLOWANCE / max(rung.first, SLICE))))
 
 
-def time_all(standings: Sequence[Standing], effort: Effort, told: Callable[[int, int], None]) -> None:
-    """Time every rung of all ``standings``, repetition by repetition, each beginning with another competitor.
+def time_all(measurements: Sequence[Measurements], effort: Effort, on_progress: Callable[[int, int], None]) -> None:
+    """Time every rung of all ``measurements``, repetition by repetition, each beginning with another competitor.
 
-    A competitor that fails now keeps what it has, and why is noted in ``broken``. ``told`` hears (done, of how many).
+    A competitor that fails keeps its measurements so far, and ``broken`` gives the reason. ``on_progress`` is called
+    with the repetitions done and their total.
     """
     plan = [
-        (standing, rung, _repetitions(rung, effort.repetitions)) for standing in standings for rung in standing.rungs
+        (measured, rung, _repetitions(rung, effort.repetitions)) for measured in measurements for rung in measured.rungs
     ]
     rounds = max((count for *_, count in plan), default=0)
     total, done = sum(count for *_, count in plan), 0
     for repetition in range(rounds):
         start = repetition * len(plan) // rounds
-        for standing, rung, count in plan[start:] + plan[:start]:
-            if repetition >= count or standing.broken:
+        for measured, rung, count in plan[start:] + plan[:start]:
+            if repetition >= count or measured.broken:
                 continue
             try:
-                spent = standing.competitor.seconds(rung.rung, max(1, math.ceil(SLICE / max(rung.first, 1e-7))))
+                spent = measured.competitor.seconds(rung.rung, max(1, math.ceil(SLICE / max(rung.first, 1e-7))))
             except NoResultError as failure:
-                standing.broken = str(failure)
+                measured.broken = str(failure)
                 continue
             if not rung.samples:
                 rung.samples = [[] for _ in spent]
             for samples, seconds in zip(rung.samples, spent, strict=True):
                 samples.append(seconds)
             done += 1
-            told(done, total)
+            on_progress(done, total)
 
 
-def as_rows(standing: Standing, duration: float) -> list[dict[str, Any]]:
-    """The rungs as plain data; times are CPU seconds per unit of simulated time."""
+def as_rows(measured: Measurements, duration: float) -> list[dict[str, Any]]:
+    """Return the rungs as plain data; times are CPU seconds per unit of simulated time."""
     rows = []
-    for rung in standing.rungs:
+    for rung in measured.rungs:
         spent = np.array(rung.best()) / duration
         rows.append(
             {

@@ -1,4 +1,4 @@
-"""Bench one problem: choose who takes part, measure, put the result together."""
+"""Bench one problem: choose the competitors, measure them, assemble the result."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from topcli.studies.bench.competitors import (
     closed_form,
 )
 from topcli.studies.bench.front import decade_rows, front
-from topcli.studies.bench.measure import Effort, Standing, as_rows, deviations, explore, time_all
+from topcli.studies.bench.measure import Effort, Measurements, as_rows, deviations, explore, time_all
 from topcli.studies.bench.scenes import Problem
 from topcli.studies.peers import Peer, missing
 from topcli.studies.report import finite
 from topcli.studies.run import method_fingerprint
 
 COMPOSED = {"hk": ("kahan-li6", "kahan-li8")}
-"""Compositions that take part when no scheme is named, where the base fits."""
+"""Compositions that take part by default if their base fits."""
 
 
 @dataclass(frozen=True)
 class Entrants:
-    """Who takes part: ``schemes`` of ours, ``exact`` solutions apart, and who is left out and why."""
+    """The ``schemes`` to measure, the ``exact`` solutions, and the schemes left out with the reasons."""
 
     schemes: tuple[Scheme, ...]
     exact: tuple[Scheme, ...]
@@ -46,7 +46,7 @@ class Entrants:
 
 
 def default_names(form: str) -> list[str]:
-    """Every scheme of a form of a top, and the compositions of ``COMPOSED``."""
+    """Names of every scheme of a form of a top and of the compositions of ``COMPOSED``."""
     names, composable = names_for(form), composable_names(form)
     composed = [f"{base}+{name}" for base in COMPOSED if base in composable for name in COMPOSED[base]]
     assert all(name in COMPOSITIONS for one in COMPOSED.values() for name in one)
@@ -54,10 +54,11 @@ def default_names(form: str) -> list[str]:
 
 
 def choose(problem: Problem, names: Sequence[str]) -> Entrants:
-    """The schemes ``names`` that fit the problem's top; every one where none is named.
+    """Return the schemes ``names`` that fit the problem's top; all schemes if none is named.
 
-    A scheme that is named and cannot be measured is a mistake, a UsageError; one that fits other tops only, or that
-    is there by default and runs in the interpreter, is left out. Raises UnknownNameError with the nearest names.
+    Left out are schemes that fit other tops only, that need options, that are evaluated rather than stepped, and, by
+    default, those that run in the interpreter. Raises UsageError for a scheme named twice, and UnknownNameError with
+    the nearest names.
     """
     schemes: list[Scheme] = []
     exact: list[Scheme] = []
@@ -81,7 +82,7 @@ def choose(problem: Problem, names: Sequence[str]) -> Entrants:
             left_out.append((scheme.name, "is evaluated, not stepped: its error is that of the scheme it solves"))
         elif isinstance(method, Stepper) and method.plain and not names:
             left_out.append(
-                (scheme.name, "runs in the interpreter; the peer scipy is the same method, and tells its cost")
+                (scheme.name, "runs in the interpreter; the peer scipy is the same method and shows its cost")
             )
         else:
             schemes.append(scheme)
@@ -89,7 +90,7 @@ def choose(problem: Problem, names: Sequence[str]) -> Entrants:
 
 
 def code_of(entrants: Entrants, problem: Problem) -> str:
-    """A digest of the code of all schemes that take part."""
+    """Digest of the code of all schemes that take part."""
     codes = [method_fingerprint(scheme.build(problem.top, scheme.options())) for scheme in entrants.schemes]
     return hashlib.sha256(" ".join(codes).encode()).hexdigest()
 
@@ -97,7 +98,7 @@ def code_of(entrants: Entrants, problem: Problem) -> str:
 def _peer_competitors(
     peers: Sequence[Peer], problem: Problem, processes: int, stack: ExitStack
 ) -> tuple[list[PeerCompetitor], list[tuple[str, str]], list[tuple[str, str]]]:
-    """The variants of the peers, running; those not installed, and those that failed, with the reasons."""
+    """Start the peers; return their variants, and the peers not installed and failed, with the reasons."""
     absent = [(peer.name, reason) for peer in peers if (reason := missing(peer))]
     started: list[tuple[Peer, list[PeerProcess]]] = []
     for peer in peers:
@@ -117,23 +118,23 @@ def _peer_competitors(
     return competitors, absent, failed
 
 
-def _row(standing: Standing, duration: float) -> dict[str, Any]:
-    competitor = standing.competitor
+def _row(measured: Measurements, duration: float) -> dict[str, Any]:
+    competitor = measured.competitor
     return {
         "name": competitor.name,
         "kind": competitor.kind,
         "order": competitor.order,
         "parameter": competitor.parameter,
-        "compile_seconds": sum(rung.compile_seconds for rung in standing.rungs),
-        "ended": standing.ended,
-        "failed": [{"value": value, "reason": reason} for value, reason in standing.failed],
-        "broken": standing.broken or None,
-        "points": as_rows(standing, duration),
+        "compile_seconds": sum(rung.compile_seconds for rung in measured.rungs),
+        "ended": measured.ended,
+        "failed": [{"value": value, "reason": reason} for value, reason in measured.failed],
+        "broken": measured.broken or None,
+        "points": as_rows(measured, duration),
     }
 
 
 def _closed_forms(schemes: Sequence[Scheme], problem: Problem, reference: Array) -> list[dict[str, Any]]:
-    """The solutions in closed form, apart: what they cost goes with the number of looks, not with time."""
+    """Return rows for the closed forms, whose cost depends on the number of evaluations, not on the duration."""
     rows = []
     for scheme in schemes:
         states, seconds = closed_form(scheme, problem)
@@ -158,34 +159,34 @@ def bench(
     effort: Effort,
     *,
     processes: int = 5,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    told: Callable[[str], None] = lambda line: None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    on_message: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Measure the schemes of ``entrants`` and the ``peers`` on ``problem``: the result as plain data.
+    """Measure the schemes of ``entrants`` and the ``peers`` on ``problem``; return the result as plain data.
 
-    A peer that varies from process to process is measured in so many ``processes``. ``told`` receives lines of talk:
-    every peer that is left out, by name, among them. Raises RunError when the motion cannot be followed.
+    A peer whose speed varies from process to process is measured in this many ``processes``. ``on_message`` receives
+    one line for each peer that is skipped or fails. Raises RunError if the reference cannot follow the motion.
     """
     reference = reference_states(problem.top, problem.experiment.y0, problem.times)
     with ExitStack() as stack:
         others, absent, failed = _peer_competitors(peers, problem, processes, stack)
         for name, reason in absent:
-            told(f"{problem.name}: peer {name} is skipped: {reason}")
+            on_message(f"{problem.name}: peer {name} is skipped: {reason}")
         for name, reason in failed:
-            told(f"error: {problem.name}: peer {name} failed: {reason}")
+            on_message(f"error: {problem.name}: peer {name} failed: {reason}")
         taking_part: list[Competitor] = [*(SchemeCompetitor(scheme, problem) for scheme in entrants.schemes), *others]
-        standings = []
+        measurements = []
         for i, competitor in enumerate(taking_part):
-            standings.append(explore(competitor, problem, reference, effort))
-            progress(i + 1, 2 * len(taking_part))
-        time_all(standings, effort, lambda done, total: progress(total + done, 2 * total))
-    rows = [_row(standing, problem.duration) for standing in standings]
+            measurements.append(explore(competitor, problem, reference, effort))
+            on_progress(i + 1, 2 * len(taking_part))
+        time_all(measurements, effort, lambda done, total: on_progress(total + done, 2 * total))
+    rows = [_row(measured, problem.duration) for measured in measurements]
     for row in rows:
         if row["broken"]:
-            told(f"error: {problem.name}: {row['name']} failed: {row['broken']}")
+            on_message(f"error: {problem.name}: {row['name']} failed: {row['broken']}")
         elif not row["points"]:
             reason = row["failed"][0]["reason"] if row["failed"] else row["ended"]
-            told(f"{problem.name}: {row['name']} gave no result: {reason}")
+            on_message(f"{problem.name}: {row['name']} gave no result: {reason}")
     return finite(
         {
             "name": problem.name,

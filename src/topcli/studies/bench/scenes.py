@@ -1,4 +1,4 @@
-"""The scenes that speed is measured on, and the same for any config."""
+"""The problems of the benchmarks: packaged scenes, or any config."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from topcli.contracts import Array, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 INTERVALS = 100
-"""Errors are looked at at so many evenly spaced times, the same for all competitors."""
+"""Number of intervals between the evenly spaced times at which errors are measured."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A packaged ``config`` run for ``duration``; ``goal`` is how many times faster than the best peer to be."""
+    """A packaged ``config`` run for ``duration``; ``goal`` is the speed to reach, as a multiple of the best peer's."""
 
     name: str
     title: str
@@ -40,7 +40,7 @@ SCENES: dict[str, Scene] = {
 
 @dataclass(frozen=True)
 class Problem:
-    """What all competitors solve: the motion of a config's top for ``duration``, seen at ``intervals`` + 1 times."""
+    """The problem to solve: the motion of a config's top for ``duration``, compared at ``intervals`` + 1 times."""
 
     name: str
     title: str
@@ -51,30 +51,30 @@ class Problem:
 
     @property
     def top(self) -> Top:
-        """The top."""
+        """Top of the experiment."""
         return self.experiment.top
 
     @property
     def interval(self) -> float:
-        """The time between two looks."""
+        """Time between two comparisons."""
         return self.duration / self.intervals
 
     @property
     def times(self) -> Array:
-        """The times of the looks, from zero, shape (intervals + 1,)."""
+        """Times of the comparisons, from zero, shape (intervals + 1,)."""
         return np.arange(self.intervals + 1) * self.interval
 
 
 def bench_problems(
     scenes: Sequence[str], configs: Sequence[str], sets: Sequence[str] = (), intervals: int = INTERVALS
 ) -> list[Problem]:
-    """The problems of the named ``scenes`` and of ``configs``; of all scenes where neither is given.
+    """Return the problems of the named ``scenes`` and of ``configs``; of all scenes if neither is given.
 
-    A config counts with its top, its initial state and its duration N*h; ``sets`` are overrides to them. Raises
-    UnknownNameError with the nearest names, and UsageError for two of the same name or a run backwards in time.
+    A config gives its top, its initial state and its duration N*h; ``sets`` are overrides of configs. Raises
+    UnknownNameError with the nearest names, and UsageError for a name given twice or a run backwards in time.
     """
     if sets and not configs:
-        raise UsageError("--set changes a --config, and none is given; the scenes are as they are")
+        raise UsageError("--set changes a --config, and none is given; scenes cannot be changed")
     names = list(scenes) if scenes or configs else list(SCENES)
     problems = []
     for name in names:

@@ -1,4 +1,4 @@
-"""Results of benches on disk, one folder a scene, whole or not at all, and read back for the figure."""
+"""Results of benchmarks on disk, one folder per scene, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PLAIN = ("value", "error", "end_error", "drift", "seconds", "fastest", "repetit
 
 
 def points_table(result: dict[str, Any]) -> dict[str, list[Any]]:
-    """Every point of a result as columns, one row a point; seconds are per unit of simulated time."""
+    """Return the points of a result as columns, one row per point; seconds are per unit of simulated time."""
     pairs = [(competitor, row) for competitor in result["competitors"] for row in competitor["points"]]
     invariants = list(dict.fromkeys(name for _, row in pairs for name in row["invariants"]))
     return {
@@ -36,7 +36,7 @@ def points_table(result: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def decade_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """The table of the decades, for the terminal and for Markdown: header and rows; times in microseconds."""
+    """Return header and rows of the table of decades, for the terminal and Markdown; times in microseconds."""
     header = ["error", "best topcli", "with", "µs", "best peer", "with", "µs", "ratio", "over scipy"]
     lines = []
     for row in result["decades"]:
@@ -49,7 +49,7 @@ def decade_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def point_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """The table of all points."""
+    """Return header and rows of the table of all points."""
     header = ["", "with", "µs per unit time", "quartiles", "max error", "at the end", "largest drift"]
     lines = []
     for competitor in result["competitors"]:
@@ -67,7 +67,7 @@ def point_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def ladder_lines(result: dict[str, Any]) -> list[str]:
-    """What compiling took and what ended the ladder, a line for each competitor."""
+    """Return a line for each competitor: its time to compile or load, and what ended its ladder."""
     return [
         f"{row['name']}: compiled or loaded in {row['compile_seconds']:.2g} s; its ladder ended: {row['ended']}"
         for row in result["competitors"]
@@ -75,19 +75,19 @@ def ladder_lines(result: dict[str, Any]) -> list[str]:
 
 
 def microseconds(seconds: float) -> str:
-    """Seconds in microseconds, to three digits, without an exponent."""
+    """Text of seconds in microseconds, to three digits, without an exponent."""
     return f"{float(f'{1e6 * seconds:.3g}'):g}"
 
 
 def markdown(header: list[str], lines: list[list[str]]) -> list[str]:
-    """A table in Markdown, a line each."""
+    """Return the lines of a table in Markdown."""
     ruled = ["| " + " | ".join(line) + " |" for line in [header, *lines]]
     return [ruled[0], "|" + " --- |" * len(header), *ruled[1:]]
 
 
 def report_text(result: dict[str, Any]) -> str:
-    """``report.md``: the result for a reader."""
-    gone = [*result["skipped_peers"], *result["failed_peers"], *result["left_out"]]
+    """Return the text of ``report.md``."""
+    not_measured = [*result["skipped_peers"], *result["failed_peers"], *result["left_out"]]
     lines = [
         f"# {result['name']}: speed against error",
         "",
@@ -103,7 +103,7 @@ def report_text(result: dict[str, Any]) -> str:
             f"{microseconds(row['seconds_per_state'])} µs a state."
             for row in result["closed_forms"]
         ),
-        *(f"- Not measured: {row['name']} ({row['reason']})." for row in gone),
+        *(f"- Not measured: {row['name']} ({row['reason']})." for row in not_measured),
         "",
         "## All points",
         "",
@@ -120,7 +120,7 @@ def _digest(*parts: Any) -> str:
 
 
 def require_bench_folder(out: Path, names: Sequence[str]) -> None:
-    """Raises UsageError when ``out`` is itself a run's folder, or a result's place in it is a symbolic link."""
+    """Raise UsageError if ``out`` is the folder of a run, or the place of a result in it is a symbolic link."""
     if (out / MANIFEST).exists():
         raise UsageError(f"--out {out}: is the folder of a run; choose another")
     for name in names:
@@ -130,10 +130,10 @@ def require_bench_folder(out: Path, names: Sequence[str]) -> None:
 def store_bench(
     result: dict[str, Any], code: str, started: str, ended: str, out: Path
 ) -> tuple[StoredRun, Path | None]:
-    """Write a result into ``out/<scene>/``; the stored folder, and where a different earlier one was moved.
+    """Write a result to ``out/<scene>/``; return its folder and the new place of a different earlier result.
 
     ``code`` is the digest of the schemes' code. A result of the same problem, competitors and code is replaced; any
-    other that stands there is set aside, whole. Raises RunError when it cannot be written; nothing is left then.
+    other is renamed, whole. Raises RunError if the result cannot be written; then nothing is kept of it.
     """
     named = sorted(competitor["name"] for competitor in result["competitors"])
     digest = _digest(result["config"], result["duration"], result["intervals"], named)
@@ -165,9 +165,9 @@ def store_bench(
 
 
 def stored_benches(out: Path, names: list[str] | None = None) -> list[tuple[StoredRun, dict[str, Any]]]:
-    """The finished results in ``out`` and their reports; those set aside are left out.
+    """Return the finished results in ``out`` with their reports, without renamed ones.
 
-    Raises RunError for a damaged one.
+    Raises RunError for a damaged result.
     """
     found = [run for run in stored_runs(out) if run.manifest.get("kind") == "bench"]
     found = [run for run in found if run.folder.name == run.manifest.get("name")]

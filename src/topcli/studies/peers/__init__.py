@@ -1,7 +1,7 @@
-"""Other people's integrators, to measure ours against: one small file a peer, registered in ``PEERS``.
+"""Integrators of other projects to compare with: one small file per peer, registered in ``PEERS``.
 
-A peer is imported only in a process of its own (``worker``), so that what it loads, prints or breaks stays there.
-One that is not installed is left out by name.
+A peer is imported only in a process of its own (``worker``), so that whatever it loads, prints or breaks stays there.
+Peers that are not installed are skipped with a message.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 class Peer:
     """One peer: its ``name`` on the command line, the ``module`` with its settings, the packages it ``requires``.
 
-    ``varies`` says that its speed differs from process to process, so that it counts as its best of several.
-    ``patience`` is how many times the usual seconds a call may take; what runs in the interpreter needs more.
-    The extra of the same name installs what it requires; ``needs`` says what must be there before.
+    ``varies`` is True if its speed differs between processes; the best of several then counts. ``patience`` multiplies
+    the usual time allowed for a call, for a peer that runs in the interpreter. The extra of the same name installs the
+    required packages; ``needs`` names the prerequisites of that installation.
     """
 
     name: str
@@ -62,7 +62,7 @@ PEERS: dict[str, Peer] = {
 
 
 def find_peers(names: Sequence[str]) -> list[Peer]:
-    """The peers called ``names``, matched without case. Raises UnknownNameError with the nearest, or UsageError."""
+    """Return the peers called ``names``, matched without case. Raises UnknownNameError or UsageError."""
     found = []
     for name in names:
         if name.lower() not in PEERS:
@@ -74,7 +74,7 @@ def find_peers(names: Sequence[str]) -> list[Peer]:
 
 
 def missing(peer: Peer) -> str:
-    """Why ``peer`` cannot be measured here; empty when all that it requires is installed."""
+    """Reason why ``peer`` cannot be measured here; empty if its packages are installed."""
     absent = [package for package in peer.requires if find_spec(package) is None]
     if not absent:
         return ""

@@ -1,4 +1,4 @@
-"""What a peer's file gives: ``variants(problem)``, each with a ladder of settings and a call for each of them."""
+"""Contract of a peer's file: ``variants(problem)``, each with a ladder of settings and a call for each setting."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from topcli.contracts import Array, Top
 
 Call = Callable[[], Array]
-"""Integrate once, warm; the states at the problem's times, shape (m, d). Raises PeerError."""
+"""Integrate once, warm, and return the states at the problem's times, shape (m, d). Raises PeerError."""
 
 
 class PeerError(Exception):
-    """A peer says, or its numbers show, that it did not solve the problem; the message is its reason."""
+    """A peer did not solve the problem, as it reports or its numbers show; the message is the reason."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class Problem:
 
     @property
     def d(self) -> int:
-        """The length of the state."""
+        """Number of components of the state."""
         return len(self.y0)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to use a peer. ``prepare(value)`` compiles all there is to compile for one value of ``parameter``."""
+    """One way to use a peer; ``prepare(value)`` compiles everything for one value of ``parameter``."""
 
     name: str
     parameter: str
@@ -43,12 +43,12 @@ class Variant:
 
 
 def decades(first: int, last: int, step: int = 1) -> list[float]:
-    """10^first, 10^(first - step), ... down to 10^last."""
+    """Return 10^first, 10^(first - step), ... down to 10^last."""
     return [float(f"1e{exponent}") for exponent in range(first, last - 1, -step)]
 
 
 def compiled_field(top: Top) -> Any:
-    """The top's right-hand side as a numba function of the state's tuple and the constants' tuple, inlined."""
+    """Return the top's right-hand side as an inlined numba function of the tuples of state and constants."""
     from numba import njit
 
     from topcli.engine.source import compilable_copy
@@ -58,7 +58,7 @@ def compiled_field(top: Top) -> Any:
 
 
 def checked(states: Array, problem: Problem) -> Array:
-    """``states`` when they are all there and finite. Raises PeerError."""
+    """Return ``states`` if they are complete and finite; raise PeerError otherwise."""
     if states.shape != (len(problem.times), problem.d):
         raise PeerError(f"gave states of shape {states.shape}; expected {(len(problem.times), problem.d)}")
     if not np.isfinite(states).all():

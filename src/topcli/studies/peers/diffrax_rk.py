@@ -1,7 +1,7 @@
 """diffrax: Runge-Kutta pairs under jax.jit on the CPU (Kidger 2021).
 
-Settings: float64; ``PIDController``, the absolute tolerance the relative one times 1e-2; ``SaveAt(ts=...)``; the
-tolerance is an argument, so that each solver is compiled once. Compiled ahead of time, apart from what is timed.
+Settings: float64; ``PIDController`` with an absolute tolerance of 1e-2 times the relative one; ``SaveAt(ts=...)``; the
+tolerance is an argument, so that each solver is compiled once, ahead of time and outside the timing.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ MAX_STEPS = 1_000_000
 
 
 def _solver(problem: Problem, method: str) -> Any:
-    """The compiled ``solve(y0, times, rtol) -> (states, succeeded)``."""
+    """Return the compiled ``solve(y0, times, rtol) -> (states, succeeded)``."""
     import diffrax  # pyright: ignore[reportMissingImports]
     import jax  # pyright: ignore[reportMissingImports]
     import jax.numpy as jnp  # pyright: ignore[reportMissingImports]
@@ -44,7 +44,7 @@ def _solver(problem: Problem, method: str) -> Any:
 
 
 def variants(problem: Problem) -> list[Variant]:
-    """A pair of order 8 and one of order 5."""
+    """Return a pair of order 8 and one of order 5."""
     import jax  # pyright: ignore[reportMissingImports]
     import numpy as np
 

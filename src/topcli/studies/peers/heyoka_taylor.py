@@ -1,10 +1,10 @@
-"""heyoka: Taylor series compiled for the one system, of adaptive order and step (Biscani and Izzo 2021).
+"""heyoka: Taylor series compiled for the given system, of adaptive order and step (Biscani and Izzo 2021).
 
-Settings: ``taylor_adaptive`` in its default, not compact, mode, where the whole step is unrolled; ``propagate_grid``,
-whose dense output costs nothing extra. Order follows from ``tol``, down to below epsilon, where it still helps. Both
-with and without ``high_accuracy``, which sums the series with compensation. ``slp_vectorize``, ``force_avx512`` and
-``fast_math`` were tried on the generic Kowalevski scene and left out: no faster below order 20, and 3 % at it.
-Its speed differs from process to process for the same call, so the best of several processes counts.
+Settings: ``taylor_adaptive`` in its default (not compact) mode, which unrolls the whole step; ``propagate_grid``, whose
+dense output costs nothing extra. The order follows from ``tol``, which still helps below epsilon. Variants with and
+without ``high_accuracy``, which sums the series with compensation. ``slp_vectorize``, ``force_avx512`` and
+``fast_math`` are left out: on the generic Kowalevski scene they gain nothing below order 20, and 3 % at order 20.
+The speed of the same call differs between processes, so the best of several processes counts.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _prepare(problem: Problem, high_accuracy: bool, tol: float) -> Call:
 
 
 def variants(problem: Problem) -> list[Variant]:
-    """The series with and without compensated summation."""
+    """Return the series with and without compensated summation."""
     tolerances = [*decades(-2, -16), 1e-18]
     return [
         Variant("heyoka", "tol", tolerances, lambda v: _prepare(problem, False, v)),

@@ -1,8 +1,8 @@
 """numbalsoda: Hairer's dop853 and LSODA as compiled libraries, the right-hand side a numba cfunc.
 
-Settings: the constants are written into the right-hand side, which is inlined; no Python is called while it runs. The
-absolute tolerance is the relative one times 1e-2. Both return a flag, which is heeded: at 1e-14 lsoda gives numbers
-that mean nothing, and says so.
+Settings: the constants are written into the inlined right-hand side, and no Python is called during a run. The
+absolute tolerance is 1e-2 times the relative one. The returned flag is checked: at 1e-14 lsoda returns meaningless
+numbers and reports it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _prepare(problem: Problem, solve: Any, rates: Any, rtol: float) -> Call:
 
 
 def variants(problem: Problem) -> list[Variant]:
-    """Both of its solvers."""
+    """Return both solvers."""
     from numbalsoda import dop853, lsoda  # pyright: ignore[reportMissingImports]
 
     rates = _compiled(problem)

@@ -1,10 +1,10 @@
 """SciPy's DOP853 with its right-hand side in Python, and compiled by numba.
 
-Settings: ``solve_ivp(method="DOP853", t_eval=...)``, dense output of order 7 at the times asked for. The absolute
-tolerance is the relative one times 1e-2, as the states are of size one and pass through zero. 2.3e-14, a hundred
-epsilons, is the smallest relative tolerance that SciPy takes. The Python right-hand side is the top's own function on
-a tuple, which is faster than numpy arrays of length six. Compiling it gains next to nothing for a top: what takes the
-time is SciPy's own stages.
+Settings: ``solve_ivp(method="DOP853", t_eval=...)``, dense output of order 7 at the given times. The absolute tolerance
+is 1e-2 times the relative one, because the states are of size one and pass through zero. SciPy accepts no relative
+tolerance below 2.3e-14, a hundred epsilons. The Python right-hand side is the top's own function on a tuple, which is
+faster than numpy arrays of length six. Compiling it gains almost nothing for a top, because SciPy's own stages take
+most of the time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def rates(t, y):
 
 
 def _compiled(problem: Problem) -> Callable[[float, Any], Any]:
-    """The right-hand side ``rates(t, y) -> array`` as machine code."""
+    """Return the right-hand side ``rates(t, y) -> array`` as machine code."""
     import numpy as np
     from numba import float64, njit
 
@@ -55,7 +55,7 @@ def _prepare(problem: Problem, rates: Callable[[float, Any], Any], rtol: float) 
 
 
 def variants(problem: Problem) -> list[Variant]:
-    """DOP853 with the right-hand side in Python, and with it compiled."""
+    """Return DOP853 with the right-hand side in Python, and with it compiled."""
     field, p = problem.top.field, problem.top.constants()
 
     def rates(t: float, y: Any) -> Any:

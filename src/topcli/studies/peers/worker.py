@@ -1,11 +1,11 @@
-"""One peer in a process of its own, which answers requests of one JSON line each with one line: run, and time.
+"""One peer in a process of its own, which answers each request, a line of JSON, with a line of JSON.
 
     python -m topcli.studies.peers.worker
 
 First ``{"peer", "config", "times": [T, intervals]}`` is answered with its ``variants``. Then ``{"run": [variant,
 value]}`` prepares and integrates once and is answered with the states; ``{"time": [variant, value, calls]}`` with the
-CPU seconds that one of so many warm calls takes. An answer with ``failed`` says why there is none. What the peer prints
-goes to stderr.
+mean CPU seconds of a warm call over ``calls`` calls. A failure is answered with its reason as ``failed``. Output that
+the peer prints goes to stderr.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from topcli.studies.peers.contract import Call, PeerError, Problem, Variant
 
 
 class Worker:
-    """The variants of one peer for one problem, and the calls that are ready."""
+    """The variants of one peer for one problem, and the prepared calls."""
 
     def __init__(self, request: dict[str, Any]) -> None:
         experiment = experiment_from(request["config"])
@@ -39,7 +39,7 @@ class Worker:
         self._calls: dict[tuple[str, float], Call] = {}
 
     def run(self, name: str, value: float) -> dict[str, Any]:
-        """Prepare and call once."""
+        """Prepare and call once; return the states and the CPU seconds."""
         started = time.process_time()
         call = self.variants[name].prepare(value)
         compiled = time.process_time()
@@ -50,7 +50,7 @@ class Worker:
         return {"compile_seconds": compiled - started, "seconds": ended - compiled, "states": text}
 
     def time(self, name: str, value: float, calls: int) -> dict[str, Any]:
-        """Call again, warm."""
+        """Call again, warm; return the mean CPU seconds of a call."""
         call = self._calls[name, value]
         started = time.process_time()
         for _ in range(calls):
@@ -63,12 +63,12 @@ def _answer(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return work()
     except PeerError as failure:
         return {"failed": str(failure)}
-    except Exception as error:  # whatever a peer raises is its result
+    except Exception as error:  # any exception of a peer is its result
         return {"failed": f"{type(error).__name__}: {error}".splitlines()[0]}
 
 
 def serve(requests: Iterable[str], answers: IO[str]) -> None:
-    """Answer the ``requests`` until there are no more."""
+    """Answer all ``requests``."""
     worker: Worker | None = None
 
     def start(request: dict[str, Any]) -> dict[str, Any]:
@@ -93,11 +93,11 @@ def serve(requests: Iterable[str], answers: IO[str]) -> None:
 
 
 def main() -> None:
-    """Answer on what was stdout; whatever else is printed goes to stderr."""
+    """Answer on the original stdout; all other output goes to stderr."""
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
         os.dup2(2, 1)
         serve(sys.stdin, answers)
-    os._exit(0)  # some peers take long to take themselves apart
+    os._exit(0)  # some peers take long to shut down
 
 
 if __name__ == "__main__":

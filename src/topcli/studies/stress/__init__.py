@@ -1,4 +1,4 @@
-"""The hard cases, and how every scheme comes through them: ``suite.stress`` runs them, ``CASES`` lists them."""
+"""The hard cases: ``CASES`` lists them, and ``suite.stress`` runs schemes through them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ CASES: tuple[Case, ...] = (*KOWALEVSKI, *OTHERS)
 
 
 def case_names() -> list[str]:
-    """The names of the cases; one name may stand for the same question about several tops."""
+    """Names of the cases; one name may be shared by cases that ask the same question about several tops."""
     return list(dict.fromkeys(case.name for case in CASES))
 
 
 def cases_named(name: str) -> list[Case]:
-    """The cases called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
+    """Cases called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
     found = [case for case in CASES if case.name == name.lower()]
     if not found:
         raise UnknownNameError(f"unknown case {quoted(name)}; {nearest(name, case_names())}")

@@ -1,8 +1,8 @@
 """A hard case: an experiment without a scheme, a question about it, and a check that answers it.
 
-Outcomes: *held*: the scheme does what it claims. *degraded*: it comes through with every claim kept, but its accuracy
-is lost. *broke*: it blew up, did not converge, refused, left the motion altogether, or violated what it claims.
-*not tried*: the case asks something that the scheme does not claim, or would take too long in the interpreter.
+Outcomes: *held*: the scheme does what it claims. *degraded*: it keeps every claim but loses its accuracy. *broke*: it
+blew up, did not converge, refused the case, left the motion altogether, or violated a claim. *not tried*: the case
+asks something that the scheme does not claim, or would take too long in the interpreter.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
 
 PLAIN_STEPS = 400
-"""About as many steps are taken by what runs in the interpreter, longer ones if need be."""
+"""Approximate number of steps of a scheme that runs in the interpreter, which takes longer ones instead."""
 
 
 class Result(StrEnum):
-    """How a scheme came through a case, from good to bad."""
+    """Outcome of a case, from good to bad."""
 
     HELD = "held"
     NOT_TRIED = "not tried"
@@ -40,7 +40,7 @@ class Result(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """The answer: the result, why in one short phrase with figures, and the step at which it broke."""
+    """The answer: the result, the reason in one short phrase with figures, and the step at which it broke."""
 
     result: Result
     why: str
@@ -50,7 +50,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Motion:
-    """A run in memory: step numbers (m,), states (m, d), how it ended."""
+    """A run in memory: step numbers (m,), states (m, d), and its ending."""
 
     n: NDArray[np.int64]
     states: Array
@@ -77,20 +77,20 @@ class Case:
     check: Callable[[Trial], Finding]
 
     def experiment(self, scheme: str, options: Mapping[str, Any] | None = None) -> Experiment:
-        """The case as an experiment with ``scheme``. Raises ConfigError and its kin for unknown names and options."""
+        """Return the case as an experiment with ``scheme``. Raises UsageError for unknown names and options."""
         name = f"stress_{self.name}".replace("-", "_")
         return experiment_from({"name": name, "scheme": {"name": scheme, **(options or {})}, **self.config()})
 
 
-class Workshop:
-    """Loops made ready once for a scheme and the constants of a top, and references computed once for a case."""
+class CaseCache:
+    """Cache of compiled loops, by scheme and parameters of the top, and of references, by case."""
 
     def __init__(self) -> None:
         self._methods: dict[Any, tuple[Method, Loop]] = {}
         self._references: dict[Any, Array] = {}
 
     def method(self, experiment: Experiment) -> tuple[Method, Loop]:
-        """The method and its loop."""
+        """Return the method of an experiment and its loop."""
         top = experiment.top
         key = (experiment.scheme.name, top.form, repr(top), repr(experiment.options))
         if key not in self._methods:
@@ -99,7 +99,7 @@ class Workshop:
         return self._methods[key]
 
     def reference(self, top: Top, y0: Floats, times: Array) -> Array:
-        """The motion at ``times``, (m, d)."""
+        """Return the reference motion at ``times``, (m, d)."""
         key = (top.form, repr(top), y0, times.tobytes())
         if key not in self._references:
             self._references[key] = reference_states(top, y0, times)
@@ -107,13 +107,13 @@ class Workshop:
 
 
 class Trial:
-    """One scheme in one case: what the checks work with."""
+    """One scheme in one case, as the checks use it."""
 
-    def __init__(self, case: Case, experiment: Experiment, workshop: Workshop) -> None:
+    def __init__(self, case: Case, experiment: Experiment, cache: CaseCache) -> None:
         self.case, self.experiment = case, experiment
         self.scheme, self.top, self.y0 = experiment.scheme, experiment.top, experiment.y0
-        self.method, self._loop = workshop.method(experiment)
-        self._workshop = workshop
+        self.method, self._loop = cache.method(experiment)
+        self._cache = cache
         self.plain = isinstance(self.method, Stepper) and self.method.plain
         factor = max(1, experiment.N // PLAIN_STEPS) if self.plain else 1
         self.h, self.N = experiment.h * factor, max(1, experiment.N // factor)
@@ -134,22 +134,22 @@ class Trial:
         return Motion(n, states, run.ending.having_left(watch.left, h), h)
 
     def reference(self, times: Array) -> Array:
-        """The exact motion of the case at ``times``, (m, d)."""
-        return self._workshop.reference(self.top, self.y0, times)
+        """Return the reference motion of the case at ``times``, (m, d)."""
+        return self._cache.reference(self.top, self.y0, times)
 
     def claimed(self, h: float) -> list[Invariant]:
-        """The invariants that the scheme claims to conserve to round-off at this step."""
+        """Invariants that the scheme claims to conserve to round-off at the step ``h``."""
         kept = [invariant for invariant in self.top.invariants() if invariant.name in self.scheme.conserves]
         modified = self.scheme.modified(self.top, h, self.experiment.options) if self.scheme.modified else ()
         return [*kept, *modified]
 
 
 CLAIM_ULPS = 50.0
-"""A claimed invariant may deviate by this many ulp of its terms times sqrt(steps)."""
+"""Allowed deviation of a claimed invariant, in ulp of its terms times sqrt(steps)."""
 
 
 def ended_badly(motion: Motion) -> Finding | None:
-    """The finding on a run that did not complete."""
+    """Return the finding on a run that did not complete; None if it did."""
     ending = motion.ending
     if ending.outcome is Outcome.COMPLETED:
         return None
@@ -162,13 +162,13 @@ def ended_badly(motion: Motion) -> Finding | None:
 
 
 def claim_violated(trial: Trial, motion: Motion) -> Finding | None:
-    """The finding on a run that does not keep what the scheme claims to conserve."""
+    """Return the finding on a run that violates a claimed invariant; None if it keeps them all."""
     with np.errstate(all="ignore"):
         for invariant in trial.claimed(motion.h):
             values = invariant.value(motion.states)
             scale = np.maximum.accumulate(invariant.scale(motion.states))
             if not (np.isfinite(values).all() and np.isfinite(scale).all()):
-                continue  # terms beyond the range of a double tell nothing
+                continue  # terms beyond the range of a double cannot be judged
             deviation = np.abs(values - values[0])
             bound = CLAIM_ULPS * float(np.finfo(float).eps) * np.sqrt(np.maximum(motion.n, 1)) * scale
             # a denormal has an absolute error, which no relative bound covers
@@ -181,22 +181,22 @@ def claim_violated(trial: Trial, motion: Motion) -> Finding | None:
 
 
 def fault(trial: Trial, motion: Motion) -> Finding | None:
-    """What is wrong with a run whatever the question: it did not complete, or violates a claim."""
+    """Return the finding on a run that did not complete or violates a claim; None if neither."""
     return ended_badly(motion) or claim_violated(trial, motion)
 
 
-def lasting(top: Top, state: Floats, t: float) -> list[float]:
-    """The state from which the motion of ``top`` reaches ``state`` after the time ``t``."""
-    return _lasting(top, tuple(state), t)  # pyright: ignore[reportArgumentType] (frozen, hence hashable)
+def state_before(top: Top, state: Floats, t: float) -> list[float]:
+    """Return the state from which the motion of ``top`` reaches ``state`` after the time ``t``."""
+    return _state_before(top, tuple(state), t)  # pyright: ignore[reportArgumentType] (frozen, hence hashable)
 
 
 @cache
-def _lasting(top: Top, state: Floats, t: float) -> list[float]:
+def _state_before(top: Top, state: Floats, t: float) -> list[float]:
     return reference_states(top, state, np.array([-t]))[0].tolist()
 
 
 def initial(top: Top, state: Floats) -> dict[str, list[float]]:
-    """The ``initial`` section of a config for ``state``; unit vectors are normalized where they miss by an ulp."""
+    """Return the ``initial`` section of a config for ``state``, with its unit vectors normalized to the last bit."""
     section: dict[str, list[float]] = {}
     for name, (start, stop) in top.vectors.items():
         vector = list(state[start:stop])
@@ -208,5 +208,5 @@ def initial(top: Top, state: Floats) -> dict[str, list[float]]:
 
 
 def config(top: Top, state: Floats, h: float, N: int) -> dict[str, Any]:
-    """A config without a scheme."""
+    """Return a config without a scheme."""
     return {"top": {"kind": top.kind, **top.model_dump(mode="json")}, "initial": initial(top, state), "h": h, "N": N}

@@ -18,18 +18,18 @@ EPS = float(np.finfo(float).eps)
 Check = Callable[[Trial], Finding]
 
 LEFT = 0.5
-"""An error of this part of the state's size means that the scheme has left the motion."""
+"""Error relative to the state's size from which on the scheme has left the motion."""
 ORDER_LOST = 0.35
-"""By so much the observed order may fall short of the declared one."""
+"""Allowed shortfall of the observed order from the declared one."""
 ROWS = 50
 SHORT = 50
-"""Steps far too long for accuracy that the interpreter takes."""
+"""Number of steps, far too long for accuracy, of a scheme that runs in the interpreter."""
 ADAPTIVE_ERROR = 1e-6
-"""What is expected of a scheme that chooses its own steps to a tolerance, relative to the state."""
+"""Largest error, relative to the state, of a scheme that chooses its own steps to a tolerance."""
 EXACT_ERROR = 1e-10
-"""What is expected of a closed form."""
+"""Largest error, relative to the state, of a closed form."""
 RIGHT, ROUGH = 0.01, 0.1
-"""Relative errors of a time that is right, and of one that is still about right."""
+"""Largest relative errors of a time for the outcomes held and degraded."""
 
 
 def _every(N: int) -> int:
@@ -37,7 +37,7 @@ def _every(N: int) -> int:
 
 
 def _errors(trial: Trial, motion: Motion) -> tuple[Array, float]:
-    """Errors (m,) of the recorded states relative to the motion's size, largest component, and that size."""
+    """Return the largest error of each recorded state (m,) relative to the motion's size, and that size."""
     exact = trial.reference(motion.t)
     size = float(np.abs(exact).max()) or 1.0
     with np.errstate(all="ignore"):
@@ -45,7 +45,7 @@ def _errors(trial: Trial, motion: Motion) -> tuple[Array, float]:
 
 
 def keeps_order(trial: Trial) -> Finding:
-    """Does the error fall with the declared order when the step is halved, twice?"""
+    """Check that the error falls with the declared order when the step is halved twice."""
     found: list[float] = []
     for halvings in range(1 if trial.scheme.adaptive or trial.scheme.order is None else 3):
         factor = 2**halvings
@@ -93,9 +93,9 @@ def _timed(what: str, time: float, exact: float, trial: Trial, when: str = "at")
 
 
 def swings_at(exact: float, spacing: bool = False) -> Check:
-    """Is the first deep minimum of the top's swinging component at the time ``exact``?
+    """Return a check that the first deep minimum of the top's swinging component is at the time ``exact``.
 
-    With ``spacing``: does the second one follow after ``exact``?
+    With ``spacing``, that the second minimum follows the first by ``exact``.
     """
 
     def check(trial: Trial) -> Finding:
@@ -116,7 +116,7 @@ def swings_at(exact: float, spacing: bool = False) -> Check:
 
 
 def _crossing(t: Array, values: Array) -> float | None:
-    """The time of the first change of sign, on the straight line between two samples."""
+    """Return the time of the first change of sign, by linear interpolation; None if there is none."""
     at = np.flatnonzero(values[:-1] * values[1:] < 0.0)
     if not len(at):
         return None
@@ -125,7 +125,7 @@ def _crossing(t: Array, values: Array) -> float | None:
 
 
 def flips(trial: Trial) -> Finding:
-    """Does omega2 first change its sign when the closed form says?"""
+    """Check that omega2 first changes sign at the time given by the closed form."""
     method = find_scheme("exact", trial.top.form).build(trial.top, None)
     assert isinstance(method, Sampler)
     n = np.arange(trial.N + 1, dtype=np.int64)
@@ -144,7 +144,7 @@ def flips(trial: Trial) -> Finding:
 
 
 def stays_bounded(trial: Trial) -> Finding:
-    """With a step far too long for accuracy: do omega and gamma stay as small as the energy has them?
+    """Check that omega and gamma stay bounded with a step far too long for accuracy.
 
     The energy bounds the true motion's omega. Held: within twice the largest value of the true motion over ten of its
     time scales; degraded: within a hundred times; broke: beyond.
@@ -168,10 +168,10 @@ def stays_bounded(trial: Trial) -> Finding:
 
 
 def returns(trial: Trial) -> Finding:
-    """N steps forward and N back: is what is left the growth of round-off?
+    """Check that N steps forward and N back miss the start only by the growth of round-off.
 
-    On a regular motion independent rounding errors move the integrals by sqrt(N) ulp, and with them the rates of the
-    phases: after N steps the phases are off by ulp h N^(3/2), there and back by some times that.
+    On a regular motion independent rounding errors change the integrals by sqrt(N) ulp, and with them the rates of the
+    phases: after N steps the phases are off by ulp h N^(3/2), and after the way back by a few times that.
     """
     if trial.plain:
         return Finding(Result.NOT_TRIED, "runs in the interpreter")
@@ -197,7 +197,7 @@ def returns(trial: Trial) -> Finding:
 
 
 def does_not_drift(trial: Trial) -> Finding:
-    """Over a very long run: has any invariant that the scheme claims a slope that its uncertainty does not explain?"""
+    """Check over a very long run that no claimed invariant has a slope beyond its uncertainty."""
     claimed = trial.claimed(trial.h)
     if not claimed:
         return Finding(Result.NOT_TRIED, "claims no invariant")
@@ -211,18 +211,18 @@ def does_not_drift(trial: Trial) -> Finding:
     figures: dict[str, float] = {}
     biased, drifting = [], []
     for row in rows:
-        # over the run, in ulp of the terms: what the report's bound is 20 sqrt(N) of
+        # an ulp of the terms: the report's bound is 20 sqrt(N) of them
         ulp = row.round_off_bound / (20.0 * math.sqrt(motion.n[-1])) or EPS
         slope, error = row.drift_over_run or 0.0, abs((row.drift_error or 0.0) * float(motion.t[-1]))
         figures |= {
             f"{row.name}:ulp": row.max_deviation / ulp,
             f"{row.name}:sigma": abs(slope) / error if error else 0.0,
         }
-        told = f"{row.symbol} {slope:+.1e} ± {error:.0e} over t = {motion.t[-1]:.3g}"
+        slope_text = f"{row.symbol} {slope:+.1e} ± {error:.0e} over t = {motion.t[-1]:.3g}"
         if row.verdict in ("drifting", "lost"):
-            drifting.append(told)
+            drifting.append(slope_text)
         elif error and abs(slope) > 5.0 * error and abs(slope) > 3.0 * math.sqrt(motion.n[-1]) * ulp:
-            biased.append(told)
+            biased.append(slope_text)
     worst = max(rows, key=lambda row: row.max_deviation / (row.round_off_bound or 1.0))
     if drifting:
         return Finding(Result.BROKE, f"drifts: {drifting[0]}", int(motion.n[-1]), figures)

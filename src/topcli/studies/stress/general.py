@@ -1,25 +1,25 @@
-"""Cases that every top has: long, singular and negative steps, one alone, the ends of the range, long runs."""
+"""Cases that every top has: long, singular, negative and single steps, the ends of the range, long runs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
 from topcli.contracts import Floats, Top, checked_equations
 from topcli.schemes.heavy.hk import heavy_determinant
 from topcli.studies.stress.case import Case, config
-from topcli.studies.stress.checks import does_not_drift, keeps_order, returns, stays_bounded
+from topcli.studies.stress.checks import Check, does_not_drift, keeps_order, returns, stays_bounded
 
 LARGEST_STEP = 60.0
 
 
 @cache
 def singular_step(top: Top, state: Floats) -> float:
-    """The least h > 0 at which the determinant of HK's linear system changes its sign at ``state``, by bisection.
+    """Return the least h > 0 at which the determinant of HK's linear system changes sign at ``state``, by bisection.
 
-    Raises ValueError when there is none up to ``LARGEST_STEP``.
+    Raises ValueError if there is none up to ``LARGEST_STEP``.
     """
     equations = checked_equations(top, "the stress case singular-step")
     p = (*equations.moments, *equations.gravity)
@@ -40,90 +40,65 @@ def singular_step(top: Top, state: Floats) -> float:
     raise ValueError(f"{top!r}: the determinant does not vanish at {state} up to h = {LARGEST_STEP:g}")
 
 
+def _scaled(state: Floats, factor: float) -> Floats:
+    return tuple(value * factor if i < 3 else value for i, value in enumerate(state))
+
+
 def general_cases(
-    top: Top,
-    generic: Floats,
-    regular: Floats,
-    fast: Floats,
-    resonant: float,
-    singular: bool = True,
+    top: Top, generic: Floats, regular: Floats, fast: Floats, resonant: float, singular: bool = True
 ) -> tuple[Case, ...]:
-    """The cases for the schemes of ``top``'s form.
+    """Return the cases for the schemes of ``top``'s form.
 
-    ``generic`` and ``regular`` are states, the latter of a motion that is not chaotic; ``fast`` is one that turns fast,
-    for which ``resonant`` is a step about as long as a turn; ``singular`` says whether HK's determinant can vanish.
+    ``generic``, ``regular`` and ``fast`` are states: ``regular`` of a motion that is not chaotic, ``fast`` of a fast
+    rotation with a period of about ``resonant``. ``singular`` is False if HK's determinant cannot vanish.
     """
-    form = top.form
 
-    def scaled(state: Floats, factor: float) -> Floats:
-        return tuple(value * factor if i < 3 else value for i, value in enumerate(state))
+    def case(name: str, question: str, state: Floats, h: float | None, N: int, check: Check) -> Case:
+        def made() -> Mapping[str, Any]:
+            step = singular_step(top, state) if h is None else h  # pyright: ignore[reportArgumentType] (hashable)
+            return config(top, state, step, N)
 
-    def made(state: Floats, h: float, N: int, of: Top = top) -> Callable[[], Mapping[str, Any]]:
-        return lambda: config(of, state, h, N)
-
-    def step() -> float:
-        return singular_step(top, generic)  # pyright: ignore[reportArgumentType] (frozen, hence hashable)
+        return Case(name, top.form, question, made, check)
 
     cases = [
-        Case("backwards", form, "h < 0: is the order what it is for h > 0?", made(generic, -0.02, 200), keeps_order),
-        Case(
-            "one-step",
-            form,
-            "N = 1: does a single step have the error of its order?",
-            made(generic, 0.1, 1),
-            keeps_order,
-        ),
-        Case(
+        case("backwards", "h < 0: is the order what it is for h > 0?", generic, -0.02, 200, keeps_order),
+        case("one-step", "N = 1: does a single step have the error of its order?", generic, 0.1, 1, keeps_order),
+        case(
             "resonance",
-            form,
             f"h = {resonant:g}, about a turn a step: does it stay bounded, and does the iteration converge?",
-            made(fast, resonant, 2000),
-            stays_bounded,
+            *(fast, resonant, 2000, stays_bounded),
         ),
-        Case(
+        case(
             "huge",
-            form,
             "omega of size 1e150, h of size 1e-152: is the order kept?",
-            made(scaled(generic, 1e150), 2e-152, 200),
-            keeps_order,
+            *(_scaled(generic, 1e150), 2e-152, 200, keeps_order),
         ),
-        Case(
+        case(
             "denormal",
-            form,
             "omega of size 1e-310: is the order kept?",
-            made(scaled(generic, 1e-310), 0.02, 200),
-            keeps_order,
+            *(_scaled(generic, 1e-310), 0.02, 200, keeps_order),
         ),
-        Case(
+        case(
             "there-and-back",
-            form,
             "1e5 steps forward and 1e5 back: is only round-off's growth left?",
-            made(regular, 0.02, 100_000),
-            returns,
+            *(regular, 0.02, 100_000, returns),
         ),
-        Case(
+        case(
             "drift",
-            form,
             "t = 1e5: do the claimed invariants have a slope beyond its uncertainty?",
-            made(regular, 0.1, 1_000_000),
-            does_not_drift,
+            *(regular, 0.1, 1_000_000, does_not_drift),
+        ),
+        case(
+            "singular-step",
+            "h at which HK's determinant vanishes in the first step: does omega stay of the motion's size?",
+            *(generic, None, 50, stays_bounded),
         ),
     ]
-    if singular:
-        cases.append(
-            Case(
-                "singular-step",
-                form,
-                "h at which HK's determinant vanishes in the first step: does omega stay of the motion's size?",
-                lambda: config(top, generic, step(), 50),
-                stays_bounded,
-            )
-        )
-    return tuple(cases)
+    return tuple(cases if singular else cases[:-1])
 
 
 def swing_time(eps: float) -> float:
-    """The time of the first swing of the Kowalevski top from gamma3 = eps near the relative equilibrium at omega1 = 2.
+    """Time of the first swing of the Kowalevski top from gamma3 = eps near the relative equilibrium at omega1 = 2.
 
     sqrt 2 ln(8 sqrt 7/eps), to leading order in eps, for A = B = 2, C = 1, c0 = 1.
     """

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from topcli.contracts import Floats
-from topcli.studies.stress.case import Case, config, lasting
+from topcli.studies.stress.case import Case, config, state_before
 from topcli.studies.stress.checks import keeps_order, swings_at
 from topcli.studies.stress.general import general_cases, swing_time
 from topcli.tops.kowalevski import Kowalevski
@@ -29,7 +29,7 @@ TORUS_E4 = (
 """S(e4) = 0: S(e4) >= 0 on all motions, and where it vanishes the torus has shrunk to a closed orbit and the gradients
 of the four integrals are dependent. Found by Newton's method on the gradient of S(e4) with 40 digits."""
 EVENT = 1.0
-"""When the motion passes the hard place."""
+"""Time at which the motion passes the hard place."""
 STEP, STEPS = 0.02, 100
 """h and N of most cases: the hard place lies in the middle, on a step."""
 
@@ -54,7 +54,7 @@ def separation(state: Floats, c0: float = 1.0) -> tuple[float, float, float]:
 
 @cache
 def degenerate(which: int, low: float, high: float) -> Floats:
-    """The generic state with omega scaled by a factor in (low, high) such that ``separation``'s ``which`` vanishes."""
+    """Scale omega of the generic state, by a factor in (low, high), to a zero of ``separation(...)[which]``."""
 
     def at(factor: float) -> Floats:
         return (*(factor * w for w in GENERIC[:3]), *GENERIC[3:])
@@ -79,8 +79,10 @@ def _near_homoclinic(eps: float) -> Case:
 
 
 def _passing(name: str, question: str, state: Floats) -> Case:
-    """The motion that reaches ``state`` at ``EVENT``, on a step."""
-    return Case(name, FORM, question, lambda: config(TOP, tuple(lasting(TOP, state, EVENT)), STEP, STEPS), keeps_order)
+    """Case of a motion that reaches ``state`` at ``EVENT``, on a step."""
+    return Case(
+        name, FORM, question, lambda: config(TOP, tuple(state_before(TOP, state, EVENT)), STEP, STEPS), keeps_order
+    )
 
 
 def _from(name: str, question: str, state: Floats, top: Kowalevski = TOP, h: float = STEP, N: int = 200) -> Case:

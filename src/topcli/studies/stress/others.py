@@ -1,4 +1,4 @@
-"""The hard cases of the other tops: tennis racket, spherical top, sleeping top, and those that every top has."""
+"""The hard cases of the other tops: tennis racket, spherical top, sleeping top, and the general ones."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ OMEGA = (0.7, -0.4, 1.3)
 GAMMA = (0.6, 0.48, 0.64)
 FAST = (3.0, -2.0, 6.0)
 RATE = math.sqrt(1.0 / 3.0)
-"""Of the growth away from the middle axis for moments 3, 2, 1 and omega2 = 1."""
+"""Growth rate away from the middle axis for moments 3, 2, 1 and omega2 = 1."""
 
 
 def _racket(offset: float, gamma: bool = False) -> Case:
-    """omega2 first crosses 0 after about ln(some/offset)/rate."""
+    """Case of the tennis racket; omega2 first crosses 0 after about ln(constant/offset)/rate."""
     top: Top = EulerGamma() if gamma else Euler()
 
     def made() -> Mapping[str, Any]:

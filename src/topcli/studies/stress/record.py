@@ -1,4 +1,4 @@
-"""The results of the stress study on disk: a run folder of their own kind, written whole or not at all."""
+"""The results of the stress study on disk, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCHEMA_VERSION = 1
 
 
 def stress_data(judged: Sequence[Judged]) -> dict[str, Any]:
-    """The study as plain data: the cases, the trials, how many came to which end."""
+    """Return the study as plain data: the cases, the trials, and the number of each outcome and verdict."""
     asked = {(one.case.name, one.case.form): one.case for one in judged}
     outcomes = [one.finding.result.value for one in judged]
     verdicts = [one.verdict for one in judged]
@@ -38,7 +38,7 @@ def stress_data(judged: Sequence[Judged]) -> dict[str, Any]:
 
 
 def stress_source() -> str:
-    """A digest of all that the results of the whole suite depend on: the schemes' code and limits, and the suite's."""
+    """Digest of everything that the results of the whole suite depend on: the code and limits of schemes and cases."""
     schemes = []
     for scheme in all_schemes():
         method = scheme.build(TOPS[scheme.top].new(), scheme.options())
@@ -51,9 +51,9 @@ def stress_source() -> str:
 
 
 def write_stress(data: dict[str, Any], out: Path, source: str | None) -> Path:
-    """Write the study into ``out/stress/stress.json`` under a temporary name, then put it in place; the path.
+    """Write the study to ``out/stress/stress.json`` atomically and return its path.
 
-    ``source`` says what a run of the whole suite was made from; None for a part of it. Raises UsageError and RunError.
+    ``source`` is the digest of the whole suite; None for a part of it. Raises UsageError and RunError.
     """
     folder = out / "stress"
     require_writable(folder)
@@ -69,7 +69,7 @@ def write_stress(data: dict[str, Any], out: Path, source: str | None) -> Path:
 
 
 def stored_stress(out: Path) -> dict[str, Any] | None:
-    """The study stored in ``out/stress``; None when there is none. Raises RunError when it is damaged."""
+    """Return the study stored in ``out/stress``; None if there is none. Raises RunError if it is damaged."""
     path = out / "stress" / FILE
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Run schemes through the hard cases, and hold what breaks against the limits that they declare."""
+"""Run schemes through the hard cases and compare failures with the limits that the schemes declare."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from topcli.contracts import Scheme
 from topcli.errors import ConfigError, RunError, UsageError, nearest, shortened
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress import CASES, case_names, cases_named
-from topcli.studies.stress.case import Case, Finding, Result, Trial, Workshop
+from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
 from topcli.tops import TOPS, forms
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A trial's finding and what it means.
+    """The finding of a trial and its verdict.
 
-    ``verdict``: ``"ok"``; ``"limit"`` where it broke as the scheme declares; ``"unexplained"`` where it broke and the
-    scheme declares nothing; ``"outlived limit"`` where it declares a limit and did not break.
+    ``verdict`` is ``"limit"`` if the scheme broke as it declares, ``"unexplained"`` if it broke without declaring it,
+    ``"outlived limit"`` if it declares a limit and did not break, and ``"ok"`` otherwise.
     """
 
     case: Case
@@ -34,7 +34,7 @@ class Judged:
     seconds: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, ready for JSON."""
+        """Return plain data, ready for JSON."""
         return {
             "scheme": self.scheme.name,
             "top": self.scheme.top,
@@ -51,9 +51,9 @@ class Judged:
 
 
 def verdict_of(scheme: Scheme, case: str, result: Result) -> str:
-    """What the result of a case means beside the limits that the scheme declares.
+    """Verdict on the result of a case, given the limits that the scheme declares.
 
-    A composed scheme has the limits of its base, which its stages may outlive.
+    A composed scheme has the limits of its base but need not reach them.
     """
     declared = case in scheme.limits
     if result is Result.BROKE:
@@ -61,14 +61,14 @@ def verdict_of(scheme: Scheme, case: str, result: Result) -> str:
     return "outlived limit" if declared and "+" not in scheme.name else "ok"
 
 
-def tried(case: Case, scheme: Scheme, workshop: Workshop, options: Mapping[str, Any] | None = None) -> Judged:
-    """One scheme in one case."""
+def tried(case: Case, scheme: Scheme, cache: CaseCache, options: Mapping[str, Any] | None = None) -> Judged:
+    """Try one scheme in one case."""
     start = time.perf_counter()
     counters: Mapping[str, int] = {}
     known = scheme.options.model_fields
     try:
         experiment = case.experiment(scheme.name, {k: v for k, v in (options or {}).items() if k in known})
-        trial = Trial(case, experiment, workshop)
+        trial = Trial(case, experiment, cache)
         with np.errstate(all="ignore"):
             finding = case.check(trial)
         counters = trial.counters
@@ -77,7 +77,7 @@ def tried(case: Case, scheme: Scheme, workshop: Workshop, options: Mapping[str, 
     except RunError as error:
         finding = Finding(Result.BROKE, f"refused: {str(error).splitlines()[0]}", 0)
     except (ArithmeticError, ValueError) as error:
-        # where machine code gives inf or nan, what runs in the interpreter may raise
+        # the interpreter may raise where machine code returns inf or nan
         finding = Finding(Result.BROKE, f"failed: {type(error).__name__}: {error}".splitlines()[0], 0)
     limit = scheme.limits.get(case.name, "")
     verdict = verdict_of(scheme, case.name, finding.result)
@@ -85,9 +85,9 @@ def tried(case: Case, scheme: Scheme, workshop: Workshop, options: Mapping[str, 
 
 
 def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tuple[list[Scheme], list[Case]]:
-    """The schemes and the cases to try; all where none is named.
+    """Return the schemes and cases to try; all if none is named.
 
-    Raises UnknownNameError for unknown names, and UsageError where nothing is left to try.
+    Raises UnknownNameError for unknown names, and UsageError if nothing is left to try.
     """
     fits = [form.form for form in forms(top)] if top else list(TOPS)
     wanted = [case for name in dict.fromkeys(cases) for case in cases_named(name)] if cases else list(CASES)
@@ -114,7 +114,7 @@ def _names_for(fits: Collection[str]) -> list[str]:
 
 
 def _forms_of(name: str, fits: Sequence[str]) -> list[Scheme]:
-    """The schemes called ``name``, one for every form that it steps. Raises UnknownNameError or UsageError."""
+    """Return the schemes called ``name``, one for each form that it steps. Raises UnknownNameError or UsageError."""
     base = name.partition("+")[0]
     steps = {scheme.top for scheme in all_schemes() if scheme.name == base}
     found = [find_scheme(name, form) for form in fits if form in steps]
@@ -127,17 +127,17 @@ def stress(
     cases: Sequence[str] = (),
     top: str | None = None,
     options: Mapping[str, Any] | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Judged]:
-    """Every chosen scheme in every chosen case of its top, in the order of the registry.
+    """Try every chosen scheme in every chosen case of its top, in the order of the registry.
 
-    Each of ``options`` is set for the schemes that have it. Raises UsageError and its kin for what does not exist.
+    Each of ``options`` is set for the schemes that have it. Raises UsageError for unknown schemes, cases and tops.
     """
     used, wanted = chosen(schemes, cases, top)
     pairs = [(case, scheme) for scheme in used for case in wanted if case.form == scheme.top]
-    workshop = Workshop()
+    cache = CaseCache()
     done: list[Judged] = []
     for case, scheme in pairs:
-        done.append(tried(case, scheme, workshop, options))
-        progress(len(done), len(pairs))
+        done.append(tried(case, scheme, cache, options))
+        on_progress(len(done), len(pairs))
     return done
