@@ -211,7 +211,7 @@ def test_markup_is_data_in_the_progress_bar(monkeypatch: pytest.MonkeyPatch, cap
     monkeypatch.setattr(talk, "_terminal", lambda stream: True)
     monkeypatch.setenv("TERM", "xterm")
     times = iter([0.0, 0.0, 10.0, 11.0, 12.0, 13.0])
-    teller = talk.ProgressTeller(1, False, lambda: next(times))
+    teller = talk.ProgressDisplay(1, False, lambda: next(times))
     teller.begin("[link=http://evil]a[/link]:boom:\x1b[31m\x9b")
     teller(5, 10)
     shown = teller._bar.get_renderable()

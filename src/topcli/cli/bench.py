@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
-from topcli.cli.talk import ProgressTeller, emit, emit_prose, print_json, print_table, say, say_warnings
+from topcli.cli.talk import ProgressDisplay, emit, emit_prose, print_json, print_table, say, say_warnings
 
 
 def _complete_scene(incomplete: str) -> list[str]:
@@ -108,7 +108,7 @@ def bench(
             raise UsageError(f"scheme {quoted(name)} cannot be measured: {fields[0].left_out[0][1]}")
     require_bench_folder(out, [problem.name for problem in problems])
     require_writable(out)
-    teller = ProgressTeller(len(problems), as_json)
+    teller = ProgressDisplay(len(problems), as_json)
     results, failed = [], False
     for problem, field in zip(problems, fields, strict=True):
         say_warnings(problem.experiment)

@@ -133,9 +133,11 @@ def compare(
     comparison = compare_schemes(experiment, schemes, options)
     files: list[str] = []
     if plot:
-        from topcli.figures.comparison import draw_comparison
+        from topcli.figures.comparison import loaded_comparison
+        from topcli.figures.make import write_figure
 
-        files = [str(path) for path in draw_comparison(comparison, f"compare_{experiment.name}", out)]
+        written = write_figure(f"compare_{experiment.name}", loaded_comparison(comparison), out)
+        files = [str(path) for path in written]
     if as_json:
         print_json("compare", {**comparison.figures, "files": files})
     else:

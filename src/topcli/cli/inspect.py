@@ -184,10 +184,7 @@ def list_figures(as_json: Json = False) -> None:
     """List the figures that topcli plot draws."""
     from topcli.figures.catalogue import FIGURES
 
-    items: list[dict[str, Any]] = [
-        {"name": spec.name, "title": spec.title, "scene": spec.scene} for spec in FIGURES.values()
-    ]
-    items.append({"name": "stress", "title": "every scheme in the hard cases of its top", "scene": "topcli stress"})
+    items = [{"name": figure.name, "title": figure.title, "scene": figure.scene} for figure in FIGURES.values()]
     _print_list("figures", items, ["name", "scene", "title"], as_json)
 
 

@@ -34,7 +34,7 @@ def complete_figure(incomplete: str) -> list[str]:
     """Names of figures that begin with ``incomplete``."""
     from topcli.figures.catalogue import FIGURES
 
-    return [name for name in (*FIGURES, "stress") if name.startswith(incomplete.lower())]
+    return [name for name in FIGURES if name.startswith(incomplete.lower())]
 
 
 def complete_config(incomplete: str) -> list[str]:

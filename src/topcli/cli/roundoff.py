@@ -102,10 +102,11 @@ def roundoff(
     failed = [form for form in found["forms"] if form["outcome"] != "completed"]
     files: list[str] = []
     if plot and not failed:
-        from topcli.figures.roundoff import draw_roundoff
+        from topcli.figures.make import write_figure
+        from topcli.figures.roundoff import loaded_roundoff
 
         name = f"roundoff_{experiment.scheme.name}_{experiment.name}"
-        files = [str(path) for path in draw_roundoff(found, name, out)]
+        files = [str(path) for path in write_figure(name, loaded_roundoff(found), out)]
     violations = _violations(found["forms"][-1], max_exponent, max_drift)
     if as_json:
         print_json("roundoff", {**found, "violations": violations, "files": files})

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
-from topcli.cli.talk import ProgressTeller, emit, print_json, print_table, say, say_error, say_warnings
+from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say, say_error, say_warnings
 from topcli.errors import TopcliError, UsageError, shortened
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _run(
     experiment: Experiment | EnsembleExperiment,
     out: Path,
     how: How,
-    teller: ProgressTeller,
+    teller: ProgressDisplay,
     interruption: Interruption,
 ) -> RunResult:
     """Run one experiment or ensemble into its folder."""
@@ -227,7 +227,7 @@ def run(
     load_scheme_files(scheme_files)
     told: list[dict[str, Any]] = []
     codes: list[int] = []
-    teller = ProgressTeller(len(configs), quiet)
+    teller = ProgressDisplay(len(configs), quiet)
     with Interruption() as interruption:
         for config in configs:
             try:

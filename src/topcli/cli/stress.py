@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, complete_scheme, complete_top, load_scheme_files
-from topcli.cli.talk import ProgressTeller, emit, emit_prose, on_terminal, print_json, print_table, say
+from topcli.cli.talk import ProgressDisplay, emit, emit_prose, on_terminal, print_json, print_table, say
 
 MARKS = {"held": "·", "degraded": "o", "broke": "X", "not tried": " "}
 SHOWN = 40
@@ -113,7 +113,7 @@ def stress(
     whole = not (schemes or cases or top or options)
     if whole:
         require_writable(out)
-    teller = ProgressTeller(1, as_json)
+    teller = ProgressDisplay(1, as_json)
     teller.begin("stress")
     judged = put_to_stress(schemes or (), cases or (), top, options, teller)
     teller.close()

@@ -167,7 +167,7 @@ class _Pace:
         return f"{rate:.3g} steps/s, {spell_seconds((total - done) / rate)} left"
 
 
-class ProgressTeller:
+class ProgressDisplay:
     """One progress display for several runs: a bar on a terminal, a line now and then in a log.
 
     Nothing is shown for what is done within the first half second. Lines come after 15 s, and then, as the run gets

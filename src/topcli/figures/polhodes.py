@@ -32,7 +32,6 @@ class Polhodes:
     omega: tuple[str, str, str] = ("omega1", "omega2", "omega3")
     levels: tuple[float, ...] = (0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
     view: tuple[float, float] = (52.0, 24.0)
-    figsize: tuple[float, float] = (6.0, 6.6)
     pixels: int = 900
 
     @property
