@@ -225,3 +225,11 @@ def test_the_stored_study_is_drawn_and_not_run_again(
         made(stored_only=True)
     with pytest.raises(AssertionError, match="run again"):
         made()
+
+
+def test_the_source_of_the_study_does_not_depend_on_the_order_of_imports() -> None:
+    """Schemes are imported when a config first names them; the stored study stays up to date whichever came first."""
+    before = stress_source()
+    entry = next(iter(registry._schemes))
+    registry._schemes[entry] = registry._schemes.pop(entry)
+    assert stress_source() == before
