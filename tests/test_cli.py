@@ -130,7 +130,7 @@ def test_one_failure_does_not_stop_the_rest(cli, in_tmp: Path) -> None:
     said = cli("run", "nonsense.yaml", HK, "--set", "N=50")
     assert said.code == 3
     assert (in_tmp / "results" / "kowalevski_hk").is_dir()
-    assert "1 of 2 configs fine, 1 not" in said.err
+    assert "1 of 2 runs succeeded; 1 failed" in said.err
     said = cli("run", "nonsense.yaml", HYBRID, "--set", "N=50", "--fail-fast")
     assert said.code == 2
     assert not (in_tmp / "results" / "kowalevski_hybrid").exists()
