@@ -114,7 +114,7 @@ def test_end_to_end(cli: Any) -> None:
     assert Path(scene["folder"], POINTS).is_file()
     again = cli("bench", "rk4", *arguments)
     assert "for an error of 1e-3 take rk4 with h=" in again.out
-    assert "kept the earlier, different result as results/bench/lagrange." in again.err
+    assert "renamed the earlier, different result to results/bench/lagrange." in again.err
 
 
 @pytest.mark.parametrize(

@@ -331,7 +331,7 @@ def test_a_full_or_foreign_stdout_is_no_bug_of_ours(tmp_path: Path) -> None:
             [sys.executable, "-m", "topcli", "show", HK], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     assert done.returncode == 1
-    assert "standard output cannot be written" in done.stderr
+    assert "cannot write to standard output" in done.stderr
     assert "Traceback" not in done.stderr
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = process("run", HK, "--set", "N=50", cwd=tmp_path, env=environment)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from conftest import ROOT
+from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
 from topcli.figures.catalogue import FIGURES, find_figure
-from topcli.figures.contract import Request
+from topcli.figures.contract import Loaded, NothingMeasuredError, Request
 from topcli.figures.make import make_figure
+from topcli.figures.picture import Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.scenes import SceneFigure, scene_config
 from topcli.studies.run import run_experiment
@@ -230,5 +233,48 @@ def test_polhodes_have_the_moments_of_the_run(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(Polhodes, "paint", lambda panel, *given: panels.append(panel) or paint(panel, *given))
     drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "top={kind: euler, A: 1.5, B: 2.5, C: 1.2}"])
     assert panels[0].moments == (1.5, 2.5, 1.2)
-    with pytest.raises(UsageError, match="has the moments 2, 2, 1; needs three different ones"):
+    with pytest.raises(UsageError, match="has the moments 2, 2, 1; use three different ones"):
         drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "name=x", "top={kind: euler, A: 2, B: 2, C: 1}"])
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A figure from elsewhere."""
+
+    name: str = "wave"
+    title: str = "A wave"
+    scene: str = "none"
+    version: int = 1
+    measured: bool = True
+
+    def load(self, request: Request) -> Loaded:
+        if request.stored_only and not self.measured:
+            raise NothingMeasuredError("nothing measured")
+        x = np.linspace(0.0, 1.0, 20)
+        panel = Panel((Line("x", "long"), Line("y", "short")), "x")
+        return Loaded((panel,), lambda: {"t": x, "x": np.sin(x), "y": x[:5]}, {"version": self.version})
+
+
+def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lists, completion and both ways to draw take it from there; its source decides if it is drawn again."""
+    figures = {"wave": Wave(), "slow": Wave("slow", measured=False)}
+    monkeypatch.setattr("topcli.figures.catalogue.FIGURES", figures)
+
+    def status(*arguments: str) -> dict[str, str]:
+        return {one["name"]: one["status"] for one in cli("plot", *arguments, "--json").json()["figures"]}
+
+    listed = cli("list", "figures", "--json").json()["figures"]
+    assert listed == [{"name": name, "title": "A wave", "scene": "none"} for name in figures]
+    assert complete_figure("w") == ["wave"]
+    assert status("wave") == {"wave": "drawn"}
+    assert status("wave", "slow") == {"wave": "up to date", "slow": "drawn"}
+    said = cli("plot", "--all")
+    assert said.out.startswith("wave: up to date: ")
+    assert said.err == "slow: skipped: nothing measured\n"
+    figures["wave"] = Wave(version=2)
+    assert status("wave") == {"wave": "drawn"}
+    assert status("wave") == {"wave": "up to date"}
+    Path("results/figures/wave.pdf").unlink()
+    assert status("wave") == {"wave": "drawn"}
+    short = pq.read_table("results/figures/wave.parquet").column("y").to_numpy()
+    assert (np.isnan(short) == (np.arange(20) >= 5)).all()

@@ -136,7 +136,7 @@ def test_an_outlived_limit_leaves_with_4(cli) -> None:
     Path("mine.py").write_text(MODEST)
     said = cli("stress", "modest", "--case", "delone", "--scheme-file", "mine.py")
     assert said.code == 4
-    assert "declares a limit and outlives it" in said.err
+    assert "holds in a case declared as its limit" in said.err
 
 
 def test_options_and_compositions(cli) -> None:

@@ -278,6 +278,7 @@ def test_help_is_readable(cli, monkeypatch: pytest.MonkeyPatch) -> None:
             assert not re.search("<[a-z]", text), name
             assert "`" not in text, name
             for parameter in one.params:
+                assert re.fullmatch("[A-Z].*[^.][.]", parameter.help), f"{name} {parameter.name}"
                 if parameter.param_type_name == "option" and not parameter.is_flag and parameter.name != "help":
                     assert parameter.metavar, f"{name} {parameter.name}"
         assert "..." not in out.split("Commands:")[1].replace("[ARGS]...", "")

@@ -8,33 +8,36 @@ from typing import Annotated
 
 import typer
 
-from topcli.cli.options import Force, Json, complete_figure
+from topcli.cli.options import FigureOut, Force, Json, complete_figure
 from topcli.cli.talk import ProgressDisplay, emit, print_json, say
+
+Names = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="FIGURE", help="Names of figures; see topcli list figures.", autocompletion=complete_figure),
+]
+Every = Annotated[bool, typer.Option("--all", help="Draw all; skip what takes minutes to measure.")]
+Formats = Annotated[
+    list[str] | None, typer.Option("--format", metavar="FORMAT", help="Write png or pdf; both by default.")
+]
+Results = Annotated[Path, typer.Option("--results", metavar="DIR", help="Read and write run folders in this folder.")]
+Configs = Annotated[
+    Path | None,
+    typer.Option(
+        "--configs",
+        metavar="DIR",
+        help="Use configs in this folder instead of packaged scenes.",
+        show_default="configs",
+    ),
+]
 
 
 def plot(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="FIGURE", help="Names of figures.", autocompletion=complete_figure),
-    ] = None,
-    every: Annotated[bool, typer.Option("--all", help="Draw all; skip what takes minutes to measure.")] = False,
-    formats: Annotated[
-        list[str] | None,
-        typer.Option("--format", metavar="FORMAT", help="png or pdf; may be given twice. Default: both."),
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figures.")] = Path("results/figures"),
-    results: Annotated[Path, typer.Option("--results", metavar="DIR", help="Folder of the run folders.")] = Path(
-        "results"
-    ),
-    configs: Annotated[
-        Path | None,
-        typer.Option(
-            "--configs",
-            metavar="DIR",
-            help="Folder of the configs; packaged scenes where it has none.",
-            show_default="configs",
-        ),
-    ] = None,
+    names: Names = None,
+    every: Every = False,
+    formats: Formats = None,
+    out: FigureOut = Path("results/figures"),
+    results: Results = Path("results"),
+    configs: Configs = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:

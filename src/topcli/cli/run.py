@@ -233,7 +233,7 @@ CheckpointEvery = Annotated[
     typer.Option(
         "--checkpoint-every",
         metavar="SECONDS",
-        help="Write a checkpoint every so often; 0 writes one after every chunk.",
+        help="Write a checkpoint at this interval; 0: after every chunk.",
     ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Check the configs and print the plan.")]
