@@ -16,6 +16,7 @@ from conftest import ROOT
 from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
+from topcli.figures import contract
 from topcli.figures.catalogue import FIGURES, find_figure
 from topcli.figures.contract import Loaded, NothingMeasuredError, Request
 from topcli.figures.make import make_figure
@@ -238,12 +239,9 @@ def test_polhodes_have_the_moments_of_the_run(tmp_path: Path, monkeypatch: pytes
 
 
 @dataclass(frozen=True)
-class Wave:
+class Wave(contract.Figure):
     """A figure from elsewhere."""
 
-    name: str = "wave"
-    title: str = "A wave"
-    scene: str = "none"
     version: int = 1
     measured: bool = True
 
@@ -257,7 +255,8 @@ class Wave:
 
 def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lists, completion and both ways to draw take it from there; its source decides if it is drawn again."""
-    figures = {"wave": Wave(), "slow": Wave("slow", measured=False)}
+    wave = ("wave", "A wave", "none")
+    figures = {"wave": Wave(*wave), "slow": Wave("slow", *wave[1:], measured=False)}
     monkeypatch.setattr("topcli.figures.catalogue.FIGURES", figures)
 
     def status(*arguments: str) -> dict[str, str]:
@@ -271,7 +270,7 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
     said = cli("plot", "--all")
     assert said.out.startswith("wave: up to date: ")
     assert said.err == "slow: skipped: nothing measured\n"
-    figures["wave"] = Wave(version=2)
+    figures["wave"] = Wave(*wave, version=2)
     assert status("wave") == {"wave": "drawn"}
     assert status("wave") == {"wave": "up to date"}
     Path("results/figures/wave.pdf").unlink()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
+from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, complete_config, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, print_json, print_table, say, say_warnings
 
 if TYPE_CHECKING:
@@ -73,10 +73,6 @@ def _peers(against: str) -> list[Peer]:
     return find_peers([] if against.lower() == "none" else [part for part in against.split(",") if part])
 
 
-Schemes = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
-]
 Scenes = Annotated[
     list[str] | None,
     typer.Option(

@@ -45,6 +45,10 @@ def complete_config(incomplete: str) -> list[str]:
     return [name for name in [*near, *scene_files()] if name.startswith(incomplete)]
 
 
+Schemes = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
+]
 Sets = Annotated[
     list[str] | None,
     typer.Option(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, Out, SchemeFiles, complete_scheme, complete_top, load_scheme_files
+from topcli.cli.options import Json, Out, SchemeFiles, Schemes, complete_top, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, on_terminal, print_json, print_table, say
 
 if TYPE_CHECKING:
@@ -101,10 +101,6 @@ def _print_study(data: dict[str, Any], files: list[str], verbose: bool) -> None:
         say(f"wrote {file}; draw it with: topcli plot stress")
 
 
-Schemes = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
-]
 Cases = Annotated[
     list[str] | None,
     typer.Option(

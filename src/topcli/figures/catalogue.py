@@ -122,8 +122,8 @@ FIGURES: dict[str, Figure] = {
             "kowalevski_hk",
             ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid"),
         ),
-        WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers"),
-        StressFigure("stress", "Every scheme in the hard cases of its top"),
+        WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers", "topcli bench"),
+        StressFigure("stress", "Every scheme in the hard cases of its top", "topcli stress"),
     )
 }
 

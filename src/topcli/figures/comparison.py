@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from topcli.figures.contract import Loaded, Request
+from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import REFERENCE, Line, Panel, component_symbol
 from topcli.figures.scenes import scene_config
 
@@ -41,12 +41,9 @@ def loaded_comparison(comparison: Comparison) -> Loaded:
 
 
 @dataclass(frozen=True)
-class ComparisonFigure:
+class ComparisonFigure(Figure):
     """The experiment of ``scene`` under several schemes."""
 
-    name: str
-    title: str
-    scene: str
     schemes: tuple[str, ...]
 
     def load(self, request: Request) -> Loaded:

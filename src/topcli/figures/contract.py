@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -48,24 +49,18 @@ class Loaded:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 
-class Figure(Protocol):
-    """A figure of the catalogue; ``scene`` names the scene or the command that its results come from."""
+@dataclass(frozen=True)
+class Figure(ABC):
+    """A figure of the catalogue.
 
-    @property
-    def name(self) -> str:
-        """Name on the command line and of the files."""
-        ...
+    ``name`` is that on the command line and of the files, ``title`` a description in one line, ``scene`` the scene or
+    command that the results come from.
+    """
 
-    @property
-    def title(self) -> str:
-        """Description in one line."""
-        ...
+    name: str
+    title: str
+    scene: str
 
-    @property
-    def scene(self) -> str:
-        """Scene or command that the results come from."""
-        ...
-
+    @abstractmethod
     def load(self, request: Request) -> Loaded:
         """Return panels, data and source. Raises UsageError and RunError."""
-        ...

@@ -8,18 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from topcli.figures.contract import Loaded, Request
+from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.growth import GrowthPanel
 from topcli.figures.picture import Grid
 
 
 @dataclass(frozen=True)
-class GrowthFigure:
+class GrowthFigure(Figure):
     """The growth of round-off under several ways to write a step, measured by ``studies.growth``."""
 
-    name: str
-    title: str
-    scene: str
     panels: tuple[GrowthPanel, ...]
     layout: Grid = field(default_factory=Grid)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
-from topcli.figures.contract import Loaded, Request
+from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs
 
 if TYPE_CHECKING:
@@ -36,12 +36,9 @@ def scene_config(scene: str, configs: Path) -> Path | str:
 
 
 @dataclass(frozen=True)
-class SceneFigure:
+class SceneFigure(Figure):
     """A figure of columns of the run of ``scene``; a column named ``other:column`` is read from the scene ``other``."""
 
-    name: str
-    title: str
-    scene: str
     panels: tuple[RunPanel, ...]
     layout: Grid = field(default_factory=Grid)
 

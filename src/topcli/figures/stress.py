@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.figures.contract import Loaded, NothingMeasuredError, Request
+from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
 from topcli.figures.picture import Grid, Styles
 
 OUTCOMES = ("not tried", "held", "degraded", "broke")
@@ -144,13 +144,8 @@ def _missing(found: str, results: Path) -> str:
     return f"{found} in {results}; topcli plot stress makes one in a few minutes"
 
 
-@dataclass(frozen=True)
-class StressFigure:
+class StressFigure(Figure):
     """The whole stress study."""
-
-    name: str
-    title: str
-    scene: str = "topcli stress"
 
     def load(self, request: Request) -> Loaded:
         """Return the stored study, or run it. Raises UsageError and RunError."""

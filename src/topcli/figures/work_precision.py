@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.figures.contract import Loaded, NothingMeasuredError, Request
+from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
 from topcli.figures.picture import Grid, Styles
 
 FOLDER = "bench"
@@ -145,13 +145,8 @@ def _shown(reports: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     return tuple(sorted(nearness, key=lambda name: (nearness[name], name))[:MOST_OF_OURS])
 
 
-@dataclass(frozen=True)
-class WorkPrecisionFigure:
+class WorkPrecisionFigure(Figure):
     """Finished results of ``topcli bench``; nothing is measured for the figure."""
-
-    name: str
-    title: str
-    scene: str = "topcli bench"
 
     def load(self, request: Request) -> Loaded:
         """Return panels and data of the results. Raises NothingMeasuredError if there are none, and RunError."""
