@@ -11,7 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from topcli.errors import RunError
-from topcli.figures.work_precision import work_precision
+from topcli.figures.catalogue import FIGURES
+from topcli.figures.contract import Request
 from topcli.studies.bench.front import DECADES
 from topcli.studies.bench.measure import Effort
 from topcli.studies.bench.run import bench, choose
@@ -84,9 +85,10 @@ def test_errors_that_are_not_finite_are_drawn_and_told_as_none(result: dict[str,
     lost["competitors"][0]["points"][0]["error"] = None
     store_bench(lost, "code", "start", "end", tmp_path / "bench")
     assert pq.read_table(tmp_path / "bench" / lost["name"] / POINTS).column("error").null_count == 1
-    (panel,), data, _ = work_precision(tmp_path)
+    loaded = FIGURES["work-precision"].load(Request(tmp_path))
+    (panel,) = loaded.panels
     assert panel.scene == lost["name"]
-    assert set(panel.columns) == set(data)
+    assert set(panel.columns) == set(loaded.data())
 
 
 def test_end_to_end(cli: Any) -> None:
@@ -112,7 +114,7 @@ def test_end_to_end(cli: Any) -> None:
     assert Path(scene["folder"], POINTS).is_file()
     again = cli("bench", "rk4", *arguments)
     assert "for an error of 1e-3 take rk4 with h=" in again.out
-    assert "kept the earlier, different result as results/bench/lagrange." in again.err
+    assert "renamed the earlier, different result to results/bench/lagrange." in again.err
 
 
 @pytest.mark.parametrize(

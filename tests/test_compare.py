@@ -135,10 +135,11 @@ def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
 
 
 def test_pictures_of_a_comparison(tmp_path: Path) -> None:
-    from topcli.figures.comparison import draw_comparison
+    from topcli.figures.comparison import loaded_comparison
+    from topcli.figures.make import write_figure
 
     comparison = compare_schemes(load_experiment(HK, ["N=2000", "h=0.01"]), ["hk", "hybrid"])
-    files = draw_comparison(comparison, "compare", tmp_path)
+    files = write_figure("compare", loaded_comparison(comparison), tmp_path)
     assert [file.name for file in files] == ["compare.png", "compare.pdf", "compare.parquet"]
     assert "error:hk" in pq.read_schema(files[-1]).names
 

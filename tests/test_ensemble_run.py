@@ -301,7 +301,7 @@ def test_exit_codes(cli, in_tmp: Path) -> None:
     (in_tmp / "some.yaml").write_text(some.to_yaml())
     code, _, err = command(cli, "run", "some.yaml")
     assert code == 3
-    assert "error: some: some trajectories failed; what came before is kept" in err
+    assert "error: some: some trajectories failed; the rows before are kept" in err
     text = some.to_yaml().replace("omega: [0.5,", "omega: [1e200,").replace("name: some", "name: all")
     (in_tmp / "all.yaml").write_text(text)
     assert command(cli, "run", "all.yaml")[0] == 1

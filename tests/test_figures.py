@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,16 @@ import pytest
 from matplotlib.figure import Figure
 
 from conftest import ROOT
+from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
-from topcli.figures.catalogue import FIGURES, figure_spec
-from topcli.figures.make import make_figure, scene_config
+from topcli.figures import contract
+from topcli.figures.catalogue import FIGURES, find_figure
+from topcli.figures.contract import Loaded, NothingMeasuredError, Request
+from topcli.figures.make import make_figure
+from topcli.figures.picture import Line, Panel
 from topcli.figures.polhodes import Polhodes
+from topcli.figures.scenes import SceneFigure, scene_config
 from topcli.studies.run import run_experiment
 
 
@@ -25,7 +31,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The paper's figures, made from the configs of the repository."""
     folder = tmp_path_factory.mktemp("figures")
     for name in ("fig1", "fig2", "fig3", "fig4"):
-        make_figure(FIGURES[name], out=folder / "figures", results=folder, configs=ROOT / "configs")
+        make_figure(FIGURES[name], Request(folder, ROOT / "configs"), folder / "figures")
     return folder
 
 
@@ -84,7 +90,7 @@ def test_nothing_is_done_twice(made: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr("topcli.figures.make.save", never)
     for name in ("fig1", "fig3"):
-        again = make_figure(FIGURES[name], out=made / "figures", results=made, configs=ROOT / "configs")
+        again = make_figure(FIGURES[name], Request(made, ROOT / "configs"), made / "figures")
         assert again.status == "up to date"
 
 
@@ -92,13 +98,12 @@ def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_pat
     configs, results = tmp_path / "configs", tmp_path / "results"
     configs.mkdir()
     text = (ROOT / "configs" / "kowalevski_hk.yaml").read_text()
-    talk: list[str] = []
+    messages: list[str] = []
 
     def drawn(N: int, force: bool = False) -> str:
         (configs / "kowalevski_hk.yaml").write_text(re.sub(r"(?m)^N: .*$", f"N: {N}", text))
-        spec = FIGURES["fig1"]
-        options = {"configs": configs, "formats": ["png"], "told": talk.append, "force": force}
-        return make_figure(spec, out=tmp_path, results=results, **options).status
+        request = Request(results, configs, force, on_message=messages.append)
+        return make_figure(FIGURES["fig1"], request, tmp_path, ["png"]).status
 
     assert [drawn(400), drawn(400)] == ["drawn", "up to date"]
     with pytest.raises(UsageError, match="holds a different experiment"):
@@ -106,15 +111,13 @@ def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_pat
     assert pq.read_metadata(tmp_path / "fig1.parquet").num_rows == 401
     assert drawn(500, force=True) == "drawn"
     assert pq.read_metadata(tmp_path / "fig1.parquet").num_rows == 501
-    assert len(talk) == 1
-    assert "kept the earlier" in talk[0]
+    assert len(messages) == 1
+    assert "renamed the earlier, different run to" in messages[0]
     assert not (tmp_path / "fig1.pdf").exists()
 
 
 def test_packaged_scenes_serve_where_there_are_no_configs(tmp_path: Path) -> None:
-    made = make_figure(
-        FIGURES["fig3"], out=tmp_path, results=tmp_path / "r", configs=tmp_path / "none", formats=["png"]
-    )
+    made = make_figure(FIGURES["fig3"], Request(tmp_path / "r", tmp_path / "none"), tmp_path, ["png"])
     assert made.status == "drawn"
 
 
@@ -123,7 +126,7 @@ def test_a_config_without_the_columns_is_told(tmp_path: Path) -> None:
         (ROOT / "configs" / "kowalevski_hk.yaml").read_text() + "\noutput:\n  columns: [t, gamma1]\n"
     )
     with pytest.raises(UsageError, match="does not record gamma2, gamma3"):
-        make_figure(FIGURES["fig1"], out=tmp_path, results=tmp_path / "r", configs=tmp_path)
+        make_figure(FIGURES["fig1"], Request(tmp_path / "r", tmp_path), tmp_path)
 
 
 def test_a_run_that_blew_up_is_not_drawn(tmp_path: Path) -> None:
@@ -131,16 +134,16 @@ def test_a_run_that_blew_up_is_not_drawn(tmp_path: Path) -> None:
     text = re.sub(r"(?m)^  omega: .*$", "  omega: [1e200, 1e200, 1e200]", text)
     (tmp_path / "kowalevski_hk.yaml").write_text(text)
     with pytest.raises(RunError, match="blew up"):
-        make_figure(FIGURES["fig1"], out=tmp_path, results=tmp_path / "r", configs=tmp_path)
+        make_figure(FIGURES["fig1"], Request(tmp_path / "r", tmp_path), tmp_path)
 
 
 def test_every_figure_reads_columns_that_its_scene_records() -> None:
-    for spec in FIGURES.values():
-        for scene, columns in spec.sources.items():
+    for name in READS_RUNS:
+        for scene, columns in FIGURES[name].sources.items():
             experiment = load_experiment(scene_config(scene, ROOT / "configs"))
             integrals = (*experiment.top.invariants(), *experiment.modified)
             assert set(columns) <= {"n", "t", *experiment.top.components, *(integral.name for integral in integrals)}
-    assert figure_spec("FIG1").name == "fig1"
+    assert find_figure("FIG1").name == "fig1"
 
 
 def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
@@ -163,7 +166,7 @@ def drawn_from(
     for scene in FIGURES[name].sources:
         overrides = changes[scene] if isinstance(changes, dict) else changes
         (tmp_path / f"{scene}.yaml").write_text(load_experiment(scene, overrides).to_yaml())
-    make_figure(FIGURES[name], out=tmp_path, results=tmp_path / "r", configs=tmp_path, formats=["png"])
+    make_figure(FIGURES[name], Request(tmp_path / "r", tmp_path), tmp_path, ["png"])
     return seen[0]
 
 
@@ -175,7 +178,7 @@ def texts(figure: Figure) -> list[str]:
     return [text for text in found if text]
 
 
-READS_RUNS = [name for name, spec in FIGURES.items() if spec.sources]
+READS_RUNS = [name for name, figure in FIGURES.items() if isinstance(figure, SceneFigure)]
 TITLED = {"fig1": "hk", "fig2": "bohlin-a", "fig3": "bohlin-a", "fig4": "hybrid", "modified": "hk"}
 
 
@@ -231,5 +234,46 @@ def test_polhodes_have_the_moments_of_the_run(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(Polhodes, "paint", lambda panel, *given: panels.append(panel) or paint(panel, *given))
     drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "top={kind: euler, A: 1.5, B: 2.5, C: 1.2}"])
     assert panels[0].moments == (1.5, 2.5, 1.2)
-    with pytest.raises(UsageError, match="has the moments 2, 2, 1; needs three different ones"):
+    with pytest.raises(UsageError, match="has the moments 2, 2, 1; use three different ones"):
         drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "name=x", "top={kind: euler, A: 2, B: 2, C: 1}"])
+
+
+@dataclass(frozen=True)
+class Wave(contract.Figure):
+    """A figure from elsewhere."""
+
+    version: int = 1
+    measured: bool = True
+
+    def load(self, request: Request) -> Loaded:
+        if request.stored_only and not self.measured:
+            raise NothingMeasuredError("nothing measured")
+        x = np.linspace(0.0, 1.0, 20)
+        panel = Panel((Line("x", "long"), Line("y", "short")), "x")
+        return Loaded((panel,), lambda: {"t": x, "x": np.sin(x), "y": x[:5]}, {"version": self.version})
+
+
+def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lists, completion and both ways to draw take it from there; its source decides if it is drawn again."""
+    wave = ("wave", "A wave", "none")
+    figures = {"wave": Wave(*wave), "slow": Wave("slow", *wave[1:], measured=False)}
+    monkeypatch.setattr("topcli.figures.catalogue.FIGURES", figures)
+
+    def status(*arguments: str) -> dict[str, str]:
+        return {one["name"]: one["status"] for one in cli("plot", *arguments, "--json").json()["figures"]}
+
+    listed = cli("list", "figures", "--json").json()["figures"]
+    assert listed == [{"name": name, "title": "A wave", "scene": "none"} for name in figures]
+    assert complete_figure("w") == ["wave"]
+    assert status("wave") == {"wave": "drawn"}
+    assert status("wave", "slow") == {"wave": "up to date", "slow": "drawn"}
+    said = cli("plot", "--all")
+    assert said.out.startswith("wave: up to date: ")
+    assert said.err == "slow: skipped: nothing measured\n"
+    figures["wave"] = Wave(*wave, version=2)
+    assert status("wave") == {"wave": "drawn"}
+    assert status("wave") == {"wave": "up to date"}
+    Path("results/figures/wave.pdf").unlink()
+    assert status("wave") == {"wave": "drawn"}
+    short = pq.read_table("results/figures/wave.parquet").column("y").to_numpy()
+    assert (np.isnan(short) == (np.arange(20) >= 5)).all()

@@ -14,7 +14,7 @@ import pytest
 
 from conftest import ROOT
 from test_cli import process
-from topcli.cli.talk import ProgressTeller, spell_seconds
+from topcli.cli.talk import ProgressDisplay, spell_seconds
 from topcli.store.manifest import stored_runs
 from topcli.store.series import read_series
 
@@ -102,7 +102,7 @@ class Clock:
 
 def test_progress_in_a_log_is_sparse_and_tells_rate_and_time_left(capsys: pytest.CaptureFixture[str]) -> None:
     clock, hours = Clock(), 20
-    teller = ProgressTeller(1, False, clock)
+    teller = ProgressDisplay(1, False, clock)
     teller.begin("long")
     total, rate = 50_000 * 3600 * hours, 50_000
     for second in range(3600 * hours):
@@ -118,7 +118,7 @@ def test_progress_in_a_log_is_sparse_and_tells_rate_and_time_left(capsys: pytest
 def test_the_rate_follows_the_machine(capsys: pytest.CaptureFixture[str]) -> None:
     """A machine that slows down: the time left is told by the last half minute."""
     clock = Clock()
-    teller = ProgressTeller(2, False, clock)
+    teller = ProgressDisplay(2, False, clock)
     teller.begin("first")
     done = 0
     for second in range(200):
@@ -135,7 +135,7 @@ def test_progress_survives_a_terminal_that_is_gone(monkeypatch: pytest.MonkeyPat
 
     clock = Clock()
     monkeypatch.setattr("topcli.cli.talk.say", gone)
-    teller = ProgressTeller(1, False, clock)
+    teller = ProgressDisplay(1, False, clock)
     teller.begin("long")
     clock.now += 100.0
     teller(1, 10)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from topcli.errors import RunError
-from topcli.figures.catalogue import figure_spec
+from topcli.figures.catalogue import find_figure
 from topcli.figures.picture import draw
 from topcli.figures.polhodes import Polhodes, _camera, _curves
 from topcli.tops.euler import Euler, field
@@ -39,7 +39,7 @@ def test_the_camera_is_a_rotation() -> None:
 def test_the_figure_has_the_moments_of_its_scene() -> None:
     from topcli.config.load import load_experiment
 
-    spec = figure_spec("polhodes")
+    spec = find_figure("polhodes")
     (panel,) = spec.panels
     assert isinstance(panel, Polhodes)
     assert panel.moments == load_experiment(spec.scene).top.euler_poisson().moments

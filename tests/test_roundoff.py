@@ -190,7 +190,7 @@ def test_command_tells_violations(cli) -> None:
     assert cli("roundoff", "hybrid-xi", *few, "--max-exponent", "0.6", "--max-drift", "1e-13").code == 0
     said = cli("roundoff", "hybrid", *few, "--max-drift", "1e-18")
     assert said.code == 4
-    assert "violated: gamma_sq of hybrid with plain sums: drift" in said.err
+    assert "error: gamma_sq of hybrid with plain sums: drift" in said.err
     assert cli("roundoff", "hybrid", *few, "--max-exponent", "-1").code == 4
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topcli.figures.catalogue import figure_spec
+from topcli.figures.catalogue import find_figure
 from topcli.figures.picture import draw
 from topcli.figures.sphere import TRACE, TRACE_FAR, Sphere, projection
 
@@ -31,7 +31,7 @@ def test_what_lies_behind_is_drawn_lighter() -> None:
 
 
 def test_a_figure_reads_the_scenes_that_its_columns_name() -> None:
-    sources = figure_spec("nutation").sources
+    sources = find_figure("nutation").sources
     assert list(sources) == ["lagrange_cusps", "lagrange_loops", "lagrange_waves"]
     assert sources["lagrange_loops"] == {f"a{i}": f"lagrange_loops:a{i}" for i in (1, 2, 3)}
-    assert figure_spec("fig3").sources == {"kowalevski_bohlin_a": {"t": "t", "energy": "energy", "two_l": "two_l"}}
+    assert find_figure("fig3").sources == {"kowalevski_bohlin_a": {"t": "t", "energy": "energy", "two_l": "two_l"}}

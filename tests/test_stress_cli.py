@@ -12,12 +12,14 @@ import pytest
 
 from conftest import ROOT
 from topcli.errors import RunError
-from topcli.figures import stress as picture
+from topcli.figures.catalogue import FIGURES
+from topcli.figures.contract import NothingMeasuredError, Request
+from topcli.figures.make import MadeFigure, make_figure
 from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes
 from topcli.studies.scheme_page import schemes_page
 from topcli.studies.stress import CASES
-from topcli.studies.stress.record import stored_stress, stress_data, write_stress
+from topcli.studies.stress.record import stored_stress, stress_data, stress_source, write_stress
 from topcli.studies.stress.suite import stress
 
 SCHEME = '''
@@ -134,7 +136,7 @@ def test_an_outlived_limit_leaves_with_4(cli) -> None:
     Path("mine.py").write_text(MODEST)
     said = cli("stress", "modest", "--case", "delone", "--scheme-file", "mine.py")
     assert said.code == 4
-    assert "declares a limit and outlives it" in said.err
+    assert "holds in a case declared as its limit" in said.err
 
 
 def test_options_and_compositions(cli) -> None:
@@ -197,11 +199,18 @@ def test_the_stored_study_is_drawn_and_not_run_again(
     def never(**options: object) -> None:
         raise AssertionError("run again")
 
-    monkeypatch.setattr(picture, "stress", never)
-    write_stress(study, tmp_path, picture.stress_source())
-    made = picture.make_stress(out=tmp_path / "figures", results=tmp_path, formats=["png"])
-    assert made.status == "drawn"
-    assert picture.make_stress(out=tmp_path / "figures", results=tmp_path, formats=["png"]).status == "up to date"
+    def made(**options: bool) -> MadeFigure:
+        return make_figure(FIGURES["stress"], Request(tmp_path, **options), tmp_path / "figures", ["png"])
+
+    monkeypatch.setattr("topcli.studies.stress.suite.stress", never)
+    with pytest.raises(NothingMeasuredError, match=r"no stress study in .*; topcli plot stress makes one"):
+        made(stored_only=True)
+    write_stress(study, tmp_path, stress_source())
+    assert made(stored_only=True).status == "drawn"
+    assert made().status == "up to date"
+    assert made(stored_only=True, force=True).status == "drawn"
+    with pytest.raises(AssertionError, match="run again"):
+        made(force=True)
     with Image.open(tmp_path / "figures" / "stress.png") as image:
         pixels = np.asarray(image.convert("L"), dtype=float)
     assert (pixels[:3] > 250).all()
@@ -212,5 +221,15 @@ def test_the_stored_study_is_drawn_and_not_run_again(
     outcomes = [names["outcome"][int(value)] for value in table.column("outcome").to_numpy()]
     assert outcomes == [one["outcome"] for one in study["trials"]]
     write_stress(study, tmp_path, "other code")
+    with pytest.raises(NothingMeasuredError, match="only a stress study of other code"):
+        made(stored_only=True)
     with pytest.raises(AssertionError, match="run again"):
-        picture.make_stress(out=tmp_path / "figures", results=tmp_path, formats=["png"])
+        made()
+
+
+def test_the_source_of_the_study_does_not_depend_on_the_order_of_imports() -> None:
+    """Schemes are imported when a config first names them; the stored study stays up to date whichever came first."""
+    before = stress_source()
+    entry = next(iter(registry._schemes))
+    registry._schemes[entry] = registry._schemes.pop(entry)
+    assert stress_source() == before

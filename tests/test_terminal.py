@@ -211,7 +211,7 @@ def test_markup_is_data_in_the_progress_bar(monkeypatch: pytest.MonkeyPatch, cap
     monkeypatch.setattr(talk, "_terminal", lambda stream: True)
     monkeypatch.setenv("TERM", "xterm")
     times = iter([0.0, 0.0, 10.0, 11.0, 12.0, 13.0])
-    teller = talk.ProgressTeller(1, False, lambda: next(times))
+    teller = talk.ProgressDisplay(1, False, lambda: next(times))
     teller.begin("[link=http://evil]a[/link]:boom:\x1b[31m\x9b")
     teller(5, 10)
     shown = teller._bar.get_renderable()
@@ -278,6 +278,7 @@ def test_help_is_readable(cli, monkeypatch: pytest.MonkeyPatch) -> None:
             assert not re.search("<[a-z]", text), name
             assert "`" not in text, name
             for parameter in one.params:
+                assert re.fullmatch("[A-Z].*[^.][.]", parameter.help), f"{name} {parameter.name}"
                 if parameter.param_type_name == "option" and not parameter.is_flag and parameter.name != "help":
                     assert parameter.metavar, f"{name} {parameter.name}"
         assert "..." not in out.split("Commands:")[1].replace("[ARGS]...", "")

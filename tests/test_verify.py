@@ -140,7 +140,7 @@ def test_verify_finished_and_unfinished_runs(cli, in_tmp: Path) -> None:
     left = killed(results, small(), 9)
     said = cli("verify", NAME)
     assert (said.code, len(said.out.splitlines())) == (0, 2)
-    assert f"results/{NAME}: finished, 5 files whole" in said.out
+    assert f"results/{NAME}: finished, 5 files intact" in said.out
     assert f"{left.name}: unfinished" in said.out
     document = cli("verify", f"results/{NAME}", str(left), "--json").json()
     assert [(run["finished"], run["state"]) for run in document["runs"]] == [(True, "whole"), (False, "whole")]

@@ -1,4 +1,4 @@
-"""The entry point of ``topcli`` and ``python -m topcli``."""
+"""Entry point of ``topcli`` and ``python -m topcli``."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 class _Pipe(io.FileIO):
-    """A standard stream that swallows what nobody reads any more, as in ``topcli ... | head -1``.
+    """Standard stream that discards output after its reader has gone, as in ``topcli ... | head -1``.
 
-    The command goes on, so that its exit code does not depend on when the reader closed the pipe.
+    The command continues, so that its exit code does not depend on when the reader closed the pipe.
     """
 
     def write(self, data: Buffer, /) -> int | None:
@@ -27,7 +27,7 @@ class _Pipe(io.FileIO):
 
 
 def _prepare_streams() -> None:
-    """Make printing safe: a closed stream swallows, and a letter that the encoding lacks becomes a question mark."""
+    """Make printing safe: closed streams discard output, and unencodable characters become question marks."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
@@ -51,12 +51,12 @@ def _prepare_streams() -> None:
 
 
 def _drop_output() -> None:
-    """Send what is still buffered for stdout nowhere."""
+    """Discard the output buffered for stdout."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _unexpected(error: Exception) -> int:
-    """Report an error that nothing else has caught, and return the exit code: a user's scheme or top, or a bug."""
+    """Report an unexpected error, of a user's scheme or top or a bug, and return the exit code."""
     import traceback
 
     from topcli.cli.talk import say, say_error, say_text
@@ -69,16 +69,16 @@ def _unexpected(error: Exception) -> int:
         say(f"error: a package cannot be loaded: {error}; is it installed, and is there enough memory (ulimit -v)?")
         return 1
     say_text("".join(traceback.format_exception(error)))
-    say("internal error: this is a bug in topcli; please report it with the lines above")
+    say("error: internal error; this is a bug in topcli, please report it with the lines above")
     return 70
 
 
 def main() -> None:
-    """Run the command line and exit with its code; a user's mistake is reported without a traceback."""
+    """Run the command line and exit with its code; errors of the user are reported without a traceback."""
     if os.name == "nt":
-        print("error: topcli does not run on Windows; use it in WSL, the Windows Subsystem for Linux", file=sys.stderr)
+        print("error: topcli does not run on Windows; use WSL, the Windows Subsystem for Linux", file=sys.stderr)
         sys.exit(2)
-    gc.set_threshold(100_000, 50, 50)  # start-up makes many objects and no garbage
+    gc.set_threshold(100_000, 50, 50)  # start-up creates many objects and no garbage
     _prepare_streams()
     code: int | str | None = 0
     try:
@@ -95,7 +95,7 @@ def main() -> None:
     except OSError as error:
         if error.filename is None:  # files have names
             _drop_output()
-            print(f"error: standard output cannot be written ({error.strerror})", file=sys.stderr)
+            print(f"error: cannot write to standard output ({error.strerror})", file=sys.stderr)
         else:
             from topcli.cli.talk import say
 
@@ -110,7 +110,7 @@ def main() -> None:
 
 
 def entry() -> None:
-    """What the installed command calls: ``main``, then leave at once, without taking the interpreter apart."""
+    """Run ``main`` for the installed command and exit at once, without finalising the interpreter."""
     try:
         main()
     except SystemExit as leaving:

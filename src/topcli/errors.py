@@ -1,12 +1,12 @@
-"""Mistakes of a user and failures of a run: messages without tracebacks, safe to print.
+"""Errors of a user and failures of a run: messages without tracebacks, safe to print.
 
-Every error carries a message of one to three lines that says what is wrong, where, and what would be
-right. The command line prints the message and exits with the error's code:
+Every error has a message of one to three lines: what is wrong, where, and what would be right. The command line prints
+the message and exits with the error's code:
 
 ====  =========================================================
 code  meaning
 ====  =========================================================
-0     fine
+0     success
 1     a run failed (blew up, left its motion, not written)
 2     wrong usage or wrong configuration
 3     part of a sweep failed
@@ -15,8 +15,8 @@ code  meaning
 130   interrupted
 ====  =========================================================
 
-A reader that closes the pipe (``topcli ... | head -1``) changes none of these: the command goes on to its end without
-printing. On Windows, which topcli does not support, every command exits with 2.
+A closed pipe (``topcli ... | head -1``) changes none of these: the command continues without printing. On Windows,
+which topcli does not support, every command exits with 2.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from collections.abc import Iterable
 NAME_LENGTH = 60
 """Longest name or value that a message repeats."""
 MESSAGE_LENGTH = 900
-"""Longest message; what a command puts before it stays below 1,000 characters in all."""
+"""Longest message; with the prefix of a command it has less than 1,000 characters."""
 
 
 def printable(text: str) -> str:
-    """Return ``text`` with an escape for every character that a terminal would obey: controls, newlines, bidi marks.
+    """Return ``text`` with escapes for control characters, newlines and bidi marks.
 
     >>> print(printable("a\\x1b[31m\\n\\u202eb"))
     a\\x1b[31m\\n\\u202eb
@@ -42,17 +42,17 @@ def printable(text: str) -> str:
 
 
 def shortened(text: str, length: int = NAME_LENGTH) -> str:
-    """Beginning of ``text``, with dots where more than ``length`` characters are cut."""
+    """Return at most ``length`` characters of ``text``, ending in dots if some are cut."""
     return text if len(text) <= length else text[: length - 3] + "..."
 
 
 def quoted(name: str) -> str:
-    """A name from the user as messages repeat it: quoted, short and printable."""
+    """Return a name given by the user as messages repeat it: quoted, short and printable."""
     return repr(shortened(name))
 
 
 def clipped(text: str, length: int = MESSAGE_LENGTH) -> str:
-    """``text`` without its middle where it is longer than ``length``: the place and the reason are at its ends."""
+    """Return ``text`` without its middle if it is longer than ``length``; place and reason are at its ends."""
     if len(text) <= length:
         return text
     tail = (length - 5) // 2
@@ -60,7 +60,7 @@ def clipped(text: str, length: int = MESSAGE_LENGTH) -> str:
 
 
 class TopcliError(Exception):
-    """A failure reported in a few ``lines``, printable and of bounded length; ``exit_code`` ends the process."""
+    """Failure reported in a few printable ``lines`` of bounded length; ``exit_code`` is that of the process."""
 
     exit_code = 1
 
@@ -75,29 +75,29 @@ class TopcliError(Exception):
 
 
 class UsageError(TopcliError):
-    """The user's mistake: a wrong argument, file or value (exit code 2)."""
+    """Wrong argument, file or value (exit code 2)."""
 
     exit_code = 2
 
 
 class ConfigError(UsageError):
-    """A mistake in a config; the message names file, line and key (exit code 2)."""
+    """Error in a config; the message names file, line and key (exit code 2)."""
 
 
 class UnknownNameError(UsageError):
-    """A scheme, top or figure that does not exist; the message offers the nearest names (exit code 2)."""
+    """Unknown scheme, top or figure; the message names the nearest ones (exit code 2)."""
 
 
 class SchemeCodeError(UsageError):
-    """A scheme's or top's code that raises, or cannot be compiled or identified (exit code 2)."""
+    """Code of a scheme or top that raises, or cannot be compiled or identified (exit code 2)."""
 
 
 class RunError(TopcliError):
-    """A run that could not be carried out or written (exit code 1)."""
+    """Run that could not be carried out or written (exit code 1)."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Half a sentence that helps with a misspelt ``name``: the nearest of the ``known`` names, or all of them.
+    """Return a hint for a misspelt ``name``: the nearest of the ``known`` names, or all of them.
 
     >>> nearest("hkk", ["hk", "hybrid"])
     "did you mean 'hk'?"

@@ -1,1 +1,1 @@
-"""The command line: prints, exits, nothing else."""
+"""The command line: parse, print, exit."""

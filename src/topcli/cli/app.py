@@ -1,4 +1,4 @@
-"""The typer application: the commands by name, each in its own module, and one style for mistakes in their use."""
+"""The typer application: all commands, and one style for errors of usage."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Numerical experiments on discrete spinning tops: run, measure, compare, draw.",
-    epilog="Exit codes: 0 fine, 1 a run failed, 2 wrong usage or config, 3 part of several runs failed, "
+    epilog="Exit codes: 0 success, 1 a run failed, 2 wrong usage or config, 3 part of several runs failed, "
     "4 a stated tolerance was violated, 70 an internal error, 130 interrupted.",
 )
 
 
 def call() -> int | str | None:
-    """Run the command line and return its exit code. Mistakes in its use are reported in a line or three."""
+    """Run the command line and return its exit code; errors of the user are reported in a few lines."""
     try:
         return app(prog_name="topcli", standalone_mode=False)
     except TopcliError as error:
         say_error(error)
         return error.exit_code
     except Exception as error:
-        # typer's own errors have no common class that it exports in every version
+        # typer exports no common base class of its errors
         code = getattr(error, "exit_code", None)
         if code is None or not hasattr(error, "format_message"):
             raise
@@ -41,9 +41,9 @@ def call() -> int | str | None:
 
 
 def _say_usage(error: Any) -> None:
-    """Report a mistake that typer found as all others are reported."""
+    """Report an error found by typer in the style of all other errors."""
     message = error.format_message().strip()
-    if "\n" in message:  # the help, of a command that was given nothing
+    if "\n" in message:  # the help, of a command without arguments
         say_text(message)
         return
     message = clipped(message, 240).removesuffix(".").replace(". Did you mean", "; did you mean")
@@ -64,7 +64,7 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _topcli(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     pass

@@ -1,4 +1,4 @@
-"""The class of all commands: typer's, with a help that speaks of no Python types."""
+"""Class of all commands: typer's, with help texts free of Python types."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _TYPE = re.compile(r" <[^>]*>$")
 
 
 class Command(TyperCommand):
-    """A command whose help names its arguments without types such as ``<list[str]>``."""
+    """A command whose help lists arguments without types such as ``<list[str]>``."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments and the options."""

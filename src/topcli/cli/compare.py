@@ -1,4 +1,4 @@
-"""``topcli compare``: one experiment under several schemes."""
+"""``topcli compare``: run one experiment under several schemes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ PAPER_SCENE = "kowalevski_hk"
 
 
 def _modified_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
-    """The integrals of the schemes themselves: a dash where a scheme has no such integral."""
+    """Lines of the modified integrals; a dash if a scheme has no such integral."""
     from topcli.studies.report import number
 
     def correction(row: dict[str, Any]) -> str:
-        told = row["correction"]
-        power = {1: "h", 2: "h²"}.get(told["power"], f"h^{told['power']}")
-        return f"{number(told['size'])} = {told['coefficient']:.3g} {power}"
+        found = row["correction"]
+        power = {1: "h", 2: "h²"}.get(found["power"], f"h^{found['power']}")
+        return f"{number(found['size'])} = {found['coefficient']:.3g} {power}"
 
     each = [{row["name"]: row for row in scheme["modified"]} for scheme in schemes]
     lines = []
@@ -35,7 +35,7 @@ def _modified_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
 
 
 def _lines(figures: dict[str, Any]) -> list[list[str]]:
-    """The comparison as lines: a label, then a cell for each scheme."""
+    """Lines of the comparison: a label, then a cell for each scheme."""
     from topcli.studies.report import number
 
     schemes = figures["schemes"]
@@ -77,7 +77,7 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
 
 
 def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Options that ``--set scheme.KEY=VALUE`` gives to every scheme that has them, and the other overrides."""
+    """Options of ``--set scheme.KEY=VALUE`` for all schemes that have them, and the other overrides."""
     from topcli.config.overrides import override_label, parse_override
     from topcli.errors import UsageError
 
@@ -85,7 +85,7 @@ def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     for text in sets:
         path, value = parse_override(text)
         if path == ("scheme",):
-            raise UsageError(f"{override_label(text)}: the schemes to compare are named on the command line")
+            raise UsageError(f"{override_label(text)}: name the schemes as arguments of the command line")
         if path[0] == "scheme" and len(path) == 2 and path[1] != "name":
             options[path[1]] = value
         else:
@@ -94,28 +94,32 @@ def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _header(scheme: dict[str, Any]) -> str:
-    """A scheme's name, with those of its options that are not the default."""
+    """Name of a scheme, with its options other than the defaults."""
     changed = [f"{key}={value}" for key, value in scheme["changed"].items()]
     return scheme["scheme"] + (f" ({', '.join(changed)})" if changed else "")
 
 
+Schemes = Annotated[
+    list[str], typer.Argument(metavar="SCHEME", help="Names of schemes.", autocompletion=complete_scheme)
+]
+Config = Annotated[
+    str,
+    typer.Option(
+        "--config",
+        metavar="CONFIG",
+        help="Read the experiment from a config or scene.",
+        autocompletion=complete_config,
+    ),
+]
+Plot = Annotated[bool, typer.Option("--plot", help="Draw errors and swings over time.")]
+
+
 def compare(
-    schemes: Annotated[
-        list[str],
-        typer.Argument(metavar="SCHEME", help="Names of schemes.", autocompletion=complete_scheme),
-    ],
-    config: Annotated[
-        str,
-        typer.Option(
-            "--config",
-            metavar="CONFIG",
-            help="The experiment; the paper's scene by default.",
-            autocompletion=complete_config,
-        ),
-    ] = PAPER_SCENE,
+    schemes: Schemes,
+    config: Config = PAPER_SCENE,
     sets: Sets = None,
     as_json: Json = False,
-    plot: Annotated[bool, typer.Option("--plot", help="Draw errors and swings over time.")] = False,
+    plot: Plot = False,
     out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
@@ -133,9 +137,11 @@ def compare(
     comparison = compare_schemes(experiment, schemes, options)
     files: list[str] = []
     if plot:
-        from topcli.figures.comparison import draw_comparison
+        from topcli.figures.comparison import loaded_comparison
+        from topcli.figures.make import write_figure
 
-        files = [str(path) for path in draw_comparison(comparison, f"compare_{experiment.name}", out)]
+        written = write_figure(f"compare_{experiment.name}", loaded_comparison(comparison), out)
+        files = [str(path) for path in written]
     if as_json:
         print_json("compare", {**comparison.figures, "files": files})
     else:

@@ -1,4 +1,4 @@
-"""``topcli list``, ``show``, ``init``, ``schema`` and ``doctor``: look before running."""
+"""``topcli list``, ``show``, ``init``, ``schema`` and ``doctor``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ list_app = typer.Typer(
 )
 
 OnlyTop = Annotated[
-    str | None, typer.Option("--top", metavar="TOP", help="Only those for this top.", autocompletion=complete_top)
+    str | None,
+    typer.Option("--top", metavar="TOP", help="List only entries for this top.", autocompletion=complete_top),
 ]
 
 
@@ -87,7 +88,7 @@ def list_schemes(
 ) -> None:
     """List the schemes with their declared traits.
 
-    Plugins that failed are named on stderr.
+    Plugins that failed are reported on stderr.
     """
     from topcli.schemes.registry import all_schemes, plugin_failures
     from topcli.tops import forms
@@ -146,7 +147,7 @@ def list_compositions(as_json: Json = False) -> None:
 
 @list_app.command(cls=Command, name="scenes")
 def list_scenes(top: OnlyTop = None, as_json: Json = False) -> None:
-    """List the packaged scenes, which every command takes by name."""
+    """List the packaged scenes, names that stand for configs."""
     from topcli.config.load import scenes
 
     items: list[dict[str, Any]] = [
@@ -184,15 +185,12 @@ def list_figures(as_json: Json = False) -> None:
     """List the figures that topcli plot draws."""
     from topcli.figures.catalogue import FIGURES
 
-    items: list[dict[str, Any]] = [
-        {"name": spec.name, "title": spec.title, "scene": spec.scene} for spec in FIGURES.values()
-    ]
-    items.append({"name": "stress", "title": "every scheme in the hard cases of its top", "scene": "topcli stress"})
+    items = [{"name": figure.name, "title": figure.title, "scene": figure.scene} for figure in FIGURES.values()]
     _print_list("figures", items, ["name", "scene", "title"], as_json)
 
 
 def _short(item: dict[str, Any]) -> dict[str, Any]:
-    """A run for the table: other programs may have written its manifest, which may hold anything."""
+    """A run with short cells for the table; the manifest may come from elsewhere and hold anything."""
     cells = {
         key: value if value is None or isinstance(value, int | float) else shortened(str(value))
         for key, value in item.items()
@@ -202,7 +200,7 @@ def _short(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _local_time(stamp: object) -> str:
-    """A timestamp of a manifest to the minute, in local time; anything else as it is, shortened."""
+    """Timestamp of a manifest to the minute, in local time; anything else is returned shortened."""
     from datetime import datetime
 
     try:
@@ -214,7 +212,8 @@ def _local_time(stamp: object) -> str:
 @list_app.command(cls=Command, name="runs")
 def list_runs(
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder of the run folders.", show_default="results")
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="List the run folders in this folder.", show_default="results"),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -249,7 +248,7 @@ def list_runs(
 
 
 def _show_scheme(name: str, as_json: bool) -> bool:
-    """Show the scheme called ``name``; whether there is one."""
+    """Print the scheme called ``name`` and return True, or False if there is none."""
     from topcli.studies.scheme_page import scheme_data, scheme_forms, scheme_text
 
     found = scheme_forms(name)
@@ -292,7 +291,7 @@ def show(
 
 
 def _holds(path: Path, text: str) -> bool:
-    """Whether the file at ``path`` holds just ``text``."""
+    """True if the content of the file at ``path`` is ``text``."""
     try:
         return path.read_text(encoding="utf-8") == text
     except (OSError, UnicodeDecodeError):
@@ -300,18 +299,18 @@ def _holds(path: Path, text: str) -> bool:
 
 
 def init(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="The config to write, .yaml or .toml.")] = Path(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="Path of the config, .yaml or .toml.")] = Path(
         "experiment.yaml"
     ),
     top: Annotated[
-        str, typer.Option("--top", metavar="TOP", help="Which top.", autocompletion=complete_top)
+        str, typer.Option("--top", metavar="TOP", help="Choose the top.", autocompletion=complete_top)
     ] = "kowalevski",
     scheme: Annotated[
         str | None,
         typer.Option(
             "--scheme",
             metavar="SCHEME",
-            help="Which scheme; by default hybrid, hk, or the first that fits the top.",
+            help="Choose the scheme; by default hybrid, hk or the first that fits.",
             autocompletion=complete_scheme,
         ),
     ] = None,
@@ -320,7 +319,7 @@ def init(
 ) -> None:
     """Write a commented starter config and its JSON Schema.
 
-    The schema is written beside the config, where editors find it.
+    The schema is written beside the config, so that editors find it.
     """
     import json
 
@@ -333,14 +332,14 @@ def init(
     load_scheme_files(scheme_files)
     schema_path = path.with_name("topcli.schema.json")
     if path.suffix not in SUFFIXES:
-        raise UsageError(f"{path}: a config is YAML or TOML; give a name ending in .yaml or .toml")
+        raise UsageError(f"{path}: unknown type of config; use a name ending in .yaml or .toml")
     text = starter_config(top, scheme, schema_path.name, toml=path.suffix == ".toml")
     schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
     taken = [
         one for one, ours in ((path, ""), (schema_path, schema_text)) if os.path.exists(one) and not _holds(one, ours)
     ]
     if taken and not force:
-        raise UsageError(f"{taken[0]}: exists already; choose another name or folder, or --force to overwrite it")
+        raise UsageError(f"{taken[0]}: exists already; choose another path, or use --force to overwrite it")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(schema_path, lambda temporary: temporary.write_text(schema_text, encoding="utf-8"))
@@ -359,7 +358,7 @@ def schema() -> None:
 
 
 def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
-    """Report versions, CPU, cache of compiled code, plugins."""
+    """Report versions, CPU, compilation cache and plugins."""
     from topcli.errors import UsageError
     from topcli.studies.doctor import diagnosis
 

@@ -1,4 +1,4 @@
-"""``topcli lax``: the Lax forms of a top, checked along runs."""
+"""``topcli lax``: check the Lax forms of a top along runs."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
         line("size", lambda f: f"{f['size']}x{f['size']}"),
         line("dL/dt - [M,L] by the equations", lambda f: number(f["residual_by_field"])),
         line("dL/dt - [M,L] by differences", lambda f: number(f["residual_by_differences"])),
-        line("independent integrals in it", lambda f: str(f["independent_integrals"])),
-        line("it carries", lambda f: ", ".join(f["carries"]) or "–"),
+        line("independent integrals", lambda f: str(f["independent_integrals"])),
+        line("carried integrals", lambda f: ", ".join(f["carries"]) or "–"),
         line("Lax pair", lambda f: "yes" if f["lax_pair"] else "no"),
         line("midpoint rule: L' - U L U^-1", lambda f: number(f["midpoint"]["conjugation_defect"])),
         line("  its order in h", order),
@@ -61,12 +61,12 @@ def _report(found: dict[str, Any], title: str) -> None:
 
 
 def lax(
-    top: Annotated[str, typer.Argument(metavar="TOP", help="Which top.", autocompletion=complete_top)],
+    top: Annotated[str, typer.Argument(metavar="TOP", help="Name of a top.", autocompletion=complete_top)],
     schemes: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="SCHEME",
-            help="Schemes to follow the spectrum under; all but adaptive ones by default.",
+            help="Names of schemes; all except adaptive ones by default.",
             autocompletion=complete_scheme,
         ),
     ] = None,
@@ -75,7 +75,7 @@ def lax(
         typer.Option(
             "--config",
             metavar="CONFIG",
-            help="The experiment; a state in general position by default.",
+            help="Read the experiment from a config; by default, a generic state.",
             autocompletion=complete_config,
         ),
     ] = None,
@@ -85,7 +85,7 @@ def lax(
 ) -> None:
     """Check the Lax forms of a top and the spectrum of L.
 
-    Tests dL/dt = [M, L] along the motion, and how far the spectrum of L drifts under each scheme.
+    Test dL/dt = [M, L] along the motion, and measure the drift of the spectrum of L under each scheme.
     """
     from topcli.studies.lax import default_schemes, lax_experiment, lax_study
 

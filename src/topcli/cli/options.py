@@ -1,4 +1,4 @@
-"""Options that several commands share, and the completion of names."""
+"""Options shared by several commands, and completion of names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 
 def complete_scheme(incomplete: str) -> list[str]:
-    """Names of schemes that begin with ``incomplete``; after a +, of compositions of the scheme before it."""
+    """Names of schemes that begin with ``incomplete``; after a +, names of compositions of the scheme."""
     from topcli.schemes.registry import all_schemes
 
     base, plus, _ = incomplete.lower().partition("+")
@@ -34,7 +34,7 @@ def complete_figure(incomplete: str) -> list[str]:
     """Names of figures that begin with ``incomplete``."""
     from topcli.figures.catalogue import FIGURES
 
-    return [name for name in (*FIGURES, "stress") if name.startswith(incomplete.lower())]
+    return [name for name in FIGURES if name.startswith(incomplete.lower())]
 
 
 def complete_config(incomplete: str) -> list[str]:
@@ -45,29 +45,33 @@ def complete_config(incomplete: str) -> list[str]:
     return [name for name in [*near, *scene_files()] if name.startswith(incomplete)]
 
 
+Schemes = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
+]
 Sets = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.",
+        help="Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
-Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the run folders.")]
-FigureOut = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figure.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Read and write run folders in this folder.")]
+FigureOut = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write figures into this folder.")]
 Force = Annotated[
     bool,
-    typer.Option("--force", help="Run again; a different run that stands in the way is kept aside."),
+    typer.Option("--force", help="Run again; an existing different run is renamed, not overwritten."),
 ]
 SchemeFiles = Annotated[
     list[Path] | None,
-    typer.Option("--scheme-file", metavar="FILE", help="A Python file that registers schemes of your own."),
+    typer.Option("--scheme-file", metavar="FILE", help="Load your own schemes from a Python file."),
 ]
 
 
 def load_scheme_files(paths: list[Path] | None) -> None:
-    """Register the schemes of the files given by ``--scheme-file``."""
+    """Register the schemes in the files given by ``--scheme-file``."""
     if paths:
         from topcli.schemes.registry import load_scheme_file
 

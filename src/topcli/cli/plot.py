@@ -1,4 +1,4 @@
-"""``topcli plot``: figures, from run folders, running what is missing."""
+"""``topcli plot``: draw figures from results, producing missing ones."""
 
 from __future__ import annotations
 
@@ -8,91 +8,72 @@ from typing import Annotated
 
 import typer
 
-from topcli.cli.options import Force, Json, complete_figure
-from topcli.cli.talk import ProgressTeller, emit, print_json, say
+from topcli.cli.options import FigureOut, Force, Json, complete_figure
+from topcli.cli.talk import ProgressDisplay, emit, print_json, say
 
-STRESS = "stress"
-"""The figure that is made from a study of its own and not from run folders."""
+Names = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="FIGURE", help="Names of figures; see topcli list figures.", autocompletion=complete_figure),
+]
+Every = Annotated[bool, typer.Option("--all", help="Draw all; skip what takes minutes to measure.")]
+Formats = Annotated[
+    list[str] | None, typer.Option("--format", metavar="FORMAT", help="Write png or pdf; both by default.")
+]
+Results = Annotated[Path, typer.Option("--results", metavar="DIR", help="Read and write run folders in this folder.")]
+Configs = Annotated[
+    Path | None,
+    typer.Option(
+        "--configs",
+        metavar="DIR",
+        help="Use configs in this folder instead of packaged scenes.",
+        show_default="configs",
+    ),
+]
 
 
 def plot(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="FIGURE", help="Names of figures.", autocompletion=complete_figure),
-    ] = None,
-    every: Annotated[bool, typer.Option("--all", help="All figures but stress, which takes long.")] = False,
-    formats: Annotated[
-        list[str] | None,
-        typer.Option("--format", metavar="FORMAT", help="png or pdf; may be given twice. Default: both."),
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the figures.")] = Path("results/figures"),
-    results: Annotated[Path, typer.Option("--results", metavar="DIR", help="Folder of the run folders.")] = Path(
-        "results"
-    ),
-    configs: Annotated[
-        Path | None,
-        typer.Option(
-            "--configs",
-            metavar="DIR",
-            help="Folder of the configs; packaged scenes where it has none.",
-            show_default="configs",
-        ),
-    ] = None,
+    names: Names = None,
+    every: Every = False,
+    formats: Formats = None,
+    out: FigureOut = Path("results/figures"),
+    results: Results = Path("results"),
+    configs: Configs = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Draw figures as PNG and PDF, with their data as Parquet."""
     from topcli.errors import UsageError, shortened
-    from topcli.figures.catalogue import FIGURES, figure_spec
+    from topcli.figures.catalogue import FIGURES, find_figure
+    from topcli.figures.contract import NothingMeasuredError, Request
     from topcli.figures.make import make_figure
-    from topcli.figures.picture import IMAGE_FORMATS, NothingMeasuredError
+    from topcli.figures.picture import IMAGE_FORMATS
 
     if bool(names) == every:
-        raise UsageError(f"name figures or say --all, one of the two; figures: {', '.join(FIGURES)}, {STRESS}")
+        raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
     wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
     if wrong:
-        raise UsageError(
-            f"--format {shortened(wrong[0])}: not a picture format here; choose from {', '.join(IMAGE_FORMATS)}"
-        )
+        raise UsageError(f"--format {shortened(wrong[0])}: unknown format; use {' or '.join(IMAGE_FORMATS)}")
     if configs is not None and not os.path.isdir(configs):
         raise UsageError(f"--configs {configs}: no such folder")
-    wanted = [name.lower() for name in names or ()]
-    with_stress = STRESS in wanted
-    specs = list(FIGURES.values()) if every else [figure_spec(name) for name in wanted if name != STRESS]
-    teller = ProgressTeller(len(specs) + with_stress, as_json)
+    chosen = tuple(dict.fromkeys(formats or IMAGE_FORMATS))
+    figures = [find_figure(name) for name in names] if names else list(FIGURES.values())
+    display = ProgressDisplay(len(figures), as_json)
+    request = Request(results, configs or Path("configs"), force, every, display, say)
     made = []
-    if with_stress:
-        from topcli.figures.stress import make_stress
-
-        teller.begin(STRESS)
-        chosen = tuple(dict.fromkeys(formats or IMAGE_FORMATS))
-        one = make_stress(out=out, results=results, formats=chosen, force=force, progress=teller)
-        teller.close()
-        made.append(one)
-        if not as_json:
-            emit(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
-    for spec in specs:
-        teller.begin(spec.scene)
+    for figure in figures:
+        display.begin(figure.name)
         try:
-            one = make_figure(
-                spec,
-                out=out,
-                results=results,
-                configs=Path("configs") if configs is None else configs,
-                formats=tuple(dict.fromkeys(formats or IMAGE_FORMATS)),
-                force=force,
-                progress=teller,
-                told=say,
-            )
+            one = make_figure(figure, request, out, chosen)
         except NothingMeasuredError as nothing:
             if not every:
                 raise
-            say(f"{spec.name}: skipped: {nothing}")
+            say(f"{figure.name}: skipped: {nothing}")
             continue
-        teller.close()
+        finally:
+            display.close()
         made.append(one)
         if not as_json:
             emit(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
     if as_json:
-        figures = [{"name": m.name, "status": m.status, "files": [str(path) for path in m.files]} for m in made]
-        print_json("plot", {"figures": figures})
+        items = [{"name": one.name, "status": one.status, "files": [str(path) for path in one.files]} for one in made]
+        print_json("plot", {"figures": items})

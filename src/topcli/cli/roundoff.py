@@ -1,14 +1,17 @@
-"""``topcli roundoff``: how a scheme's round-off grows with the number of steps."""
+"""``topcli roundoff``: measure the growth of round-off with the number of steps."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
 from topcli.cli.talk import print_json, print_table, say, say_warnings
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
 
 HEADER = (
     "invariant",
@@ -41,7 +44,7 @@ def _cells(form: dict[str, Any], row: dict[str, Any]) -> list[str]:
 
 
 def _violations(form: dict[str, Any], max_exponent: float | None, max_drift: float | None) -> list[str]:
-    """What the form violates of the stated tolerances, a line each."""
+    """Violations of the stated tolerances by one form, a line each."""
     said = []
     for row in form["invariants"]:
         where = f"{row['name']} of {form['scheme']} with {form['form']} sums"
@@ -53,39 +56,66 @@ def _violations(form: dict[str, Any], max_exponent: float | None, max_drift: flo
     return said
 
 
+def _print_study(study: dict[str, Any], experiment: Experiment, files: list[str]) -> None:
+    """Print the table of a study and the files written."""
+    rows = [_cells(form, row) for form in study["forms"] for row in form["invariants"]]
+    order = [row["symbol"] for row in study["forms"][0]["invariants"]]
+    title = (
+        f"{experiment.scheme.name} on {experiment.name}: {study['top']}, h = {study['h']:g}, "
+        f"{study['steps']} steps, {study['copies']} copies"
+    )
+    print_table(HEADER, sorted(rows, key=lambda row: order.index(row[0])), title, numbers=(2, 3, 4, 6, 7, 8), keys=2)
+    if not study["claimed"]:
+        say(
+            f"{experiment.scheme.name} claims no invariant exactly; the drifts are of means over long windows, "
+            "relative to the motion common to all copies"
+        )
+    for file in files:
+        say(f"wrote {file}")
+
+
+Config = Annotated[
+    str | None,
+    typer.Option(
+        "--config",
+        metavar="CONFIG",
+        help="Read the experiment from a config; by default, a packaged scene at h = 0.01.",
+        autocompletion=complete_config,
+    ),
+]
+Steps = Annotated[float, typer.Option("--steps", metavar="N", help="Take N steps in each copy, e.g. 1e8.")]
+Copies = Annotated[
+    int, typer.Option("--copies", metavar="K", help="Follow K copies that differ initially by some ulp.")
+]
+MaxExponent = Annotated[
+    float | None,
+    typer.Option(
+        "--max-exponent", metavar="X", help="Exit with status 4 if an exponent minus two standard errors exceeds X."
+    ),
+]
+MaxDrift = Annotated[
+    float | None, typer.Option("--max-drift", metavar="X", help="Exit with status 4 if a drift exceeds X.")
+]
+Plot = Annotated[bool, typer.Option("--plot", help="Draw the drift against the number of steps.")]
+
+
 def roundoff(
     scheme: Annotated[str, typer.Argument(metavar="SCHEME", help="Name of a scheme.", autocompletion=complete_scheme)],
-    config: Annotated[
-        str | None,
-        typer.Option(
-            "--config",
-            metavar="CONFIG",
-            help="The experiment; a packaged scene at h = 0.01 by default.",
-            autocompletion=complete_config,
-        ),
-    ] = None,
-    steps: Annotated[float, typer.Option("--steps", metavar="N", help="Steps of each copy, e.g. 1e8.")] = 1e7,
-    copies: Annotated[
-        int, typer.Option("--copies", metavar="K", help="Runs whose states differ in the last two digits.")
-    ] = 8,
-    max_exponent: Annotated[
-        float | None,
-        typer.Option("--max-exponent", metavar="X", help="Exit with 4 if an exponent is above this, by two errors."),
-    ] = None,
-    max_drift: Annotated[
-        float | None,
-        typer.Option("--max-drift", metavar="X", help="Exit with 4 if a drift of any copy is above this."),
-    ] = None,
+    config: Config = None,
+    steps: Steps = 1e7,
+    copies: Copies = 8,
+    max_exponent: MaxExponent = None,
+    max_drift: MaxDrift = None,
     sets: Sets = None,
     as_json: Json = False,
-    plot: Annotated[bool, typer.Option("--plot", help="Draw the drift against the number of steps.")] = False,
+    plot: Plot = False,
     out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Measure how round-off grows, and what compensation costs.
+    """Measure growth of round-off and the cost of compensation.
 
-    It grows as a random walk, with a bias, or not at all, with plain and with compensated sums. Tolerances are
-    those of the compensated form where a scheme has one.
+    Find whether round-off grows as a random walk, with a bias, or not at all, with plain and with compensated sums. The
+    tolerances apply to the compensated form if the scheme has one.
     """
     from topcli.errors import UsageError
     from topcli.store.run_folder import require_writable
@@ -98,37 +128,23 @@ def roundoff(
     say_warnings(experiment)
     if plot:
         require_writable(out)
-    found = roundoff_study(experiment, int(steps), copies)
-    failed = [form for form in found["forms"] if form["outcome"] != "completed"]
+    study = roundoff_study(experiment, int(steps), copies)
+    failed = [form for form in study["forms"] if form["outcome"] != "completed"]
     files: list[str] = []
     if plot and not failed:
-        from topcli.figures.roundoff import draw_roundoff
+        from topcli.figures.make import write_figure
+        from topcli.figures.roundoff import loaded_roundoff
 
         name = f"roundoff_{experiment.scheme.name}_{experiment.name}"
-        files = [str(path) for path in draw_roundoff(found, name, out)]
-    violations = _violations(found["forms"][-1], max_exponent, max_drift)
+        files = [str(path) for path in write_figure(name, loaded_roundoff(study), out)]
+    violations = _violations(study["forms"][-1], max_exponent, max_drift)
     if as_json:
-        print_json("roundoff", {**found, "violations": violations, "files": files})
+        print_json("roundoff", {**study, "violations": violations, "files": files})
     else:
-        rows = [_cells(form, row) for form in found["forms"] for row in form["invariants"]]
-        order = [row["symbol"] for row in found["forms"][0]["invariants"]]
-        title = (
-            f"{experiment.scheme.name} on {experiment.name}: {found['top']}, h = {found['h']:g}, "
-            f"{found['steps']} steps, {copies} copies"
-        )
-        print_table(
-            HEADER, sorted(rows, key=lambda row: order.index(row[0])), title, numbers=(2, 3, 4, 6, 7, 8), keys=2
-        )
-        if not found["claimed"]:
-            say(
-                f"{experiment.scheme.name} claims no invariant exactly: drifts of means over long windows, by which "
-                "the copies differ from the motion that they have in common"
-            )
-        for file in files:
-            say(f"wrote {file}")
+        _print_study(study, experiment, files)
     for form in failed:
         say(f"error: {form['scheme']} with {form['form']} sums: {form['message']}")
     for line in violations:
-        say(f"violated: {line}")
+        say(f"error: {line}")
     if failed or violations:
         raise typer.Exit(1 if failed else 4)

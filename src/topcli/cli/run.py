@@ -1,4 +1,4 @@
-"""``topcli run``: experiments into run folders."""
+"""``topcli run``: run experiments into run folders."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
-from topcli.cli.talk import ProgressTeller, emit, print_json, print_table, say, say_error, say_warnings
-from topcli.errors import TopcliError, UsageError, shortened
+from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say, say_error, say_warnings
+from topcli.errors import TopcliError, UsageError, quoted
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 class Interruption:
-    """Turns the first Ctrl-C, SIGTERM or hang-up into a request to stop between chunks; the second one is immediate.
+    """Request to stop between chunks, made by the first Ctrl-C, SIGTERM or hang-up; the second one stops at once.
 
-    A hang-up that is ignored, as under ``nohup``, stays so.
+    A hang-up that is ignored, as under ``nohup``, remains ignored.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self._asked = False
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
@@ -37,22 +37,43 @@ class Interruption:
         return self
 
     def _ask(self, number: int, frame: object) -> None:
-        if self.asked:
+        if self._asked:
             raise KeyboardInterrupt
-        self.asked = True
+        self._asked = True
+
+    def __call__(self) -> bool:
+        """True if a stop has been requested."""
+        return self._asked
 
     def __exit__(self, *exception: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
 
-def _experiment(config: str, sets: list[str], output_format: str | None) -> Experiment | EnsembleExperiment:
-    from topcli.config.load import load_any
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of ``topcli run``, checked."""
 
-    return load_any(config, [*sets, *([f"output.format={output_format}"] if output_format else [])])
+    out: Path
+    sets: tuple[str, ...]
+    force: bool
+    resume: bool
+    retry_failed: bool
+    checkpoint_every: float
+    threads: int | None
+    dry_run: bool
+    quiet: bool
+    as_json: bool
+
+    def __post_init__(self) -> None:
+        if self.resume and self.force:
+            raise UsageError("--resume continues a run and --force repeats it; use one of them")
+        if not self.checkpoint_every >= 0.0:
+            raise UsageError(f"--checkpoint-every {self.checkpoint_every:g}: must be a number of seconds, at least 0")
 
 
-def _tell(result: RunResult, labelled: bool) -> None:
+def _print_result(result: RunResult, labelled: bool) -> None:
+    """Print the message and the table of a run."""
     report, warning = result.report, ""
     if report.get("kind") == "ensemble":
         from topcli.studies.ensemble_report import ensemble_table as invariant_table
@@ -61,7 +82,7 @@ def _tell(result: RunResult, labelled: bool) -> None:
 
         warning = warning_of(report)
     if result.set_aside:
-        say(f"kept the earlier, different run as {result.set_aside}")
+        say(f"renamed the earlier, different run to {result.set_aside}")
     status = result.status
     if status == "up to date" and result.outcome.value != "completed":
         status = f"not run again: it ended as {result.outcome.value} before; --retry-failed runs it again"
@@ -72,22 +93,23 @@ def _tell(result: RunResult, labelled: bool) -> None:
     print_table(header, lines, report["name"] if labelled else "")
 
 
-def _dry_run(experiment: Experiment | EnsembleExperiment, out: Path, how: How) -> dict[str, Any]:
+def _dry_run(experiment: Experiment | EnsembleExperiment, options: RunOptions) -> dict[str, Any]:
+    """Plan of a run: its config and digest, folder, action and number of rows."""
     from topcli.config.models import Experiment
     from topcli.studies.run import method_fingerprint, plan_run
 
-    source = None
+    out, source = options.out, None
     if isinstance(experiment, Experiment):
         from topcli.studies.resume import find_source
 
         code, rows = method_fingerprint(experiment.method()), experiment.N // experiment.output.every + 1
-        source = find_source(experiment, out, code) if how.resume else None
+        source = find_source(experiment, out, code) if options.resume else None
     else:
         from topcli.studies.ensemble import ensemble_fingerprint
 
-        _refuse_to_resume(how.resume)
+        _refuse_to_resume(options.resume)
         code, rows = ensemble_fingerprint(experiment), experiment.rows
-    plan = plan_run(experiment, out, code, force=how.force, retry_failed=how.retry_failed, source=source)
+    plan = plan_run(experiment, out, code, force=options.force, retry_failed=options.retry_failed, source=source)
     return {
         "config": experiment.resolved(),
         "digest": experiment.digest,
@@ -97,177 +119,178 @@ def _dry_run(experiment: Experiment | EnsembleExperiment, out: Path, how: How) -
     }
 
 
-@dataclass(frozen=True)
-class How:
-    """What the command line says about how to run, as opposed to what."""
-
-    force: bool
-    resume: bool
-    retry_failed: bool
-    checkpoint_every: float
-    threads: int | None
-    quiet: bool
-
-
 def _refuse_to_resume(resume: bool) -> None:
-    """Ensembles have no checkpoints."""
+    """Raise UsageError if ``resume``, because ensembles have no checkpoints."""
     if resume:
-        raise UsageError("--resume continues a run of one trajectory; an ensemble is run again whole")
+        raise UsageError("--resume works for runs of one trajectory; run the ensemble again without it")
 
 
 def _run(
     experiment: Experiment | EnsembleExperiment,
-    out: Path,
-    how: How,
-    teller: ProgressTeller,
+    options: RunOptions,
+    display: ProgressDisplay,
     interruption: Interruption,
 ) -> RunResult:
     """Run one experiment or ensemble into its folder."""
     from topcli.config.models import Experiment
-
-    def stop() -> bool:
-        return interruption.asked
 
     if isinstance(experiment, Experiment):
         from topcli.studies.run import run_experiment
 
         return run_experiment(
             experiment,
-            out,
-            force=how.force,
-            resume=how.resume,
-            retry_failed=how.retry_failed,
-            checkpoint_every=how.checkpoint_every,
-            progress=teller,
-            stop=stop,
-            tell=(lambda line: None) if how.quiet else say,
+            options.out,
+            force=options.force,
+            resume=options.resume,
+            retry_failed=options.retry_failed,
+            checkpoint_every=options.checkpoint_every,
+            progress=display,
+            stop=interruption,
+            tell=(lambda line: None) if options.quiet else say,
         )
     from topcli.studies.ensemble import run_ensemble
 
-    _refuse_to_resume(how.resume)
+    _refuse_to_resume(options.resume)
     return run_ensemble(
         experiment,
-        out,
-        force=how.force,
-        retry_failed=how.retry_failed,
-        threads=how.threads,
-        progress=teller,
-        stop=stop,
+        options.out,
+        force=options.force,
+        retry_failed=options.retry_failed,
+        threads=options.threads,
+        progress=display,
+        stop=interruption,
     )
 
 
 def _code(result: RunResult) -> int:
-    """The exit code of one run: of an ensemble, 3 when some trajectories failed and some did not."""
+    """Exit code of one run; 3 for an ensemble in which some trajectories failed and some completed."""
     if result.outcome.value in ("completed", "interrupted"):
         return 0 if result.outcome.value == "completed" else 130
     return 3 if result.report.get("outcomes", {}).get("completed") else 1
 
 
 def _exit_code(codes: list[int]) -> int:
-    """130 if interrupted; for one config its code; for several 0, or 3 when some failed, or the one code of all."""
+    """Exit code of the command: 130 if interrupted, 3 if only a part failed, else the largest of all."""
     if 130 in codes:
         return 130
-    if 0 in codes and any(codes):
-        return 3
-    return codes[0] if len(set(codes)) == 1 else max(codes)
+    return 3 if 0 in codes and any(codes) else max(codes)
+
+
+def _say_failure(name: str, result: RunResult, code: int) -> None:
+    """Print how a run failed and what is kept of it."""
+    failure = "some trajectories failed" if code == 3 else result.outcome.value
+    kept = "all rows" if result.outcome.value == "left_motion" else "the rows before"
+    more = "; --resume continues it" if code == 130 and "kind" not in result.report else ""
+    say(f"error: {name}: {failure}; {kept} are kept{more}")
+
+
+def _carry_out(
+    config: str, options: RunOptions, display: ProgressDisplay, interruption: Interruption, labelled: bool
+) -> tuple[int, dict[str, Any]]:
+    """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
+    from topcli.config.load import load_any
+
+    try:
+        experiment = load_any(config, options.sets)
+        if not options.quiet:
+            say_warnings(experiment)
+        if options.dry_run:
+            plan = _dry_run(experiment, options)
+            if not (options.as_json or options.quiet):
+                emit(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
+            return 0, plan
+        display.begin(experiment.name)
+        try:
+            result = _run(experiment, options, display, interruption)
+        finally:
+            display.close()
+    except Exception as error:
+        from topcli.schemes.user_code import users_error
+
+        found = error if isinstance(error, TopcliError) else users_error(error)
+        if found is None:
+            raise
+        say_error(found)
+        return found.exit_code, {"config": config, "error": str(found), "exit_code": found.exit_code}
+    if not (options.quiet or options.as_json):
+        _print_result(result, labelled)
+    if code := _code(result):
+        _say_failure(experiment.name, result, code)
+    return code, {"folder": str(result.stored.folder), "status": result.status, **result.report}
+
+
+Configs = Annotated[
+    list[str],
+    typer.Argument(metavar="CONFIG", help="Config files or names of packaged scenes.", autocompletion=complete_config),
+]
+Format = Annotated[str | None, typer.Option("--format", metavar="FORMAT", help="Write the series as parquet or csv.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint.")
+]
+RetryFailed = Annotated[bool, typer.Option("--retry-failed", help="Repeat runs that failed before.")]
+CheckpointEvery = Annotated[
+    float,
+    typer.Option(
+        "--checkpoint-every",
+        metavar="SECONDS",
+        help="Write a checkpoint at this interval; 0: after every chunk.",
+    ),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Check the configs and print the plan.")]
+Threads = Annotated[
+    int | None,
+    typer.Option("--threads", metavar="COUNT", min=1, help="Set the threads for ensembles; all CPUs by default."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
+FailFast = Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")]
 
 
 def run(
-    configs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="CONFIG",
-            help="Config files, or names of packaged scenes.",
-            autocompletion=complete_config,
-        ),
-    ],
+    configs: Configs,
     sets: Sets = None,
     out: Out = Path("results"),
-    output_format: Annotated[str | None, typer.Option("--format", metavar="FORMAT", help="parquet or csv.")] = None,
+    output_format: Format = None,
     force: Force = False,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint, bit for bit."),
-    ] = False,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Run again what ended before, but not as completed.")
-    ] = False,
-    checkpoint_every: Annotated[
-        float,
-        typer.Option(
-            "--checkpoint-every",
-            metavar="SECONDS",
-            help="Seconds between checkpoints; 0 writes one after every chunk.",
-        ),
-    ] = 10.0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the configs and say what would be done.")] = False,
+    resume: Resume = False,
+    retry_failed: RetryFailed = False,
+    checkpoint_every: CheckpointEvery = 10.0,
+    dry_run: DryRun = False,
     as_json: Json = False,
-    threads: Annotated[
-        int | None,
-        typer.Option("--threads", metavar="COUNT", min=1, help="Threads for ensembles; all CPUs by default."),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    fail_fast: FailFast = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Run experiments and report on their conservation laws.
 
     Each experiment or ensemble gets a folder with its time series and the report.
 
-    A long run writes checkpoints. Ctrl-C or SIGTERM ends it as interrupted (exit code 130), with what was recorded in
-    its folder; --resume continues it, and also a run that was killed, and ends as if it had never been stopped.
+    A long run writes checkpoints. Ctrl-C or SIGTERM ends it as interrupted (exit code 130) and keeps the part that was
+    recorded. --resume continues an interrupted or killed run; the result is the same, bit for bit, as without the
+    interruption.
     """
     if output_format not in (None, "parquet", "csv"):
-        raise UsageError(f"--format {shortened(output_format)}: not a format of a series; choose parquet or csv")
-    if resume and force:
-        raise UsageError("--resume continues a run and --force repeats it: give one of them")
-    if not checkpoint_every >= 0.0:
-        raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds from 0 on")
-    how = How(force, resume, retry_failed, checkpoint_every, threads, quiet)
+        raise UsageError(f"unknown format {quoted(output_format)}; use parquet or csv")
+    overrides = (*(sets or ()), *([f"output.format={output_format}"] if output_format else ()))
+    options = RunOptions(
+        out, overrides, force, resume, retry_failed, checkpoint_every, threads, dry_run, quiet, as_json
+    )
     load_scheme_files(scheme_files)
-    told: list[dict[str, Any]] = []
+    reports: list[dict[str, Any]] = []
     codes: list[int] = []
-    teller = ProgressTeller(len(configs), quiet)
+    display = ProgressDisplay(len(configs), quiet)
     with Interruption() as interruption:
         for config in configs:
-            try:
-                experiment = _experiment(config, sets or [], output_format)
-                if not quiet:
-                    say_warnings(experiment)
-                if dry_run:
-                    plan = _dry_run(experiment, out, how)
-                    told.append(plan)
-                    codes.append(0)
-                    if not (as_json or quiet):
-                        emit(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
-                    continue
-                teller.begin(experiment.name)
-                result = _run(experiment, out, how, teller, interruption)
-                teller.close()
-                if not (quiet or as_json):
-                    _tell(result, labelled=len(configs) > 1)
-                told.append({"folder": str(result.stored.folder), "status": result.status, **result.report})
-                codes.append(_code(result))
-                if codes[-1]:
-                    what = "some trajectories failed" if codes[-1] == 3 else result.outcome.value
-                    more = "; --resume continues it" if codes[-1] == 130 and "kind" not in result.report else ""
-                    kept = "the series" if result.outcome.value == "left_motion" else "what came before"
-                    say(f"error: {experiment.name}: {what}; {kept} is kept{more}")
-            except Exception as error:
-                from topcli.schemes.user_code import users_error
-
-                found = error if isinstance(error, TopcliError) else users_error(error)
-                if found is None:
-                    raise
-                teller.close()
-                say_error(found)
-                told.append({"config": config, "error": str(found), "exit_code": found.exit_code})
-                codes.append(found.exit_code)
-            if codes[-1] == 130 or (codes[-1] and fail_fast):
+            code, report = _carry_out(config, options, display, interruption, len(configs) > 1)
+            codes.append(code)
+            reports.append(report)
+            if code == 130 or (code and fail_fast):
                 break
     if as_json:
-        print_json("run", {"runs": told})
+        print_json("run", {"runs": reports})
     elif len(configs) > 1 and not quiet:
-        say(f"{codes.count(0)} of {len(configs)} configs fine, {len(configs) - codes.count(0)} not")
+        succeeded, skipped = codes.count(0), len(configs) - len(codes)
+        more = f"; {skipped} not run" if skipped else ""
+        say(f"{succeeded} of {len(configs)} runs succeeded; {len(codes) - succeeded} failed{more}")
     if code := _exit_code(codes):
         raise typer.Exit(code)

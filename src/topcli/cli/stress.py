@@ -1,19 +1,23 @@
-"""``topcli stress``: the hard cases, and how every scheme comes through them."""
+"""``topcli stress``: test schemes in hard cases."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from textwrap import shorten
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, Out, SchemeFiles, complete_scheme, complete_top, load_scheme_files
-from topcli.cli.talk import ProgressTeller, emit, emit_prose, on_terminal, print_json, print_table, say
+from topcli.cli.options import Json, Out, SchemeFiles, Schemes, complete_top, load_scheme_files
+from topcli.cli.talk import ProgressDisplay, emit, emit_prose, on_terminal, print_json, print_table, say
+
+if TYPE_CHECKING:
+    from topcli.schemes.registry import Scheme
 
 MARKS = {"held": "·", "degraded": "o", "broke": "X", "not tried": " "}
 SHOWN = 40
-"""Up to so many trials are all listed; of more, those that did not hold."""
+"""List all trials up to this many; beyond it, only failures."""
 
 
 def complete_case(incomplete: str) -> list[str]:
@@ -24,7 +28,7 @@ def complete_case(incomplete: str) -> list[str]:
 
 
 def _options(sets: list[str]) -> dict[str, Any]:
-    """Options of schemes given by ``--set scheme.KEY=VALUE``. Raises UsageError for anything else."""
+    """Options of schemes given by ``--set scheme.KEY=VALUE``. Raises UsageError for other keys."""
     from topcli.config.overrides import override_label, parse_override
     from topcli.errors import UsageError
 
@@ -32,15 +36,13 @@ def _options(sets: list[str]) -> dict[str, Any]:
     for text in sets:
         path, value = parse_override(text)
         if path[0] != "scheme" or len(path) != 2 or path[1] in ("name", "compose"):
-            raise UsageError(
-                f"{override_label(text)}: only options of schemes can be set, as scheme.KEY=VALUE; a case is fixed"
-            )
+            raise UsageError(f"{override_label(text)}: only options of schemes can be set, as scheme.KEY=VALUE")
         options[str(path[1])] = value
     return options
 
 
 def _grid(data: dict[str, Any], top: str) -> None:
-    """The schemes of one top against its cases, a letter each; the cases are numbered below."""
+    """Print the outcomes of one top: a row for each scheme, a column for each case, with the cases numbered below."""
     trials = [one for one in data["trials"] if one["top"] == top]
     cases = list(dict.fromkeys(one["case"] for one in trials))
     marks: dict[str, dict[str, str]] = {}
@@ -54,6 +56,7 @@ def _grid(data: dict[str, Any], top: str) -> None:
 
 
 def _list(trials: list[dict[str, Any]]) -> None:
+    """Print a row for each trial."""
     rows = []
     for one in trials:
         what = one["outcome"] if one["step"] is None else f"{one['outcome']} at step {one['step']}"
@@ -66,80 +69,99 @@ def _list(trials: list[dict[str, Any]]) -> None:
 def _summary(data: dict[str, Any]) -> str:
     counts = [f"{count} {outcome}" for outcome, count in data["outcomes"].items()]
     limits = data["verdicts"].get("limit", 0)
-    return ", ".join(counts) + (f"; {limits} of those that broke are declared limits" if limits else "")
+    return ", ".join(counts) + (f"; {limits} of the failures are declared limits" if limits else "")
 
 
-def stress(
-    schemes: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
-    ] = None,
-    cases: Annotated[
-        list[str] | None,
-        typer.Option("--case", metavar="CASE", help="Only this case; may be repeated.", autocompletion=complete_case),
-    ] = None,
-    top: Annotated[
-        str | None,
-        typer.Option("--top", metavar="TOP", help="Only schemes and cases of this top.", autocompletion=complete_top),
-    ] = None,
-    sets: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="An option for the schemes that have it: scheme.branch=sign."),
-    ] = None,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="List what held as well.")] = False,
-    out: Out = Path("results"),
-    as_json: Json = False,
-    scheme_files: SchemeFiles = None,
-) -> None:
-    """Test schemes in hard cases: what holds and what breaks.
-
-    Exits with 4 if a scheme breaks without declaring it as its limit, or declares a limit that it outlives.
-    """
+def _require_options(options: Iterable[str], schemes: Iterable[Scheme]) -> None:
+    """Raise UsageError for an option that none of the schemes has."""
     from topcli.errors import UsageError, nearest, shortened
-    from topcli.store.run_folder import require_writable
-    from topcli.studies.stress.record import stress_data, stress_source, write_stress
-    from topcli.studies.stress.suite import chosen
-    from topcli.studies.stress.suite import stress as put_to_stress
 
-    load_scheme_files(scheme_files)
-    options = _options(sets or [])
-    used, _ = chosen(schemes or (), cases or (), top)
+    known = {name for scheme in schemes for name in scheme.options.model_fields}
     for key in options:
-        known = {name for scheme in used for name in scheme.options.model_fields}
         if key not in known:
             raise UsageError(
                 f"--set scheme.{shortened(key)}: none of the schemes has this option; {nearest(key, known)}"
             )
+
+
+def _print_study(data: dict[str, Any], files: list[str], verbose: bool) -> None:
+    """Print the outcomes of all trials and the files written."""
+    trials = data["trials"]
+    every = verbose or len(trials) <= SHOWN
+    if not every:
+        for form in dict.fromkeys(one["top"] for one in trials):
+            _grid(data, form)
+        emit("· held   o degraded   X broke   (blank: not tried, or not a case of the top)")
+        emit()
+    _list([one for one in trials if every or one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"])
+    if on_terminal():
+        emit()
+    say(_summary(data))
+    for file in files:
+        say(f"wrote {file}; draw it with: topcli plot stress")
+
+
+Cases = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--case", metavar="CASE", help="Try only this case; repeat for several.", autocompletion=complete_case
+    ),
+]
+Top = Annotated[
+    str | None,
+    typer.Option("--top", metavar="TOP", help="Try only schemes and cases of this top.", autocompletion=complete_top),
+]
+SchemeSets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set an option for all schemes that have it, e.g. scheme.branch=sign."
+    ),
+]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="List trials that held as well.")]
+
+
+def stress(
+    schemes: Schemes = None,
+    cases: Cases = None,
+    top: Top = None,
+    sets: SchemeSets = None,
+    verbose: Verbose = False,
+    out: Out = Path("results"),
+    as_json: Json = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Test schemes in hard cases and find what breaks.
+
+    Exits with status 4 if a scheme breaks without a declared limit, or holds in a case that it declares as its limit.
+    """
+    from topcli.store.run_folder import require_writable
+    from topcli.studies.stress.record import stress_data, stress_source, write_stress
+    from topcli.studies.stress.suite import chosen
+    from topcli.studies.stress.suite import stress as run_stress
+
+    load_scheme_files(scheme_files)
+    options = _options(sets or [])
+    used, _ = chosen(schemes or (), cases or (), top)
+    _require_options(options, used)
     whole = not (schemes or cases or top or options)
     if whole:
         require_writable(out)
-    teller = ProgressTeller(1, as_json)
-    teller.begin("stress")
-    judged = put_to_stress(schemes or (), cases or (), top, options, teller)
-    teller.close()
+    display = ProgressDisplay(1, as_json)
+    display.begin("stress")
+    try:
+        judged = run_stress(schemes or (), cases or (), top, options, display)
+    finally:
+        display.close()
     data = stress_data(judged)
     files = [str(write_stress(data, out, stress_source()))] if whole else []
-    trials = data["trials"]
     if as_json:
         print_json("stress", {**data, "files": files})
     else:
-        every = verbose or len(trials) <= SHOWN
-        if not every:
-            for form in dict.fromkeys(one["top"] for one in trials):
-                _grid(data, form)
-            emit("· held   o degraded   X broke   (blank: not tried, or not a case of it)")
-            emit()
-        listed = [one for one in trials if every or one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"]
-        _list(listed)
-        if on_terminal():
-            emit()
-        say(_summary(data))
-        for file in files:
-            say(f"wrote {file}; draw it with: topcli plot stress")
-    wrong = [one for one in trials if one["verdict"] in ("unexplained", "outlived limit")]
+        _print_study(data, files, verbose)
+    wrong = [one for one in data["trials"] if one["verdict"] in ("unexplained", "outlived limit")]
     for one in wrong:
         unexplained = one["verdict"] == "unexplained"
-        what = "breaks without a declared limit" if unexplained else "declares a limit and outlives it"
-        say(f"error: {one['scheme']} ({one['top']}), case {one['case']}: {what}: {one['why']}")
+        defect = "breaks without a declared limit" if unexplained else "holds in a case declared as its limit"
+        say(f"error: {one['scheme']} ({one['top']}), case {one['case']}: {defect}: {one['why']}")
     if wrong:
         raise typer.Exit(4)

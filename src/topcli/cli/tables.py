@@ -8,7 +8,7 @@ from textwrap import wrap
 GAP = 2
 """Spaces between columns."""
 COMFORTABLE = 24
-"""Prose is not made narrower than this where columns can go into another block instead."""
+"""Smallest width of prose if columns can go into another block instead."""
 
 
 def table_lines(
@@ -21,8 +21,8 @@ def table_lines(
 ) -> list[str]:
     """Lines of a table, none longer than ``width``.
 
-    A table that is too wide is printed in blocks of columns, each of which begins with those that name a row. Cells are
-    wrapped at words; a word is broken only where it alone does not fit.
+    A table that is too wide is printed in blocks of columns, and each block begins with the columns that name a row.
+    Cells are wrapped at words; a word is broken only if it does not fit by itself.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ def table_lines(
 def _least(
     table: Sequence[Sequence[str]], natural: Sequence[int], right: Collection[int], width: int, keys: int
 ) -> tuple[list[int], int]:
-    """Narrowest width of each column, and the number of columns that name a row: all ``keys`` only if there is room.
+    """Smallest width of each column, and the number of columns that name a row, which is 1 if space is short.
 
-    A column is as wide as its longest word, prose is comfortable, and any column fits beside those that name a row.
+    A column is at least as wide as its longest word, and any column fits beside those that name a row.
     """
     words = [max((len(part) for row in table for part in row[i].split()), default=0) for i in range(len(natural))]
     for i in right:  # numbers stay whole, with their errors and units; only the header is wrapped
@@ -80,7 +80,7 @@ def _least(
 
 
 def _blocks(least: Sequence[int], width: int | None, keys: int) -> list[list[int]]:
-    """Columns of each block: those that name a row, and as many others as fit."""
+    """Columns of each block: those that name a row, and as many more as fit."""
     first = list(range(min(keys, len(least))))
     blocks = [[*first]]
     for i in range(len(first), len(least)):
@@ -92,7 +92,7 @@ def _blocks(least: Sequence[int], width: int | None, keys: int) -> list[list[int
 
 
 def _widen(widths: dict[int, int], natural: Sequence[int], width: int | None) -> None:
-    """Give the room that is left in a line to the columns that lack most."""
+    """Distribute the remaining width of a line to the columns that lack most."""
     left = 0 if width is None else width - sum(widths.values()) - GAP * (len(widths) - 1)
     while left > 0:
         most = max(widths, key=lambda i: natural[i] - widths[i])
@@ -103,6 +103,7 @@ def _widen(widths: dict[int, int], natural: Sequence[int], width: int | None) ->
 
 
 def _row_lines(row: Sequence[str], widths: dict[int, int], right: Collection[int]) -> list[str]:
+    """Lines of one row of a block."""
     cells = {i: _wrapped(row[i], width) for i, width in widths.items()}
     lines = []
     for number in range(max(map(len, cells.values()))):
@@ -115,7 +116,7 @@ def _row_lines(row: Sequence[str], widths: dict[int, int], right: Collection[int
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    """Lines of a cell; an indented one stays indented."""
+    """Lines of a cell, with the indentation of its text."""
     if len(text) <= width:
         return [text]
     indent = " " * (len(text) - len(text.lstrip()) + 2) if text[:1] == " " else ""

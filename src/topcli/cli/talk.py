@@ -1,6 +1,6 @@
-"""The one place that prints: data on stdout, talk on stderr, rules and progress bars only on a terminal.
+"""Printing: data on stdout, messages on stderr, rules and progress bars only on a terminal.
 
-Whatever is printed passes ``printable``: names and files may hold anything, and a terminal obeys what it reads.
+All output passes ``printable``, because names and files may contain control characters.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def emit(line: str = "") -> None:
 
 
 def emit_text(text: str) -> None:
-    """Print a text of several lines on stdout as it is."""
+    """Print a text of several lines on stdout without wrapping."""
     for line in text.splitlines():
         emit(line)
 
@@ -46,27 +46,27 @@ def print_json(command: str, content: dict[str, Any]) -> None:
 
 
 def print_document(document: dict[str, Any]) -> None:
-    """Print JSON; control characters that it would leave as they are become its own escapes."""
+    """Print JSON, with escapes for all control characters."""
     for line in json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False).split("\n"):
         safe = line if line.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
         print(safe)
 
 
 def say(line: str) -> None:
-    """Print a line of talk on stderr, wrapped at words on a terminal."""
+    """Print a message on stderr, wrapped at words on a terminal."""
     for part in _wrapped(clipped(printable(line), 990), sys.stderr):
         print(part, file=sys.stderr)
     sys.stderr.flush()
 
 
 def say_text(text: str) -> None:
-    """Print a text of several lines on stderr as it is."""
+    """Print a text of several lines on stderr without wrapping."""
     for line in text.splitlines():
         print(printable(line), file=sys.stderr)
 
 
 def say_error(error: TopcliError) -> None:
-    """Print the lines of an error, the first one with the prefix of all errors."""
+    """Print the lines of an error, the first one after the prefix ``error:``."""
     first, *others = error.lines or ("",)
     say(f"error: {first}")
     for line in others:
@@ -91,13 +91,13 @@ def _wrapped(line: str, stream: TextIO, indent: str = "") -> list[str]:
 
 
 def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
-    """Say what is unusual about the parameters of the experiment's top."""
+    """Print warnings about unusual parameters of the experiment's top."""
     for line in experiment.top.warnings():
         say(f"warning: {experiment.name}: {line}")
 
 
 def on_terminal() -> bool:
-    """True if stdout is a terminal that can show more than plain lines."""
+    """True if stdout is a terminal with more capabilities than plain lines."""
     return _terminal(sys.stdout) and os.environ.get("TERM") != "dumb"
 
 
@@ -133,7 +133,7 @@ def print_table(
 
 
 def spell_seconds(seconds: float) -> str:
-    """A duration as 42 s, 3:05 min, 7:03:20 h or 12 d 3 h."""
+    """Text of a duration: 42 s, 3:05 min, 7:03:20 h or 12 d 3 h."""
     whole = round(seconds)
     minutes, hours, days = whole // 60, whole // 3600, whole // 86400
     if whole < 100:
@@ -144,22 +144,22 @@ def spell_seconds(seconds: float) -> str:
 
 
 def _percent(done: int, total: int) -> str:
-    """How much is done, rounded down: 100% is said of what is done."""
+    """Percentage done, rounded down so that 100% means completed."""
     return f"{1000 * done // total / 10:.1f}%"
 
 
 class _Pace:
-    """The rate over the last half minute or so, and the time left at that rate."""
+    """Rate over the last half minute, and the time left at that rate."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, int]] = deque(maxlen=32)
 
-    def look(self, now: float, done: int) -> None:
+    def add(self, now: float, done: int) -> None:
         if not self._seen or now - self._seen[-1][0] >= 1.0:
             self._seen.append((now, done))
 
-    def told(self, now: float, done: int, total: int) -> str:
-        """``5.98e+07 steps/s, 3:05 min left``; empty when nothing can be said yet."""
+    def text(self, now: float, done: int, total: int) -> str:
+        """``5.98e+07 steps/s, 3:05 min left``, or an empty text if the rate is not known yet."""
         began, before = self._seen[0]
         if done <= before or now <= began:
             return ""
@@ -167,48 +167,48 @@ class _Pace:
         return f"{rate:.3g} steps/s, {spell_seconds((total - done) / rate)} left"
 
 
-class ProgressTeller:
-    """One progress display for several runs: a bar on a terminal, a line now and then in a log.
+class ProgressDisplay:
+    """Progress of several runs: a bar on a terminal, occasional lines in a log.
 
-    Nothing is shown for what is done within the first half second. Lines come after 15 s, and then, as the run gets
-    longer, at least every ten minutes. ``clock`` gives seconds.
+    Nothing is shown in the first half second. The first line is printed after 15 s; intervals grow with the run up to
+    ten minutes. ``clock`` returns seconds.
     """
 
     def __init__(self, runs: int, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._runs, self._quiet, self._clock = runs, quiet, clock
         self._index, self._name = 0, ""
-        self._began = self._told = clock()
+        self._began = self._reported = clock()
         self._pace = _Pace()
         self._bar: Any = None
         self._task: Any = None
 
     def begin(self, name: str) -> None:
-        """The next run begins."""
+        """Begin the next run."""
         self._index, self._name = self._index + 1, name
-        self._began = self._told = self._clock()
+        self._began = self._reported = self._clock()
         self._pace = _Pace()
 
     def __call__(self, done: int, total: int) -> None:
-        """Of this run, ``done`` of ``total`` steps are done."""
+        """Show that ``done`` of ``total`` steps of this run are done."""
         if self._quiet:
             return
         now = self._clock()
-        self._pace.look(now, done)
+        self._pace.add(now, done)
         if now - self._began < 0.5:
             return
         try:
-            self._tell(now, done, total)
-        except OSError:  # the terminal is gone; the run goes on without it
+            self._show(now, done, total)
+        except OSError:  # the terminal is gone; the run continues without it
             self._quiet = True
 
-    def _tell(self, now: float, done: int, total: int) -> None:
+    def _show(self, now: float, done: int, total: int) -> None:
         name = printable(self._name)
         label = f"[{self._index}/{self._runs}] {name}" if self._runs > 1 else name
         if _terminal(sys.stderr) and os.environ.get("TERM") != "dumb":
             self._show_bar(label, now, done, total)
-        elif now - self._told > min(max(15.0, 0.2 * (now - self._began)), 600.0):
-            self._told = now
-            pace = self._pace.told(now, done, total)
+        elif now - self._reported > min(max(15.0, 0.2 * (now - self._began)), 600.0):
+            self._reported = now
+            pace = self._pace.text(now, done, total)
             say(f"{label}: {_percent(done, total)}, {done} of {total} steps{', ' * bool(pace)}{pace}")
 
     def _show_bar(self, label: str, now: float, done: int, total: int) -> None:
@@ -225,12 +225,12 @@ class ProgressTeller:
             )
             self._bar.start()
             self._task = self._bar.add_task(label, percent="", pace="")
-        pace = self._pace.told(now, done, total)
+        pace = self._pace.text(now, done, total)
         percent = _percent(done, total)
         self._bar.update(self._task, description=label, completed=done, total=total, percent=percent, pace=pace)
 
     def close(self) -> None:
-        """Take the display away."""
+        """Remove the display."""
         if self._bar is not None:
             with contextlib.suppress(OSError):
                 self._bar.stop()

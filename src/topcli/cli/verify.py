@@ -12,14 +12,14 @@ from topcli.cli.talk import emit, print_json, say
 
 
 def verify(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Run folders, or names of runs in --out.")],
+    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Run folders or names of runs in --out.")],
     out: Out = Path("results"),
     as_json: Json = False,
 ) -> None:
     """Verify the files of runs by their checksums.
 
-    Of an unfinished run, verify what it can be continued from. Exits with 0 if every file is whole, with 1 if one is
-    damaged.
+    For an unfinished run, verify the checkpoint and the rows that it can be continued from. Exits with status 0 if all
+    files are intact, with 1 if a file is damaged.
     """
     from topcli.store.verify import check_runs
 
@@ -33,6 +33,6 @@ def verify(
         if not (as_json or one.damaged):
             kind = "finished" if one.finished else "unfinished"
             notes = "".join(f"; {file.name}: {file.reason}" for file in one.files if file.reason)
-            emit(f"{one.folder}: {kind}, {len(one.files)} files whole{notes}")
+            emit(f"{one.folder}: {kind}, {len(one.files)} files intact{notes}")
     if any(one.damaged for one in checked):
         raise typer.Exit(1)

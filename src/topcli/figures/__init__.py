@@ -1,1 +1,1 @@
-"""From recorded data to pictures: data first, then rendered."""
+"""Figures: load results, then draw them."""

@@ -1,29 +1,66 @@
-"""The picture of a comparison: errors and swings of the schemes over time."""
+"""Figures of comparisons: errors and swings of several schemes over time."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from topcli.figures.make import write_figure
+from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import REFERENCE, Line, Panel, component_symbol
-from topcli.studies.compare import Comparison
+from topcli.figures.scenes import scene_config
+
+if TYPE_CHECKING:
+    from topcli.studies.compare import Comparison
 
 
-def draw_comparison(comparison: Comparison, name: str, out: Path) -> tuple[Path, ...]:
-    """Write ``<name>.png``, ``.pdf`` and ``.parquet`` into ``out``: errors (left) and the swinging component (right).
-
-    Raises RunError when they cannot be written.
-    """
-    schemes = [scheme["scheme"] for scheme in comparison.figures["schemes"]]
-    component = comparison.figures["reference"]["swing"]
-    data = dict(comparison.series)
-    for scheme in schemes:
-        error = data[f"error:{scheme}"]
-        data[f"error:{scheme}"] = np.where(error > 0.0, error, np.nan)  # a logarithmic axis has no zero
-    panels = (
+def _panels(schemes: Sequence[str], component: str) -> tuple[Panel, Panel]:
+    """Errors (left) and the swinging component (right)."""
+    return (
         Panel(tuple(Line(f"error:{scheme}", scheme) for scheme in schemes), "error of the state", log=True),
         Panel(tuple(Line(f"swing:{scheme}", scheme) for scheme in (REFERENCE, *schemes)), component_symbol(component)),
     )
-    return write_figure(name, panels, data, out)
+
+
+def _data(comparison: Comparison) -> dict[str, np.ndarray]:
+    """Series of a comparison; errors of zero become nan because a logarithmic axis has no zero."""
+    return {
+        name: np.where(values > 0.0, values, np.nan) if name.startswith("error:") else values
+        for name, values in comparison.series.items()
+    }
+
+
+def loaded_comparison(comparison: Comparison) -> Loaded:
+    """The figure of ``topcli compare``."""
+    figures = comparison.figures
+    schemes = [scheme["scheme"] for scheme in figures["schemes"]]
+    source = {"config": figures["config"], "schemes": schemes}
+    return Loaded(_panels(schemes, figures["reference"]["swing"]), lambda: _data(comparison), source)
+
+
+@dataclass(frozen=True)
+class ComparisonFigure(Figure):
+    """The experiment of ``scene`` under several schemes."""
+
+    schemes: tuple[str, ...]
+
+    def load(self, request: Request) -> Loaded:
+        """Return the panels and the comparison that makes their columns. Raises UsageError and RunError."""
+        from inspect import getsource
+
+        from topcli.analysis.reference import reference_states
+        from topcli.config.load import load_experiment
+        from topcli.engine.fingerprint import fingerprint
+        from topcli.studies.compare import compare_schemes, under_scheme
+        from topcli.studies.run import method_fingerprint
+
+        experiment = load_experiment(scene_config(self.scene, request.configs))
+        compared = [under_scheme(experiment, name) for name in self.schemes]
+        source = {
+            "study": [fingerprint(reference_states, compiled=False), getsource(compare_schemes)],
+            "runs": [[one.digest, method_fingerprint(one.method())] for one in compared],
+        }
+        panels = _panels([one.scheme.name for one in compared], experiment.top.swing)
+        return Loaded(panels, lambda: _data(compare_schemes(experiment, self.schemes)), source)

@@ -1,4 +1,4 @@
-"""Panels of round-off's growth: drift against the number of steps, between the lines of sqrt(N) and N."""
+"""Panels of the growth of round-off: drift against the number of steps, with guide lines for sqrt(N) and N."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from topcli.figures.picture import Styles
 
 ULP = 2.0**-52
 CROWDED = 8.0
-"""A curve less than so many times above a grey line takes the room of the line's label, which then stands below."""
+"""If a curve is within this factor above a guide line, the line's label is put below."""
 STYLES = {"plain": "-", "compensated": "--"}
 
 
@@ -20,23 +20,22 @@ STYLES = {"plain": "-", "compensated": "--"}
 class GrowthPanel:
     """Drifts, columns named ``invariant:form`` with their labels, against the column ``steps``, logarithmically.
 
-    Invariants differ in colour, forms in the line's style, or in colour too where there is but one invariant; labels
-    stand at the right ends of the lines. Grey lines rise from the same point as the root of the number of steps, an ulp
-    for each, and as the number itself.
+    Invariants differ in colour and forms in line style; if there is one invariant only, forms differ in colour. Labels
+    are at the right ends of the lines. Grey guide lines, from a common point, grow as sqrt(N) with one ulp per step and
+    as N.
     """
 
     lines: tuple[tuple[str, str], ...]
     title: str = ""
     steps: str = "steps"
-    figsize: tuple[float, float] = (5.4, 3.6)
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that it needs."""
+        """Columns that the panel draws."""
         return (self.steps, *(column for column, _ in self.lines))
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
-        """Draw into ``axes``."""
+        """Draw curves, guide lines and labels into ``axes``."""
         from matplotlib.ticker import NullFormatter
 
         n = data[self.steps]
@@ -57,6 +56,15 @@ class GrowthPanel:
         corner = ULP * float(np.sqrt(n[0]))
         low, high = min(low, 0.3 * corner), max(high, 3.0 * ULP * float(np.sqrt(n[-1])))
         axes.set_ylim(low, high)
+        self._guide(axes, data, corner, high)
+        self._label(axes, ends, float(axes.get_xlim()[1]))
+        axes.set_xlabel("number of steps $N$")
+        axes.set_ylabel("drift over $N$ steps (rms)")
+        axes.set_title(self.title, loc="left")
+
+    def _guide(self, axes: Any, data: Mapping[str, np.ndarray], corner: float, high: float) -> None:
+        """Draw the guide lines from ``corner``, labelled below ``high``."""
+        n = data[self.steps]
         for power, label in ((0.5, r"$\epsilon\sqrt{N}$"), (1.0, r"$\propto N$")):
             axes.plot(n, corner * (n / n[0]) ** power, color="0.75", linestyle="-", linewidth=0.9, zorder=1.0)
             last = min(float(n[-1]), float(n[0]) * (0.35 * high / corner) ** (1.0 / power))
@@ -65,13 +73,9 @@ class GrowthPanel:
             crowded = any(1.0 < data[column][near] / at[1] < CROWDED for column, _ in self.lines)
             place: dict[str, Any] = {"xytext": (-2, -6), "va": "top"} if crowded else {"xytext": (-2, 3)}
             axes.annotate(label, at, textcoords="offset points", ha="right", color="0.5", **place)
-        self._label(axes, ends, float(axes.get_xlim()[1]))
-        axes.set_xlabel("number of steps $N$")
-        axes.set_ylabel("drift over $N$ steps (rms)")
-        axes.set_title(self.title, loc="left")
 
     def _label(self, axes: Any, ends: list[tuple[float, str, str]], x: float) -> None:
-        """Label the lines right of the axes, moved apart where labels would overlap."""
+        """Label the lines at the right of the axes, moved apart if labels would overlap."""
         low, high = np.log(axes.get_ylim())
         gap = (high - low) / 16.0
         y = -np.inf

@@ -1,4 +1,4 @@
-"""A picture as data: panels of lines over the columns of a table, and the one function that draws them."""
+"""Pictures as data: panels of lines over the columns of a table, and the function that draws them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from topcli.errors import UsageError
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -22,19 +20,15 @@ IMAGE_FORMATS = ("png", "pdf")
 
 
 Styles = Mapping[str, dict[str, Any]]
-"""The line style of each label of a figure."""
-
-
-class NothingMeasuredError(UsageError):
-    """A figure of measurements that have not been taken yet (exit code 2)."""
+"""Line style of each label of a figure."""
 
 
 class Drawable(Protocol):
-    """What fills one pair of axes from the columns of a table; a ``figsize`` and ``rows`` of its own are heeded."""
+    """Content of one pair of axes, drawn from the columns of a table."""
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that it needs."""
+        """Columns that it draws."""
         ...
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
@@ -43,15 +37,15 @@ class Drawable(Protocol):
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """A run that a panel draws: its experiment, and True if its motion is that of the packaged scene."""
+class DrawnRun:
+    """Experiment of a run that a panel draws; ``as_packaged`` if its motion is that of the packaged scene."""
 
     experiment: Experiment
     as_packaged: bool
 
 
-Runs = Mapping[str, Drawn]
-"""The run that each column of a figure comes from."""
+Runs = Mapping[str, DrawnRun]
+"""Run that each column of a figure comes from."""
 
 
 def component_symbol(name: str) -> str:
@@ -69,7 +63,7 @@ def column_label(experiment: Experiment, column: str) -> str:
 
 
 def scheme_label(experiment: Experiment) -> str:
-    """The scheme's name, with those of its options that are not the default."""
+    """Name of the scheme, with its options other than the defaults."""
     changed = experiment.options.model_dump(mode="json", exclude_defaults=True)
     options = ", ".join(f"{key}={value}" for key, value in changed.items())
     return experiment.scheme.name + (f" ({options})" if options else "")
@@ -77,9 +71,9 @@ def scheme_label(experiment: Experiment) -> str:
 
 @dataclass(frozen=True)
 class Line:
-    """One line: the column drawn over the panel's x column, and its label in the legend (may be mathtext).
+    """A column drawn against the panel's x column, and its label in the legend (may be mathtext).
 
-    An empty label becomes the symbol that the run's top or scheme gives the column.
+    An empty label becomes the symbol of the column in the run's top or scheme.
     """
 
     column: str
@@ -88,11 +82,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes. ``ylim`` is the least vertical range; ``log`` makes the vertical axis logarithmic.
+    """One pair of axes with lines.
 
-    ``title`` stands above the axes on the left; ``{scheme}`` in it becomes the name of the run's scheme. An empty
-    ``ylabel`` becomes the labels of the lines. ``deviation`` draws by how much a column differs from its first value,
-    relative to it and without the sign.
+    ``ylim`` is the smallest vertical range, ``log`` makes the vertical axis logarithmic. ``title`` is above the axes on
+    the left; ``{scheme}`` in it becomes the name of the run's scheme. An empty ``ylabel`` becomes the labels of the
+    lines. ``deviation`` draws the absolute deviation from the first value, relative to it.
     """
 
     lines: tuple[Line, ...]
@@ -106,11 +100,11 @@ class Panel:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that the panel draws."""
+        """Columns that the panel draws."""
         return (self.x, *(line.column for line in self.lines))
 
     def of_runs(self, runs: Runs) -> Panel:
-        """The panel with title and labels of the runs that its columns come from."""
+        """Return the panel with title and labels of the runs that its columns come from."""
         first = runs[self.x].experiment
         lines = tuple(
             replace(line, label=line.label or column_label(runs[line.column].experiment, line.column))
@@ -138,15 +132,15 @@ class Panel:
         if self.log:
             axes.set_yscale("log")
         if self.ylim:
-            axes.set_ylim(float(low), float(high))  # what lies outside is never cut off
+            axes.set_ylim(float(low), float(high))  # values outside ``ylim`` widen the range
 
 
 REFERENCE = "reference"
-"""The label of a line that others are compared with: drawn broad and grey, behind them."""
+"""Label of the line that others are compared with: broad, grey, and behind them."""
 
 
 def _styles(labels: Sequence[str]) -> Styles:
-    """A line style for each label: equal labels look alike, different ones never."""
+    """Line style of each label: the same for equal labels, different for different ones."""
     import matplotlib as mpl
 
     different = dict.fromkeys(label for label in labels if label != REFERENCE)
@@ -154,28 +148,43 @@ def _styles(labels: Sequence[str]) -> Styles:
     return {**styles, REFERENCE: {"color": "0.75", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}}
 
 
-def draw(panels: Sequence[Drawable], data: Mapping[str, np.ndarray]) -> Figure:
-    """A matplotlib figure with ``panels`` side by side, drawn from the columns of ``data`` (each (m,)).
+@dataclass(frozen=True)
+class Grid:
+    """Layout of panels in ``rows`` of equal axes; ``figsize`` is in inches."""
 
-    Legends of lines stand above the axes, where no trajectory can run through them: one for each panel, or one for
-    all where there are many lines or a reference.
+    rows: int = 1
+    figsize: tuple[float, float] | None = None
+
+    def axes(self, figure: Any, panels: Sequence[Drawable]) -> Sequence[Any]:
+        """Axes of the panels in their order."""
+        places = figure.subplots(self.rows, -(-len(panels) // self.rows), squeeze=False).ravel()
+        for empty in places[len(panels) :]:
+            empty.set_axis_off()
+        return places[: len(panels)]
+
+    def annotate(self, figure: Any) -> None:
+        """Add parts that belong to no panel."""
+
+
+def draw(panels: Sequence[Drawable], data: Mapping[str, np.ndarray], layout: Grid | None = None) -> Figure:
+    """Draw ``panels`` from the columns of ``data`` (each (m,)) and return the matplotlib figure.
+
+    Legends of lines are above the axes, where they hide no trajectory: one for each panel, or one for the whole figure
+    if a panel has more than four lines or a reference.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    layout = layout or Grid()
     lines = [panel.lines for panel in panels if isinstance(panel, Panel)]
     labels = [line.label for one in lines for line in one]
     shared = REFERENCE in labels or any(len(one) > 4 for one in lines)
     with mpl.rc_context(fname=STYLE):
-        figure = Figure(figsize=getattr(panels[0], "figsize", None))
+        figure = Figure(figsize=layout.figsize)
         FigureCanvasAgg(figure)
         handles: dict[str, Any] = {}
-        rows = getattr(panels[0], "rows", 1)
-        places = figure.subplots(rows, -(-len(panels) // rows), squeeze=False).ravel()
-        for empty in places[len(panels) :]:
-            empty.set_axis_off()
-        for axes, panel in zip(places, panels, strict=False):
+        for axes, panel in zip(layout.axes(figure, panels), panels, strict=True):
             own = [line.label for line in panel.lines] if isinstance(panel, Panel) else []
             panel.paint(axes, data, _styles(labels if shared else own))
             if own:
@@ -185,11 +194,12 @@ def draw(panels: Sequence[Drawable], data: Mapping[str, np.ndarray]) -> Figure:
                     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
         if shared:
             figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(handles)))
+        layout.annotate(figure)
     return figure
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the picture in the format of the path's suffix, without a date: the same data gives the same file."""
+    """Write the picture in the format of the path's suffix, without a date, so that equal data gives equal files."""
     import matplotlib as mpl
 
     dated = {"pdf": {"CreationDate": None, "ModDate": None}}.get(path.suffix[1:], {})

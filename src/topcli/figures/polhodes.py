@@ -1,7 +1,7 @@
 """The energy ellipsoid of the Euler top in the space of omega, with polhodes: curves of constant m².
 
-Drawn without matplotlib's three-dimensional axes, which cannot tell what of a curve on a surface is hidden: the
-ellipsoid is shaded pixel by pixel in parallel projection, and every curve is cut where it goes behind.
+Matplotlib's three-dimensional axes cannot hide the far side of a curve on a surface. Therefore the ellipsoid is shaded
+pixel by pixel in parallel projection, and every curve is cut at the outline.
 """
 
 from __future__ import annotations
@@ -22,42 +22,41 @@ Curve = np.ndarray
 
 @dataclass(frozen=True)
 class Polhodes:
-    """The ellipsoid for moments (A, B, C), all different, at the energy of the run; the run's own curve stands out.
+    """Ellipsoid for moments (A, B, C), all different, at the energy of the run; the run's own curve is highlighted.
 
-    ``levels`` are the places of the thin polhodes between the separatrix (0) and the axes (1), on either side.
-    ``view`` is the azimuth and the elevation of the eye, in degrees, with omega3 upright.
+    ``levels`` are the positions of the thin polhodes between the separatrix (0) and the axes (1), on either side.
+    ``view`` is the azimuth and the elevation of the viewer, in degrees, with omega3 upright.
     """
 
     moments: tuple[float, float, float]
     omega: tuple[str, str, str] = ("omega1", "omega2", "omega3")
     levels: tuple[float, ...] = (0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
     view: tuple[float, float] = (52.0, 24.0)
-    figsize: tuple[float, float] = (6.0, 6.6)
     pixels: int = 900
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that it needs: the components of omega."""
+        """Columns that the panel draws: the components of omega."""
         return self.omega
 
     def of_runs(self, runs: Runs) -> Polhodes:
-        """The panel with the moments of the run's top. Raises UsageError if two of them are equal."""
+        """Return the panel with the moments of the run's top. Raises UsageError if two of them are equal."""
         experiment = runs[self.omega[0]].experiment
         moments = checked_equations(experiment.top, "the figure polhodes").moments
         if len(set(moments)) < 3:
-            told = ", ".join(f"{moment:g}" for moment in moments)
-            raise UsageError(f"polhodes: {experiment.name} has the moments {told}; needs three different ones")
+            given = ", ".join(f"{moment:g}" for moment in moments)
+            raise UsageError(f"polhodes: {experiment.name} has the moments {given}; use three different ones")
         return replace(self, moments=moments)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
-        """Draw into ``axes``. Raises RunError for data that do not lie on the ellipsoid of the moments."""
+        """Draw into ``axes``. Raises RunError if the data are not on the ellipsoid of the moments."""
         moments = np.array(self.moments)
         path = np.column_stack([data[name] for name in self.omega])
         energies = path**2 @ moments
         if np.ptp(energies) > 0.05 * energies[0]:
             raise RunError(
-                f"polhodes: the run does not keep the energy of a top with the moments {self.moments}; draw it from a "
-                "config with these moments, or give the figure those of the config"
+                f"polhodes: the run does not conserve the energy of a top with the moments {self.moments}; "
+                "use a run of a top with these moments"
             )
         path = path / np.sqrt(energies[0])
         camera = _camera(*self.view)
@@ -74,7 +73,7 @@ class Polhodes:
 
 
 def _camera(azimuth: float, elevation: float) -> np.ndarray:
-    """Rows: the directions to the right, up, and towards the eye."""
+    """Matrix (3, 3) whose rows point right, up, and towards the viewer."""
     a, e = np.radians([azimuth, elevation])
     eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -82,7 +81,7 @@ def _camera(azimuth: float, elevation: float) -> np.ndarray:
 
 
 def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> None:
-    """The ellipsoid x.Ix = 1 in soft light, tinted by m²/2E: blue towards the largest moment, ochre the smallest."""
+    """Draw the ellipsoid x.Ix = 1, tinted by m²/2E: blue towards the largest moment, ochre towards the smallest."""
     reach = 1.02 * np.sqrt(camera[:2] ** 2 @ (1.0 / moments)).max()
     x, y = np.meshgrid(*(np.linspace(-reach, reach, pixels),) * 2)
     base = x[..., None] * camera[0] + y[..., None] * camera[1]
@@ -112,7 +111,7 @@ def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> N
 
 
 def _curves(moments: np.ndarray, levels: tuple[float, ...]) -> list[tuple[Curve, bool]]:
-    """The polhodes on x.Ix = 1, each closed and once around in the sense of the motion; True for the separatrix.
+    """Polhodes on x.Ix = 1, each once around in the sense of the motion; True for the separatrix.
 
     About the axis i the curve of m² = q is I_j (I_j - I_i) x_j² + I_k (I_k - I_i) x_k² = q - I_i.
     """
@@ -137,7 +136,7 @@ def _curves(moments: np.ndarray, levels: tuple[float, ...]) -> list[tuple[Curve,
 
 
 def _trace(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray, color: str, width: float) -> None:
-    """A curve on the ellipsoid: solid in front, faint and thin behind."""
+    """Draw a curve on the ellipsoid: solid in front, faint and thin behind."""
     towards = (curve * moments) @ camera[2]
     flat = curve @ camera[:2].T
     for seen, style in (
@@ -148,7 +147,7 @@ def _trace(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray, col
 
 
 def _arrow(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray) -> None:
-    """An arrowhead where the curve faces the eye most, if it does."""
+    """Draw an arrowhead at the point of the curve that faces the viewer most, if it is visible."""
     facing = (curve * moments) @ camera[2] / np.linalg.norm(curve * moments, axis=1)
     at = int(np.argmax(facing[:-8]))
     if facing[at] < 0.25:
@@ -165,7 +164,7 @@ def _arrow(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray) -> 
 
 
 def _landmarks(axes: Any, moments: np.ndarray, camera: np.ndarray) -> None:
-    """The axes, and the steady rotations: filled where stable, open where not."""
+    """Draw the axes and the steady rotations: filled if stable, open if unstable."""
     from matplotlib.patheffects import withStroke
 
     middle = int(np.argsort(moments)[1])

@@ -1,19 +1,34 @@
-"""The picture of ``topcli roundoff``: how the round-off of a scheme's invariants grows."""
+"""Figures of the growth of round-off: of the catalogue, and of ``topcli roundoff``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.growth import GrowthPanel
-from topcli.figures.make import write_figure
+from topcli.figures.picture import Grid
+
+
+@dataclass(frozen=True)
+class GrowthFigure(Figure):
+    """The growth of round-off under several ways to write a step, measured by ``studies.growth``."""
+
+    panels: tuple[GrowthPanel, ...]
+    layout: Grid = field(default_factory=Grid)
+
+    def load(self, request: Request) -> Loaded:
+        """Return the panels and the study that makes their columns."""
+        from topcli.studies.growth import growth_code, growth_columns
+
+        return Loaded(self.panels, growth_columns, {"study": growth_code()}, self.layout)
 
 
 def growth_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], tuple[tuple[str, str], ...]]:
-    """The columns of a study, and its lines with their labels; what has not changed by the end has no line."""
+    """Columns of a study, and its lines with their labels; an invariant without drift at the end has no line."""
     forms = study["forms"]
     steps = np.array(forms[0]["invariants"][0]["steps"], dtype=float)
     data, lines = {"steps": steps}, []
@@ -25,8 +40,9 @@ def growth_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], tuple[
     return data, tuple(line for line in lines if data[line[0]][-1] > 0.0)
 
 
-def draw_roundoff(study: Mapping[str, Any], name: str, out: Path) -> tuple[Path, ...]:
-    """Write ``<name>.png``, ``.pdf`` and ``.parquet`` into ``out``; the paths. Raises RunError when it cannot."""
+def loaded_roundoff(study: Mapping[str, Any]) -> Loaded:
+    """The figure of ``topcli roundoff``."""
     data, lines = growth_data(study)
-    title = f"{study['forms'][0]['scheme']}, $h = {study['h']:g}$"
-    return write_figure(name, (GrowthPanel(lines, title),), data, out)
+    panel = GrowthPanel(lines, f"{study['forms'][0]['scheme']}, $h = {study['h']:g}$")
+    source = {key: study[key] for key in ("config", "steps", "copies")}
+    return Loaded((panel,), lambda: data, source, Grid(figsize=(5.4, 3.6)))

@@ -1,4 +1,4 @@
-"""A panel that shows the trace of a unit vector on the sphere, in orthographic projection, the far side lighter."""
+"""Traces of unit vectors on the sphere in orthographic projection, lighter on the far side."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ BAND = "#D55E00"
 
 @dataclass(frozen=True)
 class Sphere:
-    """The trace of the unit vector whose components are ``columns``, seen from ``elevation`` and ``azimuth`` degrees.
+    """Trace of the unit vector with the components ``columns``, seen from ``elevation`` and ``azimuth`` in degrees.
 
-    A dot shows where it starts, an arrow the third axis with its name ``axis``; with ``band`` the two parallels between
-    which it moves are drawn too.
+    A dot marks the start, an arrow the third axis with its name ``axis``; with ``band`` the two parallels that enclose
+    the trace are drawn too.
     """
 
     title: str
@@ -36,17 +36,17 @@ class Sphere:
     width: float = 1.25
 
     def of_runs(self, runs: Runs) -> Sphere:
-        """The panel with the name of the run for a title where its motion is not the one that the title describes."""
+        """Return the panel, with the name of the run as title if its motion is not that of the packaged scene."""
         run = runs[self.columns[0]]
         return self if run.as_packaged else replace(self, title=run.experiment.name)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
-        """Draw the sphere and the trace into ``axes``; the ``styles`` of lines do not concern it."""
+        """Draw the sphere and the trace into ``axes``; ``styles`` is not used."""
         draw_sphere(axes, self, data)
 
 
 def projection(elevation: float, azimuth: float) -> Array:
-    """The matrix (3, 3) that takes a point (x, y, z) to (right, up, towards the viewer)."""
+    """Matrix (3, 3) that maps a point (x, y, z) to (right, up, towards the viewer)."""
     e, a = math.radians(elevation), math.radians(azimuth)
     return np.array(
         [
@@ -58,7 +58,7 @@ def projection(elevation: float, azimuth: float) -> Array:
 
 
 def _line(axes: Any, view: Array, points: Array, near: str, far: str, width: float, order: int, **style: Any) -> None:
-    """A curve (n, 3): what lies behind the sphere lighter, thinner and below what lies before it."""
+    """Draw a curve (n, 3), with the part on the far side lighter, thinner and below the part on the near side."""
     right, up, towards = view @ points.T
     hidden = towards < 0.0
     for colour, mask, thickness, level in ((far, ~hidden, 0.7 * width, order), (near, hidden, width, order + 10)):
@@ -75,6 +75,7 @@ def _line(axes: Any, view: Array, points: Array, near: str, far: str, width: flo
 
 
 def _parallel(height: float) -> Array:
+    """Points (361, 3) of the circle of latitude at ``height``."""
     angle = np.linspace(0.0, 2.0 * math.pi, 361)
     radius = math.sqrt(max(0.0, 1.0 - height * height))
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full_like(angle, height)])

@@ -1,32 +1,32 @@
-"""Speed against error as a picture: a panel a scene, drawn from the finished results of ``topcli bench``."""
+"""The figure of speed against error: one panel per scene, drawn from finished results of ``topcli bench``."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from topcli.figures.picture import NothingMeasuredError, Styles
+from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
+from topcli.figures.picture import Grid, Styles
 
 FOLDER = "bench"
-"""Where results lie, below the folder of the run folders."""
+"""Folder of the results in the folder of the run folders."""
 WORST_ERROR = 1.0
-"""Curves are drawn from this error on."""
+"""Largest error that is drawn."""
 MOST_OF_OURS = 7
-"""So many of our schemes are drawn, those that come nearest to the front: there are no more colours to tell apart."""
+"""Number of our schemes that are drawn, the nearest to the front; there are no more distinct colours."""
 _SIZE = 6.8
+"""Font size of the labels."""
 _LETTER = 0.0163
-"""A letter of this size takes so much of the width of the axes."""
+"""Width of a letter of this size, relative to the axes."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One competitor's curve: its ``name``, and whether it is one of ours."""
+    """Curve of one competitor, a scheme of topcli if ``ours``."""
 
     name: str
     ours: bool
@@ -40,17 +40,15 @@ class WorkPrecision:
     title: str
     curves: tuple[Curve, ...]
     colours: tuple[str, ...]
-    """The names of ours in the figure, by colour."""
-    figsize: tuple[float, float] = (7.0, 6.4)
-    rows: int = 1
+    """Names of our schemes in the figure, by colour."""
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that it draws."""
+        """Columns that the panel draws."""
         return tuple(column_name(self.scene, curve.name, kind) for curve in self.curves for kind in ("error", "time"))
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
-        """Draw into ``axes``: labels at the curves' ends instead of a legend."""
+        """Draw the curves into ``axes``, with labels at their ends instead of a legend."""
         import matplotlib as mpl
 
         cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
@@ -72,9 +70,9 @@ class WorkPrecision:
 
 
 def _label(axes: Any, ends: Sequence[tuple[float, float, str, str]], span: float) -> None:
-    """The names at the ends of the curves, moved up where they would lie on one another.
+    """Label the ends of the curves, moved up if labels would overlap.
 
-    ``ends`` are (error, time, name, colour); the axis of errors spans so many decades.
+    ``ends`` are (error, time, name, colour); ``span`` is the number of decades on the axis of errors.
     """
     from matplotlib.patheffects import withStroke
 
@@ -103,12 +101,12 @@ def _label(axes: Any, ends: Sequence[tuple[float, float, str, str]], span: float
 
 
 def column_name(scene: str, competitor: str, kind: str) -> str:
-    """The column of the figure's data: ``kind`` is ``error``, or ``time`` in seconds per unit of time."""
+    """Name of a column of the data; ``kind`` is ``error``, or ``time`` in seconds per unit of time."""
     return f"{scene}:{competitor}:{kind}"
 
 
 def _nearest_to_front(report: dict[str, Any]) -> dict[str, float]:
-    """For each of our schemes how near it comes to the fastest at some decade of error: a factor of 1 or more."""
+    """Smallest ratio of the time of each of our schemes to the fastest, over the decades of error: 1 or more."""
     from topcli.studies.bench.front import DECADES, ranking
 
     found: dict[str, float] = {}
@@ -123,7 +121,7 @@ def _nearest_to_front(report: dict[str, Any]) -> dict[str, float]:
 
 
 def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[Curve, tuple[np.ndarray, np.ndarray]]:
-    """Errors and seconds of what is drawn of one result: every peer, and those of ours that are ``shown``."""
+    """Errors and seconds of the curves of one result: every peer, and our schemes that are ``shown``."""
     from topcli.analysis.pareto import pareto_front
     from topcli.studies.bench.front import points_of
 
@@ -138,35 +136,40 @@ def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[Curve, tuple[n
     return found
 
 
-def work_precision(results: Path) -> tuple[list[WorkPrecision], dict[str, np.ndarray], str]:
-    """The panels, their data and what they were made from, of the finished benches below ``results``.
-
-    Nothing is measured here. Raises NothingMeasuredError where there is no result, RunError for a damaged one.
-    """
-    from topcli.studies.bench.scenes import SCENES
-    from topcli.studies.bench.stored import stored_benches
-
-    folder = results / FOLDER
-    benches = stored_benches(folder)
-    if not benches:
-        raise NothingMeasuredError(f"there is no finished result in {folder}; topcli bench makes it, in some minutes")
-    order = list(SCENES)
-    benches.sort(key=lambda bench: order.index(bench[1]["name"]) if bench[1]["name"] in order else len(order))
+def _shown(reports: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """Names of our schemes that are drawn, the nearest to the front first."""
     nearness: dict[str, float] = {}
-    for _, report in benches:
+    for report in reports:
         for name, factor in _nearest_to_front(report).items():
             nearness[name] = min(nearness.get(name, math.inf), factor)
-    shown = tuple(sorted(nearness, key=lambda name: (nearness[name], name))[:MOST_OF_OURS])
-    panels, data = [], {}
-    for _, report in benches:
-        curves = _curves(report, shown)
-        if not curves:
-            continue
-        panels.append(WorkPrecision(report["name"], report["title"], tuple(curves), shown, rows=-(-len(benches) // 2)))
-        for curve, values in curves.items():
-            for kind, column in zip(("error", "time"), values, strict=True):
-                data[column_name(report["name"], curve.name, kind)] = column
-    longest = max(map(len, data.values()))
-    data = {name: np.append(values, np.full(longest - len(values), np.nan)) for name, values in data.items()}
-    source = json.dumps([[run.manifest[key] for key in ("name", "digest", "code", "ended")] for run, _ in benches])
-    return panels, data, source
+    return tuple(sorted(nearness, key=lambda name: (nearness[name], name))[:MOST_OF_OURS])
+
+
+class WorkPrecisionFigure(Figure):
+    """Finished results of ``topcli bench``; nothing is measured for the figure."""
+
+    def load(self, request: Request) -> Loaded:
+        """Return panels and data of the results. Raises NothingMeasuredError if there are none, and RunError."""
+        from topcli.studies.bench.scenes import SCENES
+        from topcli.studies.bench.stored import stored_benches
+
+        folder = request.results / FOLDER
+        benches = stored_benches(folder)
+        if not benches:
+            raise NothingMeasuredError(f"no finished result in {folder}; topcli bench makes one in a few minutes")
+        order = list(SCENES)
+        benches.sort(key=lambda bench: order.index(bench[1]["name"]) if bench[1]["name"] in order else len(order))
+        reports = [report for _, report in benches]
+        shown = _shown(reports)
+        panels: list[WorkPrecision] = []
+        data: dict[str, np.ndarray] = {}
+        for report in reports:
+            curves = _curves(report, shown)
+            if not curves:
+                continue
+            panels.append(WorkPrecision(report["name"], report["title"], tuple(curves), shown))
+            for curve, values in curves.items():
+                for kind, column in zip(("error", "time"), values, strict=True):
+                    data[column_name(report["name"], curve.name, kind)] = column
+        made_from = [[run.manifest[key] for key in ("name", "digest", "code", "ended")] for run, _ in benches]
+        return Loaded(panels, lambda: data, {"benches": made_from}, Grid(-(-len(benches) // 2), (7.0, 6.4)))

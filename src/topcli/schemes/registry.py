@@ -278,7 +278,9 @@ def load_scheme_file(path: Path) -> None:
 def all_schemes() -> tuple[Scheme, ...]:
     """Return all registered schemes, sorted by top and name."""
     plugin_failures()
-    return tuple(_schemes[key] for key in sorted(_schemes, key=lambda key: (key[1], key[0])))
+    for key in sorted(_schemes, key=lambda key: (key[1], key[0])):
+        _schemes[key] = _schemes.pop(key)  # digests of code that uses the table must not depend on the order of imports
+    return tuple(_schemes.values())
 
 
 def find_scheme(name: str, top: str) -> Scheme:

@@ -1,0 +1,66 @@
+"""The protocol of a figure: it loads its panels, their data and their source; ``make`` draws and writes them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from topcli.errors import UsageError
+from topcli.figures.picture import Drawable, Grid
+
+
+class NothingMeasuredError(UsageError):
+    """A figure of measurements that have not been taken yet (exit code 2)."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """Folders of results and configs, and permissions to produce missing results.
+
+    With ``force`` existing results are produced again. With ``stored_only`` a figure whose results take minutes is
+    loaded from existing results or raises NothingMeasuredError.
+    """
+
+    results: Path = Path("results")
+    configs: Path = Path("configs")
+    force: bool = False
+    stored_only: bool = False
+    on_progress: Callable[[int, int], None] = lambda done, total: None
+    on_message: Callable[[str], None] = lambda line: None
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Content of a figure.
+
+    ``source`` is plain data that identifies what the figure is made from; ``data`` is called only if the figure must be
+    drawn. ``metadata`` is stored with the plotted data.
+    """
+
+    panels: Sequence[Drawable]
+    data: Callable[[], Mapping[str, np.ndarray]]
+    source: Mapping[str, Any]
+    layout: Grid = field(default_factory=Grid)
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Figure(ABC):
+    """A figure of the catalogue.
+
+    ``name`` is that on the command line and of the files, ``title`` a description in one line, ``scene`` the scene or
+    command that the results come from.
+    """
+
+    name: str
+    title: str
+    scene: str
+
+    @abstractmethod
+    def load(self, request: Request) -> Loaded:
+        """Return panels, data and source. Raises UsageError and RunError."""
