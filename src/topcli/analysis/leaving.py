@@ -69,3 +69,13 @@ class EnergyWatch:
             at = first_beyond(self._energy.value(states) - self._first, self._limit)
         if at is not None:
             self.left = int(n[at])
+
+
+def step_of_leaving(top: Top, n: NDArray[np.int64], states: Array) -> int | None:
+    """First of the step numbers ``n`` (m,) whose state (m, d) has left the motion; None if there is none.
+
+    The first row is the initial state.
+    """
+    watch = EnergyWatch(top, states[0])
+    watch.look(n, states)
+    return watch.left

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,14 @@ class Chunk:
     states: Array
     done: int
     whole: bool = True
+
+
+class Recorded(NamedTuple):
+    """All recorded rows of a run, step numbers ``n`` (m,) and ``states`` (m, d), and its ``ending``."""
+
+    n: NDArray[np.int64]
+    states: Array
+    ending: Ending
 
 
 @dataclass(frozen=True)
@@ -141,6 +150,16 @@ class Run:
             n = np.arange(before + to_record, last_good + 1, every, dtype=np.int64)
             yield Chunk(n, out[: len(n) * d].reshape(len(n), d), last_good, not stopped)
         self._end(outcome, done, work)
+
+    def collect(self) -> Recorded:
+        """Run to the end and return the recorded rows, copied, with the ending."""
+        n: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+        states: list[Array] = [np.empty((0, len(self._y0)))]
+        for chunk in self:
+            n.append(chunk.n.copy())
+            states.append(chunk.states.copy())
+        assert self.ending is not None
+        return Recorded(np.concatenate(n), np.concatenate(states), self.ending)
 
     def _advance(self, work: Array, out: Array, steps: int, to_record: int) -> tuple[int, bool]:
         """Take up to ``steps`` steps of a chunk; the steps taken or minus the one that failed, and if it was stopped.
