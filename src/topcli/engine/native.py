@@ -230,7 +230,7 @@ def _linked(
 ) -> tuple[Callable[..., int], tuple[Any, ...]]:
     """Link the function ``symbol`` of ``module``, whose text is ``ir``, and store its code. Raises OSError."""
     made = ObjectCode(_target_machine().emit_object(module), symbol, signature, tuple(_outside(ir)))
-    _require(["sin"])  # as an example of the functions that the compiler calls without declaring them
+    _require(["sin"])  # for the mathematical functions that the compiler may call without declaring them
     loaded = _load(made)
     store_code(words, made)
     return loaded
