@@ -80,7 +80,7 @@ def left_by_each(top: Top, states: np.ndarray) -> set[int | None]:
         many = EnsembleTally(top.invariants(), 2, top)
         for part in np.array_split(np.arange(len(states)), pieces):
             tally.add(n[part], states[part])
-            watch.look(n[part], states[part])
+            watch.add(n[part], states[part])
             both = np.stack([np.tile(states[0], (len(part), 1)), states[part]])
             many.add(0, n[part], both, np.full(2, len(part)))
         assert many.left[0] == -1

@@ -61,7 +61,7 @@ class EnergyWatch:
         self._first = float(self._energy.value(start)[0]) if self._energy and math.isfinite(self._limit) else 0.0
         self.left: int | None = None
 
-    def look(self, n: NDArray[np.int64], states: Array) -> None:
+    def add(self, n: NDArray[np.int64], states: Array) -> None:
         """Add rows: step numbers (m,) and states (m, d)."""
         if self.left is not None or self._energy is None or not len(n) or math.isinf(self._limit):
             return
@@ -77,5 +77,5 @@ def step_of_leaving(top: Top, n: NDArray[np.int64], states: Array) -> int | None
     The first row is the initial state.
     """
     watch = EnergyWatch(top, states[0])
-    watch.look(n, states)
+    watch.add(n, states)
     return watch.left

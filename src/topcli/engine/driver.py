@@ -55,8 +55,8 @@ def make(step, enter, leave):
 """
 
 
-def _same(state: Any, h: float, p: Any) -> Any:
-    """``enter`` and ``leave`` of a scheme that works on the physical state itself."""
+def same_state(state: Any, h: float, p: Any) -> Any:
+    """``enter`` or ``leave`` of a scheme that works on the physical state itself."""
     return state
 
 
@@ -82,7 +82,7 @@ def _template(width: int, d: int, constants: int, checked: int) -> Callable[...,
 def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Callable[..., int]]:
     """``(enter, drive)`` as plain Python functions over indexable buffers, to be compiled or run as they are."""
     make = _template(stepper.width, d, constants, stepper.checked or stepper.width)
-    return make(stepper.step, stepper.enter or _same, stepper.leave or _same)
+    return make(stepper.step, stepper.enter or same_state, stepper.leave or same_state)
 
 
 def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callable[..., int]]:

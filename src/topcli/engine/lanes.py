@@ -18,6 +18,7 @@ from typing import Any
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import IN_LANES
 from topcli.contracts import StepFunction, Stepper
+from topcli.engine.driver import same_state
 from topcli.engine.source import compilable_copy
 
 SIGNATURE = "pppdqqqq"
@@ -47,11 +48,6 @@ def make(step, leave):
 
     return drive
 """
-
-
-def _same(state: Any, h: float, p: Any) -> Any:
-    """``leave`` of a scheme that works on the physical state itself."""
-    return state
 
 
 @cache
@@ -89,7 +85,7 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
     step = compilable_copy(stage, lambda kernel: kernel, inlined)
     # all but the counters, which are always finite: the nan of a rare branch may be in any other slot
     checked = stepper.width - len(stepper.counters)
-    return _template(stepper.width, checked, d, constants, tile, len(fractions))(step, stepper.leave or _same)
+    return _template(stepper.width, checked, d, constants, tile, len(fractions))(step, stepper.leave or same_state)
 
 
 def stages_of(stepper: Stepper) -> tuple[StepFunction, tuple[float, ...]]:

@@ -41,6 +41,16 @@ class Chunk:
     whole: bool = True
 
 
+def recorded_rows(steps: int, until_record: int, every: int) -> int:
+    """Number of rows recorded in ``steps`` steps: after ``until_record`` of them, then after every ``every``."""
+    return max(0, (steps - until_record) // every + 1)
+
+
+def next_call_steps(size: int, seconds: float) -> int:
+    """Steps of the next call of compiled code, after a call of ``size`` steps that took ``seconds``."""
+    return int(max(1, min(8 * size, size * CALL_SECONDS / max(seconds, 1e-9))))
+
+
 class Recorded(NamedTuple):
     """All recorded rows of a run, step numbers ``n`` (m,) and ``states`` (m, d), and its ``ending``."""
 
@@ -170,7 +180,7 @@ class Run:
         token = stop_asked.set(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop())
         try:
             while True:
-                rows = max(0, (taken - to_record) // every + 1)
+                rows = recorded_rows(taken, to_record, every)
                 size = min(steps - taken, self._call_steps)
                 start = time.perf_counter()
                 went = self._loop.drive(
@@ -184,7 +194,7 @@ class Run:
                     return taken, False
                 if now - begin > CALL_SECONDS and self._stop():
                     return taken, True
-                self._call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - start, 1e-9))))
+                self._call_steps = next_call_steps(size, now - start)
         except StopAsked:
             return taken, True
         finally:

@@ -139,14 +139,14 @@ class _Copier:
         refers = {n: self.compiled(value, names) for n, value in references(function).items() if n in used}
         defaults = tuple(self.compiled(value, names) for value in function.__defaults__ or ()) or None
         self.open.remove(id(function))
-        cells = tuple(types.CellType(*refers_to(refers, name)) for name in function.__code__.co_freevars)
+        cells = tuple(types.CellType(*_cell_content(refers, name)) for name in function.__code__.co_freevars)
         scope = {**function.__globals__, **refers}
         made = types.FunctionType(function.__code__, scope, function.__name__, defaults, cells or None)
         made.__kwdefaults__ = function.__kwdefaults__
         return made
 
 
-def refers_to(refers: dict[str, Any], name: str) -> tuple[Any, ...]:
+def _cell_content(refers: dict[str, Any], name: str) -> tuple[Any, ...]:
     """Content of a variable's closure cell; empty for a variable without a value."""
     return (refers[name],) if name in refers else ()
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from topcli.contracts import Array, Outcome, Stepper
 from topcli.engine.driver import Loop
 from topcli.engine.endings import Endings
-from topcli.engine.loop import CALL_SECONDS
+from topcli.engine.loop import CALL_SECONDS, next_call_steps, recorded_rows
 from topcli.engine.native import Native
 
 
@@ -127,7 +127,7 @@ class Tile:
         out, stride = buffer.reshape(-1)[started * d :], buffer.shape[1] * d
         steps = self._advance(out, steps, until_record, stride)
         self.done = before + steps
-        reached = np.where(self.alive, started + max(0, (steps - until_record) // context.every + 1), 0)
+        reached = np.where(self.alive, started + recorded_rows(steps, until_record, context.every), 0)
         for j in np.flatnonzero(~np.isfinite(self.work[-1]) & self.alive):
             reached[j] = started + self._by_itself(int(j), saved[:, j].copy(), buffer[j, started:], steps, until_record)
         some = np.flatnonzero(reached[: self.count])
@@ -140,7 +140,7 @@ class Tile:
         """Take up to ``steps`` steps, in calls that grow while they are short; return the steps taken."""
         context, d, taken = self.context, self.context.y0.shape[1], 0
         while True:
-            rows = max(0, (taken - until_record) // context.every + 1)
+            rows = recorded_rows(taken, until_record, context.every)
             size, until = min(steps - taken, context.call_steps), until_record + rows * context.every - taken
             start = time.perf_counter()
             context.lanes(self.work, out[rows * d :], context.params, context.h, size, context.every, until, stride)
@@ -148,7 +148,7 @@ class Tile:
             taken += size
             if taken == steps or (now - context.chunk_began > CALL_SECONDS and context.stop()):
                 return taken
-            context.call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - start, 1e-9))))
+            context.call_steps = next_call_steps(size, now - start)
 
     def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
         """Repeat the steps of lane ``j`` in the time loop of single runs; return the number of ``rows`` reached."""
@@ -156,7 +156,7 @@ class Tile:
         out = np.empty(max(rows.size, rows.shape[1]))
         taken = loop.drive(work, out, context.p, context.h, steps, context.every, until_record)
         good = steps if taken >= 0 else -taken - 1
-        reached = max(0, (good - until_record) // context.every + 1)
+        reached = recorded_rows(good, until_record, context.every)
         rows[:reached] = out[: reached * rows.shape[1]].reshape(reached, rows.shape[1])
         if taken >= 0:
             self.work[:-1, j] = work
