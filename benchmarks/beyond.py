@@ -67,7 +67,7 @@ def in_processes(count: int) -> dict[str, list[float]]:
 def at_paper(name: str, h: float = 0.05, t: float = 50.0) -> dict[str, Any]:
     """The error (largest component) at t, and the largest deviations of the integrals up to there."""
     top = Kowalevski()
-    states = np.concatenate([chunk.states.copy() for chunk in Run(top, method(name), PAPER, h, round(t / h))])
+    states = Run(top, method(name), PAPER, h, round(t / h)).collect().states
     exact = reference_states(top, PAPER, np.array([t]))[0]
     kept = {i.name: float(np.abs(i.value(states) - i.value(states[:1])).max()) for i in top.invariants()}
     return {"error": float(np.abs(states[-1] - exact).max()), "deviations": kept}

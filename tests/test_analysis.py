@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import doctest
 import math
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import GEN
+from topcli.analysis import columns as columns_module
+from topcli.analysis import ensemble, order, trajectory
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally, Trend, trend
 from topcli.analysis.order import observed_order
@@ -17,6 +21,13 @@ from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.contracts import Invariant
 from topcli.errors import UsageError
 from topcli.tops.kowalevski import Kowalevski, field
+
+
+@pytest.mark.parametrize("module", [columns_module, ensemble, order, trajectory], ids=lambda m: m.__name__)
+def test_the_examples_of_docstrings_run(module: ModuleType) -> None:
+    done = doctest.testmod(module)
+    assert done.attempted > 0
+    assert done.failed == 0
 
 
 class Signal(Kowalevski):

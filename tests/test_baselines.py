@@ -80,16 +80,12 @@ def test_states_of_length_three() -> None:
         ends = []
         for top, d in ((three, 3), (six, 6)):
             run = Run(top, Stepper(build(d, top.field), d), GEN[:d], 0.01, 500)
-            ends.append(np.concatenate([chunk.states[:, :3].copy() for chunk in run]))
+            ends.append(run.collect().states[:, :3])
         assert np.abs(ends[0] - ends[1]).max() < 1e-13
 
 
 def last_state(top: Top, made: Stepper, y0, h: float, N: int) -> np.ndarray:
-    state = np.array(y0)
-    for chunk in Run(top, made, y0, h, N, N):
-        if len(chunk.n):
-            state = chunk.states[-1].copy()
-    return state
+    return Run(top, made, y0, h, N, N).collect().states[-1]
 
 
 @adaptive
@@ -162,7 +158,7 @@ def test_dop853_that_cannot_go_on_says_so() -> None:
     top = Kowalevski()
     scheme = find_scheme("dop853", "kowalevski")
     run = Run(top, scheme.build(top, scheme.options()), (1e200, 1e200, 1e200, 0.6, 0.48, 0.64), 1.0, 5)
-    states = np.concatenate([chunk.states.copy() for chunk in run])
+    states = run.collect().states
     assert run.ending is not None
     assert run.ending.outcome in (Outcome.NO_CONVERGENCE, Outcome.BLEW_UP)
     assert run.ending.step == 1

@@ -46,10 +46,8 @@ def stepper(name: str, top: Kowalevski | None = None) -> Stepper:
 def ran(
     made: Stepper, y0: Floats, h: float, N: int, every: int = 1, top: Kowalevski | None = None
 ) -> tuple[np.ndarray, Ending]:
-    run = Run(top or Kowalevski(), made, y0, h, N, every)
-    states = np.concatenate([chunk.states.copy() for chunk in run])
-    assert run.ending is not None
-    return states, run.ending
+    _, states, ending = Run(top or Kowalevski(), made, y0, h, N, every).collect()
+    return states, ending
 
 
 def deviations(states: np.ndarray, top: Kowalevski | None = None) -> dict[str, float]:

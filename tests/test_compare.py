@@ -53,7 +53,7 @@ def test_the_reference_swings_as_the_theory_says(paper: Comparison) -> None:
 
 def test_irreversibility_alone_does_not_halve_the_period() -> None:
     """The explicit midpoint rule is irreversible too, and of order 2: it keeps the period."""
-    states = np.concatenate([chunk.states.copy() for chunk in Run(Kowalevski(), RK2, PAPER, 1e-3, 50_000)])
+    states = Run(Kowalevski(), RK2, PAPER, 1e-3, 50_000).collect().states
     assert swing_spacing(np.arange(50_001) * 1e-3, states[:, 3]) == pytest.approx(28.170, abs=1e-3)
 
 
@@ -61,7 +61,7 @@ def largest_jump(branch: str, y0: np.ndarray, h: float) -> float:
     """The largest change of omega1, omega2 in one step of Bohlin A, up to t = 20."""
     scheme = find_scheme("bohlin-a", "kowalevski")
     run = Run(Kowalevski(), scheme.build(Kowalevski(), scheme.options(branch=branch)), y0, h, round(20 / h))
-    states = np.concatenate([chunk.states.copy() for chunk in run])
+    states = run.collect().states
     return float(np.abs(np.diff(states[:, :2], axis=0)).max())
 
 

@@ -246,7 +246,7 @@ def test_reversal_comes_closer(name: str, top: Top) -> None:
 def deviation(scheme: Scheme, top: Top, y0: Any, compensated: bool, h: float = 0.01, n: int = 1_000_000) -> float:
     """The largest deviation of a claimed invariant over a million steps, in ulp of its terms."""
     run = Run(top, built(scheme, top, compensated), y0, h, n, 500)
-    states = np.concatenate([chunk.states.copy() for chunk in run])
+    states = run.collect().states
     assert run.ending is not None
     assert run.ending.outcome is Outcome.COMPLETED
     modified = scheme.modified(top, h, scheme.options()) if scheme.modified else ()

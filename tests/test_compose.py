@@ -48,7 +48,7 @@ def errors_after(top: Top, stepper: Stepper, y0, duration: float, counts) -> lis
 
 
 def states_of(run: Run) -> np.ndarray:
-    return np.concatenate([chunk.states.copy() for chunk in run])
+    return run.collect().states
 
 
 @by_base

@@ -58,11 +58,7 @@ def every_option(scheme: Scheme) -> list:
 
 
 def last_state(top: Top, stepper: Method, y0, h: float, N: int) -> np.ndarray:
-    state = np.array(y0)
-    for chunk in Run(top, stepper, y0, h, N, N):
-        if len(chunk.n):
-            state = chunk.states[-1].copy()
-    return state
+    return Run(top, stepper, y0, h, N, N).collect().states[-1]
 
 
 def observed(top: Top, stepper: Method, duration: float = 2.0) -> float:
@@ -140,8 +136,7 @@ def test_self_adjointness_control() -> None:
 
 def deviation_over_bound(top: Top, stepper: Method, y0, h: float, names: tuple[str, ...]) -> float:
     """Largest deviation of the invariants ``names`` in units of 50 ulp times sqrt(N), over 2e4 steps."""
-    pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in Run(top, stepper, y0, h, 20_000, 10)]
-    states = np.concatenate([states for _, states in pieces])
+    states = Run(top, stepper, y0, h, 20_000, 10).collect().states
     worst = 0.0
     for invariant in top.invariants():
         if invariant.name in names:
@@ -188,8 +183,7 @@ def test_verdict_exact_needs_the_declared_invariants_only() -> None:
     """HK's report does not call k² exact; a constant series is."""
     top = Kowalevski()
     hk = next(scheme for scheme in SCHEMES if (scheme.name, scheme.top) == ("hk", "kowalevski"))
-    pieces = [(c.n.copy(), c.states.copy()) for c in Run(top, hk.build(top, hk.options()), GEN, 0.05, 4000)]
-    n, states = (np.concatenate([p[i] for p in pieces]) for i in (0, 1))
+    n, states, _ = Run(top, hk.build(top, hk.options()), GEN, 0.05, 4000).collect()
     assert {row.verdict for row in invariant_report(top.invariants(), n, 0.05, states)} == {"bounded"}
     still = np.repeat(states[:1], len(n), axis=0)
     assert {row.verdict for row in invariant_report(top.invariants(), n, 0.05, still)} == {"exact"}

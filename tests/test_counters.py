@@ -34,14 +34,12 @@ from twins_heavy import hk_heavy
 
 def ran(top: Top, name: str, y0: Floats, h: float, N: int) -> tuple[np.ndarray, Ending]:
     scheme = find_scheme(name, top.form)
-    run = Run(top, scheme.build(top, scheme.options()), y0[: len(top.components)], h, N)
-    states = np.concatenate([chunk.states.copy() for chunk in run])
-    assert run.ending is not None
-    return states, run.ending
+    _, states, ending = Run(top, scheme.build(top, scheme.options()), y0[: len(top.components)], h, N).collect()
+    return states, ending
 
 
 def plain(top: Top, step, y0: Floats, h: float, N: int) -> np.ndarray:
-    return np.concatenate([chunk.states.copy() for chunk in Run(top, Stepper(step, 6), y0, h, N)])
+    return Run(top, Stepper(step, 6), y0, h, N).collect().states
 
 
 @pytest.mark.parametrize(

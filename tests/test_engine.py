@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,8 @@ from topcli.tops.kowalevski import Kowalevski
 
 
 def rows(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in run]
-    return np.concatenate([n for n, _ in pieces]), np.concatenate([states for _, states in pieces])
+    n, states, _ = run.collect()
+    return n, states
 
 
 @pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
@@ -68,6 +69,19 @@ def test_recording_every_k_is_a_slice_of_recording_all() -> None:
     _, all_states = rows(Run(Kowalevski(), RK2, GEN, 0.01, 1000))
     _, some = rows(Run(Kowalevski(), RK2, GEN, 0.01, 1000, 9))
     assert (some == all_states[::9]).all()
+
+
+def test_collected_rows_are_those_of_all_chunks_and_outlive_the_run() -> None:
+    """Three chunks in one buffer; a run that goes on from its last step has no further row."""
+    first = Run(Kowalevski(), RK2, GEN, 1e-3, 20_000)
+    n, states = zip(*((chunk.n.tolist(), chunk.states.tolist()) for chunk in first), strict=True)
+    second = Run(Kowalevski(), RK2, GEN, 1e-3, 20_000)
+    kept = second.collect()
+    assert kept.n.tolist() == list(chain(*n))
+    assert kept.states.tolist() == list(chain(*states))
+    assert kept.ending is second.ending
+    over = Run(Kowalevski(), RK2, GEN, 1e-3, 20_000, start=first.position()).collect()
+    assert (over.n.shape, over.states.shape, over.ending) == ((0,), (0, 6), kept.ending)
 
 
 @pytest.mark.parametrize("N", [1, 2, 8192, 8193])
@@ -128,6 +142,7 @@ def mine(top, options):
 
 PROBE = """
 import json, sys
+from itertools import chain
 from pathlib import Path
 from topcli.engine.loop import Run
 from topcli.schemes.registry import find_scheme, load_scheme_file

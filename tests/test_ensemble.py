@@ -48,9 +48,7 @@ def alone(
     top: Top, method: Method, y0: np.ndarray, h: float, N: int, every: int = 1
 ) -> tuple[np.ndarray, np.ndarray, Ending]:
     run = Run(top, method, y0.tolist(), h, N, every)
-    pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in run]
-    assert run.ending is not None
-    return np.concatenate([n for n, _ in pieces]), np.concatenate([y for _, y in pieces]), run.ending
+    return run.collect()
 
 
 def assert_same(

@@ -11,7 +11,7 @@ import pytest
 
 import topcli
 from test_ensemble_run import RANDOM, columns, experiment, failing
-from topcli.analysis.many import MEASURES, ManyTally
+from topcli.analysis.many import MEASURES, EnsembleTally
 from topcli.contracts import Ending, Invariant, Outcome
 from topcli.engine import ensemble as engine
 from topcli.engine.endings import CODES, Endings
@@ -158,7 +158,7 @@ def test_the_round_off_bound_counts_steps_not_rows(every: int, ulps: int, exact:
     states = np.zeros((1, len(n), 2))
     states[0, :, 0] = 1.0
     states[0, 1, 1] = ulps * EPS
-    tally = ManyTally([SUM], 1)
+    tally = EnsembleTally([SUM], 1)
     tally.add(0, n, states, np.array([len(n)]))
     tally.finish(states[:, -1])
     assert tally.judged.tolist() == [True]
@@ -196,7 +196,7 @@ def test_members_never_begun_are_not_zeros(scheme: str, begun: int, tmp_path: Pa
 
 
 def test_members_never_begun_have_no_quantiles_and_counted_nothing() -> None:
-    tally = ManyTally([SUM], 3)
+    tally = EnsembleTally([SUM], 3)
     states = np.array([[[1.0, 0.0], [1.0, 0.5]]])
     tally.add(1, np.array([0, 1]), states, np.array([2]))
     tally.finish(np.ones((3, 2)))

@@ -140,7 +140,7 @@ def test_implicit_steps_are_solved_far_beyond_useful_step_sizes(name: str, h: fl
 
 def series(top: Top, method: Method, y0: np.ndarray, h: float, N: int) -> np.ndarray:
     run = Run(top, method, y0, h, N, 20)
-    states = np.concatenate([chunk.states.copy() for chunk in run])
+    states = run.collect().states
     assert run.ending is not None
     assert run.ending.outcome is Outcome.COMPLETED
     return states

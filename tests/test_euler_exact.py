@@ -199,8 +199,7 @@ def test_hk_exact_is_the_iterated_map(h: float) -> None:
 def test_hk_exact_in_special_cases(scene: str, h: float) -> None:
     (A, B, C), omega = SPECIAL[scene]
     top = Euler(A=A, B=B, C=C)
-    pieces = Run(top, find_scheme("hk", "euler").build(top, None), omega, h, 100)
-    states = np.concatenate([chunk.states.copy() for chunk in pieces])
+    states = Run(top, find_scheme("hk", "euler").build(top, None), omega, h, 100).collect().states
     got = sampled("hk-exact", top, omega, h, np.arange(101))
     assert np.abs(got - states).max() < 1e-13
 

@@ -162,7 +162,7 @@ def test_kowalevski_run_through_heavy_is_the_kowalevski_run() -> None:
     for top in (Kowalevski(), Heavy(A=2.0, B=2.0, C=1.0, x0=1.0, y0=0.0, z0=0.0)):
         scheme = find_scheme("hk", top.form)
         made = scheme.build(top, scheme.options())
-        ends.append(np.concatenate([chunk.states.copy() for chunk in Run(top, made, GEN, 0.01, 2000)]))
+        ends.append(Run(top, made, GEN, 0.01, 2000).collect().states)
     assert np.abs(ends[0] - ends[1]).max() < 1e-12
 
 

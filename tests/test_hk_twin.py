@@ -189,7 +189,7 @@ def test_bohlin_b_keeps_the_papers_chart_on_the_papers_scene() -> None:
 
 def run(made: Stepper, y0, h: float, N: int):
     loop = Run(Kowalevski(), made, y0, h, N)
-    states = np.concatenate([chunk.states.copy() for chunk in loop])
+    states = loop.collect().states
     return states, loop
 
 

@@ -50,7 +50,7 @@ def positive(seed: int, count: int) -> list[Fraction]:
 
 
 def iterated(method: Method, top: Top, y0: Any, h: float, N: int, every: int = 1) -> np.ndarray:
-    return np.concatenate([chunk.states.copy() for chunk in Run(top, method, y0, h, N, every)])
+    return Run(top, method, y0, h, N, every).collect().states
 
 
 def steps(name: str, top: Top) -> Method:

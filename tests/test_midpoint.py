@@ -45,7 +45,7 @@ def test_step_solves_the_midpoint_rule(h: float) -> None:
 def over_bound(top: Top, made: Stepper, y0, h: float, names: tuple[str, ...]) -> float:
     """Largest deviation of the invariants ``names`` over 1e5 steps, in units of 50 ulp times sqrt(N)."""
     run = Run(top, made, y0, h, STEPS, 20)
-    states = np.concatenate([chunk.states.copy() for chunk in run])
+    states = run.collect().states
     assert run.ending is not None
     assert run.ending.outcome is Outcome.COMPLETED
     worst = 0.0
@@ -113,7 +113,7 @@ def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     """An h with no hope: the outcome, the step, the rows before it, compiled and interpreted alike."""
     top, y0, h = Heavy(A=3.0, B=2.0, C=1.2, x0=40.0, y0=-30.0, z0=60.0), (9.0, -8.0, 7.0, 0.6, 0.48, 0.64), 7.0
     run = Run(top, made := stepper(top), y0, h, 1000)
-    states = np.concatenate([chunk.states.copy() for chunk in run])
+    states = run.collect().states
     assert run.ending is not None
     assert run.ending.outcome is Outcome.NO_CONVERGENCE
     assert 1 <= run.ending.step < 1000

@@ -62,8 +62,8 @@ def test_physical_states_alone_would_not_do() -> None:
     method = scheme.build(top, scheme.options())
     assert isinstance(method, Stepper)
     assert method.width > 6
-    whole = np.concatenate([chunk.states.copy() for chunk in Run(top, method, GEN, 0.01, 400)])
-    half = np.concatenate([chunk.states.copy() for chunk in Run(top, method, whole[200], 0.01, 200)])
+    whole = Run(top, method, GEN, 0.01, 400).collect().states
+    half = Run(top, method, whole[200], 0.01, 200).collect().states
     assert not (half == whole[200:]).all()
     assert np.abs(half - whole[200:]).max() < 1e-12
 

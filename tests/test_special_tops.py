@@ -32,8 +32,7 @@ def as_heavy(top: Top) -> Heavy:
 
 def end(top: Top, scheme: str, y0, h: float, N: int) -> np.ndarray:
     found = find_scheme(scheme, top.form)
-    pieces = [chunk.states.copy() for chunk in Run(top, found.build(top, found.options()), y0, h, N, N)]
-    return np.concatenate(pieces)[-1]
+    return Run(top, found.build(top, found.options()), y0, h, N, N).collect().states[-1]
 
 
 @pytest.mark.parametrize("top", SPECIAL, ids=repr)

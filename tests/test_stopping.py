@@ -102,7 +102,7 @@ def test_calls_of_any_length_give_the_same_bits(monkeypatch: pytest.MonkeyPatch)
 
     def rows() -> np.ndarray:
         run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, 5000, 7)
-        return np.concatenate([chunk.states.copy() for chunk in run])
+        return run.collect().states
 
     def many() -> np.ndarray:
         y0 = np.array([experiment.y0, GEN])

@@ -45,7 +45,7 @@ def gen(top: Top) -> np.ndarray:
 
 
 def states(run: Run) -> np.ndarray:
-    return np.concatenate([chunk.states.copy() for chunk in run])
+    return run.collect().states
 
 
 def after(top: Top, y0, h: float, N: int, every: int = 1, tol: float = 1e-17) -> np.ndarray:

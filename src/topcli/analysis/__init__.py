@@ -1,1 +1,1 @@
-"""What is measured on states: invariants and drift, order, reversal, swings, errors."""
+"""Measurements on recorded states: invariants and drift, order, reversal, swings, errors."""

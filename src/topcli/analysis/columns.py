@@ -1,4 +1,4 @@
-"""The columns of a time series: ``n``, ``t``, the components of the state, the invariants."""
+"""Columns of a time series: ``n``, ``t``, the components of the state, the invariants."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from topcli.errors import UsageError, nearest, quoted
 
 
 def column_names(top: Top) -> list[str]:
-    """All columns that a run of ``top`` can record, in their order."""
+    """Names of all columns that a run of ``top`` can record, in order."""
     return ["n", "t", *top.components, *(invariant.name for invariant in top.invariants())]
 
 
@@ -21,7 +21,7 @@ _ASCII = str.maketrans({"²": "^2", "·": ".", "γ": "gamma", "ω": "omega", "κ
 
 
 def spellings(name: str, symbol: str) -> list[str]:
-    """Ways to write an invariant where a column is named: its name, its symbol, and that in ASCII.
+    """Accepted spellings of an invariant's column: its name, its symbol, and the symbol in ASCII.
 
     >>> spellings("gamma_sq", "γ²")
     ['gamma_sq', 'γ²', 'gamma^2']
@@ -37,10 +37,31 @@ def columns(
     names: Iterable[str],
     modified: Iterable[Invariant] = (),
 ) -> dict[str, NDArray[Any]]:
-    """The columns called ``names``, each of shape (m,), from step numbers (m,) and states (m, d).
+    """Columns by name, computed from recorded rows.
 
-    ``modified`` are the integrals of the scheme, which have columns too. Only what is asked for is computed.
-    Raises UsageError for an unknown name.
+    Parameters
+    ----------
+    top : Top
+        Top whose components and invariants are the columns.
+    n : ndarray of int64, shape (m,)
+        Step numbers.
+    h : float
+        Step size.
+    states : ndarray, shape (m, d)
+        Recorded states.
+    names : iterable of str
+        Columns to compute; no other column is computed.
+    modified : iterable of Invariant, optional
+        Integrals of the scheme, which have columns too.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (m,)
+
+    Raises
+    ------
+    UsageError
+        For an unknown name.
     """
     invariants = {invariant.name: invariant for invariant in (*top.invariants(), *modified)}
     made: dict[str, NDArray[Any]] = {}

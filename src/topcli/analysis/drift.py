@@ -1,6 +1,6 @@
-"""The invariant report: how well a run keeps what the exact flow conserves.
+"""The invariant report: deviations of a run from what the exact flow conserves.
 
-Everything is accumulated chunk by chunk in fixed memory. The verdicts:
+All sums are accumulated chunk by chunk in fixed memory. The verdicts:
 
 *exact*     no deviation beyond the round-off bound ``ROUND_OFF_ULPS * eps * sqrt(steps) * scale``, where scale is
             the largest sum of magnitudes of the terms that make up the invariant (Brouwer's law: independent
@@ -11,14 +11,14 @@ Everything is accumulated chunk by chunk in fixed memory. The verdicts:
             and over the run it carries the deviation further than twice the scatter about it.
 *bounded*   deviations beyond round-off, but no significant slope over this run.
 
-*unjudged*  deviations beyond round-off, but too few rows for a slope, or numbers that are not finite.
+*unjudged*  deviations beyond round-off but too few rows for a slope, numbers that are not finite, or no step at all.
 
 The slope is fitted to block means, ``BLOCKS`` or up to twice as many, with Hann weights: an oscillation of period P
-in a run of length T leaks into the slope only as (P/T)^3. Its standard error depends on what the deviation does
-beside the slope, for which two models are compared:
+in a run of length T leaks into the slope only as (P/T)^3. Its standard error depends on the
+rest of the deviation, for which two models are compared:
 
 *linear trend*  noise or an oscillation that does not grow; its error allows for correlation (Newey, West 1987);
-*random walk*   independent increments, as from rounding errors: any one walk has a slope, which says nothing.
+*random walk*   independent increments, as from rounding errors: any single walk has a slope, without meaning.
 
 The trend is preferred only if ``EVIDENCE`` times as likely, judged by the ``LOW`` slowest components of the residuals:
 of white noise they are equally large, of a random walk the slower the larger (as in Mueller, Watson, Econometrica 76
@@ -48,7 +48,7 @@ TERMS = 0.1
 BLOCKS = 64
 LAGS = 8
 WALK_LAGS = 2
-"""The same for the increments of a random walk: means over neighbouring blocks share half a block each."""
+"""Correlated lags of the increments of a random walk: means over neighbouring blocks share half a block each."""
 LOW = 8
 EVIDENCE = 5.0
 LINEAR, WALK = "linear trend", "random walk"
@@ -58,9 +58,9 @@ _EPS = float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class InvariantRow:
-    """The report on one invariant; everything dimensionless, deviations from the first value.
+    """Report on one invariant: dimensionless deviations from the first value.
 
-    ``relative`` figures are None when the first value is 0; ``drift`` figures when there are too few rows.
+    ``relative`` figures are None if the first value is 0, ``drift`` figures if there are too few rows.
     """
 
     name: str
@@ -79,7 +79,7 @@ class InvariantRow:
     drift_over_run: float | None
     """``drift`` times the length of the run."""
     model: str | None
-    """What the deviation does beside the drift, which decides its error: "linear trend" or "random walk"."""
+    """Model of the deviation beside the drift, which determines its error: "linear trend" or "random walk"."""
     scatter: float | None
     """Root mean square of the block means about the fitted line."""
     round_off_bound: float
@@ -102,7 +102,7 @@ class Trend:
 
 
 def trend(t: Array, values: Array) -> Trend | None:
-    """The Hann-weighted line through ``values`` (m,) at evenly spaced ``t`` (m,); None for fewer than 8 points."""
+    """Hann-weighted line through ``values`` (m,) at evenly spaced ``t`` (m,); None for fewer than 8 points."""
     m = len(t)
     if m < 8 or t[-1] == t[0]:
         return None
@@ -134,10 +134,10 @@ def _long_run(values: Array, lags: int) -> float:
 
 @cache
 def _slow_components(m: int, q: int) -> tuple[Array, Array, float]:
-    """The q slowest polynomials (m, q) orthonormal to each other and to all lines, and how a random walk weighs them.
+    """The q slowest polynomials (m, q) orthonormal to each other and to all lines, and a random walk's weights of them.
 
-    The latter is the inverse of the covariance of its components (q, q), for increments of unit variance, and half the
-    logarithm of the determinant of the covariance.
+    The weights are the inverse of the covariance of the walk's components (q, q), for increments of unit variance, and
+    half the logarithm of the determinant of the covariance.
     """
     x = np.linspace(-1.0, 1.0, m)
     slow = np.linalg.qr(np.polynomial.legendre.legvander(x, q + 1))[0][:, 2:]
@@ -149,8 +149,8 @@ def _slow_components(m: int, q: int) -> tuple[Array, Array, float]:
 def _walks(residual: Array) -> bool:
     """True unless the residual (m,) of a line is ``EVIDENCE`` times as likely from white noise as from a random walk.
 
-    Decided by the slow components, and by all of them. Both likelihoods are of the direction of the components alone,
-    whatever their common size.
+    The test uses the slow components, then all of them. Both likelihoods are those of the components' direction,
+    without their common size.
     """
     m, size = len(residual), float(np.abs(residual).max())
     if not 0.0 < size < math.inf:
@@ -167,12 +167,12 @@ def _walks(residual: Array) -> bool:
 
 
 def round_off_bound(steps: Any, scale: Any) -> Any:
-    """The largest deviation that rounding explains after so many ``steps``; numbers or arrays."""
+    """Largest deviation that rounding explains after ``steps`` steps; numbers or arrays."""
     return ROUND_OFF_ULPS * _EPS * np.sqrt(steps) * scale
 
 
 NUMBERS = 7
-"""Of a tally beside its sums over blocks."""
+"""Scalars in the state of a tally, beside its sums over blocks."""
 
 
 class _Tally:
@@ -198,22 +198,22 @@ class _Tally:
         self.sums += np.bincount(block, weights=deviation, minlength=2 * BLOCKS)
 
     def numbers(self) -> Array:
-        """Everything that rows have changed, (NUMBERS + 2 * BLOCKS,)."""
+        """State of the tally, (NUMBERS + 2 * BLOCKS,)."""
         few = [self.first, self.low, self.high, self.scale, self.squares, self.limit, self.left]
         return np.concatenate([np.array(few), self.sums])
 
     def restore(self, numbers: Array) -> None:
-        """Be as one was when these were the ``numbers()``."""
+        """Restore the state that ``numbers()`` returned."""
         few = numbers[:NUMBERS].tolist()
         self.first, self.low, self.high, self.scale, self.squares, self.limit, self.left = few
         self.sums = np.array(numbers[NUMBERS:])
 
 
 class InvariantTally:
-    """The report on ``invariants`` over a run of steps of size h, fed with chunks of rows.
+    """Report on ``invariants`` over a run with step size h, fed with chunks of rows.
 
     The run's length need not be known: blocks that fill up are joined in pairs. With the ``top``, ``left`` is the first
-    recorded step at which its energy shows that the state has left its energy surface, None for never.
+    recorded step at which the state has left its energy surface, None for never.
     """
 
     def __init__(self, invariants: Sequence[Invariant], h: float, top: Top | None = None) -> None:
@@ -225,7 +225,7 @@ class InvariantTally:
         self._last = 0
 
     def add(self, n: NDArray[np.int64], states: Array) -> None:
-        """Take in rows: step numbers (m,) and states (m, d). The first row ever is the reference."""
+        """Add rows: step numbers (m,) and states (m, d). The very first row is the reference."""
         if not len(n):
             return
         if not self._tallies:
@@ -244,17 +244,17 @@ class InvariantTally:
         self._counts += np.bincount(block, minlength=2 * BLOCKS)
         self._steps_in += np.bincount(block, weights=n, minlength=2 * BLOCKS)
         self._last = int(n[-1])
-        with np.errstate(over="ignore", invalid="ignore"):  # huge states: the report says that it is not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # huge states: the verdict covers values that are not finite
             for tally in self._tallies:
                 tally.add(n, states, block)
 
     @property
     def left(self) -> int | None:
-        """The first recorded step at which the energy was beyond its limit; None for never."""
+        """First recorded step at which the energy was beyond its limit; None for never."""
         return next((int(tally.left) for tally in self._tallies if not math.isnan(tally.left)), None)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Everything taken in so far, in arrays of a fixed size: what ``restore`` goes on from, bit for bit."""
+        """Current sums in arrays of a fixed size, from which ``restore`` continues bit for bit."""
         return {
             "steps": np.array([self._width, self._last], dtype=np.int64),
             "blocks": np.array([self._counts, self._steps_in]),
@@ -262,11 +262,11 @@ class InvariantTally:
         }
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from a ``state()``. Raises ValueError when it is of other invariants or another form."""
+        """Continue from a ``state()``. Raises ValueError if it belongs to other invariants or has another form."""
         numbers = state["invariants"]
         known = numbers.shape in ((0,), (len(self._invariants), NUMBERS + 2 * BLOCKS))
         if not known or state["blocks"].shape != (2, 2 * BLOCKS):
-            raise ValueError("the sums of the invariant report are of another form")
+            raise ValueError("the sums of the invariant report have another form")
         self._width, self._last = state["steps"].tolist()
         self._counts, self._steps_in = np.array(state["blocks"])
         self._tallies = []
@@ -275,7 +275,7 @@ class InvariantTally:
             self._tallies[-1].restore(one)
 
     def rows(self) -> list[InvariantRow]:
-        """The report, one row an invariant in their order."""
+        """Report with one row per invariant, in their order."""
         with np.errstate(all="ignore"):
             return [self._row(tally) for tally in self._tallies]
 
@@ -311,31 +311,31 @@ class InvariantTally:
 
 
 def _verdict(deviation: float, bound: float, size: float, fit: Trend | None, span: float) -> tuple[str, str]:
-    """The verdict on a deviation from an invariant of this ``size``, and its reason."""
+    """Verdict on a deviation from an invariant of this ``size``, and its reason."""
     if not (math.isfinite(deviation) and math.isfinite(bound)):
         return "unjudged", "the invariant or its terms are not finite"
     if deviation > LOST * size:
         return "lost", f"max deviation {deviation:.1e} exceeds {LOST:g} times the invariant's size {size:.1e}"
     if deviation <= bound:
         if span == 0.0:
-            return "unjudged", "there is no step to judge by"
+            return "unjudged", "the run has no recorded step"
         return "exact", f"max deviation {deviation:.1e} is within the round-off bound {bound:.1e}"
     beyond = f"max deviation {deviation:.1e} exceeds the round-off bound {bound:.1e}"
     if fit is None:
         return "unjudged", f"{beyond}; too few rows for a slope"
     moved = fit.slope * span
     ratio = abs(fit.slope) / fit.error if fit.error else math.inf
-    told = (
+    fitted = (
         f"slope {fit.slope:.1e} ± {fit.error:.1e} ({ratio:.1f} standard errors, {fit.model}), {moved:.1e} over the run"
     )
     drifting = ratio > SIGNIFICANCE and abs(moved) > 2.0 * fit.scatter
-    return "drifting" if drifting else "bounded", f"{beyond}; {told}, scatter {fit.scatter:.1e}"
+    return "drifting" if drifting else "bounded", f"{beyond}; {fitted}, scatter {fit.scatter:.1e}"
 
 
 def invariant_report(
     invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array
 ) -> list[InvariantRow]:
-    """The report on recorded rows that are all in memory: step numbers (m,), states (m, d)."""
+    """Report on rows held in memory: step numbers (m,), states (m, d)."""
     tally = InvariantTally(invariants, h)
     tally.add(n, states)
     return tally.rows()

@@ -1,4 +1,4 @@
-"""The result of an ensemble held in memory."""
+"""Result of an ensemble held in memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.many import EnsembleSummary, ManyTally
+from topcli.analysis.many import EnsembleSummary, EnsembleTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Invariant, Outcome, Top
 from topcli.engine.endings import Endings
@@ -22,12 +22,51 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Ensemble:
-    """Many trajectories of one scheme.
+    """Trajectories of one scheme from many initial states, as ``topcli.simulate_ensemble`` returns them.
 
-    ``n`` (m,) are the recorded step numbers, ``t = n*h`` exactly, and ``states`` (trajectories, m, d), nan from where
-    a trajectory ended early; m is 0 when the rows were not stored. ``initial`` and ``last`` (trajectories, d) are
-    there always: ``last`` is the state at step N, or the last recorded one of a trajectory that ended early, at step
-    ``last_n``. ``endings`` says how each ended, ``tops`` under which parameters it ran. Seconds are of this machine.
+    ``ensemble[name]`` is a column of shape (trajectories, m) by name: a component of the state, an invariant of the
+    top, or a modified integral of the scheme. ``len(ensemble)`` is the number of trajectories.
+
+    Attributes
+    ----------
+    tops : tuple of Top
+        Top of each trajectory, with its parameters.
+    scheme : str
+        Name of the scheme.
+    h : float
+        Step size, in units of time.
+    n : ndarray of int64, shape (m,)
+        Recorded step numbers; m is 0 if the rows were not stored.
+    states : ndarray, shape (trajectories, m, d)
+        States in the order of ``top.components``; nan after the end of a trajectory that ended early.
+    initial : ndarray, shape (trajectories, d)
+        Initial states.
+    last : ndarray, shape (trajectories, d)
+        State at step N, or the last recorded one of a trajectory that ended early.
+    last_n : ndarray of int64, shape (trajectories,)
+        Step numbers of ``last``.
+    endings : Endings
+        Ending of each trajectory.
+    tallies : tuple of EnsembleTally
+        Deviations of the invariants, one tally for each top.
+    table : dict of str to ndarray
+        Columns of ``trajectories()``.
+    modified : tuple of tuple of Invariant
+        Integrals of the scheme itself, for each trajectory.
+    compile_seconds, run_seconds : float
+        Wall time of compiling or loading the machine code, and of the steps.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> states = [[0.0, 0.0, 1.0, 0.6, 0.0, 0.8], [0.0, 1.0, 0.0, 0.6, 0.0, 0.8]]
+    >>> ensemble = topcli.simulate_ensemble("kowalevski_hk", states=states, h=0.01, N=100)
+    >>> ensemble
+    <Ensemble of 2 under hk: 101 rows each, 2 completed>
+    >>> ensemble.states.shape, ensemble["energy"].shape
+    ((2, 101, 6), (2, 101))
+    >>> ensemble.trajectory(1).ending.step
+    100
     """
 
     tops: tuple[Top, ...]
@@ -39,36 +78,35 @@ class Ensemble:
     last: Array
     last_n: NDArray[np.int64]
     endings: Endings
-    tallies: tuple[ManyTally, ...]
+    tallies: tuple[EnsembleTally, ...]
     table: dict[str, NDArray[Any]]
     modified: tuple[tuple[Invariant, ...], ...]
-    """The integrals of the scheme itself, for each trajectory."""
     compile_seconds: float
     run_seconds: float
 
     @property
     def t(self) -> Array:
-        """Times of the recorded states, shape (m,)."""
+        """Times ``n * h`` of the recorded states, shape (m,)."""
         return self.n * self.h
 
     @property
     def outcomes(self) -> dict[Outcome, int]:
-        """How many trajectories ended in which way."""
+        """Number of trajectories by outcome, for the outcomes that occur."""
         return self.endings.outcomes
 
     def __len__(self) -> int:
         return len(self.endings)
 
     def __repr__(self) -> str:
-        told = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items())
-        return f"<Ensemble of {len(self)} under {self.scheme}: {len(self.n)} rows each, {told}>"
+        counts = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items())
+        return f"<Ensemble of {len(self)} under {self.scheme}: {len(self.n)} rows each, {counts}>"
 
     def _kept(self, index: int) -> int:
-        """The rows of trajectory ``index``."""
+        """Number of rows of trajectory ``index``."""
         return int(np.count_nonzero(self.n <= self.last_n[index]))
 
     def trajectory(self, index: int) -> Trajectory:
-        """Trajectory ``index`` by itself. Raises IndexError, and ValueError when the rows were not stored."""
+        """Single trajectory. Raises IndexError, and ValueError if the rows were not stored."""
         if not len(self.n):
             raise ValueError("the rows were not stored; run with store='trajectories'")
         index = range(len(self))[index]
@@ -86,20 +124,20 @@ class Ensemble:
         )
 
     def __getitem__(self, name: str) -> Array:
-        """A column by name (trajectories, m): a component, an invariant, or a modified integral of the scheme."""
+        """Column by name, shape (trajectories, m). Raises UsageError for an unknown name."""
         made = np.empty(self.states.shape[:2])
         for i, (top, modified) in enumerate(zip(self.tops, self.modified, strict=True)):
             made[i] = columns(top, self.n, self.h, self.states[i], [name], modified)[name]
         return made
 
     def trajectories(self) -> pd.DataFrame:
-        """A row for each trajectory: what varies, initial state, outcome, and the deviations of its invariants."""
+        """Return one row per trajectory: varied parameters, initial state, outcome, deviations of the invariants."""
         import pandas as pd
 
         return pd.DataFrame(self.table).set_index("trajectory")
 
     def invariants(self) -> pd.DataFrame:
-        """A row for each invariant: quantiles of its deviations over the trajectories, and how many are exact."""
+        """Return one row per invariant: quantiles of its deviations, and the number within round-off."""
         import pandas as pd
 
         summary = EnsembleSummary(io.BytesIO())
@@ -115,7 +153,7 @@ class Ensemble:
         return pd.DataFrame(rows).set_index("name")
 
     def to_pandas(self) -> pd.DataFrame:
-        """All recorded rows as a DataFrame: trajectory, n, t, the components, the invariants."""
+        """Return all recorded rows as a DataFrame: trajectory, n, t, the components, the invariants."""
         import pandas as pd
 
         frames: Sequence[pd.DataFrame] = [

@@ -1,4 +1,4 @@
-"""What the spectrum of a Lax matrix says: whether it is constant, and which integrals it carries."""
+"""Constancy of the spectrum of a Lax matrix, and the integrals that it carries."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WEIGHTS = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
 GENERIC = np.array([[0.83, -0.41, 1.27, 0.36, 0.62, -0.71], [-0.57, 1.13, 0.38, -0.81, 0.44, 0.29]])
 """States in general position."""
 LAMBDAS: tuple[complex, ...] = (0.5, 1.0, 2.0, 1.0 + 1.0j)
-"""The spectral parameters at which spectra are looked at."""
+"""Spectral parameters at which spectra are computed."""
 RANK_TOLERANCE = 1e-9
 
 
@@ -68,14 +68,14 @@ def gradients(form: LaxForm, state: Array, lam: complex) -> Matrices:
 
 @dataclass(frozen=True)
 class Content:
-    """What a spectrum tells: how many ``independent`` integrals, and which named ones it determines."""
+    """Integrals in a spectrum: the number of ``independent`` ones, and the named ones that it ``carries``."""
 
     independent: int
     carries: tuple[str, ...]
 
 
 def spectral_content(form: LaxForm, invariants: tuple[Invariant, ...], d: int) -> Content:
-    """The integrals in the spectrum of L at ``LAMBDAS``, by the span of their gradients at states in general position.
+    """Integrals in the spectrum of L at ``LAMBDAS``, by the span of their gradients at states in general position.
 
     ``invariants`` are functions of the first ``d`` components of the state; one of them is carried when its gradient
     lies in the span. Differences of five points, exact for polynomials up to degree four.

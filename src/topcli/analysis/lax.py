@@ -1,7 +1,7 @@
 """Lax forms dL/dt = [M, L] of the tops: their matrices.
 
 L and M are matrices that depend on the state (omega, gamma), affinely, and on a spectral parameter lambda. Where
-dL/dt = [M, L] the spectrum of L is constant. Which forms a top has is read off its moments and its gravity:
+dL/dt = [M, L] the spectrum of L is constant. A top's moments and gravity determine its forms:
 
 =============  ====  ===========================  =========================================================
 form           size  top                          source
@@ -36,8 +36,8 @@ MatrixOf = Callable[[Array, complex], Matrices]
 class LaxForm:
     """One form dL/dt = [M, L] of a top's equations.
 
-    ``blocks`` are the sums of diagonals that conjugation keeps: one for an ordinary matrix; for the paper's block
-    form, whose matrices stand for Gamma + epsilon M with epsilon² = 0, that of the diagonal and of the upper block.
+    ``blocks`` is the number of sums of diagonals that conjugation keeps: one for an ordinary matrix, two for the block
+    form, whose matrices represent Gamma + epsilon M with epsilon² = 0: the diagonal's and the upper block's.
     """
 
     name: str
@@ -45,9 +45,9 @@ class LaxForm:
     citation: str
     size: int
     spectral: bool
-    """Whether the matrices depend on lambda."""
+    """True if the matrices depend on lambda."""
     lax_pair: bool
-    """Whether the spectrum carries all integrals of the top; if not, it is a rewriting of the equations only."""
+    """True if the spectrum carries all integrals of the top; otherwise the form only rewrites the equations."""
     L: MatrixOf
     M: MatrixOf
     blocks: int = 1
@@ -62,24 +62,24 @@ class LaxForm:
         return np.stack(found, axis=1)
 
     def traces(self, matrices: Matrices) -> list[NDArray[Any]]:
-        """The trace (n,) of each block of ``matrices`` (n, size, size)."""
+        """Trace (n,) of each block of ``matrices`` (n, size, size)."""
         k = self.size // self.blocks
         return [np.trace(matrices[:, :k, i * k : (i + 1) * k], axis1=1, axis2=2) for i in range(self.blocks)]
 
     def exponents(self) -> Array:
-        """The degree in L of each of ``invariants``, shape (size * blocks,)."""
+        """Degree in L of each of ``invariants``, shape (size * blocks,)."""
         return np.repeat(np.arange(1.0, self.size + 1.0), self.blocks)
 
 
 def hat(v: Array) -> Matrices:
-    """The paper's antisymmetric matrices of vectors (n, 3): shape (n, 3, 3)."""
+    """Antisymmetric matrices, with the paper's sign, of vectors (n, 3): shape (n, 3, 3)."""
     a, b, c = v.T
     o = np.zeros_like(a)
     return np.moveaxis(np.array([[o, c, -b], [-c, o, a], [b, -a, o]]), 2, 0)
 
 
 def rates(equations: EulerPoisson, states: Array) -> Array:
-    """The right-hand side of the Euler-Poisson equations at states (n, 6), Sogo (EulerPoisson)."""
+    """Right-hand side of the Euler-Poisson equations at states (n, 6), Sogo (EulerPoisson)."""
     I, g = np.array(equations.moments), np.array(equations.gravity)  # noqa: E741
     omega, gamma = states[:, :3], states[:, 3:]
     torque = np.cross(I * omega, omega) + np.cross(gamma, g)
@@ -94,7 +94,7 @@ def _block(upper: Matrices, diagonal: Matrices) -> Matrices:
 
 
 def block_form(equations: EulerPoisson) -> LaxForm:
-    """The paper's (Gamma M; 0 Gamma), (Omega G; 0 Omega): any top has it, so it makes none integrable."""
+    """The paper's form (Gamma M; 0 Gamma), (Omega G; 0 Omega), which every top has, integrable or not."""
     I, G = np.array(equations.moments), hat(np.array([equations.gravity]))  # noqa: E741
     return LaxForm(
         "block",
@@ -174,7 +174,7 @@ def kowalevski_form(equations: EulerPoisson) -> LaxForm:
 
 
 def lax_forms(equations: EulerPoisson) -> tuple[LaxForm, ...]:
-    """The forms that the equations have: the pairs of an integrable top, and always the paper's block form."""
+    """Lax forms of the equations: the pairs of an integrable top, and always the paper's block form."""
     A, B, C = equations.moments
     x, y, z = equations.gravity
     found = []

@@ -1,9 +1,9 @@
 """Runs whose state stays finite but leaves its energy surface: the outcome ``left_motion``.
 
-The energy of a top is the invariant that ``Top.energy`` names, or a multiple of it; a top that has none is not judged.
+The energy of a top is the invariant that ``Top.energy`` names, or a multiple of it; a top without one is not judged.
 A trajectory has left the motion as soon as a recorded state's energy differs from the first one's by more than
-``LEFT`` times its scale there, the sum of the magnitudes of its terms. Where these happen to vanish or nearly do (at
-rest with the centre of gravity level), the limit is the scale that vectors of the same lengths can have.
+``LEFT`` times its scale there, the sum of the magnitudes of its terms. Where these vanish or nearly do (at rest
+with the centre of gravity level), the limit is the largest scale of vectors of the same lengths.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ LEFT = 100.0
 
 
 def energy_of(top: Top) -> Invariant | None:
-    """The invariant of ``top`` that is its energy or a multiple of it; None for a top without one."""
+    """Invariant of ``top`` that is its energy or a multiple of it; None for a top without one."""
     return next((one for one in top.invariants() if one.name == top.energy), None)
 
 
 def energy_limits(top: Top, states: Array) -> Array:
     """Deviations of the energy (m,) beyond which motions that start in ``states`` (m, d) have left it.
 
-    Infinite where there is nothing to judge by.
+    Infinite for a top without energy and where the energy or its scale is not usable.
     """
     energy = energy_of(top)
     if energy is None:
@@ -53,7 +53,7 @@ def first_beyond(deviation: Array, limit: float) -> int | None:
 
 
 class EnergyWatch:
-    """Watches one motion of ``top`` from ``y0`` (d,): ``left`` is the first recorded step beyond its limit."""
+    """Watch of one motion of ``top`` from ``y0`` (d,); ``left`` is the first recorded step beyond its limit."""
 
     def __init__(self, top: Top, y0: Array) -> None:
         start = np.array([y0], dtype=np.float64)
@@ -61,11 +61,21 @@ class EnergyWatch:
         self._first = float(self._energy.value(start)[0]) if self._energy and math.isfinite(self._limit) else 0.0
         self.left: int | None = None
 
-    def look(self, n: NDArray[np.int64], states: Array) -> None:
-        """Take in rows: step numbers (m,) and states (m, d)."""
+    def add(self, n: NDArray[np.int64], states: Array) -> None:
+        """Add rows: step numbers (m,) and states (m, d)."""
         if self.left is not None or self._energy is None or not len(n) or math.isinf(self._limit):
             return
         with np.errstate(all="ignore"):
             at = first_beyond(self._energy.value(states) - self._first, self._limit)
         if at is not None:
             self.left = int(n[at])
+
+
+def step_of_leaving(top: Top, n: NDArray[np.int64], states: Array) -> int | None:
+    """First of the step numbers ``n`` (m,) whose state (m, d) has left the motion; None if there is none.
+
+    The first row is the initial state.
+    """
+    watch = EnergyWatch(top, states[0])
+    watch.add(n, states)
+    return watch.left

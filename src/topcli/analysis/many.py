@@ -1,8 +1,8 @@
-"""How well each trajectory of an ensemble keeps its invariants, accumulated piece by piece.
+"""Deviations of the invariants of each trajectory of an ensemble, accumulated piece by piece.
 
-For every trajectory and invariant: the first value; the largest and the root mean square of the deviations from it over
-the recorded rows; the deviation at the end; and whether the largest is within the round-off bound of
-``analysis.drift``. The memory this takes does not depend on the number of steps.
+They are, for every trajectory and invariant: the first value; the largest and the root mean square deviation from it
+over the recorded rows; the deviation at the end; and a flag for a largest deviation within the round-off bound of
+``analysis.drift``. The memory does not depend on the number of steps.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
 MEASURES = ("max_deviation", "rms_deviation", "final_deviation")
 
 
-class ManyTally:
-    """The deviations of ``invariants`` along ``count`` trajectories, fed with pieces of rows in the order of time.
+class EnsembleTally:
+    """Deviations of ``invariants`` along ``count`` trajectories, fed with pieces of rows in the order of time.
 
-    With the ``top``, ``left`` (count,) are the first recorded steps at which each one's energy shows that its state has
-    left its energy surface, -1 for never. Different trajectories may be added from different threads.
+    With the ``top``, ``left`` (count,) are the first recorded steps at which each state has left its energy surface, -1
+    for never. Different trajectories may be added from different threads.
     """
 
     def __init__(self, invariants: Sequence[Invariant], count: int, top: Top | None = None) -> None:
@@ -42,9 +42,9 @@ class ManyTally:
         self._rows, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
 
     def add(self, first: int, n: NDArray[np.int64], states: Array, kept: NDArray[np.int64]) -> None:
-        """Take in rows of the trajectories from ``first`` on: step numbers (m,), states (trajectories, m, d).
+        """Add rows of the trajectories from ``first`` on: step numbers (m,), states (trajectories, m, d).
 
-        Only the first ``kept[i]`` rows of each count. A trajectory's first row ever is its reference.
+        Only the first ``kept[i]`` rows of each count. A trajectory's very first row is its reference.
         """
         count, m, d = states.shape
         if not m:
@@ -53,7 +53,7 @@ class ManyTally:
         beyond = None if (kept == m).all() else np.arange(m) >= kept[:, None]
         flat = np.ascontiguousarray(states).reshape(count * m, d)
         fresh = (self._rows[here] == 0) & (kept > 0)
-        with np.errstate(all="ignore"):  # huge states: the figures say that they are not finite
+        with np.errstate(all="ignore"):  # huge states give figures that are not finite
             for i, invariant in enumerate(self.invariants):
                 values = invariant.value(flat).reshape(count, m)
                 self.first[i, here] = np.where(fresh, values[:, 0], self.first[i, here])
@@ -74,16 +74,16 @@ class ManyTally:
         self._steps[here] = np.where(kept > 0, n[np.maximum(kept, 1) - 1], self._steps[here])
 
     def _note_leaving(self, first: int, n: NDArray[np.int64], deviation: Array, over: NDArray[np.bool_]) -> None:
-        """Note the step at which those ``over`` their limit, which have not left before, leave their energy surface."""
+        """Store the leaving step of the trajectories ``over`` their limit that have not left before."""
         for j in np.flatnonzero(over & (self.left[first : first + len(over)] < 0)).tolist():
             at = first_beyond(deviation[j], float(self._limit[first + j]))
             if at is not None:
                 self.left[first + j] = n[at]
 
     def finish(self, states: Array) -> None:
-        """Take in the last states (trajectories, d), which the final deviations are those of.
+        """Compute the final deviations from the last states (trajectories, d).
 
-        Where a trajectory was never begun, all figures become nan.
+        All figures of a trajectory that was never begun become nan.
         """
         with np.errstate(all="ignore"):
             for i, invariant in enumerate(self.invariants):
@@ -93,28 +93,31 @@ class ManyTally:
 
     @property
     def rms_deviation(self) -> Array:
-        """The root mean square of the deviations (invariants, trajectories)."""
+        """Root mean square deviations (invariants, trajectories)."""
         return np.sqrt(self._squares / np.maximum(self._rows, 1))
 
     @property
     def within_round_off(self) -> NDArray[np.bool_]:
-        """Whether the largest deviation is within the round-off bound; a trajectory without a step is not judged."""
+        """True where the largest deviation is within the round-off bound (invariants, trajectories).
+
+        False for a trajectory without a step, which is not judged.
+        """
         steps = self._steps[None, :]
         bound = round_off_bound(np.maximum(steps, 1), self._scale)
         return (self.max_deviation <= bound) & np.isfinite(bound) & (steps > 0)
 
     @property
     def begun(self) -> NDArray[np.bool_]:
-        """Which trajectories have a row at all."""
+        """True for each trajectory with at least one row."""
         return self._rows > 0
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Which trajectories took a recorded step."""
+        """True for each trajectory with a recorded step."""
         return self._steps > 0
 
 
-def measure_columns(tally: ManyTally) -> dict[str, Array]:
+def measure_columns(tally: EnsembleTally) -> dict[str, Array]:
     """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation`` and ``_final_deviation``, each (trajectories,)."""
     figures = {name: getattr(tally, name) for name in ("first", *MEASURES)}
     return {
@@ -125,10 +128,10 @@ def measure_columns(tally: ManyTally) -> dict[str, Array]:
 
 
 class EnsembleSummary:
-    """What a report says of the invariants of an ensemble, gathered tally by tally.
+    """Summary of the invariants of an ensemble, gathered tally by tally.
 
-    Quantiles need all values: they wait in ``spool``, an empty binary file that the caller opens and closes. ``rows``
-    reads them back one measure at a time, so that nine bytes a trajectory are in memory then, and none before.
+    Quantiles need all values: these are stored in ``spool``, an empty binary file that the caller opens and closes.
+    ``rows`` reads them back one measure at a time, with nine bytes per trajectory in memory.
     """
 
     def __init__(self, spool: Spool) -> None:
@@ -137,8 +140,8 @@ class EnsembleSummary:
         self._invariants: tuple[Invariant, ...] = ()
         self._judged, self._within = 0, np.zeros(0, dtype=np.int64)
 
-    def add(self, tally: ManyTally) -> None:
-        """Take in a finished tally; all have the same invariants, of different tops. Raises OSError."""
+    def add(self, tally: EnsembleTally) -> None:
+        """Add a finished tally; all have the same invariants, of different tops. Raises OSError."""
         if not self._counts:
             self._invariants, self._within = tally.invariants, np.zeros(len(tally.invariants), dtype=np.int64)
         within, judged = tally.within_round_off, tally.judged
@@ -154,13 +157,13 @@ class EnsembleSummary:
         for count in self._counts:
             self._spool.seek(start + 8 * count * (measure * rows + invariant))
             if self._spool.readinto(made[filled : filled + count].data) < 8 * count:
-                raise OSError(errno.EIO, "the deviations that were set aside cannot be read back")
+                raise OSError(errno.EIO, "the stored deviations cannot be read back")
             filled += count
             start += 8 * count * len(MEASURES) * rows
         return made
 
     def rows(self) -> list[dict[str, Any]]:
-        """For each invariant: quantiles of its measures over the trajectories, and how many are exact."""
+        """Quantiles of the measures of each invariant over the trajectories, and the number within round-off."""
         return [
             {
                 "name": invariant.name,
@@ -174,15 +177,15 @@ class EnsembleSummary:
 
 
 def quantiles(values: Array) -> dict[str, float | None]:
-    """The quantiles of the magnitudes of ``values`` (m,); nan is left out, and None stands for a set with no number.
+    """Quantiles of the magnitudes of ``values`` (m,) without nan; None if nothing else is there.
 
-    ``values`` serves as room to work in.
+    ``values`` is overwritten.
     """
     np.abs(values, out=values)
     missing = np.isnan(values)
     known = values[~missing] if missing.any() else values
     if not len(known):
         return dict.fromkeys(QUANTILES)
-    # of what was seen, not between: a mean of an infinity and a number says nothing
+    # observed values instead of means of two, which would be useless beside an infinity
     found = np.quantile(known, list(QUANTILES.values()), method="inverted_cdf", overwrite_input=True)
     return dict(zip(QUANTILES, found.tolist(), strict=True))

@@ -15,9 +15,29 @@ ROUND_OFF = 64.0 * float(np.finfo(np.float64).eps)
 
 
 def observed_order(sizes: Sequence[float], errors: Sequence[float], floor: float) -> float | None:
-    """Slope of log(error) against log(size) over the points above ``floor``; None for fewer than three.
+    """Order of convergence estimated from errors at several step sizes.
 
-    Of those points the three smallest sizes are used: they lie deepest in the asymptotic range.
+    Fits log(error) against log(size) at the three smallest sizes whose errors exceed ``floor``; they lie deepest in the
+    asymptotic range.
+
+    Parameters
+    ----------
+    sizes : sequence of float
+        Step sizes, in any order.
+    errors : sequence of float
+        Error at each step size.
+    floor : float
+        Errors up to this one are ignored, because round-off dominates them.
+
+    Returns
+    -------
+    float or None
+        Slope of the fit; None if fewer than three finite errors exceed ``floor``.
+
+    Examples
+    --------
+    >>> round(observed_order([0.1, 0.05, 0.025], [1e-2, 2.5e-3, 6.25e-4], 1e-12), 6)
+    2.0
     """
     usable = sorted((s, e) for s, e in zip(sizes, errors, strict=True) if math.isfinite(e) and e > floor)[:3]
     if len(usable) < 3:
@@ -29,9 +49,9 @@ def observed_order(sizes: Sequence[float], errors: Sequence[float], floor: float
 
 @dataclass(frozen=True)
 class Reversal:
-    """One step forward and one back: the ``defect`` at ``h``, and its ``order`` in h.
+    """Result of one step forward and one back: the ``defect`` at ``h``, and its ``order`` in h.
 
-    ``order`` is None when the defect is round-off at every step size tried: the scheme is self-adjoint there.
+    ``order`` is None if the defect is round-off at every step size tried: the scheme is self-adjoint there.
     """
 
     h: float
@@ -42,7 +62,7 @@ class Reversal:
 
 
 def _interpreted(method: Method, d: int, constants: int) -> Loop:
-    """The loop of a method without compiling: for single steps the interpreter is quicker."""
+    """Time loop of a method without compiling, which is quicker for single steps."""
     if isinstance(method, Stepper):
         return Loop(*plain_loop(method, d, constants), method.width)
     return loop_of(method, d, constants)
@@ -51,7 +71,7 @@ def _interpreted(method: Method, d: int, constants: int) -> Loop:
 def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: float) -> float:
     """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python.
 
-    Infinite when one of the steps fails.
+    Infinite if one of the steps fails.
     """
     d = len(y)
     p = np.array(top.constants())
@@ -70,9 +90,9 @@ def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: flo
 
 
 def reversal(top: Top, method: Method, states: Array, h: float) -> Reversal:
-    """The reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
+    """Reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
 
-    The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may lie
+    The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may be
     below round-off.
     """
     sizes = [abs(h)]

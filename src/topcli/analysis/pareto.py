@@ -1,4 +1,4 @@
-"""Speed against error: the points that no other beats, and what a given error costs along a curve of them."""
+"""Pareto front of speed and error, and the cost of a given error on it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MAX_GAP = 100.0
-"""Between two points whose errors differ by more than this factor nothing is interpolated: the finer one counts."""
+"""Largest ratio of errors of two neighbouring points that are interpolated; beyond it, the finer one counts."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One measurement: the ``error`` reached, the ``seconds`` it took, and the ``setting`` (h or tolerance) it had."""
+    """One measurement: the ``error`` reached, the ``seconds`` taken, and the ``setting`` (h or tolerance)."""
 
     error: float
     seconds: float
@@ -20,10 +20,10 @@ class Point:
 
 
 def pareto_front(points: Sequence[Point]) -> list[int]:
-    """Indices of the points that no other beats or equals in both error and seconds, by falling error.
+    """Indices of the points that no other beats or equals in both error and seconds, by decreasing error.
 
-    Of equal points the first counts. Points whose error or seconds are not positive and finite are left out; an error
-    of 0 is a finite one.
+    The first of equal points counts. Points whose error or seconds are not positive and finite are left out; an error
+    of 0 is kept.
     """
     usable = [
         i
@@ -40,16 +40,16 @@ def pareto_front(points: Sequence[Point]) -> list[int]:
 
 
 def _between(low: float, high: float, share: float) -> float:
-    """The geometric mean of two positive numbers with the weight ``share`` on ``high``."""
+    """Geometric mean of two positive numbers with the weight ``share`` on ``high``."""
     return math.exp((1.0 - share) * math.log(low) + share * math.log(high))
 
 
 def at_error(points: Sequence[Point], error: float) -> Point | None:
-    """What the ``error`` (> 0) costs: a point of at most this error, interpolated on the front of ``points``.
+    """Point of at most the given ``error`` (> 0), interpolated on the front of ``points``.
 
-    Straight lines in the logarithms, as errors are powers of h and of the tolerance. An error larger than that of the
-    cheapest point costs what that point costs; one smaller than all is not reached: None. Across a gap wider than
-    ``MAX_GAP`` the finer point is taken as it is.
+    The interpolation is linear in the logarithms, as errors are powers of h and of the tolerance. For an error larger
+    than that of the cheapest point, it is that point; for one smaller than all, None. Across a gap wider than
+    ``MAX_GAP`` it is the finer point.
     """
     front = [points[i] for i in pareto_front(points)]
     if not front or front[-1].error > error:

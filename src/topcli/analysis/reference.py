@@ -1,7 +1,7 @@
-"""The independent reference: the motion of the stated equations, to an ulp of the state's size.
+"""Independent reference solution of the equations of motion, to an ulp of the state's size.
 
-A Taylor series integrator of order 37 in double-double arithmetic (``reference_series``), which shares nothing
-with the schemes it judges. Order and step follow Jorba and Zou, Experimental Mathematics 14 (2005) 99-117,
+A Taylor series integrator of order 37 in double-double arithmetic (``reference_series``), which shares no
+code with the schemes that it judges. Order and step follow Jorba and Zou, Experimental Mathematics 14 (2005) 99-117,
 for a relative local error of 1e-31.
 """
 
@@ -31,9 +31,9 @@ REACH = math.exp(-0.7 / (ORDER - 1)) / math.e**2
 BODY = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
 
 BUDGET = 2000
-"""Steps between two chances to interrupt: less than 0.1 s."""
+"""Steps between two possible interruptions: less than 0.1 s."""
 MAX_STEPS = 20_000_000
-"""A reference longer than this (some ten minutes) is refused."""
+"""Longest reference that is computed, some ten minutes."""
 
 
 @cache
@@ -44,10 +44,10 @@ def _compiled() -> Native:
 
 
 def coefficients(equations: EulerPoisson) -> Array:
-    """The quotients of the equations as double-doubles, shape (18,), laid out as ``reference_series`` says.
+    """Quotients of the equations as double-doubles, shape (18,), in the layout of ``reference_series``.
 
     The moments and mg(x0, y0, z0) are taken as exact; no quotient is rounded to a double. Raises RunError
-    when one is not finite.
+    if one is not finite.
     """
     moments, gravity = equations.moments, equations.gravity
     found: list[float] = []
@@ -63,19 +63,19 @@ def coefficients(equations: EulerPoisson) -> Array:
 def _units(coef: Array, y: Array) -> tuple[int, int]:
     """``(k, m)``: with time in units of 2^k and gamma in units of 2^m the rates of change are at most about one.
 
-    Powers of two, so that changing the units rounds nothing. Without them coefficients of order 37 would
-    leave the range of a double already at an angular velocity of 1e8.
+    Powers of two, so that changing the units rounds nothing. Without them, coefficients of order 37 would overflow at
+    an angular velocity of 1e8.
     """
     alpha, g = np.abs(coef[0::6]).max(), max(np.abs(coef[2::6]).max(), np.abs(coef[4::6]).max())
     omega, gamma = float(np.abs(y[:3]).max()), float(np.abs(y[3:]).max())
     rate = max(omega * max(1.0, float(alpha)), math.sqrt(g) * math.sqrt(gamma))
     if not math.isfinite(rate):
-        raise RunError("reference: the initial state turns faster than a double can tell")
+        raise RunError("reference: the initial angular velocity is beyond double precision")
     return -math.frexp(rate)[1], math.frexp(gamma)[1]
 
 
 def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]:
-    """The initial state as omega, gamma (6,), and the times (m,)."""
+    """Initial state as omega, gamma (6,), and the times (m,), both checked."""
     sign = checked_equations(top, NAME).omega_sign
     if sign == 1.0 and tuple(top.components) not in (BODY, BODY[:3]):
         raise RunError(
@@ -95,14 +95,31 @@ def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]
 
 
 def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
-    """The motion of ``top`` at ``times`` (m,) from the state ``y0`` (d,) at time zero; shape (m, d).
+    """Reference solution at given times.
 
-    Times lead away from zero, all forward (>= 0) or all backward (<= 0), and are taken as exact numbers. Each
-    state is within an ulp of its own size of the solution, for as long as the motion's sensitivity has not
-    amplified the local error of 1e-31 to that.
+    Each state is within an ulp of its own size of the solution, as long as the motion's sensitivity has not amplified
+    the local error of 1e-31 to that.
 
-    Raises RunError when the motion leaves the range of a double, its steps shrink below the resolution of
-    time, or the span is too long to follow; ValueError for times that are not as said.
+    Parameters
+    ----------
+    top : Top
+        Top whose equations are solved.
+    y0 : sequence of float, shape (d,)
+        State at time zero, in the order of ``top.components``.
+    times : ndarray, shape (m,)
+        Times, taken as exact numbers, leading away from zero: all forward (>= 0) or all backward (<= 0).
+
+    Returns
+    -------
+    ndarray, shape (m, d)
+
+    Raises
+    ------
+    RunError
+        If the motion leaves the range of a double, its steps shrink below the resolution of time, or the span is too
+        long.
+    ValueError
+        For times that do not lead away from zero.
     """
     y, t = _checked(top, y0, times)
     equations = checked_equations(top, NAME)
@@ -130,7 +147,7 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
 
 
 def _follow(coef: Array, state: Array, tau: Array, out: Array, work: Array, physical: Callable[[float], float]) -> None:
-    """Call ``advance`` until all is written; in parts, so that an interrupt is heard."""
+    """Call ``advance`` until all outputs are written, in parts so that it can be interrupted."""
     run = _compiled()
     while True:
         code = run(coef, state, tau, out, work, tau.size, ORDER, REACH, BUDGET)

@@ -31,7 +31,7 @@ LONGEST = 4.0
 
 
 DONE, MORE, NOT_FINITE, STEP_TOO_SMALL = 0, 1, -1, -2
-"""What ``advance`` returns."""
+"""Return codes of ``advance``."""
 
 
 def cauchy(work: Array, a: int, b: int, j: int, n: int) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""How round-off grows: drifts at doubling numbers of steps, their exponent, and what kind of growth it is.
+"""Growth of round-off: drifts at doubling numbers of steps, their exponent, and a verdict on its kind.
 
 Independent rounding errors add up as the square root of the number of steps (Brouwer 1937), biased ones in proportion
 to it. The deviation X of an invariant is averaged over blocks of steps, which takes out the rounding of its evaluation
@@ -8,7 +8,7 @@ differ in the last two digits and hence in every rounding, is fitted by a power 
 
 *random walk*  the power is compatible with 1/2: below ``WALK`` within two standard errors.
 *biased*       it is above that: errors of one sign add up.
-*flat*         it is below ``FLAT``: nothing adds up, the errors of a step are undone by the later ones.
+*flat*         it is below ``FLAT``: nothing adds up, later steps undo the errors of earlier ones.
 *moves*        the differences are far too large to be round-off: the invariant is not conserved.
 
 The standard error is found by repeating the fit on simulated series of the same length, the sum of a trend, a random
@@ -45,7 +45,7 @@ def block_weights(rows: int) -> Array:
 
 
 class BlockMeans:
-    """Means of the deviations of invariants over blocks of ``rows`` recorded rows each, fed with chunks.
+    """Mean deviations of invariants over blocks of ``rows`` recorded rows each, fed with chunks.
 
     Deviations are from the values at the first state, which belongs to no block.
     """
@@ -57,12 +57,12 @@ class BlockMeans:
         self._next = 0
         self.means = np.zeros((len(invariants), blocks))
         self.largest = np.zeros(len(invariants))
-        """The largest deviation of any row, without its sign."""
+        """Largest magnitude of the deviation of any row."""
         self.scale = np.zeros(len(invariants))
-        """The largest sum of the magnitudes of an invariant's terms."""
+        """Largest sum of the magnitudes of an invariant's terms."""
 
     def add(self, states: Array) -> None:
-        """Take in the next rows, states (m, d); the first row ever is the reference."""
+        """Add the next rows, states (m, d); the very first row is the reference."""
         if not self._first:
             self._first = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
             states = states[1:]
@@ -78,7 +78,7 @@ class BlockMeans:
 
 @dataclass(frozen=True)
 class Growth:
-    """The growth of one invariant's round-off; everything dimensionless, and None where there is none to fit.
+    """Growth of one invariant's round-off; dimensionless, and None where there is no fit.
 
     ``rms[i]`` is the root mean square of the drift over ``steps[i]`` steps. ``bias`` is the mean drift per step.
     """
@@ -125,9 +125,9 @@ def _simulated(lags: NDArray[np.int64], shape: tuple[int, int], bias: float, wal
 
 
 def growth(means: Array, block_steps: int, scale: float) -> Growth:
-    """The growth told by block means of the deviation, (copies, blocks), of ``block_steps`` steps a block.
+    """Growth estimated from block means of the deviation, (copies, blocks), of ``block_steps`` steps per block.
 
-    ``scale`` is the size of the terms that the invariant adds up. Raises ValueError for fewer than 16 blocks.
+    ``scale`` is the size of the terms that make up the invariant. Raises ValueError for fewer than 16 blocks.
     """
     copies, blocks = means.shape
     if blocks < MIN_BLOCKS:
@@ -136,7 +136,7 @@ def growth(means: Array, block_steps: int, scale: float) -> Growth:
     rms = structure(means, lags)
     ends = (means[:, -1] - means[:, 0]) / (blocks - 1)
     bias = float(ends.mean())
-    # what a bias leaves of the mean squares is the walk's, in proportion to the lag, and the noise's, the same at each
+    # mean squares without the bias: the walk's part is proportional to the lag, the noise's part is constant
     squares = np.maximum(rms**2 - (bias * lags) ** 2, 0.0) / max(float(rms.max()) ** 2, 1e-300)
     size = float(rms.max())
     walk_sq, noise_sq = np.polyfit(lags, squares, 1)

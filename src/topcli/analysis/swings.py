@@ -1,4 +1,4 @@
-"""Swings: the deep minima of a component, placed between the samples, and their spacing."""
+"""Deep minima of a component, located between the samples, and their spacing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from topcli.contracts import Array
 
 
 def _vertex(x: Array, y: Array) -> float:
-    """Where the quartic through five points has its minimum; x is centred, the minimum lies near 0."""
+    """Position of the minimum near 0 of the quartic through five points; x is centred."""
     polynomial = np.polynomial.Polynomial.fit(x, y, 4, domain=[x[0], x[-1]], window=[-1.0, 1.0])
     slope = polynomial.deriv()
     roots = slope.roots()
@@ -21,8 +21,8 @@ def minima_times(t: Array, values: Array) -> Array:
     """Times of the deep minima of ``values`` (m,) sampled at even times ``t`` (m,).
 
     A deep minimum is the lowest point of a stretch below mid-range that begins and ends within the record.
-    Its time is that of the minimum of the quartic through the five samples around it: its error is of the
-    fourth order in the sampling interval.
+    Its time is that of the minimum of the quartic through the five samples around it, with an error of fourth
+    order in the sampling interval.
     """
     if len(values) < 5 or not np.isfinite(values).all():
         return np.empty(0)
@@ -40,9 +40,9 @@ def minima_times(t: Array, values: Array) -> Array:
 
 
 def swing_spacing(t: Array, values: Array) -> float | None:
-    """Time from the first deep minimum to the second; None when the record holds fewer than two.
+    """Time from the first deep minimum to the second; None if the record holds fewer than two.
 
-    The first spacing and not the mean: a scheme that drifts changes it from swing to swing.
+    The first spacing instead of the mean, because the drift of a scheme changes it from swing to swing.
     """
     times = minima_times(t, values)
     return abs(float(times[1] - times[0])) if len(times) > 1 else None

@@ -1,4 +1,4 @@
-"""The result of a run held in memory."""
+"""Result of a run held in memory."""
 
 from __future__ import annotations
 
@@ -18,10 +18,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Trajectory:
-    """Recorded states of one run.
+    """Recorded states of one run, as ``topcli.simulate`` returns them.
 
-    ``n`` (m,) are the step numbers, ``t = n*h`` exactly, ``states`` (m, d) in the order of
-    ``top.components``; the initial state is the first row. Times in seconds are of this machine.
+    ``trajectory[name]`` is a column of shape (m,) by name: ``n``, ``t``, a component of the state, an invariant of the
+    top, or a modified integral of the scheme. ``len(trajectory)`` is the number of rows m.
+
+    Attributes
+    ----------
+    top : Top
+        Top with its parameters.
+    scheme : str
+        Name of the scheme.
+    h : float
+        Step size, in units of time.
+    n : ndarray of int64, shape (m,)
+        Step numbers of the rows; the first row is the initial state.
+    states : ndarray, shape (m, d)
+        States in the order of ``top.components``.
+    ending : Ending
+        Outcome of the run, its last or failing step, and the counts of its events.
+    compile_seconds, run_seconds : float
+        Wall time of compiling or loading the machine code, and of the steps.
+    modified : tuple of Invariant
+        Integrals of the scheme itself, which depend on h.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> trajectory = topcli.simulate("kowalevski_hk", h=0.01, N=1000)
+    >>> trajectory
+    <Trajectory of kowalevski under hk: 1001 rows, completed 1000 steps (t = 10)>
+    >>> trajectory.states.shape, float(trajectory.t[-1]), trajectory["gamma1"].shape
+    ((1001, 6), 10.0, (1001,))
+    >>> trajectory.invariants().loc["energy", "verdict"]
+    'bounded'
     """
 
     top: Top
@@ -33,16 +63,15 @@ class Trajectory:
     compile_seconds: float
     run_seconds: float
     modified: tuple[Invariant, ...] = ()
-    """Integrals of the scheme itself, which depend on h."""
 
     @property
     def t(self) -> Array:
-        """Times of the recorded states, shape (m,)."""
+        """Times ``n * h`` of the recorded states, shape (m,)."""
         return self.n * self.h
 
     @property
     def outcome(self) -> Outcome:
-        """How the run ended."""
+        """Outcome of the run."""
         return self.ending.outcome
 
     def __repr__(self) -> str:
@@ -52,17 +81,17 @@ class Trajectory:
         return len(self.n)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """A column by name: ``n``, ``t``, a component, an invariant, or a modified integral of the scheme."""
+        """Column by name, shape (m,). Raises UsageError for an unknown name."""
         return columns(self.top, self.n, self.h, self.states, [name], self.modified)[name]
 
     def to_pandas(self) -> pd.DataFrame:
-        """All columns as a DataFrame: n, t, the components, the invariants."""
+        """Return all columns as a DataFrame: n, t, the components, the invariants."""
         import pandas as pd
 
         return pd.DataFrame({name: self[name] for name in column_names(self.top)})
 
     def invariants(self) -> pd.DataFrame:
-        """The report on invariants and modified integrals as a DataFrame, a row each (see ``analysis.drift``)."""
+        """Return the report on invariants and modified integrals, one row each (see ``analysis.drift``)."""
         import pandas as pd
 
         rows = invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states)

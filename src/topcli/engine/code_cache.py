@@ -1,9 +1,9 @@
-"""Object code on disk, where only its owner can have put it.
+"""Object code on disk, used only if its owner alone can have written it.
 
-Whoever can write a file here decides what later processes execute. The folder and each file are therefore opened
+A user who can write a file here decides what later processes execute. The folder and each file are therefore opened
 without following a symbolic link at the end of the path, and used only if they are a folder and a regular file, owned
-by the effective user, that nobody else may write. The folders above are not judged: a temporary folder is open to all,
-and some systems make folders writable by the group. What is not used is compiled without being stored.
+by the effective user, that nobody else may write. The folders above are not checked: a temporary folder is open to all,
+and some systems make folders writable by the group. Code whose stored form is not trusted is compiled and not stored.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CACHE_ENTRIES = 512
-"""The newest entries that the cache keeps; older ones are removed."""
+"""Number of entries that the cache keeps; the oldest ones are removed."""
 _DIRECTORY = getattr(os, "O_DIRECTORY", 0)
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 
 
 @dataclass(frozen=True)
 class ObjectCode:
-    """An object file, the function in it, that function's signature, and the symbols that it needs from outside."""
+    """An object file with the name and signature of its function, and the external symbols that it needs."""
 
     code: bytes
     symbol: str
@@ -34,7 +34,7 @@ class ObjectCode:
 
 
 class UntrustedError(OSError):
-    """A folder or file that is not used; the message says why."""
+    """A folder or file that must not be used; the message gives the reason."""
 
 
 def cache_folder() -> Path:
@@ -48,7 +48,7 @@ def cache_folder() -> Path:
 
 
 def _distrust(found: os.stat_result) -> str:
-    """Reason not to use a file or folder; empty when there is none."""
+    """Reason not to use a file or folder; empty if there is none."""
     if hasattr(os, "geteuid") and found.st_uid != os.geteuid():
         return f"it belongs to the user with number {found.st_uid}, not to {os.geteuid()}"
     if found.st_mode & 0o022:
@@ -87,7 +87,7 @@ def _key(words: str) -> str:
 
 
 def stored_code(words: str, signature: str) -> ObjectCode | None:
-    """The object code identified by ``words``, for a function of this signature; None unless all is as written."""
+    """Stored object code identified by ``words``, for a function of this signature; None if absent or damaged."""
     key = _key(words)
     try:
         with _opened(cache_folder()) as folder:
@@ -107,7 +107,7 @@ def stored_code(words: str, signature: str) -> ObjectCode | None:
 
 
 def store_code(words: str, made: ObjectCode) -> None:
-    """Store object code whole or not at all; a folder that cannot be used is no error."""
+    """Store object code atomically; do nothing if the folder cannot be used."""
     key, path = _key(words), cache_folder()
     about = {"key": key, "signature": made.signature, "symbol": made.symbol, "needs": made.needs}
     rest = json.dumps(about).encode() + b"\n" + made.code
@@ -132,7 +132,7 @@ def store_code(words: str, made: ObjectCode) -> None:
 
 
 def _entries(folder: int) -> list[tuple[str, os.stat_result]]:
-    """Names of the object files and what ``lstat`` says of them, newest first."""
+    """Names and ``lstat`` results of the object files, newest first."""
     found = []
     for name in os.listdir(folder):
         if name.endswith(".o"):
@@ -149,7 +149,7 @@ def _remove_oldest(folder: int) -> None:
 
 @dataclass(frozen=True)
 class CacheState:
-    """Number and size of the object files that can be used, and reasons why the folder or single files are not."""
+    """Number and total size of the usable object files, and the reasons for not using the others."""
 
     entries: int
     size: int
@@ -157,7 +157,7 @@ class CacheState:
 
 
 def cache_state() -> CacheState:
-    """The cache as this user finds it."""
+    """State of the current user's cache."""
     path = cache_folder()
     try:
         with _opened(path) as folder:

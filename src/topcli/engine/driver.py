@@ -1,7 +1,7 @@
 """The one time loop: iterate a step, record every k-th state, stop at the first state that is not finite.
 
-numba needs tuples of known length, so the loop is a template filled in with the lengths of the working state,
-the recorded state and the constants; the text below is all the code there is.
+numba needs tuples of known length, so the loop is a template for the lengths of the working state, the recorded state
+and the constants.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def make(step, enter, leave):
 """
 
 
-def _same(state: Any, h: float, p: Any) -> Any:
-    """Enter and leave of a scheme that works on the physical state itself."""
+def same_state(state: Any, h: float, p: Any) -> Any:
+    """``enter`` or ``leave`` of a scheme that works on the physical state itself."""
     return state
 
 
@@ -80,9 +80,9 @@ def _template(width: int, d: int, constants: int, checked: int) -> Callable[...,
 
 
 def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Callable[..., int]]:
-    """``(enter, drive)`` as plain Python functions over indexable buffers: what gets compiled, and its twin."""
+    """``(enter, drive)`` as plain Python functions over indexable buffers, to be compiled or run as they are."""
     make = _template(stepper.width, d, constants, stepper.checked or stepper.width)
-    return make(stepper.step, stepper.enter or _same, stepper.leave or _same)
+    return make(stepper.step, stepper.enter or same_state, stepper.leave or same_state)
 
 
 def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callable[..., int]]:
@@ -113,8 +113,8 @@ class Loop:
     """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
 
     ``work`` has ``width`` slots, the last ones counting the events named in ``counters``; with ``iterative`` the one
-    before them is nan after a step that did not converge. ``seconds`` is what compiling or loading took, ``cached``
-    whether the machine code was known, ``compiled`` whether there is any.
+    before them is nan after a step that did not converge. ``seconds`` is the time to compile or load; ``cached`` is
+    true if the machine code came from disk, ``compiled`` if there is machine code at all.
     """
 
     enter: Callable[..., int]
@@ -127,13 +127,13 @@ class Loop:
     compiled: bool = True
 
     def failure(self, work: Array) -> Outcome:
-        """Why the step that ``work`` is the result of failed."""
+        """Outcome of a run whose failed step left ``work``."""
         status = work[len(work) - len(self.counters) - 1]
         return Outcome.NO_CONVERGENCE if self.iterative and np.isnan(status) else Outcome.BLEW_UP
 
 
 def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
-    """What to tell the author of a step that the compiler refuses."""
+    """Error for a step that the compiler refuses, with its file and line."""
     step = plain_function(method.step)
     where = place_of(step) if step else repr(method.step)
     return SchemeCodeError(
@@ -142,7 +142,7 @@ def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeErro
 
 
 def _checked_length(method: Stepper) -> Stepper:
-    """A plain method whose step is refused when it does not return as many numbers as it takes."""
+    """Copy of a plain method whose step must return as many numbers as it takes."""
     inner = method.step
 
     def step(s: Any, h: float, p: Any) -> Any:
@@ -157,9 +157,9 @@ def _checked_length(method: Stepper) -> Stepper:
 
 
 def loop_of(method: Method, d: int, constants: int) -> Loop:
-    """The loop of a method for states of length ``d``: machine code, except where a method cannot be compiled.
+    """Time loop of a method for states of length ``d``, as machine code unless the method is a plain one.
 
-    ``enter`` runs once and stays plain Python. Raises SchemeCodeError for a step that cannot be compiled.
+    ``enter`` runs once and remains plain Python. Raises SchemeCodeError for a step that cannot be compiled.
     """
     if isinstance(method, Sampler):
         enter, sample = _sampled_loop(method, d)

@@ -1,4 +1,4 @@
-"""Endings of many trajectories in arrays: a few bytes each, an ``Ending`` only where one is asked for."""
+"""Endings of many trajectories as arrays of a few bytes each; an ``Ending`` is made on access."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from topcli.contracts import Ending, Outcome
 
 OUTCOMES = tuple(Outcome)
-"""Outcomes by their code in ``Endings.outcome``."""
+"""Outcomes in the order of their codes in ``Endings.outcome``."""
 CODES = {outcome: code for code, outcome in enumerate(OUTCOMES)}
 NO_FAILURE = (Outcome.COMPLETED, Outcome.INTERRUPTED)
 
 
 class Endings(Sequence[Ending]):
-    """How each of ``count`` trajectories of step ``h`` ended; interrupted before they began, until ``put`` says more.
+    """Endings of ``count`` trajectories of step ``h``, each interrupted at step 0 until ``put`` replaces it.
 
     ``outcome`` (m,) holds codes, ``step`` (m,) step numbers, ``counts`` (m, counters) the events named in
     ``counters``; a trajectory that is not ``begun`` (m,) counted none. ``left`` (m,) are the first recorded steps at
@@ -35,19 +35,19 @@ class Endings(Sequence[Ending]):
 
     @classmethod
     def joined(cls, parts: Sequence[Endings]) -> Endings:
-        """The endings of ``parts`` one after the other; they have the same step and counters."""
+        """Endings of ``parts`` in their order; all have the same step and counters."""
         made = cls(0, parts[0].h, parts[0].counters)
         for name in ("outcome", "step", "counts", "begun", "left"):
             setattr(made, name, np.concatenate([getattr(part, name) for part in parts]))
         return made
 
     def put(self, where: Any, outcome: Outcome, step: int, counts: Any) -> None:
-        """Note that the trajectories at ``where`` (an index or several) ended so, with the counts (m, counters)."""
+        """Store the ending of the trajectories at ``where`` (an index or several), with ``counts`` (m, counters)."""
         self.outcome[where], self.step[where] = CODES[outcome], step
         self.counts[where], self.begun[where] = counts, True
 
     def mark_left(self, left: NDArray[np.int64]) -> None:
-        """Note ``left`` (m,); a trajectory that nothing else ended has the outcome ``left_motion``."""
+        """Store ``left`` (m,); completed trajectories that left their motion get the outcome ``left_motion``."""
         self.left[:] = left
         completed = self.outcome == CODES[Outcome.COMPLETED]
         self.outcome[completed & (left >= 0)] = CODES[Outcome.LEFT_MOTION]
@@ -59,13 +59,13 @@ class Endings(Sequence[Ending]):
 
     @property
     def outcomes(self) -> dict[Outcome, int]:
-        """How many trajectories ended in which way, of the ways that occur."""
+        """Number of trajectories by outcome, for the outcomes that occur."""
         counts = np.bincount(self.outcome, minlength=len(OUTCOMES)).tolist()
         return {outcome: count for outcome, count in zip(OUTCOMES, counts, strict=True) if count}
 
     @property
     def totals(self) -> dict[str, int]:
-        """The events that all trajectories counted together; empty when none was begun."""
+        """Events counted over all trajectories; empty if none was begun."""
         if not self.begun.any():
             return {}
         return dict(zip(self.counters, self.counts.sum(axis=0).tolist(), strict=True))

@@ -1,17 +1,18 @@
-"""Many trajectories of one scheme: side by side in tiles, so that one machine instruction steps several at once.
+"""Many trajectories of one scheme, side by side in tiles, so that one machine instruction steps several of them.
 
-A tile holds ``TILE`` working states as a structure of arrays; the loop over them stands inside the loop over the steps
-and is the compiler's to vectorise. The step is the very function that single runs compile, and nothing in it is
-contracted or reordered, hence a trajectory has the same bits in an ensemble as by itself. A step with loops or branches
-that cannot be turned into selections is not vectorised; it is right all the same.
+A tile holds ``TILE`` working states as a structure of arrays. The loop over them is inside the loop over the steps, and
+the compiler vectorises it. The step is the function that single runs compile, and nothing in it is contracted or
+reordered, hence a trajectory has the same bits in an ensemble as in a single run. A step with loops or branches that
+cannot become selections is not vectorised, but its results are the same.
 
-Nothing is checked in that loop: it adds up the working state, and an infinity or a nan anywhere makes the sum one;
-what becomes of such a trajectory is ``engine/tile.py``'s.
+That loop checks nothing: it adds up the working state, and an infinity or a nan anywhere makes the sum infinite or nan.
+``engine/tile.py`` deals with such trajectories.
 
-What makes two threads nearly twice as fast: a task a thread and not one a tile; rows recorded where they are wanted,
-without a copy that the interpreter makes; one buffer a thread for them, which stays in its processor's cache.
+Two threads are nearly twice as fast as one because each thread gets one task instead of one per tile, rows are recorded
+in place without a copy by the interpreter, and each thread has one buffer for them, which stays in its cache.
 
-What is no compiled step (closed forms, steps in the interpreter) runs trajectory by trajectory in that same loop.
+Methods that are not a compiled step (closed forms, steps in the interpreter) run trajectory by trajectory in the time
+loop of single runs.
 """
 
 from __future__ import annotations
@@ -33,51 +34,51 @@ from topcli.engine.endings import Endings
 from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of
 from topcli.engine.loop import Run
 from topcli.engine.native import CompileError, Native, native
-from topcli.engine.tile import Piece, Tile, advance_together
+from topcli.engine.tile import Piece, RowBuffer, Tile, TileContext, advance_together
 
 TILE = 64
 """Trajectories side by side: enough to hide the latency of a step's longest chain, few enough for the first cache."""
 SMALL_TILE = 8
-"""The same for ensembles so small that most of a tile would stand empty: one vector of eight."""
+"""The same for ensembles so small that most of a tile would be empty: one vector of eight."""
 GROUP = 16
-"""Tiles that advance together, a chunk at a time, shared out among the threads. A constant, because the order in which
-pieces come depends on it, and must not depend on the machine."""
+"""Tiles that advance together, a chunk at a time, shared out among the threads. A constant, because the order of the
+pieces depends on it and must not depend on the machine."""
 CHUNK_ROWS = 512
-"""Recorded rows of a trajectory in a piece: what a thread holds in memory is this times TILE."""
+"""Recorded rows of a trajectory in a piece; a thread holds TILE times as many in memory."""
 CHUNK_STEPS = 1 << 14
 BLOCK = 1 << 14
-"""Trajectories of a large ensemble that are drawn, run, tallied and written before the next ones: a bound of the
-memory that does not depend on the count. A multiple of GROUP * TILE, so that tiles are those of one large block."""
+"""Trajectories of a large ensemble that are drawn, run, tallied and written before the next ones, to bound the memory.
+A multiple of GROUP * TILE, so that tiles are those of one large block."""
 FIRST_CALL = 4
-"""Steps of the first call of compiled code for a tile; later calls take more as long as they are short."""
+"""Steps of the first call of compiled code for a tile; later calls take more while they are short."""
 
 Made = TypeVar("Made")
 
 
 def default_threads() -> int:
-    """The CPUs that this process may use."""
+    """Number of CPUs that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
-    except AttributeError:  # not every system tells
+    except AttributeError:  # not on every system
         return os.cpu_count() or 1
 
 
 def tile_of(count: int) -> int:
-    """Trajectories side by side in an ensemble of ``count``."""
+    """Number of trajectories side by side in an ensemble of ``count``."""
     return TILE if count > TILE // 2 else SMALL_TILE
 
 
 class EnsembleRun(Generic[Made]):
-    """Trajectories of ``method`` from the states ``y0`` (m, d): iterate, then read how they ended.
+    """Trajectories of ``method`` from the states ``y0`` (m, d): iterate, then read ``endings``.
 
-    ``begin(y0)`` puts other trajectories in their place, with the same code, threads and buffers: so a large ensemble
-    runs block by block. ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with
-    ``wide`` it may hold those of several, where they are few.
+    ``begin(y0)`` replaces the trajectories and keeps the code and buffers, so that a large ensemble runs block by
+    block. ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with ``wide`` it may
+    hold those of several, if they are few.
 
-    ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads; iterating gives
-    (what it returned, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a
-    trajectory come in the order of time. ``stop()`` is asked between chunks and within long ones; when it says so, the
-    trajectories that are not at their end are ``interrupted``, not all of them at the same step.
+    ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads. Iteration yields (its
+    result, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a trajectory
+    come in the order of time. ``stop()`` is called between chunks and within long ones; once it returns true, the
+    unfinished trajectories are ``interrupted``, not all of them at the same step.
 
     Afterwards ``endings`` holds an Ending for each trajectory, and ``last`` (m, d) with ``last_n`` (m,) the state at
     step N, or the last recorded one of a trajectory that ended before.
@@ -106,9 +107,8 @@ class EnsembleRun(Generic[Made]):
         m, d = self.y0.shape
         self.compile_seconds, self.cached, self.run_seconds = 0.0, True, 0.0
         self.tile = tile or tile_of(m)
-        self.call_steps, self.chunk_began = FIRST_CALL, 0.0
         self._lock, self._loop = threading.Lock(), None
-        self._buffers = threading.local()
+        self._buffer = RowBuffer()
         self.lanes: Native | None = None
         self.params = self.p
         if isinstance(method, Stepper) and not method.plain:
@@ -120,14 +120,14 @@ class EnsembleRun(Generic[Made]):
             self.compile_seconds, self.cached = self.lanes.seconds, self.lanes.cached
 
     def begin(self, y0: Array) -> None:
-        """Take the initial states ``y0`` (m, d); how the trajectories before them ended is forgotten."""
+        """Take the initial states ``y0`` (m, d), and forget the endings of earlier trajectories."""
         self.y0 = np.array(y0, dtype=np.float64, order="C")
         m = len(self.y0)
         self.endings = Endings(m, self.h, () if isinstance(self.method, Sampler) else self.method.counters)
         self.last, self.last_n = self.y0.copy(), np.zeros(m, dtype=np.int64)
 
     def single_loop(self) -> Loop:
-        """The time loop of single runs, made when the first trajectory needs it."""
+        """Time loop of single runs, compiled when the first trajectory needs it."""
         with self._lock:
             if self._loop is None:
                 self._loop = loop_of(self.method, self.y0.shape[1], len(self.p))
@@ -135,39 +135,49 @@ class EnsembleRun(Generic[Made]):
                 self.cached &= self._loop.cached
             return self._loop
 
-    def rows_buffer(self, lanes: int, rows: int) -> Array:
-        """Room (lanes, rows, d) for what is recorded, one in each thread: pages touched before, and few of them."""
-        size = lanes * rows * self.y0.shape[1]
-        if len(getattr(self._buffers, "room", ())) < size:
-            self._buffers.room = np.empty(size)
-        return self._buffers.room[:size].reshape(lanes, rows, -1)
-
     @property
     def side_by_side(self) -> bool:
-        """Whether pieces hold whole tiles; else each holds rows of one trajectory."""
+        """True if pieces hold whole tiles, False if each holds rows of one trajectory."""
         return self.lanes is not None
 
     @property
     def interrupted(self) -> bool:
-        """Whether any trajectory was interrupted."""
+        """True if any trajectory was interrupted."""
         return Outcome.INTERRUPTED in self.endings.outcomes
 
     def __iter__(self) -> Iterator[tuple[Made, int]]:
-        """What ``made`` returned and the trajectory-steps done, piece by piece."""
+        """Yield the result of ``made`` and the trajectory-steps done, piece by piece."""
         if self.lanes is None or not isinstance(self.method, Stepper):
             yield from self._one_by_one()
             return
-        m = len(self.y0)
-        size = GROUP * self.tile
+        context = TileContext(
+            stepper=self.method,
+            lanes=self.lanes,
+            single_loop=self.single_loop,
+            width=self.tile,
+            p=self.p,
+            params=self.params,
+            h=self.h,
+            N=self.N,
+            every=self.every,
+            stop=self.stop,
+            buffer=self._buffer,
+            y0=self.y0,
+            endings=self.endings,
+            last=self.last,
+            last_n=self.last_n,
+            call_steps=FIRST_CALL,
+        )
+        m, size = len(self.y0), GROUP * self.tile
         with ThreadPoolExecutor(max(1, self.threads - 1)) as pool:
             for start in range(0, m, size):
                 ends = range(start, min(start + size, m), self.tile)
-                group = [Tile(self, self.method, self.lanes, first, min(first + self.tile, m)) for first in ends]
+                group = [Tile(context, first, min(first + self.tile, m)) for first in ends]
                 yield from self._together(group, pool, start)
 
     def _together(self, group: Sequence[Tile], pool: ThreadPoolExecutor, before: int) -> Iterator[tuple[Made, int]]:
         """Advance the tiles of a group to the end, a chunk at a time."""
-        every, N = self.every, self.N
+        every, N, context = self.every, self.N, group[0].context
         count = sum(tile.count for tile in group)
         done = 0
         living = list(group)
@@ -178,7 +188,7 @@ class EnsembleRun(Generic[Made]):
             def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Made:
                 return self.made(advance_together(tiles, steps, until_record))
 
-            start = self.chunk_began = time.perf_counter()
+            start = context.chunk_began = time.perf_counter()
             pieces = self._shared_out(advance, self._neighbours(living, 1 + steps // every), pool)
             self.run_seconds += time.perf_counter() - start
             done += steps
@@ -187,14 +197,14 @@ class EnsembleRun(Generic[Made]):
             if any(tile.done < done for tile in living):  # stopped within the chunk
                 break
             living = [tile for tile in living if tile.alive.any()]
-        if not done:  # stopped before the first chunk: the initial states are there nevertheless
+        if not done:  # stopped before the first chunk: record the initial states nevertheless
             for tile in group:
                 yield self.made(tile.initial_piece()), before * N
         for tile in group:
             tile.end()
 
     def _neighbours(self, tiles: Sequence[Tile], rows: int) -> list[list[Tile]]:
-        """The tiles one by one, or if ``wide`` as many at a time as are adjacent and leave no thread idle.
+        """Group the tiles one by one, or if ``wide`` as many adjacent ones as leave no thread idle.
 
         A piece of few ``rows`` costs its consumer as much as one of a few hundred.
         """
@@ -211,9 +221,9 @@ class EnsembleRun(Generic[Made]):
     def _shared_out(
         self, advance: Callable[[list[Tile]], Made], tiles: Sequence[list[Tile]], pool: ThreadPoolExecutor
     ) -> list[Made]:
-        """What ``advance`` makes of each: every thread, this one too, takes the next one as long as there is one.
+        """Results of ``advance`` for each of ``tiles``, in their order; every thread takes the next one that is left.
 
-        One task a thread and not one a tile: with two threads a task costs as much as 500 steps of a trajectory.
+        One task per thread instead of one per tile: with two threads a task costs as much as 500 steps of a trajectory.
         """
         left = deque(range(len(tiles)))
         made: dict[int, Made] = {}
@@ -230,7 +240,7 @@ class EnsembleRun(Generic[Made]):
         try:
             work()
         finally:
-            left.clear()  # of use after a failure only
+            left.clear()  # matters after a failure only
         for other in others:
             other.result()
         return [made[i] for i in range(len(tiles))]

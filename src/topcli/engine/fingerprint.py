@@ -1,13 +1,13 @@
-"""Fingerprint of functions: a digest of everything that their machine code or their results can depend on.
+"""Digest of everything that the machine code or the results of functions can depend on.
 
 The key of stored machine code is this digest with the signature, the versions of topcli, Python, numpy, numba and
 llvmlite, the processor and numba's settings. A digest of the compiler's unoptimised intermediate code would be the
 surest key, but only numba can form it, and a run whose machine code is known does not import numba. This key suffices
 because numba forms that code from nothing else: the bytecode with its constants, the values of globals, closed-over
 variables, defaults and attributes of modules, which it freezes, and the types of the arguments, which the signature
-fixes. All of these are taken by value, through every function, class and module of the user that can be reached.
+fixes. All of these enter by value, through every reachable function, class and module of the user.
 The standard library and the packages of ``source.VERSIONED`` are identified by name. A value that has no faithful
-description (a lock, an open file, a pointer) is refused by name instead of being left out.
+description (a lock, an open file, a pointer) is refused by name instead of being ignored.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _EMPTY = object()
 _TRANSPARENT = frozenset(
     (object, int, float, complex, str, bytes, tuple, frozenset, dict, abc.ABC, Generic, Protocol, BaseModel)
 )
-"""Classes whose objects hold nothing but their attributes and items."""
+"""Classes whose objects hold only their attributes and items."""
 
 
 class _IndescribableError(Exception):
-    """A value that cannot be hashed; the message says what kind it is."""
+    """A value that cannot be hashed; the message names its kind."""
 
 
 def _kind(value: object) -> str:
@@ -56,7 +56,7 @@ def _kind(value: object) -> str:
 
 
 def _named_elsewhere(value: object) -> str | None:
-    """``package.name`` of an object that a versioned package or the standard library has under that name."""
+    """``package.name`` of an object of a versioned package or the standard library; None for others."""
     module = getattr(value, "__module__", None)
     name = getattr(value, "__qualname__", None) or getattr(value, "__name__", None)
     if not isinstance(module, str) or not isinstance(name, str):
@@ -70,7 +70,7 @@ def _named_elsewhere(value: object) -> str | None:
 
 
 class _Walk:
-    """One digest in the making; with ``own`` installed packages that are not among them count by their version."""
+    """A digest under construction; with ``own``, installed packages other than these count by their version."""
 
     def __init__(self, own: frozenset[str] | None) -> None:
         self.own = own
@@ -86,7 +86,7 @@ class _Walk:
         self.digest.update(data)
 
     def by_name(self, module: str) -> bool:
-        """True if what a module holds is identified by its name, and add the version of its package."""
+        """True if the content of a module is identified by its name; the version of its package is then added."""
         package = module.partition(".")[0]
         if is_versioned(module):
             return True
@@ -101,7 +101,7 @@ class _Walk:
         if number < len(self.kept):
             self.put(f"again {number}")
             return True
-        self.kept.append(value)  # an object that goes would leave its id to another one
+        self.kept.append(value)  # a freed object's id could be reused
         return False
 
     def value(self, value: Any) -> None:
@@ -212,7 +212,7 @@ class _Walk:
                 self._imports(function, code, names)
 
     def _named(self, function: types.FunctionType, values: dict[str, Any], names: list[str]) -> None:
-        """Add what a function refers to. Raises SchemeCodeError naming what cannot be hashed."""
+        """Add the values that a function refers to. Raises SchemeCodeError naming one that cannot be hashed."""
         for name, value in values.items():
             self.put(name)
             try:
@@ -254,7 +254,7 @@ class _Walk:
         self.open_modules.remove(id(module))
 
     def _imports(self, function: types.FunctionType, code: types.CodeType, names: list[str]) -> None:
-        """Add the modules that a function imports when it runs, which only functions that are not compiled do."""
+        """Add the modules that a function imports when it runs; only functions that are not compiled do so."""
         import dis
 
         steps = list(dis.get_instructions(code))
@@ -281,7 +281,7 @@ class _Walk:
             self.value(value)
 
     def _instance(self, value: Any) -> None:
-        """Add an object by its class and what it holds."""
+        """Add an object by its class and content."""
         kind = type(value)
         self.value(kind)
         if isinstance(value, enum.Enum):
@@ -303,7 +303,7 @@ class _Walk:
             self._reduced(value)
 
     def _reduced(self, value: Any) -> None:
-        """Add what pickle would keep of an object: it may hold more than its attributes."""
+        """Add the state that pickle would store of an object, which may be more than its attributes."""
         try:
             parts = value.__reduce_ex__(2)
         except Exception:

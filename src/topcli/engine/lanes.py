@@ -1,12 +1,12 @@
-"""The loop over steps with a loop over trajectories inside it: what the compiler turns into vector instructions.
+"""The loop over steps with an inner loop over trajectories, which the compiler turns into vector instructions.
 
-Nothing is checked in it: it adds up the working state, and an infinity or a nan anywhere makes the sum one. What
-single runs do behind a rare branch, such as calling libm for a large angle, stands as a nan here, because in a vector
-both sides of a branch are computed always; who runs the loop takes such trajectories through the single loop instead.
+The loop checks nothing: it adds up the working state, and an infinity or a nan anywhere makes the sum infinite or nan.
+A rare branch of single runs, such as calling libm for a large angle, yields nan here, because vector code computes both
+sides of a branch; the caller repeats such trajectories in the loop of single runs.
 
-The bits are those of single runs: additions and multiplications are not contracted, and a call of libm that is left is
-made for one trajectory after the other. Intel's vector library SVML would change last bits; numba uses it
-only where the package icc-rt is installed, which topcli does not ask for, and not with NUMBA_DISABLE_INTEL_SVML=1.
+The bits are those of single runs: additions and multiplications are not contracted, and remaining calls of libm are
+made for one trajectory after the other. Intel's vector library SVML would change last bits; numba uses it only where
+the package icc-rt is installed, which topcli does not require, and not with NUMBA_DISABLE_INTEL_SVML=1.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import VECTOR_VARIANTS
 from topcli.contracts import StepFunction, Stepper
+from topcli.engine.driver import same_state
 from topcli.engine.source import compilable_copy
 
 SIGNATURE = "pppdqqqq"
@@ -49,11 +50,6 @@ def make(step, leave):
 """
 
 
-def _same(state: Any, h: float, p: Any) -> Any:
-    """Leave of a scheme that works on the physical state itself."""
-    return state
-
-
 @cache
 def _template(width: int, checked: int, d: int, constants: int, tile: int, stages: int) -> Callable[..., Any]:
     newline = "\n" + " " * 20
@@ -62,7 +58,7 @@ def _template(width: int, checked: int, d: int, constants: int, tile: int, stage
         constants=constants,
         tile=tile,
         stages=stages,
-        # what depends on h alone is ready before the loop where there is one stage: else every step waits for it
+        # with one stage, terms of h alone are computed before the loop; otherwise every step would wait for them
         set_part=f"part = params[{constants}] * h" if stages == 1 else "",
         each_part="" if stages == 1 else f"part = params[{constants} + stage] * h",
         work_items="".join(f"work[{i * tile} + j], " for i in range(width)),
@@ -87,11 +83,11 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
     inlined = {id(kernel): stand_in for kernel, stand_in in VECTOR_VARIANTS.items()} | {id(fma): fma}
     stage, fractions = stages_of(stepper)
     step = compilable_copy(stage, lambda kernel: kernel, inlined)
-    # all but the counters, which are finite always: a nan that stands for a rare branch may be in any other slot
+    # all but the counters, which are always finite: the nan of a rare branch may be in any other slot
     checked = stepper.width - len(stepper.counters)
-    return _template(stepper.width, checked, d, constants, tile, len(fractions))(step, stepper.leave or _same)
+    return _template(stepper.width, checked, d, constants, tile, len(fractions))(step, stepper.leave or same_state)
 
 
 def stages_of(stepper: Stepper) -> tuple[StepFunction, tuple[float, ...]]:
-    """What is taken one after the other in a step: a step, and the fractions of h."""
+    """Step function and fractions of h of the stages that make up a step."""
     return stepper.stages or (stepper.step, (1.0,))

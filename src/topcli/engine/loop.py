@@ -1,4 +1,4 @@
-"""Run a scheme in chunks: constant memory at any N, progress and interruption between chunks.
+"""Run a scheme in chunks, with constant memory at any N and with progress and interruption between chunks.
 
 Times are t = n*h, never accumulated. The first row recorded is the initial state itself.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +18,18 @@ from topcli.engine.driver import Loop, loop_of
 
 CHUNK_ROWS = 8192
 CHUNK_STEPS = 1 << 19
-"""Steps between two looks at the clock and the keyboard: some tens of milliseconds."""
+"""Steps between two checks of clock and keyboard: some tens of milliseconds."""
 PLAIN_STEPS = 1 << 9
 """The same for steps that run in the interpreter."""
 CALL_SECONDS = 0.25
-"""About the longest that steps are taken without asking whether to stop."""
+"""Approximate longest time between two calls of ``stop``."""
 FIRST_CALL = 64
 """Steps of the first call of compiled code; later calls take up to eight times those of the one before."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive recorded rows: step numbers ``n`` (m,) and ``states`` (m, d); ``done`` steps lie behind.
+    """Consecutive recorded rows after ``done`` steps: step numbers ``n`` (m,) and ``states`` (m, d).
 
     A chunk that is not ``whole`` was cut short by an interruption; a resumed run begins with the rest of it.
     The arrays are views into buffers that the next chunk overwrites.
@@ -40,12 +41,30 @@ class Chunk:
     whole: bool = True
 
 
+def recorded_rows(steps: int, until_record: int, every: int) -> int:
+    """Number of rows recorded in ``steps`` steps: after ``until_record`` of them, then after every ``every``."""
+    return max(0, (steps - until_record) // every + 1)
+
+
+def next_call_steps(size: int, seconds: float) -> int:
+    """Steps of the next call of compiled code, after a call of ``size`` steps that took ``seconds``."""
+    return int(max(1, min(8 * size, size * CALL_SECONDS / max(seconds, 1e-9))))
+
+
+class Recorded(NamedTuple):
+    """All recorded rows of a run, step numbers ``n`` (m,) and ``states`` (m, d), and its ``ending``."""
+
+    n: NDArray[np.int64]
+    states: Array
+    ending: Ending
+
+
 @dataclass(frozen=True)
 class Position:
-    """Where a run stands between two calls: ``done`` steps and the whole working state; it can go on from there.
+    """State from which a run can continue: the number of steps ``done`` and the whole working state.
 
-    The chunks to come are cut as they would have been, because sums over rows depend in their last bits on the cut:
-    ``into`` steps of the present one are done.
+    Later chunks are cut as they would have been without the stop, because sums over rows depend in their last bits on
+    the cut: ``into`` steps of the current chunk are done.
     """
 
     done: int
@@ -59,10 +78,9 @@ class Run:
     """One run of a compiled scheme: iterate it for chunks, then read ``ending`` and the seconds.
 
     ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
-    ``every``-th recorded. ``stop()`` is asked between chunks, and within chunks that take long; when it says so the run
-    ends as ``interrupted``.
-    With ``start``, the ``position()`` of an earlier run of the same, it goes on from there, bit for bit.
-    ``loop`` is that of the method where it is at hand already.
+    ``every``-th recorded. ``stop()`` is called between chunks, and within chunks that take long; once it returns true,
+    the run ends as ``interrupted``. With ``start``, the ``position()`` of an earlier equal run, the run continues from
+    there, bit for bit. ``loop`` is the method's time loop, if the caller has it already.
     """
 
     def __init__(
@@ -95,7 +113,7 @@ class Run:
         self._call_steps = N if not isinstance(method, Stepper) else FIRST_CALL if self._loop.compiled else 1
 
     def position(self) -> Position | None:
-        """Where the run stands, copied; None where it cannot go on from: after a failure and before its first row."""
+        """Copy of the current position; None after a failure and before the first row, where a run cannot continue."""
         if self._failed or self._position.done < 0:
             return None
         return replace(self._position, work=self._position.work.copy())
@@ -142,17 +160,27 @@ class Run:
             yield Chunk(n, out[: len(n) * d].reshape(len(n), d), last_good, not stopped)
         self._end(outcome, done, work)
 
-    def _advance(self, work: Array, out: Array, steps: int, to_record: int) -> tuple[int, bool]:
-        """Take up to ``steps`` steps of a chunk; the steps taken or minus the one that failed, and if it was stopped.
+    def collect(self) -> Recorded:
+        """Run to the end and return the recorded rows, copied, with the ending."""
+        n: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+        states: list[Array] = [np.empty((0, len(self._y0)))]
+        for chunk in self:
+            n.append(chunk.n.copy())
+            states.append(chunk.states.copy())
+        assert self.ending is not None
+        return Recorded(np.concatenate(n), np.concatenate(states), self.ending)
 
-        Takes them in calls that grow as long as they are short.
+    def _advance(self, work: Array, out: Array, steps: int, to_record: int) -> tuple[int, bool]:
+        """Take up to ``steps`` steps of a chunk, in calls that grow while they are short.
+
+        Return (the steps taken or minus the number of the failed one, True if the run was stopped).
         """
         d, every, taken = len(self._y0), self.every, 0
         begin = time.perf_counter()
         token = stop_asked.set(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop())
         try:
             while True:
-                rows = max(0, (taken - to_record) // every + 1)
+                rows = recorded_rows(taken, to_record, every)
                 size = min(steps - taken, self._call_steps)
                 start = time.perf_counter()
                 went = self._loop.drive(
@@ -166,7 +194,7 @@ class Run:
                     return taken, False
                 if now - begin > CALL_SECONDS and self._stop():
                     return taken, True
-                self._call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - start, 1e-9))))
+                self._call_steps = next_call_steps(size, now - start)
         except StopAsked:
             return taken, True
         finally:
@@ -182,9 +210,9 @@ def nanoseconds_per_step(
 ) -> list[float]:
     """Median warm time of one step, in nanoseconds, for each (top, method, y0, h), measured in turn.
 
-    Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the
-    machine's speed hits all alike. A trajectory that blows up is timed as far as it goes; what runs in the
-    interpreter is timed over fewer steps.
+    Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the machine's
+    speed affects all of them. A trajectory that blows up is timed up to that point; a step that runs in the interpreter
+    is timed over fewer steps.
     """
     prepared = []
     for top, method, y0, h in runs:

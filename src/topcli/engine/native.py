@@ -1,12 +1,12 @@
-"""Plain Python kernels to machine code, kept on disk under a key made of their content.
+"""Machine code of plain Python kernels, stored on disk under a key made of their content.
 
 ``native(function, "ppdq")`` compiles once with numba and stores the object code; every later process loads it
 with llvmlite alone, in milliseconds and without importing numba. The function takes pointers to float64
 (``p``, indexed like a list), float64 (``d``) and int64 (``q``) and returns an int64; it neither allocates nor raises.
 The key is explained in ``fingerprint``, the rules of storing in ``code_cache``.
 
-Only public interfaces are leaned on: ``numba.cfunc``, its ``inspect_llvm`` and ``native_name``, and llvmlite's
-binding layer. Where the object code cannot be stored or loaded the function still runs, compiled in this process.
+It uses public interfaces only: ``numba.cfunc``, its ``inspect_llvm`` and ``native_name``, and llvmlite's binding
+layer. Where the object code cannot be stored or loaded the function still runs, compiled in this process.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
 
 
 class CompileError(Exception):
-    """The compiler refuses a function; the message is its reason in one line."""
+    """A function that the compiler refuses; the message is its reason in one line."""
 
 
 @dataclass(frozen=True)
 class Native:
-    """A compiled function; call it with numpy arrays, floats and ints as its signature says.
+    """A compiled function; call it with numpy arrays, floats and ints in the order of its signature.
 
-    ``seconds`` is what compiling or loading took, ``cached`` whether the machine code came from disk.
+    ``seconds`` is the time to compile or load; ``cached`` is true if the machine code came from disk.
     """
 
     call: Callable[..., int]
@@ -55,7 +55,7 @@ class Native:
     keep: tuple[Any, ...] = field(repr=False, default=())
 
     def __call__(self, *arguments: Any) -> int:
-        """Call the machine code; arrays must be C-contiguous float64 and stay alive (they do: the caller holds them).
+        """Call the machine code; arrays must be C-contiguous float64.
 
         Raises TypeError for an array of another kind.
         """
@@ -72,7 +72,7 @@ class Native:
 
 @cache
 def _machine() -> tuple[Any, str]:
-    """llvmlite's binding, ready for this CPU, and the words that name compiler, its settings and CPU.
+    """llvmlite's binding, ready for this CPU, and the words that identify the compiler, its settings and the CPU.
 
     Raises RunError where llvmlite cannot be loaded.
     """
@@ -85,7 +85,7 @@ def _machine() -> tuple[Any, str]:
     except (ImportError, OSError, MemoryError, RuntimeError) as error:
         raise _compiler_missing("llvmlite", error) from error
     if sys.platform == "linux":
-        # sin, cos and their kin: numpy has libm loaded, but for itself alone; some C libraries carry them themselves
+        # sin, cos and the like: numpy loads libm for itself only; some C libraries contain these functions
         with suppress(RuntimeError):
             llvm.load_library_permanently("libm.so.6")
     words = (
@@ -102,7 +102,7 @@ def _machine() -> tuple[Any, str]:
 
 
 def _compiler_missing(package: str, error: BaseException) -> RunError:
-    """The error of a process in which a part of the compiler cannot be loaded."""
+    """Error for a part of the compiler that cannot be loaded."""
     reason = (str(error).strip() or type(error).__name__).splitlines()[0]
     return RunError(
         f"the compiler cannot be loaded: {package}: {reason}",
@@ -130,7 +130,7 @@ def _target_machine() -> Any:
 
 
 def _outside(ir: str) -> list[str]:
-    """Names that a module needs from outside: functions it declares and variables it does not define."""
+    """External names that a module needs: functions that it declares and variables that it does not define."""
     functions = re.findall(r"^declare [^@]*@\"?([^\s\"(]+)", ir, re.MULTILINE)
     variables = re.findall(r"^@\"?([^\s\"]+)\"? = external", ir, re.MULTILINE)
     return sorted(name for name in {*functions, *variables} if not name.startswith("llvm."))
@@ -142,18 +142,18 @@ def _require(names: Iterable[str]) -> None:
     _process_engine()
     for name in names:
         if not llvm.address_of_symbol(name):
-            raise OSError(f"object code needs {name}, which is nowhere")
+            raise OSError(f"object code needs {name}, which this process does not have")
 
 
 @cache
 def _process_engine() -> Any:
-    """An empty engine: some systems find the symbols of the process only once there is one."""
+    """Empty engine, without which some systems do not find the symbols of the process."""
     llvm, _ = _machine()
     return llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
 
 
 def _load(stored: ObjectCode) -> tuple[Callable[..., int], tuple[Any, ...]]:
-    """The function of an object file, linked into this process. Raises OSError or RuntimeError."""
+    """Function of an object file, linked into this process. Raises OSError or RuntimeError."""
     llvm, _ = _machine()
     _require(stored.needs)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
@@ -168,7 +168,7 @@ def _load(stored: ObjectCode) -> tuple[Callable[..., int], tuple[Any, ...]]:
 
 @cache
 def _fma_instruction() -> Any:
-    """``fma`` for numba: the processor's instruction, or the C library's function where there is none."""
+    """``fma`` for numba: the processor's instruction, or the C library's function on processors without one."""
     from numba import types
     from numba.extending import intrinsic
 
@@ -184,7 +184,7 @@ def _fma_instruction() -> Any:
 
 @cache
 def _expectation() -> Any:
-    """``unlikely`` for numba: the condition, with LLVM told that it is false."""
+    """``unlikely`` for numba: the condition, which LLVM is to expect to be false."""
     from llvmlite import ir
     from numba import types
     from numba.extending import intrinsic
@@ -202,7 +202,7 @@ def _expectation() -> Any:
 
 
 def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
-    """Compile with numba; the numba cfunc."""
+    """Compile with numba and return the cfunc."""
     from numba import cfunc, njit, types
 
     kinds = {"p": types.CPointer(types.float64), "d": types.float64, "q": types.int64}
@@ -215,7 +215,7 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
 
 
 def _known(words: str, signature: str, start: float) -> Native | None:
-    """The stored function identified by ``words``; ``start`` is when the search for it began."""
+    """Stored function identified by ``words``; ``start`` is the clock reading when the search for it began."""
     stored = stored_code(words, signature)
     if stored is None:
         return None
@@ -229,18 +229,18 @@ def _known(words: str, signature: str, start: float) -> Native | None:
 def _linked(
     module: Any, ir: str, symbol: str, signature: str, words: str
 ) -> tuple[Callable[..., int], tuple[Any, ...]]:
-    """The function ``symbol`` of ``module``, whose text is ``ir``, stored as well. Raises OSError as ``_load``."""
+    """Link the function ``symbol`` of ``module``, whose text is ``ir``, and store its code. Raises OSError."""
     made = ObjectCode(_target_machine().emit_object(module), symbol, signature, tuple(_outside(ir)))
-    _require(["sin"])  # or any mathematics that the compiler calls without declaring it
+    _require(["sin"])  # for the mathematical functions that the compiler may call without declaring them
     loaded = _load(made)
     store_code(words, made)
     return loaded
 
 
 def native_text(ir: str, symbol: str, signature: str) -> Native:
-    """The function ``symbol`` of a module of LLVM's intermediate language as machine code, kept on disk as well.
+    """Machine code of the function ``symbol`` of a module in LLVM's intermediate language, stored on disk.
 
-    Raises ValueError for a text that is no such module, OSError when something it calls cannot be linked.
+    Raises ValueError for a text that is no such module, OSError if something that it calls cannot be linked.
     """
     llvm, words = _machine()
     start = time.perf_counter()
@@ -252,19 +252,19 @@ def native_text(ir: str, symbol: str, signature: str) -> Native:
         module = llvm.parse_assembly(ir)
         module.verify()
     except RuntimeError as error:
-        raise ValueError(f"no module of LLVM's language: {str(error).strip().splitlines()[0]}") from error
+        raise ValueError(f"not a module of LLVM's language: {str(error).strip().splitlines()[0]}") from error
     call, keep = _linked(module, ir, symbol, signature, words)
     return Native(call, signature, time.perf_counter() - start, False, keep)
 
 
 def native(function: Callable[..., Any], signature: str, *, inline: bool = True) -> Native:
-    """``function`` as machine code, from the cache when its content is known there.
+    """Machine code of ``function``, from the cache if its content is known there.
 
-    ``signature`` has a letter an argument: ``p`` pointer to float64, ``d`` float64, ``q`` int64. ``inline``
-    forces every kernel into its caller, which is right for a step of a hundred operations and wrong for loops.
-    Raises CompileError when the compiler refuses.
+    ``signature`` has one letter per argument: ``p`` pointer to float64, ``d`` float64, ``q`` int64. ``inline`` forces
+    every kernel into its caller, which is right for a step of a hundred operations and wrong for loops. Raises
+    CompileError if the compiler refuses the function.
     """
-    llvm, words = _machine()  # the back end's own start-up is no part of compiling or loading this function
+    llvm, words = _machine()  # before the clock starts: the back end's own start-up is not counted
     start = time.perf_counter()
     words = f"{fingerprint(function)}|{signature}|{inline}|{words}"
     known = _known(words, signature, start)
@@ -277,13 +277,13 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
         raise
     except Exception as error:  # numba raises its own kinds and plain ones
         lines = [line.strip() for line in str(error).splitlines()]
-        telling = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
-        raise CompileError((telling or [type(error).__name__])[0]) from error
+        reasons = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
+        raise CompileError((reasons or [type(error).__name__])[0]) from error
     ir = compiled.inspect_llvm()
     prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
     call, keep = prototype(compiled.address), (compiled,)
     if not _has_addresses(compiled, ir):
-        with suppress(OSError):  # something to link stored code against is missing here: use numba's own, unstored
+        with suppress(OSError):  # a symbol to link is missing here: use numba's own code, unstored
             call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, words)
     return Native(call, signature, time.perf_counter() - start, False, keep)
 
@@ -295,7 +295,7 @@ def _has_addresses(compiled: Any, ir: str) -> bool:
 
 
 def _ready_numba() -> None:
-    """Import numba. Raises RunError where it cannot be loaded, or is set not to compile."""
+    """Import numba. Raises RunError if it cannot be loaded or is set not to compile."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of settings that numba cannot read and topcli does not use

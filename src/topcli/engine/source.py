@@ -1,4 +1,4 @@
-"""The functions that a kernel can reach, and a copy of them for the compiler.
+"""Functions that a kernel can reach, and their copies for the compiler.
 
 Kernels are plain Python functions that call each other by a global or closed-over name, or as attributes of a module.
 ``fingerprint`` follows the same names.
@@ -16,7 +16,7 @@ from typing import Any
 from topcli.errors import SchemeCodeError
 
 VERSIONED = frozenset(("llvmlite", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "pydantic", "scipy"))
-"""Packages whose functions are identified by name: their versions are part of the key, or recorded with the run."""
+"""Packages whose functions are identified by name: their versions are part of the key or are recorded with the run."""
 
 _STANDARD_LIBRARY = str(Path(types.__file__).parent)
 
@@ -37,7 +37,7 @@ def is_versioned(module: str) -> bool:
 
 
 def is_installed(module: str) -> bool:
-    """True if the package of a module was put in place by an installer of packages."""
+    """True if the package of a module was installed by a package manager."""
     file = getattr(sys.modules.get(module.partition(".")[0]), "__file__", None)
     return file is not None and not {"site-packages", "dist-packages"}.isdisjoint(Path(file).parts)
 
@@ -53,7 +53,7 @@ def plain_function(value: object) -> types.FunctionType | None:
 
 
 def place_of(function: types.FunctionType) -> str:
-    """File and line of a function, as messages give it."""
+    """File and line of a function, for messages."""
     return f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
 
 
@@ -67,12 +67,15 @@ def _names(code: types.CodeType) -> Iterator[str]:
 
 
 def names_in(function: types.FunctionType) -> list[str]:
-    """Every global and attribute that the function mentions, sorted."""
+    """Sorted names of all globals and attributes that the function mentions."""
     return sorted(set(_names(function.__code__)))
 
 
 def used_names(function: types.FunctionType) -> set[str]:
-    """The globals that the bytecode loads and its closed-over variables: fewer than ``names_in``, found more slowly."""
+    """Names of the globals that the bytecode loads and of its closed-over variables.
+
+    Fewer than ``names_in``, but slower to find.
+    """
     import dis
 
     found = set(function.__code__.co_freevars)
@@ -84,13 +87,13 @@ def used_names(function: types.FunctionType) -> set[str]:
 
 
 def references(function: types.FunctionType) -> dict[str, Any]:
-    """The globals and closed-over variables of a function by name; a global hides the builtin of its name."""
+    """Globals and closed-over variables of a function by name; builtins are left out."""
     scope = function.__globals__
     found = {name: scope[name] for name in names_in(function) if name in scope}
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
             found[name] = cell.cell_contents
-        except ValueError:  # a variable that was never given a value
+        except ValueError:  # a variable without a value
             found.pop(name, None)
     return found
 
@@ -103,7 +106,7 @@ class _Copier:
         self.open: set[int] = set()
 
     def compiled(self, value: object, names: list[str]) -> Any:
-        """``value`` as compiled code may refer to it; of a module the attributes ``names`` are used."""
+        """Form of ``value`` that compiled code may refer to; of a module, the attributes ``names`` are used."""
         if isinstance(value, types.ModuleType):
             return self._module(value, names)
         inner = plain_function(value)
@@ -136,15 +139,15 @@ class _Copier:
         refers = {n: self.compiled(value, names) for n, value in references(function).items() if n in used}
         defaults = tuple(self.compiled(value, names) for value in function.__defaults__ or ()) or None
         self.open.remove(id(function))
-        cells = tuple(types.CellType(*refers_to(refers, name)) for name in function.__code__.co_freevars)
+        cells = tuple(types.CellType(*_cell_content(refers, name)) for name in function.__code__.co_freevars)
         scope = {**function.__globals__, **refers}
         made = types.FunctionType(function.__code__, scope, function.__name__, defaults, cells or None)
         made.__kwdefaults__ = function.__kwdefaults__
         return made
 
 
-def refers_to(refers: dict[str, Any], name: str) -> tuple[Any, ...]:
-    """Contents of the closure's cell of a variable: nothing for one without a value."""
+def _cell_content(refers: dict[str, Any], name: str) -> tuple[Any, ...]:
+    """Content of a variable's closure cell; empty for a variable without a value."""
     return (refers[name],) if name in refers else ()
 
 
@@ -153,7 +156,7 @@ def compilable_copy(
     compiler: Callable[[types.FunctionType], Any],
     replace: dict[int, Any] | None = None,
 ) -> types.FunctionType:
-    """A copy of ``function`` in which every reachable kernel is replaced by ``compiler(kernel)``.
+    """Copy of ``function`` in which every reachable kernel is replaced by ``compiler(kernel)``.
 
     The originals stay plain Python. Raises SchemeCodeError for a kernel that calls itself.
     """

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar, cast
 import numpy as np
 
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.many import EnsembleSummary, ManyTally, Spool, measure_columns
+from topcli.analysis.many import EnsembleSummary, EnsembleTally, Spool, measure_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
@@ -55,7 +55,7 @@ class GroupRun(Generic[Made]):
         self._next = offset
         self.modified: tuple[Invariant, ...] = one.modified
         self.invariants = (*group.top.invariants(), *self.modified)
-        self.tally = ManyTally(self.invariants, 0, group.top)
+        self.tally = EnsembleTally(self.invariants, 0, group.top)
         self.names = list(one.output.columns or column_names(group.top))
 
         def made(piece: Piece) -> Made:
@@ -79,7 +79,7 @@ class GroupRun(Generic[Made]):
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
         """Run the next trajectories of the group, from ``y0`` (m, d): what ``keep`` made, and trajectory-steps done."""
         self.offset, self._next = self._next, self._next + len(y0)
-        self.tally = ManyTally(self.invariants, len(y0), self.group.top)
+        self.tally = EnsembleTally(self.invariants, len(y0), self.group.top)
         self.run.begin(y0)
         yield from self.run
         self.tally.finish(self.run.last)

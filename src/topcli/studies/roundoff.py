@@ -134,7 +134,7 @@ def _followed(
     with np.errstate(over="ignore", invalid="ignore"):
         for chunk in run:
             tally.add(chunk.states)
-            watch.look(chunk.n, chunk.states)
+            watch.add(chunk.n, chunk.states)
     assert run.ending is not None
     return tally, run.ending.having_left(watch.left, experiment.h)
 

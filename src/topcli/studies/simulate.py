@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from topcli.analysis.leaving import EnergyWatch
+from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
@@ -18,18 +16,15 @@ from topcli.engine.loop import Run
 def trajectory_of(experiment: Experiment) -> Trajectory:
     """Run an experiment in memory."""
     run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, experiment.N, experiment.output.every)
-    pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in run]
-    assert run.ending is not None
-    n, states = np.concatenate([n for n, _ in pieces]), np.concatenate([states for _, states in pieces])
-    watch = EnergyWatch(experiment.top, states[0])
-    watch.look(n, states)
+    n, states, ending = run.collect()
+    left = step_of_leaving(experiment.top, n, states)
     return Trajectory(
         top=experiment.top,
         scheme=experiment.scheme.name,
         h=experiment.h,
         n=n,
         states=states,
-        ending=run.ending.having_left(watch.left, experiment.h),
+        ending=ending.having_left(left, experiment.h),
         compile_seconds=run.compile_seconds,
         run_seconds=run.run_seconds,
         modified=experiment.modified,

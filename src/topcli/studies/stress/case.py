@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.leaving import EnergyWatch
+from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.reference import reference_states
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
@@ -124,14 +124,10 @@ class Trial:
         h, N = h or self.h, N or self.N
         run = Run(self.top, self.method, y0 or self.y0, h, N, every, loop=self._loop)
         with np.errstate(all="ignore"):
-            pieces = [(chunk.n.copy(), chunk.states.copy()) for chunk in run]
-        assert run.ending is not None
+            n, states, ending = run.collect()
         if not self.counters:
-            self.counters = dict(run.ending.counters)
-        n, states = np.concatenate([n for n, _ in pieces]), np.concatenate([states for _, states in pieces])
-        watch = EnergyWatch(self.top, states[0])
-        watch.look(n, states)
-        return Motion(n, states, run.ending.having_left(watch.left, h), h)
+            self.counters = dict(ending.counters)
+        return Motion(n, states, ending.having_left(step_of_leaving(self.top, n, states), h), h)
 
     def reference(self, times: Array) -> Array:
         """Return the reference motion of the case at ``times``, (m, d)."""
