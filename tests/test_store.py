@@ -281,10 +281,10 @@ def test_a_different_run_that_came_meanwhile_stays_and_copies_are_dropped(
     """Without --force nobody is displaced, who comes second is kept aside, and of identical runs there is one."""
     carry_out = run_study._carry_out
 
-    def late(experiment: Experiment, *rest: object) -> object:
-        if experiment.h == 0.002:
+    def late(job, *rest: object) -> object:
+        if job.experiment.h == 0.002:
             run_experiment(small(), tmp_path, force=True)
-        return carry_out(experiment, *rest)
+        return carry_out(job, *rest)
 
     monkeypatch.setattr(run_study, "_carry_out", late)
     for _ in range(2):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from topcli.config.models import Experiment, as_integer
+from topcli.config.models import Experiment, as_integer, digest_of
 from topcli.contracts import Array, Top
 
 MAX_TRAJECTORIES = 10**6
@@ -204,8 +202,7 @@ class EnsembleExperiment:
     @cached_property
     def digest(self) -> str:
         """sha256 of the resolved config as canonical JSON, 64 hexadecimal digits."""
-        text = json.dumps(self.resolved(), sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return digest_of(self.resolved())
 
     def to_yaml(self) -> str:
         """The resolved config as a YAML text that loads to the same ensemble."""

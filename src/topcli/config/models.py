@@ -107,6 +107,12 @@ class Config(BaseModel):
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
 
+def digest_of(resolved: dict[str, Any]) -> str:
+    """SHA-256 of a resolved config as canonical JSON, 64 hexadecimal digits."""
+    text = json.dumps(resolved, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 class Experiment(BaseModel):
     """A numerical experiment, complete and validated.
 
@@ -160,8 +166,7 @@ class Experiment(BaseModel):
     @property
     def digest(self) -> str:
         """sha256 of the resolved config as canonical JSON, 64 hexadecimal digits."""
-        text = json.dumps(self.resolved(), sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return digest_of(self.resolved())
 
     def to_yaml(self) -> str:
         """The resolved config as a YAML text that loads to the same experiment."""

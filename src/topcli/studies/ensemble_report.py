@@ -78,16 +78,20 @@ class EndingTally:
 
 
 def ensemble_report(
-    experiment: EnsembleExperiment, endings: EndingTally, invariants: Sequence[dict[str, Any]], seconds: dict[str, Any]
+    experiment: EnsembleExperiment,
+    digest: str,
+    endings: EndingTally,
+    invariants: Sequence[dict[str, Any]],
+    seconds: dict[str, Any],
 ) -> dict[str, Any]:
-    """The content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
+    """Content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
     first = experiment.first
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
             "kind": "ensemble",
             "name": experiment.name,
-            "digest": experiment.digest,
+            "digest": digest,
             "top": first.top.kind,
             "top_title": first.top.title,
             "scheme": first.scheme.name,

@@ -19,8 +19,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.fingerprint import fingerprint
 from topcli.schemes.compensated import enter_compensated
+from topcli.studies.identity import method_fingerprint
 from topcli.studies.roundoff import copies_followed, sampling_of
-from topcli.studies.run import method_fingerprint
 
 STEPS = 1 << 19
 COPIES = 4

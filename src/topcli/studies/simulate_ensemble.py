@@ -36,7 +36,7 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
         )
     states = np.full((experiment.count, each, d), np.nan)
 
-    def keep(group: GroupRun[None], piece: Piece) -> None:
+    def keep(group: GroupRun[None], piece: Piece, values: object) -> None:
         if each and len(piece.n):
             where = group.offset + piece.first
             start = int(piece.n[0]) // first.output.every
