@@ -119,7 +119,7 @@ def _carry_out(
     except (KeyError, ValueError) as error:
         if start is None:
             raise
-        raise UsageError(f"{writer.folder}: its checkpoint is none of this version of topcli ({error})") from None
+        raise UsageError(f"{writer.folder}: its checkpoint was written by another version of topcli ({error})") from None
     run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
     _record(job, run, recorder, progress)
     writer.sha256[job.series.name] = recorder.series.sha256

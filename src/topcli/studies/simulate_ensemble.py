@@ -125,16 +125,20 @@ def simulate_ensemble(
     """
     if threads is not None and threads < 1:
         raise UsageError(f"threads must be at least 1, not {threads}")
+    return ensemble_of(_experiment(config, states, overrides, changes), threads)
+
+
+def _experiment(
+    config: str | Path | Mapping[str, Any] | None, states: Any, overrides: Sequence[str], changes: Mapping[str, Any]
+) -> EnsembleExperiment:
     if config is None or isinstance(config, Mapping):
         data = {"name": "simulation", **(config or {}), **changes}
     elif changes or states is not None:
         data = {**load_any(config, overrides).resolved(), **changes}
         overrides = ()
     else:
-        return ensemble_of(_ensemble(load_any(config, overrides)), threads)
-    if states is not None:
-        return ensemble_of(_from_states(data, states, overrides), threads)
-    return ensemble_of(_ensemble(any_from(data, overrides)), threads)
+        return _ensemble(load_any(config, overrides))
+    return _ensemble(any_from(data, overrides)) if states is None else _from_states(data, states, overrides)
 
 
 def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
