@@ -84,7 +84,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
     if isinstance(found, StoredRun):
         return found
     if other or found:
-        why = f"holds a damaged run ({found.reason})" if found else "exists and is no finished run"
+        why = f"holds a damaged run ({found.reason})" if found else "exists and is not a finished run"
         raise UsageError(
             f"{target}: {why}; nothing was written",
             "move it away, or choose another folder with --out or another name with --set name=...",
@@ -200,7 +200,7 @@ class RunWriter:
             kept = _KEPT
             if not isinstance(self._source, Part):
                 remove_own(self.folder)
-                kept = "nothing was written" if self._source is None else "the interrupted run is as it was"
+                kept = "nothing was written" if self._source is None else "the interrupted run is unchanged"
             if self._lock is not None:
                 self._lock.release()
             if isinstance(error, OSError):
@@ -212,7 +212,7 @@ class RunWriter:
 
     def _take_over(self, part: Part) -> None:
         if link := linked_file(part.folder):
-            raise UsageError(f"{link}: is no regular file; remove it to resume this run")
+            raise UsageError(f"{link}: is not a regular file; remove it to resume this run")
         self._lock = take_lock(part.folder, self._about)
         if self._lock is None:
             raise UsageError(f"{self.target}: another process has just begun to continue this run")
@@ -339,7 +339,7 @@ class RunWriter:
             return False
         kept = self._one_copy(self._move_aside(self.folder))
         raise RunError(
-            f"{self.target}: another process has put a different experiment there meanwhile; this run is kept as {kept}"
+            f"{self.target}: another process has meanwhile put a different experiment there; this run is kept as {kept}"
         )
 
     def _asides(self, run: StoredRun | None) -> Iterator[Path]:

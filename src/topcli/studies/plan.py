@@ -48,11 +48,11 @@ def plan_run(
             raise UsageError(
                 f"{target}: holds a different experiment (digest {existing.manifest['digest'][:8]}, this one "
                 f"{digest[:8]}); nothing was written",
-                "choose --set name=... or --out, or --force to keep the earlier run aside and put this one in "
-                "its place",
+                "choose another name with --set name=... or another folder with --out, or use --force, which renames "
+                "the earlier run",
             )
         require_real(target)
-        return Plan(existing, False, f"{begin}, and keep the different run that is there aside")
+        return Plan(existing, False, f"{begin}; the existing different run is renamed, not overwritten")
     failed = existing.outcome is not Outcome.COMPLETED
     if not force and not (failed and retry_failed) and existing.up_to_date(digest, identity.code):
         return Plan(existing, True, f"up to date; {retry_hint(existing)}" if failed else "up to date")
@@ -65,4 +65,4 @@ def plan_run(
 
 def retry_hint(existing: StoredRun) -> str:
     """Outcome of a finished run that failed, and the option that runs it again."""
-    return f"the run that is there ended as {existing.outcome.value}; --retry-failed runs it again"
+    return f"the existing run ended as {existing.outcome.value}; --retry-failed runs it again"

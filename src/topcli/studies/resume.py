@@ -111,7 +111,7 @@ def find_source(identity: Identity, out: Path) -> Source | None:
         why = f"is of a different experiment ({difference(other.about.get('config', {}), config)})"
     raise UsageError(
         f"{other.folder}: the unfinished run, at step {other.done}, {why}; nothing was written and it is kept",
-        "resume it with the config and code that it was begun with, or start again without --resume",
+        "resume it with its own config and code, or start again without --resume",
     )
 
 
@@ -239,5 +239,5 @@ def checked_start(
         raise UsageError(f"{source.folder}: changed while it was being resumed; try again")
     tell(f"{name}: continues from step {start.done} of {identity.config['N']}")
     if found := difference(start.about["environment"], environment()):
-        tell(f"{name}: begun elsewhere ({found}): the last bits may differ from those of an uninterrupted run")
+        tell(f"{name}: started in another environment ({found}); the last bits may differ from an uninterrupted run")
     return start

@@ -119,7 +119,9 @@ def _carry_out(
     except (KeyError, ValueError) as error:
         if start is None:
             raise
-        raise UsageError(f"{writer.folder}: its checkpoint was written by another version of topcli ({error})") from None
+        raise UsageError(
+            f"{writer.folder}: its checkpoint was written by another version of topcli ({error})"
+        ) from None
     run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
     _record(job, run, recorder, progress)
     writer.sha256[job.series.name] = recorder.series.sha256
@@ -184,7 +186,7 @@ def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], 
         stored = writer.put_in_place(complete.manifest)
     except OSError as error:
         raise writer.failure(error) from error
-    tell(f"{writer.name}: the run had ended before it was killed; it is in its place now")
+    tell(f"{writer.name}: the run was complete when it was killed; it has been renamed into place")
     return RunResult(stored, stored.report(), "resumed", writer.set_aside)
 
 
