@@ -8,7 +8,7 @@ from pathlib import Path
 from topcli.contracts import Outcome
 from topcli.engine.loop import Run
 from topcli.schemes import registry
-from topcli.studies.run import method_fingerprint
+from topcli.studies.identity import method_fingerprint
 from topcli.tops.kowalevski import Kowalevski
 
 FILE = """

@@ -293,7 +293,7 @@ def test_dry_run_refuses_what_run_refuses(cli) -> None:
     said = cli("run", HK, "--dry-run")
     assert said.code == 2
     assert "holds a different experiment" in said.err
-    assert "aside" in cli("run", HK, "--dry-run", "--force").out
+    assert "the existing different run is renamed" in cli("run", HK, "--dry-run", "--force").out
 
 
 def test_options_reach_every_scheme_that_has_them(cli) -> None:

@@ -151,7 +151,7 @@ def test_a_run_warns_of_what_it_counted() -> None:
     report = {"name": "x", "scheme": "dg4", "step": 9, "counters": {"iterations": 40, "midpoint_steps": 0}}
     assert warning_of(report) == ""
     report["counters"] = {"iterations": 40, "midpoint_steps": 3}
-    assert warning_of(report) == "3 midpoint steps in 9 steps; topcli show dg4 tells of limits"
+    assert warning_of(report) == "3 midpoint steps in 9 steps; topcli show dg4 lists its limits"
 
 
 @pytest.mark.parametrize("scheme", all_schemes(), ids=lambda one: f"{one.name}/{one.top}")

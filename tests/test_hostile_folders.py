@@ -224,7 +224,7 @@ def test_a_linked_file_in_a_part_is_not_written_through(tmp_path: Path, name: st
     precious.write_text("years of work")
     (left / name).unlink(missing_ok=True)
     (left / name).symlink_to(precious)
-    with contextlib.nullcontext() if name == LOCK else pytest.raises(UsageError, match="is no regular file"):
+    with contextlib.nullcontext() if name == LOCK else pytest.raises(UsageError, match="is not a regular file"):
         run_experiment(small(), tmp_path, resume=True)  # nobody knows who holds a lock that is a link: left alone
     assert precious.read_text() == "years of work"
 

@@ -143,10 +143,10 @@ def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> 
     assert [path.name for path in tmp_path.iterdir()] == [NAME], "superseded, and swept away"
 
 
-def test_nothing_to_resume_starts_afresh_saying_so(tmp_path: Path) -> None:
+def test_nothing_to_resume_starts_from_step_0_and_says_so(tmp_path: Path) -> None:
     told: list[str] = []
     assert run_experiment(small(), tmp_path, resume=True, tell=told.append).status == "ran"
-    assert told == [f"{NAME}: nothing to resume; starts afresh"]
+    assert told == [f"{NAME}: nothing to resume; starting from step 0"]
 
 
 @pytest.mark.parametrize("how", ["killed", "interrupted"])
@@ -160,7 +160,7 @@ def test_another_experiment_or_code_is_refused_and_nothing_is_lost(
     before = {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"}
     with pytest.raises(UsageError, match=r"different experiment \(h: 0.001 there, 0.002 here\).*\n.*without --resume"):
         run_experiment(small("h=0.002"), tmp_path, resume=True)
-    monkeypatch.setattr("topcli.studies.run.method_fingerprint", lambda method: "0" * 64)
+    monkeypatch.setattr("topcli.studies.identity.method_fingerprint", lambda method: "0" * 64)
     with pytest.raises(UsageError, match="other code of the scheme hk"):
         run_experiment(small(), tmp_path, resume=True)
     assert {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"} == before

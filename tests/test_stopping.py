@@ -130,9 +130,9 @@ def test_a_run_stopped_within_a_chunk_resumes_to_the_same_bytes(
     sizes: list[int] = []
     add = InvariantTally.add
 
-    def recording(self, n, states) -> None:
+    def recording(self, n, states, values) -> None:
         sizes.append(len(n))
-        add(self, n, states)
+        add(self, n, states, values)
 
     monkeypatch.setattr(InvariantTally, "add", recording)
     whole = run_experiment(experiment, tmp_path / "whole")

@@ -136,7 +136,7 @@ def test_changed_code_runs_again_and_keeps_the_earlier_result(tmp_path: Path) ->
 def test_a_folder_that_is_no_run_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "kowalevski_hk").mkdir()
     (tmp_path / "kowalevski_hk" / "thesis.tex").write_text("years of work")
-    with pytest.raises(UsageError, match="is no finished run"):
+    with pytest.raises(UsageError, match="is not a finished run"):
         run_experiment(small(), tmp_path, force=True)
     assert (tmp_path / "kowalevski_hk" / "thesis.tex").read_text() == "years of work"
     assert stored_run(tmp_path / "kowalevski_hk") is None
@@ -271,7 +271,7 @@ def test_concurrent_different_experiments_are_both_kept(tmp_path: Path) -> None:
         assert kept == {400_001 - other}
     else:
         assert codes[other] == 1
-        assert "another process has put a different experiment there meanwhile; this run is kept as" in said[other]
+        assert "another process has meanwhile put a different experiment there; this run is kept as" in said[other]
         assert kept == {400_000, 400_001}
 
 
@@ -281,15 +281,15 @@ def test_a_different_run_that_came_meanwhile_stays_and_copies_are_dropped(
     """Without --force nobody is displaced, who comes second is kept aside, and of identical runs there is one."""
     carry_out = run_study._carry_out
 
-    def late(experiment: Experiment, *rest: object) -> object:
-        if experiment.h == 0.002:
+    def late(job, *rest: object) -> object:
+        if job.experiment.h == 0.002:
             run_experiment(small(), tmp_path, force=True)
-        return carry_out(experiment, *rest)
+        return carry_out(job, *rest)
 
     monkeypatch.setattr(run_study, "_carry_out", late)
     for _ in range(2):
         shutil.rmtree(tmp_path / "kowalevski_hk", ignore_errors=True)
-        with pytest.raises(RunError, match="different experiment there meanwhile; this run is kept as") as caught:
+        with pytest.raises(RunError, match="meanwhile put a different experiment there; this run is kept as") as caught:
             run_experiment(small("h=0.002"), tmp_path)
         aside = f"kowalevski_hk.{small('h=0.002').digest[:8]}"
         assert str(caught.value).endswith(aside)

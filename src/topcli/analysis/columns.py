@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,12 @@ def spellings(name: str, symbol: str) -> list[str]:
     return list(dict.fromkeys((name, symbol, symbol.translate(_ASCII))))
 
 
+def invariant_values(invariants: Iterable[Invariant], states: Array) -> dict[str, Array]:
+    """Values (m,) of each invariant along states (m, d), by name; infinite or nan ones come without a warning."""
+    with np.errstate(all="ignore"):
+        return {invariant.name: invariant.value(states) for invariant in invariants}
+
+
 def columns(
     top: Top,
     n: NDArray[np.int64],
@@ -36,6 +42,7 @@ def columns(
     states: Array,
     names: Iterable[str],
     modified: Iterable[Invariant] = (),
+    values: Mapping[str, Array] | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Columns by name, computed from recorded rows.
 
@@ -53,6 +60,8 @@ def columns(
         Columns to compute; no other column is computed.
     modified : iterable of Invariant, optional
         Integrals of the scheme, which have columns too.
+    values : mapping of str to ndarray, shape (m,), optional
+        Values of invariants by name, if they have been evaluated before.
 
     Returns
     -------
@@ -63,6 +72,7 @@ def columns(
     UsageError
         For an unknown name.
     """
+    values = values or {}
     invariants = {invariant.name: invariant for invariant in (*top.invariants(), *modified)}
     made: dict[str, NDArray[Any]] = {}
     for name in names:
@@ -73,8 +83,7 @@ def columns(
         elif name in top.components:
             made[name] = states[:, top.components.index(name)]
         elif name in invariants:
-            with np.errstate(over="ignore", invalid="ignore"):
-                made[name] = invariants[name].value(states)
+            made[name] = values[name] if name in values else invariant_values([invariants[name]], states)[name]
         else:
             raise UsageError(f"no column {quoted(name)}; {nearest(name, ['n', 't', *top.components, *invariants])}")
     return made

@@ -38,6 +38,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.columns import invariant_values
 from topcli.analysis.leaving import energy_limits, first_beyond
 from topcli.contracts import Array, Invariant, Top
 
@@ -185,8 +186,7 @@ class _Tally:
         self.squares = 0.0
         self.sums = np.zeros(2 * BLOCKS)
 
-    def add(self, n: NDArray[np.int64], states: Array, block: NDArray[np.int64]) -> None:
-        values = self.invariant.value(states)
+    def add(self, n: NDArray[np.int64], states: Array, values: Array, block: NDArray[np.int64]) -> None:
         deviation = values - self.first
         self.low = float(np.minimum(self.low, values.min()))  # unlike min() it keeps a nan
         self.high = float(np.maximum(self.high, values.max()))
@@ -224,10 +224,14 @@ class InvariantTally:
         self._steps_in = np.zeros(2 * BLOCKS)
         self._last = 0
 
-    def add(self, n: NDArray[np.int64], states: Array) -> None:
-        """Add rows: step numbers (m,) and states (m, d). The very first row is the reference."""
+    def add(self, n: NDArray[np.int64], states: Array, values: Mapping[str, Array] | None = None) -> None:
+        """Add rows: step numbers (m,) and states (m, d). The very first row is the reference.
+
+        ``values`` (m,) are those of the invariants by name, if they have been evaluated before.
+        """
         if not len(n):
             return
+        values = invariant_values(self._invariants, states) if values is None else values
         if not self._tallies:
             with np.errstate(over="ignore", invalid="ignore"):
                 firsts = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
@@ -246,7 +250,7 @@ class InvariantTally:
         self._last = int(n[-1])
         with np.errstate(over="ignore", invalid="ignore"):  # huge states: the verdict covers values that are not finite
             for tally in self._tallies:
-                tally.add(n, states, block)
+                tally.add(n, states, values[tally.invariant.name], block)
 
     @property
     def left(self) -> int | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import errno
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,10 +41,18 @@ class EnsembleTally:
         self.final_deviation = np.full(shape, np.nan)
         self._rows, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
 
-    def add(self, first: int, n: NDArray[np.int64], states: Array, kept: NDArray[np.int64]) -> None:
+    def add(
+        self,
+        first: int,
+        n: NDArray[np.int64],
+        states: Array,
+        kept: NDArray[np.int64],
+        values: Mapping[str, Array] | None = None,
+    ) -> None:
         """Add rows of the trajectories from ``first`` on: step numbers (m,), states (trajectories, m, d).
 
-        Only the first ``kept[i]`` rows of each count. A trajectory's very first row is its reference.
+        Only the first ``kept[i]`` rows of each count. A trajectory's very first row is its reference. ``values``
+        (trajectories * m,) are those of the invariants by name, if they have been evaluated before.
         """
         count, m, d = states.shape
         if not m:
@@ -55,9 +63,9 @@ class EnsembleTally:
         fresh = (self._rows[here] == 0) & (kept > 0)
         with np.errstate(all="ignore"):  # huge states give figures that are not finite
             for i, invariant in enumerate(self.invariants):
-                values = invariant.value(flat).reshape(count, m)
-                self.first[i, here] = np.where(fresh, values[:, 0], self.first[i, here])
-                deviation = values - self.first[i, here, None]
+                found = (invariant.value(flat) if values is None else values[invariant.name]).reshape(count, m)
+                self.first[i, here] = np.where(fresh, found[:, 0], self.first[i, here])
+                deviation = found - self.first[i, here, None]
                 scale = invariant.scale(flat).reshape(count, m)
                 if beyond is not None:
                     deviation[beyond] = 0.0

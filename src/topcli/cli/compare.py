@@ -36,7 +36,7 @@ def _modified_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
 
 def _lines(figures: dict[str, Any]) -> list[list[str]]:
     """Lines of the comparison: a label, then a cell for each scheme."""
-    from topcli.studies.report import number
+    from topcli.studies.report import comparison_lines, number
 
     schemes = figures["schemes"]
     spacing = figures["reference"]["swing_spacing"]
@@ -47,23 +47,12 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
     def line(label: str, cell: Any) -> list[str]:
         return [label, *(cell(scheme) for scheme in schemes)]
 
-    lines = [
+    h = schemes[0]["reversal"]["h"]
+    return [
         line("outcome", lambda s: s["outcome"]),
         line("max error", lambda s: number(s["max_error"])),
         line("error at the end", lambda s: number(s["end_error"])),
-    ]
-    for i, row in enumerate(schemes[0]["invariants"]):
-        symbol = row["symbol"]
-        lines += [
-            line(f"{symbol} max deviation", lambda s, i=i: number(s["invariants"][i]["max_deviation"])),
-            line(f"{symbol} drift per unit time", lambda s, i=i: number(s["invariants"][i]["drift"])),
-            line("  its standard error", lambda s, i=i: number(s["invariants"][i]["drift_error"], 2)),
-            line("  model", lambda s, i=i: s["invariants"][i]["model"] or "–"),
-            line("  verdict", lambda s, i=i: s["invariants"][i]["verdict"]),
-        ]
-    h = schemes[0]["reversal"]["h"]
-    return [
-        *lines,
+        *comparison_lines(schemes),
         *_modified_lines(schemes),
         line(f"reversal defect at h = {h:g}", lambda s: number(s["reversal"]["defect"])),
         line(

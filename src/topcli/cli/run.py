@@ -96,24 +96,25 @@ def _print_result(result: RunResult, labelled: bool) -> None:
 def _dry_run(experiment: Experiment | EnsembleExperiment, options: RunOptions) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
     from topcli.config.models import Experiment
-    from topcli.studies.run import method_fingerprint, plan_run
+    from topcli.studies.identity import Identity
+    from topcli.studies.plan import plan_run
 
     out, source = options.out, None
     if isinstance(experiment, Experiment):
         from topcli.studies.resume import find_source
 
-        code, rows = method_fingerprint(experiment.method()), experiment.N // experiment.output.every + 1
-        source = find_source(experiment, out, code) if options.resume else None
+        identity, rows = Identity.of(experiment, [experiment.method()]), experiment.N // experiment.output.every + 1
+        source = find_source(identity, out) if options.resume else None
     else:
-        from topcli.studies.ensemble import ensemble_fingerprint
+        from topcli.studies.ensemble import ensemble_identity
 
         _refuse_to_resume(options.resume)
-        code, rows = ensemble_fingerprint(experiment), experiment.rows
-    plan = plan_run(experiment, out, code, force=options.force, retry_failed=options.retry_failed, source=source)
+        identity, rows = ensemble_identity(experiment), experiment.rows
+    plan = plan_run(identity, out, force=options.force, retry_failed=options.retry_failed, source=source)
     return {
-        "config": experiment.resolved(),
-        "digest": experiment.digest,
-        "folder": str(out / experiment.name),
+        "config": identity.config,
+        "digest": identity.digest,
+        "folder": str(out / identity.name),
         "action": plan.action,
         "rows": rows,
     }

@@ -123,6 +123,12 @@ class Config(BaseModel):
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
 
+def digest_of(resolved: dict[str, Any]) -> str:
+    """SHA-256 of a resolved config as canonical JSON, 64 hexadecimal digits."""
+    text = json.dumps(resolved, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 class Experiment(BaseModel):
     """A numerical experiment, complete and validated.
 
@@ -181,12 +187,6 @@ class Experiment(BaseModel):
     def to_yaml(self) -> str:
         """Return the resolved config as YAML that loads to the same experiment."""
         return to_yaml(self.resolved())
-
-
-def digest_of(resolved: dict[str, Any]) -> str:
-    """SHA-256 of a resolved config as canonical JSON, 64 hexadecimal digits."""
-    text = json.dumps(resolved, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def duration_fault(h: float, N: int) -> str:

@@ -54,7 +54,7 @@ class ComparisonFigure(Figure):
         from topcli.config.load import load_experiment
         from topcli.engine.fingerprint import fingerprint
         from topcli.studies.compare import compare_schemes, under_scheme
-        from topcli.studies.run import method_fingerprint
+        from topcli.studies.identity import method_fingerprint
 
         experiment = load_experiment(scene_config(self.scene, request.configs))
         compared = [under_scheme(experiment, name) for name in self.schemes]

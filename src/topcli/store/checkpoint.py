@@ -1,6 +1,6 @@
-"""Checkpoints: what an unfinished run goes on from, as named arrays and plain data in one file, exact to the bit.
+"""Checkpoints: the state of an unfinished run, exact to the bit, as named arrays and plain data in one file.
 
-``checkpoint.npz`` is written whole or not at all; the SHA-256 of its content, in its last 32 bytes, shows damage.
+``checkpoint.npz`` is written atomically. Its last 32 bytes are the SHA-256 of its content, which reveals damage.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ABOUT = {
     "config": dict,
     "environment": dict,
 }
-"""What ``about`` holds of which type; a file that says otherwise is damaged."""
+"""Keys of ``about`` and their types; a file with others is damaged."""
 
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, TypeError, RecursionError, MemoryError, NotImplementedError)
 
@@ -42,9 +42,9 @@ _UNREADABLE = (OSError, ValueError, KeyError, EOFError, TypeError, RecursionErro
 class Checkpoint:
     """A run stopped between two chunks after ``done`` steps.
 
-    ``work`` is the engine's whole working state, ``tally`` the sums of the invariant report, ``series`` how far the
-    series reaches, ``rows`` what is in neither of them yet: step numbers (m,) and states (m, d). ``about`` is plain
-    data: what experiment and code it belongs to, and what the report tells.
+    ``work`` is the working state of the engine, ``tally`` the sums of the invariant report, ``series`` a mark of how
+    far the series has been written. ``rows`` are in neither of them yet: step numbers (m,) and states (m, d).
+    ``about`` is plain data: experiment, code, environment, times.
     """
 
     done: int
@@ -55,7 +55,7 @@ class Checkpoint:
     about: dict[str, Any]
 
     def belongs_to(self, digest: str, code: str) -> bool:
-        """Whether the same experiment under the same code can go on from here."""
+        """True if this is a checkpoint of the experiment and code with these digests."""
         return self.about.get("digest") == digest and self.about.get("code") == code
 
 
@@ -69,7 +69,7 @@ def sync(path: Path) -> None:
 
 
 def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
-    """Put ``checkpoint`` into ``folder`` in one atomic step, flushed to the disk. Raises OSError naming the file."""
+    """Write ``checkpoint`` into ``folder`` atomically and flush it to the disk. Raises OSError naming the file."""
     path = folder / CHECKPOINT
     head = {
         "version": VERSION,
@@ -105,7 +105,7 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
 
 
 def read_checkpoint(folder: Path) -> Checkpoint | None:
-    """The checkpoint in ``folder``; None when there is none, or a damaged one, or one of another version."""
+    """Checkpoint in ``folder``; None if there is none, or if it is damaged or of another version."""
     try:
         content = (folder / CHECKPOINT).read_bytes()
         if hashlib.sha256(memoryview(content)[:-32]).digest() != content[-32:]:

@@ -1,19 +1,18 @@
-"""A Parquet file that grows row group by row group and can be cut off behind any of them.
+"""Footer of a Parquet file that grows row group by row group and can be cut off after any of them.
 
-Parquet keeps what tells where the data lie, the footer, at the end of the file: a file whose writer was killed is lost.
-Here every row group is therefore appended as a small Parquet file of its own, footer included, and one last footer
-lists them all. The offsets in a footer count from the start of its own small file; ``merged_footer`` moves them. It
-knows as much as it must of Thrift's compact protocol, in which footers are written, and of the fields of
-``FileMetaData`` (both are public formats: apache/parquet-format, ``parquet.thrift``). Readers need not know of this:
-they go by the last footer, and the earlier ones, some hundred bytes a row group, lie unused between the data. Each
-of these ends with ``UNFINISHED`` in place of Parquet's own magic number, so that no reader takes the file of a killed
-process for a whole one and reads the last row group's footer over the data of the first.
+The footer of a Parquet file, at its end, holds the positions of the data: a file whose writer was killed is lost.
+Here every row group is therefore appended as a small Parquet file with its own footer, and one last footer lists all
+row groups. The offsets in a footer count from the start of its small file; ``merged_footer`` shifts them. It
+implements the necessary part of Thrift's compact protocol, in which footers are written, and of ``FileMetaData``
+(public formats: apache/parquet-format, ``parquet.thrift``). Readers use the last footer only; the earlier ones, some
+hundred bytes for each row group, remain unused between the data. Each of them ends with ``UNFINISHED`` instead of
+Parquet's magic number: otherwise a reader would accept the file of a killed process, and apply the footer of its last
+row group to the data of the first.
 
-pyarrow by itself cannot do this at the same cost. Row groups kept as an Arrow IPC stream while the run goes on, with
-one Parquet file written beside it, take three times the space and, where every step is recorded, 1.8 times the time
-(3e6 rows of 12 columns: 1.7 s here, 3.2 s there). Whole Parquet files for each group that are read and encoded again
-at the end, or a stream that is encoded only then, let a stop wait for as long as that takes. Here the loop pays
-nothing for being able to continue.
+pyarrow alone cannot do this at the same cost. An Arrow IPC stream of the row groups, beside which one Parquet file is
+written, takes three times the space and, if every step is recorded, 1.8 times the time (3e6 rows of 12 columns: 3.2 s
+instead of 1.7 s). One Parquet file for each row group, or a stream, encoded again at the end delays every stop by the
+time of that encoding.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ _OFFSETS = frozenset(
         (4, 1, 3, 14),  # bloom_filter_offset
     ]
 )
-"""The fields of ``FileMetaData`` that are places in the file, as paths of field numbers (4: row groups, 1: columns)."""
+"""Fields of ``FileMetaData`` that are positions in the file, as paths of field numbers (4: row groups, 1: columns)."""
 
 _TRUE, _FALSE, _BYTE, _I64, _DOUBLE, _BINARY, _LIST, _SET, _STRUCT = 1, 2, 3, 6, 7, 8, 9, 10, 12
 _VARINTS = (4, 5, 6)
 
 
 class _Mover:
-    """Copies Thrift's compact protocol and adds ``shift`` to every offset on the way."""
+    """Copy data in Thrift's compact protocol, adding ``shift`` to every offset."""
 
     def __init__(self, data: bytes, shift: int) -> None:
         self._data, self._at, self._shift = data, 0, shift
@@ -76,7 +75,7 @@ class _Mover:
     def _value(self, kind: int, path: tuple[int, ...]) -> None:
         if kind in _VARINTS:
             value = self._varint()
-            if kind == _I64 and path in _OFFSETS and value:  # 0: not told; zigzag, so that a shift counts double
+            if kind == _I64 and path in _OFFSETS and value:  # 0: not set; zigzag encoding doubles the shift
                 value += 2 * self._shift
             self._put_varint(value)
         elif kind == _STRUCT:
@@ -96,11 +95,11 @@ class _Mover:
                 self._value(_BYTE if inner in (_TRUE, _FALSE) else inner, path)
         elif kind in (_BYTE, _DOUBLE):
             self._copy(1 if kind == _BYTE else 8)
-        elif kind not in (_TRUE, _FALSE):  # a field's truth is told by its kind alone
+        elif kind not in (_TRUE, _FALSE):  # the kind of a boolean field is its value
             raise ValueError(f"a Parquet footer holds a field of the unknown kind {kind}")
 
     def struct(self, path: tuple[int, ...] = ()) -> None:
-        """Copy one struct, whose fields' paths begin with ``path``."""
+        """Copy one struct; the paths of its fields begin with ``path``."""
         number = 0
         while True:
             head = self._byte()
@@ -110,9 +109,9 @@ class _Mover:
             if head >> 4:
                 number += head >> 4
             else:
-                told = self._varint()
-                self._put_varint(told)
-                number = (told >> 1) ^ -(told & 1)
+                zigzag = self._varint()
+                self._put_varint(zigzag)
+                number = (zigzag >> 1) ^ -(zigzag & 1)
             self._value(head & 0x0F, (*path, number))
 
 
@@ -123,7 +122,7 @@ def _metadata(thrift: bytes) -> Any:
 
 
 def _segments(file: BinaryIO, length: int) -> Iterator[Any]:
-    """The metadata of the small files that make up ``file[:length]``, last to first, with offsets moved to theirs."""
+    """Metadata of the small files in ``file[:length]``, last to first, with shifted offsets."""
     end = length
     while end:
         file.seek(end - 8)
@@ -146,10 +145,10 @@ def _segments(file: BinaryIO, length: int) -> Iterator[Any]:
 
 
 def merged_footer(file: BinaryIO, length: int, last: bytes) -> bytes:
-    """The footer that makes one Parquet file of the small ones in ``file[:length]``, to be appended there.
+    """Footer that makes one Parquet file of the small ones in ``file[:length]``, to be appended to them.
 
-    ``last`` is a whole Parquet file without rows: its schema and metadata are those of the result.
-    Raises ValueError when the file is not such a chain, OSError when it cannot be read.
+    ``last`` is a complete Parquet file without rows, whose schema and metadata the result gets.
+    Raises ValueError if the file is not such a chain, OSError if it cannot be read.
     """
     import pyarrow.parquet as pq
 

@@ -1,6 +1,6 @@
-"""A file that only grows, hashed as it grows, which a later process cuts at a mark, verifies and continues.
+"""Append-only file with a running SHA-256, which a later process verifies up to a mark, cuts there and continues.
 
-The SHA-256 at the mark lies in the checkpoint: rows that were damaged between two processes are never continued.
+The SHA-256 at the mark is in the checkpoint, so that rows damaged between two processes are never continued.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ _BLOCK = 1 << 20
 
 
 def damaged(path: Path, reason: str) -> RunError:
-    """The error for rows that cannot be resumed."""
+    """Error for a file of rows that cannot be resumed."""
     return RunError(
         f"{path}: damaged ({reason[:120]}); nothing was deleted; run without --resume to start again from step 0"
     )
 
 
 def named(error: OSError, path: Path) -> OSError:
-    """The same error with the file it is about."""
+    """The same error, with ``path`` as its file name if it has none."""
     error.filename = error.filename or str(path)
     return error
 
 
 class GrowingFile:
-    """Append to the file at ``path``, from the mark ``length`` with the SHA-256 ``sha256`` if they are given.
+    """File at ``path`` to append to, after the first ``length`` bytes, whose SHA-256 is ``sha256``.
 
-    Raises RunError if the bytes before the mark are not those that were written, and OSError.
+    Raises RunError if these bytes are damaged, and OSError.
     """
 
     def __init__(self, path: Path, length: int = 0, sha256: str = "") -> None:
@@ -66,7 +66,7 @@ class GrowingFile:
 
     @property
     def file(self) -> BinaryIO:
-        """The open file, to be read from."""
+        """Open file, for reading."""
         return self._file
 
     def append(self, *pieces: bytes | memoryview) -> None:

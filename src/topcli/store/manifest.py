@@ -1,8 +1,8 @@
-"""Finished run folders: the manifest, checked before anything trusts it, and the checksums of the files.
+"""Finished run folders: the manifest, validated before use, and the checksums of the files.
 
-``manifest.json`` lists every file of the run with its size and SHA-256. Before a run counts as up to date all sizes
-are compared, and the checksums of files up to ``CHECKED_AT_ONCE`` bytes, which takes some hundredths of a second;
-``topcli verify`` compares all of them.
+``manifest.json`` lists every file of the run with its size and SHA-256. A run counts as up to date only if all sizes
+agree, and the checksums of files up to ``CHECKED_AT_ONCE`` bytes, which takes some hundredths of a second.
+``topcli verify`` compares all checksums.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MANIFEST = "manifest.json"
 MANIFEST_VERSION = 2
 """Version 1 held the sizes of the files and no checksums."""
 CHECKED_AT_ONCE = 1 << 24
-"""Bytes: larger files are compared by size alone before a run counts as up to date."""
+"""Largest file, in bytes, whose checksum is compared before a run counts as up to date."""
 REPORT = "report.json"
 _LARGEST_JSON = 1 << 26
 _BLOCK = 1 << 20
@@ -52,7 +52,7 @@ class _Config(BaseModel):
 
 
 class _Manifest(BaseModel):
-    """The entries that topcli reads, which also name files; others are kept as they are."""
+    """Entries that topcli reads; all others are kept as they are."""
 
     manifest_version: Literal[1, 2]
     name: _Words
@@ -67,16 +67,16 @@ class _Manifest(BaseModel):
 
 
 class DamagedError(ValueError):
-    """A file of a run that is not as it was written; the message says in what."""
+    """A file of a run differs from what was written; the message describes the difference."""
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    """Open a file; of a named pipe, without waiting for somebody to write."""
+    """Open a file; if it is a named pipe, do not wait for a writer."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
-    """The JSON object in a file. Raises OSError, and DamagedError for any other content."""
+    """JSON object in a file. Raises OSError, and DamagedError for any other content."""
     with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
@@ -120,7 +120,7 @@ def sha256_of(path: Path, length: int | None = None) -> str:
 
 
 def _regular_size(path: Path) -> int:
-    """The size of a regular file. Raises DamagedError for anything else."""
+    """Size of a regular file. Raises DamagedError for anything else."""
     try:
         if path.is_file():
             return path.stat().st_size
@@ -130,7 +130,7 @@ def _regular_size(path: Path) -> int:
 
 
 def check_file(path: Path, entry: Any, largest: int | None = None) -> None:
-    """Compare a file with its ``entry`` in the manifest; beyond ``largest`` bytes by its size alone.
+    """Compare a file with its ``entry`` in the manifest; if it is larger than ``largest`` bytes, its size only.
 
     Raises DamagedError.
     """
@@ -156,12 +156,12 @@ class StoredRun:
 
     @property
     def series(self) -> Path:
-        """The file that holds the time series."""
+        """File of the time series."""
         return self.folder / str(self.manifest["series"])
 
     @property
     def outcome(self) -> Outcome:
-        """How the run ended."""
+        """Outcome of the run."""
         return Outcome(self.manifest["outcome"])
 
     @property
@@ -170,7 +170,7 @@ class StoredRun:
         return self.manifest.get("outcome") == Outcome.INTERRUPTED
 
     def report(self) -> dict[str, Any]:
-        """The content of ``report.json``. Raises RunError when it is missing or damaged."""
+        """Content of ``report.json``. Raises RunError if it is missing or damaged."""
         path = self.folder / REPORT
         try:
             return read_json(path)
@@ -182,7 +182,7 @@ class StoredRun:
         return self.manifest.get("digest") == digest
 
     def damage(self, largest: int | None = None) -> dict[str, str]:
-        """The damaged files and what is wrong with each; checksums of files up to ``largest`` bytes are compared."""
+        """Damaged files and their faults; checksums are compared for files of at most ``largest`` bytes."""
         found = {}
         for name, entry in self.manifest["files"].items():
             try:
@@ -192,7 +192,7 @@ class StoredRun:
         return found
 
     def up_to_date(self, digest: str, code: str) -> bool:
-        """True if running again would change nothing: same experiment and code, not interrupted, nothing damaged."""
+        """True if this is a complete, undamaged run of the same experiment and code."""
         return (
             self.same_experiment(digest)
             and self.manifest.get("code") == code
@@ -202,7 +202,7 @@ class StoredRun:
         )
 
     def identical(self, other: Mapping[str, Any]) -> bool:
-        """True if the manifest ``other`` is of the same run with the same series, to the bit."""
+        """True if ``other`` is the manifest of the same run with a bit-identical series."""
         keys = ("digest", "code", "outcome", "step", "series")
         return all(self.manifest.get(key) == other.get(key) for key in keys) and (
             self.manifest["files"][self.manifest["series"]] == other["files"][other["series"]]
@@ -211,14 +211,14 @@ class StoredRun:
 
 @dataclass(frozen=True)
 class DamagedRun:
-    """A folder with a manifest that cannot be trusted, and what is wrong with it."""
+    """A folder with an invalid manifest, and the reason."""
 
     folder: Path
     reason: str
 
 
 def look(folder: Path) -> StoredRun | DamagedRun | None:
-    """The run in ``folder``; None if it has no manifest."""
+    """Run in ``folder``; None if it has no manifest."""
     try:
         return StoredRun(folder, _read_manifest(folder))
     except (FileNotFoundError, NotADirectoryError):
@@ -230,13 +230,13 @@ def look(folder: Path) -> StoredRun | DamagedRun | None:
 
 
 def stored_run(folder: Path) -> StoredRun | None:
-    """The finished run in ``folder``; None if there is no manifest, or a damaged one."""
+    """Finished run in ``folder``; None if the manifest is missing or damaged."""
     found = look(folder)
     return found if isinstance(found, StoredRun) else None
 
 
 def all_runs(out: Path) -> list[StoredRun | DamagedRun]:
-    """The runs in the folders of ``out``, damaged ones too, by name."""
+    """Runs in the folders of ``out``, including damaged ones, by name."""
     try:
         with os.scandir(out) as entries:
             names = sorted(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir())
@@ -246,5 +246,5 @@ def all_runs(out: Path) -> list[StoredRun | DamagedRun]:
 
 
 def stored_runs(out: Path) -> list[StoredRun]:
-    """The finished runs in the folders of ``out``, by name."""
+    """Finished runs in the folders of ``out``, by name."""
     return [run for run in all_runs(out) if isinstance(run, StoredRun)]

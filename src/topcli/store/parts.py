@@ -1,7 +1,7 @@
-"""Run folders in the making, ``.<name>.part-<pid>-<random>``: who works in them, and what killed processes left.
+"""Part folders ``.<name>.part-<pid>-<random>``: runs in progress, and remains of killed processes.
 
-A process holds an exclusive lock on the file ``lock`` in its folder. The system takes the lock away when the process
-ends, however it ends: a lock that can be taken is nobody's. Where there are no such locks the process number counts.
+A process holds an exclusive lock on the file ``lock`` in its part folder. The system releases the lock when the process
+ends for any reason, so a lock that can be taken has no owner. On file systems without locks the process number is used.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ except ImportError:  # not a POSIX system
 LOCK = "lock"
 RESERVE = "reserve"
 RESERVED = 1 << 18
-"""Bytes: room for the reports, a footer and a checkpoint."""
+"""Bytes that suffice for the reports, a footer and a checkpoint."""
 _OWNER = re.compile(r"(\d+)-[0-9a-f]{8}")
 _RESULTS = re.compile(r"(series|trajectories|points)\.(parquet|csv)|report\.(json|md)|config\.yaml")
 _OURS = frozenset([MANIFEST, CHECKPOINT, LOCK, RESERVE])
 _TEMPORARY = re.compile(rf"\.manifest\.\d+\.json|{re.escape(TEMPORARY)}|\.{LOCK}")
-"""What is being written when a process ends."""
+"""Names of files that a killed process may leave half-written."""
 
 
 def is_result(name: str) -> bool:
-    """True for the names of the files that a run is for."""
+    """True for the names of a run's results."""
     return _RESULTS.fullmatch(name) is not None
 
 
 def is_temporary(name: str) -> bool:
-    """True for the names of files that a killed process leaves half-written."""
+    """True for the names of files that a killed process may leave half-written."""
     return _TEMPORARY.fullmatch(name) is not None
 
 
 def remove_own(folder: Path) -> None:
-    """Remove a run's own files, and the folder if nothing else is in it; never what somebody else put there."""
+    """Remove the files of a run, and the folder if nothing else is in it; other files are never removed."""
     with contextlib.suppress(OSError):
         for name in os.listdir(folder):
             if name in _OURS or is_result(name) or is_temporary(name):
@@ -56,7 +56,7 @@ def remove_own(folder: Path) -> None:
 
 
 def linked_file(folder: Path) -> Path | None:
-    """A file under one of the run's own names that is no regular file, such as a link to somewhere else."""
+    """Path in ``folder`` with the name of a run's file that is not a regular file, such as a link; None if none is."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if (entry.name in _OURS or is_result(entry.name)) and not entry.is_file(follow_symlinks=False):
@@ -69,13 +69,13 @@ def _prefix(name: str) -> str:
 
 
 def is_part(folder: Path) -> bool:
-    """True for a folder in the making, by its name."""
+    """True if ``folder`` exists and has the name of a part folder."""
     before, _, after = folder.absolute().name.rpartition(".part-")
     return before.startswith(".") and _OWNER.fullmatch(after) is not None and folder.is_dir()
 
 
 def new_part(out: Path, name: str) -> Path:
-    """A free name for a folder of this process."""
+    """Unused path for a part folder of this process."""
     return out / f"{_prefix(name)}{os.getpid()}-{secrets.token_hex(4)}"
 
 
@@ -106,20 +106,20 @@ def _alive(pid: int) -> bool:
 
 
 class Lock:
-    """A lock that this process holds on a folder, until ``release`` or its end."""
+    """Lock that this process holds on a folder, until ``release`` or its end."""
 
     def __init__(self, handle: int) -> None:
         self._handle = handle
 
     def release(self) -> None:
-        """Give the lock back; a second time does nothing."""
+        """Release the lock; repeated calls do nothing."""
         if self._handle >= 0:
             os.close(self._handle)
             self._handle = -1
 
 
 def _exclusive(handle: int) -> bool | None:
-    """Take the lock of the open file: whether it was to be had; None where the file system has no locks."""
+    """Take the lock of the open file. True if it was free; None if the file system has no locks."""
     if fcntl is None:
         return None
     try:
@@ -137,17 +137,17 @@ def _sign(handle: int, about: dict[str, Any]) -> None:
 
 
 def lock_new(folder: Path, about: dict[str, Any]) -> Lock:
-    """Lock a folder that this process has just made, saying what it is for. Raises OSError."""
+    """Lock a folder that this process has just created, with ``about`` in the lock file. Raises OSError."""
     unnamed = folder / f".{LOCK}"
     handle = os.open(unnamed, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
     _exclusive(handle)
     _sign(handle, about)
-    os.replace(unnamed, folder / LOCK)  # whoever sees the file sees it locked
+    os.replace(unnamed, folder / LOCK)  # visible to others only after it is locked
     return Lock(handle)
 
 
 def owner(folder: Path) -> dict[str, Any]:
-    """What the lock file of ``folder`` says: ``pid``, ``digest``, ``code``; empty when it says nothing."""
+    """Content of the lock file of ``folder``: ``pid``, ``digest``, ``code``; empty if it is missing or damaged."""
     try:
         found = read_json(folder / LOCK)
     except (OSError, DamagedError):
@@ -157,14 +157,14 @@ def owner(folder: Path) -> dict[str, Any]:
 
 
 def lock_left(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
-    """Lock a folder that another process may have left; None when one still works there, or another was faster.
+    """Lock a folder that another process may have left; None if a process still works there or locked it first.
 
-    With ``about`` the lock file then speaks of this process.
+    With ``about`` this process becomes the owner in the lock file.
     """
     named = _OWNER.search(folder.name)
     made_here = not (folder / LOCK).exists()
     if made_here and named and _alive(int(named[1])):
-        return None  # about to lock it, or about to put it in its place
+        return None  # its process is about to lock it, or to rename it into place
     pid = owner(folder).get("pid", 0)
     try:
         handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
@@ -183,7 +183,7 @@ def lock_left(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
 
 
 def take_lock(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
-    """``lock_left``, with a second look when somebody holds the lock who does not work there: he looks about, too."""
+    """``lock_left``, tried twice if the owner is dead but the lock is taken, as by another process that inspects it."""
     lock = lock_left(folder, about)
     if lock is None and (folder / LOCK).exists() and not _alive(owner(folder).get("pid") or os.getpid()):
         time.sleep(0.05)
@@ -192,20 +192,20 @@ def take_lock(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
 
 
 def reserve(folder: Path) -> None:
-    """Set some space aside, once, so that a full disk leaves enough to close what was written. Raises OSError."""
+    """Reserve space, once, so that results can be completed when the disk is full. Raises OSError."""
     path = folder / RESERVE
     if not path.exists():
         path.write_bytes(bytes(RESERVED))
 
 
 def release_reserve(folder: Path) -> None:
-    """Give the space back."""
+    """Free the reserved space."""
     (folder / RESERVE).unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
 class Part:
-    """A folder in the making: its ``owner`` (see ``owner``), and whether that process still works there."""
+    """A part folder, the content of its lock file, and True for ``alive`` if that process still works there."""
 
     folder: Path
     owner: dict[str, Any]
@@ -213,12 +213,12 @@ class Part:
 
     @property
     def worth_keeping(self) -> bool:
-        """Whether there is a checkpoint to go on from, or a manifest that was written last of all."""
+        """True if there is a checkpoint to continue from, or a manifest, which is written last."""
         return (self.folder / CHECKPOINT).exists() or (self.folder / MANIFEST).exists()
 
 
 def parts_of(out: Path, name: str) -> list[Part]:
-    """The folders in the making of the run ``name``, after sweeping away what is dead and of no use."""
+    """Part folders of the run ``name``; those of dead processes from which nothing can be continued are removed."""
     found = []
     for folder in _parts(out, name):
         said = owner(folder)

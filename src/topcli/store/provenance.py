@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, platform, CPU, commit."""
+"""Provenance of a result: versions, platform, CPU, commit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PACKAGES = ("numpy", "numba", "llvmlite", "pyarrow", "pydantic")
 
 @cache
 def installed(package: str) -> str | None:
-    """The installed version of a package, found without importing it; None when it is not there."""
+    """Version of an installed package, found without importing it; None if it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -39,7 +39,7 @@ ARM_DESIGNERS = {
 
 
 def cpu_name() -> str:
-    """Name of the processor; on Arm its designer and the numbers that identify the core."""
+    """Name of the processor; on Arm, its designer and the numbers that identify the core."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -57,28 +57,27 @@ def cpu_name() -> str:
         )
     if sys.platform == "darwin":
         with contextlib.suppress(OSError, subprocess.SubprocessError):
-            asked = ["/usr/sbin/sysctl", "-n", "machdep.cpu.brand_string"]
-            said = subprocess.run(asked, capture_output=True, text=True, timeout=2, check=False).stdout.strip()
-            if said:
-                return said
+            command = ["/usr/sbin/sysctl", "-n", "machdep.cpu.brand_string"]
+            if name := subprocess.run(command, capture_output=True, text=True, timeout=2, check=False).stdout.strip():
+                return name
     return platform.processor() or platform.machine()
 
 
 def now() -> str:
-    """The time in UTC, ISO 8601."""
+    """Current time in UTC, ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 class Commit:
-    """The git commit that topcli runs from, asked for in the background; nothing outside a checkout.
+    """Git commit of the running topcli, determined in the background; nothing outside a checkout.
 
-    A context manager: whatever happens before ``read``, no process and no pipe is left behind.
+    A context manager, which ends the background process if ``read`` is never called.
     """
 
     def __init__(self) -> None:
         root = Path(__file__).resolve().parents[3]
         self._process: subprocess.Popen[str] | None = None
-        self._told: dict[str, Any] | None = None
+        self._found: dict[str, Any] | None = None
         if not (root / ".git").exists():
             return
         with contextlib.suppress(OSError):
@@ -100,23 +99,23 @@ class Commit:
             self._process.communicate()
 
     def read(self) -> dict[str, Any]:
-        """``{"commit": hash or None, "dirty": bool or None}``; waits two seconds at most."""
-        if self._told is not None:
-            return self._told
-        told: dict[str, Any] = {"commit": None, "dirty": None}
-        self._told = told
+        """``{"commit": hash or None, "dirty": bool or None}``; waits at most two seconds."""
+        if self._found is not None:
+            return self._found
+        found: dict[str, Any] = {"commit": None, "dirty": None}
+        self._found = found
         if self._process is None:
-            return told
+            return found
         try:
             lines = self._process.communicate(timeout=2)[0].splitlines()
         except subprocess.TimeoutExpired:
-            return told
+            return found
         for line in lines:
             if line.startswith("# branch.oid ") and "(initial)" not in line:
-                told["commit"] = line.split()[-1]
-        if told["commit"]:
-            told["dirty"] = any(not line.startswith("#") for line in lines)
-        return told
+                found["commit"] = line.split()[-1]
+        if found["commit"]:
+            found["dirty"] = any(not line.startswith("#") for line in lines)
+        return found
 
 
 @cache

@@ -1,7 +1,7 @@
-"""Run folders: written under a temporary name, whole or not at all; an earlier result is never lost.
+"""Run folders: written under a temporary name and renamed when complete; an earlier result is never lost.
 
 A folder ``<out>/<name>/`` holds ``series.parquet`` (or ``.csv``), ``report.json``, ``report.md``, ``config.yaml`` and,
-written last, ``manifest.json``. A folder without a manifest is an unfinished run and never read as a result.
+written last, ``manifest.json``. A folder without a manifest is an unfinished run and is never read as a result.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, sync
+from topcli.store.growing import damaged, named
 from topcli.store.manifest import (
     MANIFEST,
     MANIFEST_VERSION,
@@ -47,28 +48,28 @@ _KEPT = "what its last checkpoint holds is kept, and --resume continues it when 
 
 
 def _own(name: str, run: StoredRun) -> bool:
-    """True for the files of a run itself, not somebody's notes beside them."""
+    """True if ``name`` is a file of the run, not one that a user added to its folder."""
     return name in {MANIFEST, CHECKPOINT, LOCK, *run.manifest["files"]}
 
 
-def replaceable(standing: StoredRun, new: Mapping[str, Any]) -> bool:
-    """True if a run with the manifest ``new`` may take the place of ``standing`` and nothing be lost.
+def replaceable(existing: StoredRun, new: Mapping[str, Any]) -> bool:
+    """True if a run with the manifest ``new`` may replace ``existing`` without loss.
 
-    It must be of the same experiment by the same code; an interrupted one does not replace one that got further.
+    It must be of the same experiment and code. An interrupted run does not replace one that got further.
     """
     further = new.get("outcome") == "interrupted" and not (
-        standing.interrupted and standing.manifest.get("step", 0) <= new.get("step", 0)
+        existing.interrupted and existing.manifest.get("step", 0) <= new.get("step", 0)
     )
     return (
-        standing.same_experiment(new["digest"])
-        and standing.manifest.get("code") == new.get("code")
+        existing.same_experiment(new["digest"])
+        and existing.manifest.get("code") == new.get("code")
         and not further
-        and all(_own(name, standing) for name in os.listdir(standing.folder))
+        and all(_own(name, existing) for name in os.listdir(existing.folder))
     )
 
 
 def require_place(out: Path, name: str) -> StoredRun | None:
-    """The finished run at ``out/<name>``, if there is one. Raises UsageError where no run can be put there."""
+    """Finished run at ``out/<name>``, if there is one. Raises UsageError if no run can be written there."""
     target = out / name
     try:
         if out.exists() and not out.is_dir():
@@ -83,7 +84,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
     if isinstance(found, StoredRun):
         return found
     if other or found:
-        why = f"holds a damaged run ({found.reason})" if found else "exists and is no finished run"
+        why = f"holds a damaged run ({found.reason})" if found else "exists and is not a finished run"
         raise UsageError(
             f"{target}: {why}; nothing was written",
             "move it away, or choose another folder with --out or another name with --set name=...",
@@ -93,7 +94,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
 
 
 def require_real(target: Path) -> None:
-    """Raise UsageError where a run would take the place of a symbolic link."""
+    """Raise UsageError if a run would replace a symbolic link."""
     if target.is_symlink():
         raise UsageError(
             f"{target}: is a symbolic link, which no run can replace; nothing was written",
@@ -102,7 +103,7 @@ def require_real(target: Path) -> None:
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file under a temporary name of the same suffix, then put it in place. Raises OSError."""
+    """Write a file atomically, under a temporary name of the same suffix at first. Raises OSError."""
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         write(temporary)
@@ -112,9 +113,9 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this run") -> RunError:
-    """What to tell the user of a failed write, and of what was ``kept`` of it.
+    """Error message for a failed write to ``path`` that says what was ``kept``.
 
-    ``path`` is what was written; where the error names a file, that file in ``path``'s folder is told.
+    If ``error`` names another file, the message names that file in the folder of ``path``.
     """
     named = Path(error.filename).name if isinstance(error.filename, str) else ""
     if named and not named.startswith(".") and named != path.name:
@@ -127,7 +128,7 @@ def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this
 
 
 def _superseded(part: Part, manifest: Mapping[str, Any]) -> bool:
-    """True if the run with this ``manifest`` has got at least as far as what a killed process left in ``part``."""
+    """True if the run with this ``manifest`` got at least as far as the run of a killed process in ``part``."""
     left = read_checkpoint(part.folder)
     if left is None:
         stored = stored_run(part.folder)
@@ -137,7 +138,7 @@ def _superseded(part: Part, manifest: Mapping[str, Any]) -> bool:
 
 
 def require_writable(out: Path) -> None:
-    """Make the folder ``out`` if need be. Raises UsageError when it cannot be written to."""
+    """Create the folder ``out`` if it does not exist. Raises UsageError if it cannot be written to."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):  # has no name that a killed process could leave behind
@@ -149,17 +150,18 @@ def require_writable(out: Path) -> None:
 
 
 class RunWriter:
-    """A run folder in the making: fill ``folder``, then ``commit``.
+    """Writer of a run folder: fill ``folder``, then ``commit``.
 
-    Left without a commit it vanishes, unless it holds a checkpoint to continue from. An existing run at the target is
-    replaced if it is of the same experiment by the same code and nothing is lost by it. Any other is renamed to
-    ``<name>.<its digest>`` if the writer may ``displace`` it; else it stays, the new run is kept under such a name,
-    and RunError says so. Of identical copies one is kept.
+    Without a commit the folder is removed, unless it holds a checkpoint. An existing run at the target is replaced if
+    it is of the same experiment and code and nothing is lost. Any other is renamed to ``<name>.<its digest>`` if the
+    writer may ``displace`` it; else it stays, the new run is kept under such a name, and RunError is raised. Of
+    identical copies one is kept.
 
-    ``source`` is a folder to continue from: one that a killed process left, which is taken over, or an interrupted
-    run, which is copied and stays as it is until the commit. ``checkpoint`` is then where to continue, or
-    ``complete`` the run that lacked nothing but its place. ``about`` is shown to other processes: the run's ``digest``
-    and ``code``. ``sha256`` holds the checksums that are known of files written.
+    ``source`` is a folder to continue from: that of a killed process is taken over; an interrupted run is copied and
+    stays unchanged until the commit. The run continues from ``checkpoint``, or is already ``complete`` and only has to
+    be renamed. ``about`` is shown to other processes: the ``digest`` and ``code`` of the run. ``sha256`` holds known
+    checksums of written files.
+
     Raises UsageError if the output folder cannot be written to or another process works in ``source``, and RunError
     if ``source`` is damaged.
     """
@@ -197,7 +199,7 @@ class RunWriter:
             kept = _KEPT
             if not isinstance(self._source, Part):
                 remove_own(self.folder)
-                kept = "nothing was written" if self._source is None else "the interrupted run is as it was"
+                kept = "nothing was written" if self._source is None else "the interrupted run is unchanged"
             if self._lock is not None:
                 self._lock.release()
             if isinstance(error, OSError):
@@ -209,7 +211,7 @@ class RunWriter:
 
     def _take_over(self, part: Part) -> None:
         if link := linked_file(part.folder):
-            raise UsageError(f"{link}: is no regular file; remove it to resume this run")
+            raise UsageError(f"{link}: is not a regular file; remove it to resume this run")
         self._lock = take_lock(part.folder, self._about)
         if self._lock is None:
             raise UsageError(f"{self.target}: another process has just begun to continue this run")
@@ -223,13 +225,11 @@ class RunWriter:
             self.complete = None
 
     def _copy(self, run: StoredRun) -> None:
-        for path in (run.series, run.folder / CHECKPOINT):  # the checkpoint last: it vouches for the series
+        for path in (run.series, run.folder / CHECKPOINT):  # the checkpoint last: it refers to the series
             try:
                 check_file(path, run.manifest["files"].get(path.name, -1))
             except DamagedError as error:
-                raise RunError(
-                    f"{path}: damaged ({error}); nothing was deleted; run without --resume to start again from step 0"
-                ) from None
+                raise damaged(path, str(error)) from None
             shutil.copyfile(path, self.folder / path.name)
             sync(self.folder / path.name)
 
@@ -241,11 +241,11 @@ class RunWriter:
 
     @property
     def finished(self) -> bool:
-        """True if the folder lacks nothing but its place."""
+        """True if the folder is complete and only has to be renamed into place."""
         return (self.folder / MANIFEST).exists()
 
     def failure(self, error: OSError, kept: str = "nothing was kept of this run") -> RunError:
-        """The error to report when writing failed; says what was really kept."""
+        """Error to report after a failed write; says which data are kept."""
         if self.finished:
             kept = f"the finished run is kept in {self.folder}, and --resume puts it in its place"
         elif left := read_checkpoint(self.folder):
@@ -253,22 +253,21 @@ class RunWriter:
         return io_failure(error, self.target, kept)
 
     def write(self, name: str, text: str) -> None:
-        """Write one text file of the folder. Raises OSError that names it."""
+        """Write one text file of the folder. Raises OSError naming it."""
         path = self.folder / name
         try:
             path.write_text(text, encoding="utf-8")
         except OSError as error:
-            error.filename = error.filename or str(path)
-            raise
+            raise named(error, path) from None
 
     def _entry(self, name: str) -> dict[str, Any]:
         path = self.folder / name
         return {"size": path.stat().st_size, "sha256": self.sha256.get(name) or sha256_of(path)}
 
     def commit(self, manifest: dict[str, Any]) -> StoredRun:
-        """Write the manifest, flush everything to the disk and put the folder in its place.
+        """Write the manifest, flush everything to the disk and rename the folder into place.
 
-        Until the manifest is there the checkpoint is; a checkpoint is kept where there is something to continue.
+        The checkpoint is removed after the manifest has been written, unless the run is interrupted.
         Raises OSError, and RunError if another process has put a different run there.
         """
         release_reserve(self.folder)
@@ -290,7 +289,7 @@ class RunWriter:
         return self.put_in_place(complete)
 
     def put_in_place(self, manifest: dict[str, Any]) -> StoredRun:
-        """Put the folder, which holds this ``manifest``, in its place. Raises OSError, and RunError as ``commit``."""
+        """Rename the folder with this ``manifest`` into place. Raises OSError, and RunError like ``commit``."""
         for name in {LOCK, CHECKPOINT} - set(manifest["files"]):
             (self.folder / name).unlink(missing_ok=True)
         self._rename(manifest)
@@ -301,7 +300,7 @@ class RunWriter:
         return StoredRun(self.target, manifest)
 
     def _rename(self, manifest: dict[str, Any]) -> None:
-        """Rename into place; first move aside, whole, what stands there. Every rename is atomic, so nothing is lost."""
+        """Rename into place, after renaming an existing run. Every rename is atomic, so nothing is lost."""
         superseded: list[Path] = []
         while True:
             try:
@@ -329,26 +328,26 @@ class RunWriter:
 
         Raises RunError if it has put a different one there, which stays.
         """
-        standing = stored_run(self.target)
-        if standing is None:
+        existing = stored_run(self.target)
+        if existing is None:
             return False
-        if standing.up_to_date(manifest["digest"], manifest.get("code", "")):
+        if existing.up_to_date(manifest["digest"], manifest.get("code", "")):
             remove_own(self.folder)
             return True
-        if standing.same_experiment(manifest["digest"]):
+        if existing.same_experiment(manifest["digest"]):
             return False
         kept = self._one_copy(self._move_aside(self.folder))
         raise RunError(
-            f"{self.target}: another process has put a different experiment there meanwhile; this run is kept as {kept}"
+            f"{self.target}: another process has meanwhile put a different experiment there; this run is kept as {kept}"
         )
 
     def _asides(self, run: StoredRun | None) -> Iterator[Path]:
-        """The names under which ``run`` may be set aside, one after the other."""
+        """Paths to which ``run`` may be moved aside, in the order to try them."""
         first = f"{self.name}.{run.manifest['digest'][:8] if run else 'unfinished'}"
         return (self.out / (first if k == 1 else f"{first}.{k}") for k in itertools.count(1))
 
     def _move_aside(self, folder: Path) -> Path:
-        """Rename ``folder`` to the first free name for what is set aside. Raises OSError."""
+        """Rename ``folder`` to the first free one of ``_asides``. Raises OSError."""
         for aside in self._asides(stored_run(folder)):
             if os.path.lexists(aside):
                 continue
@@ -362,7 +361,7 @@ class RunWriter:
         raise AssertionError("unreachable: the names do not end")
 
     def _one_copy(self, aside: Path) -> Path:
-        """Remove the run set aside as ``aside`` if an identical one was before; where it is now."""
+        """Remove the run at ``aside`` if an identical copy is there already; the path of the copy that remains."""
         run = stored_run(aside)
         if run is None or any(not _own(name, run) for name in os.listdir(aside)):
             return aside

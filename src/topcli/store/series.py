@@ -1,9 +1,9 @@
-"""Time series on disk: Parquet or CSV, written chunk by chunk, read back column by column.
+"""Time series on disk, as Parquet or CSV: written in pieces, read by columns.
 
-Parquet columns are stored with zstd at its quick level -1 after a byte-stream split and without dictionaries: for
-smooth float64 series that is both smaller and several times faster to write than the defaults, and bit-exact. Pages
-carry checksums, which every read verifies: without both, pyarrow reads a flipped bit as a number.
-CSV numbers are the shortest that read back to the same bits.
+Parquet columns are compressed by zstd at its fast level -1 after a byte-stream split and without dictionaries. For
+smooth float64 series this is bit-exact, smaller than with the defaults, and several times faster to write. Pages carry
+checksums, which are verified on every read; by default pyarrow does neither and reads a flipped bit as a number.
+Numbers in CSV are the shortest that read back to the same bits.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from topcli.store.footer import MAGIC, UNFINISHED, merged_footer
 from topcli.store.growing import GrowingFile, damaged
 
 ROW_GROUP = 131_072
-"""Rows a Parquet row group: what is held in memory until written."""
+"""Rows of a Parquet row group, which are held in memory until written."""
 
 FORMATS = ("parquet", "csv")
 
 INTEGERS = ("n", "trajectory", "left_motion")
-"""Columns of whole numbers."""
+"""Names of integer columns."""
 WORDS = ("outcome",)
-"""Columns of text."""
+"""Names of text columns."""
 
 
 def _arrow_type(name: str) -> Any:
@@ -37,7 +37,7 @@ def _arrow_type(name: str) -> Any:
 
 
 def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None) -> Any:
-    """A pyarrow table over the arrays (m,) of ``data``, without copying and without importing pandas."""
+    """pyarrow table of the arrays (m,) of ``data``, without copying them and without importing pandas."""
     import pyarrow as pa
 
     arrays, fields = [], []
@@ -54,7 +54,7 @@ def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | No
 
 
 def _kind(name: str) -> type:
-    """The type of a column's elements in numpy."""
+    """numpy type of the elements of a column."""
     return np.int64 if name in INTEGERS else object if name in WORDS else np.float64
 
 
@@ -71,7 +71,7 @@ def _parquet_options(names: Iterable[str]) -> dict[str, Any]:
         "use_dictionary": False,
         "write_page_checksum": True,
         "column_encoding": encodings,
-        "write_statistics": ["trajectory"] if "trajectory" in names else False,  # to find one of many row groups
+        "write_statistics": ["trajectory"] if "trajectory" in names else False,  # to find its row groups
     }
 
 
@@ -84,7 +84,7 @@ def write_parquet(path: Path, data: Mapping[str, np.ndarray], metadata: Mapping[
 
 @dataclass(frozen=True)
 class SeriesMark:
-    """How far a series has been written: bytes in the file with their SHA-256, and the rows (m,) still held."""
+    """Position in a series: the length of the file in bytes, its SHA-256, and the rows (m,) held in memory."""
 
     length: int
     held: dict[str, np.ndarray]
@@ -92,7 +92,7 @@ class SeriesMark:
 
 
 class _Held:
-    """Rows not yet written: one growing array a column, so that many small pieces cost no more than their numbers."""
+    """Rows not yet written, in one growing array for each column, so that small pieces are cheap to add."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.rows = 0
@@ -119,9 +119,9 @@ class _Held:
 class SeriesWriter:
     """Write a series of the columns ``names`` in pieces to ``path``; a context manager. Raises OSError.
 
-    Rows are held until they fill a row group. ``mark()`` tells how far the file reaches; a later writer that is given
-    it as ``start`` verifies the file up to there, cuts it off and continues, and ends with the same file as if it had
-    never stopped; it raises RunError if the rows before the mark are damaged. ``sha256`` is that of the file so far.
+    Rows are held in memory until they fill a row group. ``mark()`` is the current position. A later writer with that
+    mark as ``start`` verifies the file up to there, cuts off the rest and continues; the final file is the same as if
+    it had never stopped. It raises RunError if the rows before the mark are damaged.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class SeriesWriter:
 
     @property
     def length(self) -> int:
-        """Bytes in the file."""
+        """Length of the file in bytes."""
         return self._file.length if self._file else 0
 
     @property
@@ -152,17 +152,13 @@ class SeriesWriter:
         return self._file.sha256
 
     def write(self, data: Mapping[str, np.ndarray]) -> None:
-        """Append rows: an array (m,) for every column. The arrays may be views; they are copied."""
+        """Append rows: an array (m,) for every column, which is copied."""
         self._held.add(data)
         if self._held.rows >= ROW_GROUP:
-            self._flush()
+            self.end_group()
 
     def end_group(self) -> None:
-        """Write what is held: in Parquet, a row group ends here."""
-        self._flush()
-
-    def _flush(self) -> None:
-        """Write what is held."""
+        """Write the rows held in memory; in Parquet, a row group ends here."""
         if self._held.rows:
             rows = self._encoded(self._held.all())
             self._append(*((rows,) if self._csv else (rows[: -len(MAGIC)], UNFINISHED)))
@@ -174,7 +170,7 @@ class SeriesWriter:
         self._file.append(*pieces)
 
     def _encoded(self, rows: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None) -> memoryview:
-        """The rows as text, or as a Parquet file of their own; the last one has the ``metadata`` of all."""
+        """The rows as text, or as a Parquet file; the last one has the ``metadata`` of the whole."""
         import pyarrow as pa
 
         sink = pa.BufferOutputStream()
@@ -196,7 +192,7 @@ class SeriesWriter:
         return memoryview(sink.getvalue())
 
     def mark(self, flush: bool = True) -> SeriesMark:
-        """How far the series reaches now; with ``flush`` the file lies safely on the disk first. Raises OSError."""
+        """Current position in the series; with ``flush`` the file is flushed to the disk first. Raises OSError."""
         assert self._file is not None
         if flush:
             self._file.sync()
@@ -204,18 +200,18 @@ class SeriesWriter:
         return SeriesMark(self.length, held, self.sha256)
 
     def finish(self, metadata: Mapping[str, str]) -> None:
-        """Write what is held and, in Parquet, the ``metadata`` that is known only at the end."""
+        """Write the rows held in memory and, in Parquet, the ``metadata`` that is known only at the end."""
         if self._csv or self.length == 0:
             self._append(self._encoded(self._held.all(), metadata))
             self._held.drop()
             return
-        self._flush()
+        self.end_group()
         self._held.drop()
         assert self._file is not None
         last = bytes(self._encoded(self._held.all(), metadata))
         try:
             footer = merged_footer(self._file.file, self.length, last)
-        except (ValueError, IndexError) as error:  # somebody else wrote to the file meanwhile
+        except (ValueError, IndexError) as error:  # another process wrote to the file meanwhile
             raise damaged(self._path, str(error)) from None
         self._append(footer)
 
@@ -225,9 +221,9 @@ class SeriesWriter:
 
 
 def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """Columns of a series written here, each (m,); all of them when ``names`` is None.
+    """Columns ``names`` of a series, each (m,); by default all of them.
 
-    Raises RunError when the file is missing or damaged.
+    Raises RunError if the file is missing or damaged.
     """
     import pyarrow as pa
 
@@ -244,7 +240,7 @@ def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarr
 
         with path.open(encoding="utf-8") as file:
             header = file.readline().strip().split(",")
-        # the types are known: a column of whole numbers is still one of floats
+        # explicit types, or a column of whole floats would be read as integers
         types = csv.ConvertOptions(column_types={name: _arrow_type(name) for name in header})
         table = csv.read_csv(path, convert_options=types)
     else:
@@ -256,7 +252,7 @@ def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarr
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """The metadata in a Parquet file's schema; empty when there is no such file or it cannot be read."""
+    """Metadata in the schema of a Parquet file; empty if the file is missing or cannot be read."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

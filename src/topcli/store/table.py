@@ -1,4 +1,4 @@
-"""Whole tables with columns of text, as Parquet."""
+"""Tables with columns of numbers or text, as Parquet."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence[Any]], metadata: Mapping[str, str]) -> None:
-    """Write ``columns`` of text or numbers, equally long, with ``metadata`` in the schema. Raises OSError."""
+    """Write ``columns`` of text or numbers, of equal lengths, with ``metadata`` in the schema. Raises OSError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

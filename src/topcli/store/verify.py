@@ -1,4 +1,4 @@
-"""Compare every file of a run folder, finished or not, with the checksums that were taken when it was written."""
+"""Compare every file of a run folder, finished or not, with the checksums recorded when it was written."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from topcli.store.parts import is_part, parts_of
 
 @dataclass(frozen=True)
 class CheckedFile:
-    """One file of a run: ``reason`` says what is wrong with a damaged one and, of others, how far it was checked."""
+    """One file of a run; ``reason`` describes the damage or, if it is whole, how it was checked."""
 
     name: str
     damaged: bool
@@ -23,7 +23,7 @@ class CheckedFile:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """A run folder, whether it is ``finished``, and its files."""
+    """A run folder, ``finished`` or not, and its files."""
 
     folder: Path
     finished: bool
@@ -35,14 +35,14 @@ class CheckedRun:
         return any(file.damaged for file in self.files)
 
     def data(self) -> dict[str, Any]:
-        """The same as plain data."""
+        """Plain data, ready for JSON."""
         state = "damaged" if self.damaged else "whole"
         files = [asdict(file) for file in self.files]
         return {"folder": str(self.folder), "finished": self.finished, "state": state, "files": files}
 
 
 def _readable(path: Path) -> str:
-    """Read a file that has no checksum in the manifest, written by an earlier version; how far that checks it."""
+    """Read a file of an earlier version, without a checksum in the manifest; describes how it was checked."""
     if path.suffix != ".parquet":
         return "no checksum: its size is right"
     from topcli.store.series import read_series
@@ -67,7 +67,7 @@ def _finished(run: StoredRun) -> CheckedRun:
 
 
 def _unfinished(folder: Path) -> CheckedRun:
-    """Check what a run that has not ended can be continued from."""
+    """Check the files from which an unfinished run can be continued."""
     checkpoint = read_checkpoint(folder)
     if checkpoint is None:
         there = (folder / CHECKPOINT).exists()
@@ -101,7 +101,7 @@ def check_run(folder: Path) -> CheckedRun | None:
 
 
 def check_runs(run: str, out: Path) -> list[CheckedRun]:
-    """Check the run folder ``run``, or the run of this name in ``out`` and what unfinished ones left of it.
+    """Check the run folder ``run``, or the run of this name in ``out`` and its part folders.
 
     Raises UsageError if there is none.
     """

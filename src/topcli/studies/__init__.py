@@ -1,1 +1,1 @@
-"""What a command does: run, compare."""
+"""Studies: the work behind the commands, such as run, compare, bench and stress."""

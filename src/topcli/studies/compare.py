@@ -1,4 +1,4 @@
-"""The same experiment under several schemes, measured against an independent reference."""
+"""One experiment under several schemes, measured against an independent reference."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ REVERSAL_STATES = 16
 
 @dataclass(frozen=True)
 class Comparison:
-    """One experiment under several schemes: the measured ``figures`` and the ``series`` they rest on.
+    """One experiment under several schemes: the measured ``figures`` and the ``series`` behind them.
 
     ``series`` has ``t`` (m,), and for each scheme ``error:<scheme>`` and ``swing:<scheme>`` (m,), the latter also
     for ``reference``; rows after a blow-up are nan.
@@ -39,9 +39,9 @@ class Comparison:
 
 
 def under_scheme(experiment: Experiment, name: str, options: Mapping[str, Any] | None = None) -> Experiment:
-    """``experiment`` with another scheme; its options are kept when it is the experiment's own, composed or not.
+    """``experiment`` with another scheme, and with those of ``options`` that this scheme has.
 
-    Those of ``options`` that the scheme has are set.
+    If it is the same scheme, composed or not, it keeps the other options of the experiment.
     """
     resolved = experiment.resolved()
     own = name.lower().partition("+")[0] == experiment.scheme.name.partition("+")[0]
@@ -56,9 +56,9 @@ def _padded(values: Array, rows: int) -> Array:
 
 
 def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[dict[str, Any]]:
-    """The integrals of the scheme itself, and the largest term that each adds to the top's own integral.
+    """Figures on the integrals of the scheme itself, with the largest term that each adds to the top's own integral.
 
-    That term is of the order of the scheme in h; its coefficient is given with it.
+    That term is of the order of the scheme in h; the figures include its coefficient.
     """
     plain = {f"modified_{invariant.name}": invariant for invariant in experiment.top.invariants()}
     modified = experiment.modified
@@ -124,7 +124,7 @@ def compare_schemes(
 ) -> Comparison:
     """Run ``experiment`` under each of the schemes ``names`` and measure them.
 
-    Each of the ``options`` is set for the schemes that have it; one of them must.
+    Each of the ``options`` is set for the schemes that have it, of which there must be one.
 
     Errors are Euclidean norms of the difference of states from the Taylor reference at the recorded times. The
     reversal defect is the largest over states spread along the reference. Raises UsageError for a repeated or

@@ -1,4 +1,4 @@
-"""What ``topcli doctor`` finds: versions, CPU, threads, the cache of compiled code, plugins."""
+"""Diagnosis of the installation: versions, CPU, threads, cache of compiled code, plugins."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _probe(x: Any, n: int) -> int:
 
 
 def diagnosis() -> dict[str, Any]:
-    """``environment``, ``cache``, ``threads``, ``plugins`` and ``problems``, as plain data."""
+    """Environment, cache, threads, plugins and problems of this installation, as plain data."""
     import numpy as np
 
     problems: list[str] = []

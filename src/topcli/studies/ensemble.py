@@ -1,18 +1,17 @@
-"""Run an ensemble into a run folder: stream the rows block by block, tally the invariants, write the reports."""
+"""Run an ensemble into a run folder, block by block: the rows, the table of trajectories, the report."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
-from topcli.analysis.columns import column_names, columns
+from topcli.analysis.columns import column_names, columns, invariant_values
 from topcli.analysis.many import EnsembleSummary, EnsembleTally, Spool, measure_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
@@ -22,22 +21,25 @@ from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter
 from topcli.studies.ensemble_report import EndingTally, ensemble_markdown, ensemble_report
-from topcli.studies.run import Progress, RunResult, method_fingerprint, plan_run
+from topcli.studies.identity import Identity, Origin, store_run
+from topcli.studies.plan import plan_run
+from topcli.studies.run import Progress, RunResult
 
 Columns = dict[str, np.ndarray]
+Values = Mapping[str, Array]
 Made = TypeVar("Made")
 
 
-def ensemble_fingerprint(experiment: EnsembleExperiment) -> str:
-    """A digest of the code of the scheme made ready for every top of the ensemble."""
-    made = [method_fingerprint(experiment.of_group(group).method()) for group in experiment.members.groups]
-    return made[0] if len(made) == 1 else hashlib.sha256(",".join(made).encode()).hexdigest()
+def ensemble_identity(experiment: EnsembleExperiment) -> Identity:
+    """Identity of an ensemble, with the code of the scheme made ready for each of its tops."""
+    return Identity.of(experiment, [experiment.of_group(group).method() for group in experiment.members.groups])
 
 
 class GroupRun(Generic[Made]):
-    """One group of an ensemble on its way, block by block; ``keep`` makes something of every piece.
+    """One group of an ensemble, run block by block.
 
-    ``run`` and ``tally`` are those of the block that was begun last.
+    ``keep(group, piece, values)`` is called for every piece of rows with the values of the invariants (rows,), by name,
+    which are evaluated once for it and for ``tally``. ``run`` and ``tally`` are those of the latest block.
     """
 
     def __init__(
@@ -45,13 +47,13 @@ class GroupRun(Generic[Made]):
         experiment: EnsembleExperiment,
         group: Group,
         offset: int,
-        keep: Callable[[GroupRun[Made], Piece], Made],
+        keep: Callable[[GroupRun[Made], Piece, Values], Made],
         stop: Callable[[], bool],
         threads: int | None,
     ) -> None:
         one = experiment.of_group(group)
         self.experiment, self.group, self.offset = experiment, group, offset
-        """``offset`` is the number that the first trajectory of the block has in the ensemble."""
+        """``offset`` is the number of the block's first trajectory in the ensemble."""
         self._next = offset
         self.modified: tuple[Invariant, ...] = one.modified
         self.invariants = (*group.top.invariants(), *self.modified)
@@ -59,8 +61,9 @@ class GroupRun(Generic[Made]):
         self.names = list(one.output.columns or column_names(group.top))
 
         def made(piece: Piece) -> Made:
-            self.tally.add(piece.first, piece.n, piece.states, piece.kept)
-            return keep(self, piece)
+            values = invariant_values(self.invariants, piece.states.reshape(-1, piece.states.shape[-1]))
+            self.tally.add(piece.first, piece.n, piece.states, piece.kept, values)
+            return keep(self, piece, values)
 
         self.run = EnsembleRun(
             group.top,
@@ -73,11 +76,11 @@ class GroupRun(Generic[Made]):
             stop=stop,
             threads=threads,
             tile=tile_of(group.count),
-            wide=experiment.store != "trajectories",  # whose row groups are tiles
+            wide=experiment.store != "trajectories",  # there, row groups are tiles
         )
 
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
-        """Run the next trajectories of the group, from ``y0`` (m, d): what ``keep`` made, and trajectory-steps done."""
+        """Run the next trajectories of the group, from ``y0`` (m, d): results of ``keep`` and trajectory-steps done."""
         self.offset, self._next = self._next, self._next + len(y0)
         self.tally = EnsembleTally(self.invariants, len(y0), self.group.top)
         self.run.begin(y0)
@@ -85,19 +88,21 @@ class GroupRun(Generic[Made]):
         self.tally.finish(self.run.last)
         self.run.endings.mark_left(self.tally.left)
 
-    def rows(self, first: int | np.ndarray, n: np.ndarray, states: np.ndarray) -> Columns:
-        """Columns of rows (m,): numbers of the trajectories in the block, step numbers (m,), states (m, d)."""
-        trajectory = np.broadcast_to(np.asarray(first + self.offset, dtype=np.int64), n.shape)
-        made = columns(self.group.top, n, self.experiment.first.h, states, self.names, self.modified)
-        return {"trajectory": trajectory, **made}
+    def rows(self, which: np.ndarray, n: np.ndarray, states: np.ndarray, values: Values | None = None) -> Columns:
+        """Columns of rows (m,): trajectories by their number in the block, step numbers (m,), states (m, d).
+
+        ``values`` (m,) are those of the invariants by name, if they have been evaluated before.
+        """
+        made = columns(self.group.top, n, self.experiment.first.h, states, self.names, self.modified, values)
+        return {"trajectory": (which + self.offset).astype(np.int64, copy=False), **made}
 
     def last_rows(self) -> Columns:
-        """A row for each trajectory of the block that was begun: its last state."""
+        """Row of the last state of each trajectory in the block that has been started."""
         begun = np.flatnonzero(self.tally.begun)
         return self.rows(begun, self.run.last_n[begun], self.run.last[begun])
 
     def trajectories(self, varied: Sequence[str]) -> Columns:
-        """The table of the block's trajectories: ``varied`` parameters, initial state, how it ended, what it kept."""
+        """Table of the block's trajectories: ``varied`` parameters, initial states, outcomes, deviations."""
         run, top = self.run, self.group.top
         count = len(run.endings)
         made: Columns = {"trajectory": np.arange(self.offset, self.offset + count, dtype=np.int64)}
@@ -113,29 +118,30 @@ _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)
 
 
 def varied_parameters(experiment: EnsembleExperiment) -> list[str]:
-    """The parameters of the top that are not the same in all groups."""
+    """Parameters of the top that differ between groups."""
     tops = [group.top for group in experiment.members.groups]
     names = type(experiment.top).model_fields
     return [name for name in names if any(getattr(top, name) != getattr(tops[0], name) for top in tops)]
 
 
-def _all_rows(group: GroupRun[Any], piece: Piece) -> Columns | None:
-    """The rows of a piece that were reached, trajectory by trajectory; None when there are none."""
+def _all_rows(group: GroupRun[Any], piece: Piece, values: Values) -> Columns | None:
+    """Rows of a piece that were reached, trajectory by trajectory; None if there are none."""
     if not piece.kept.any():
         return None
     reached = np.arange(len(piece.n)) < piece.kept[:, None]
     which, row = np.nonzero(reached)
-    return group.rows(piece.first + which, piece.n[row], piece.states[reached])
+    of_rows = {name: value[reached.ravel()] for name, value in values.items()}
+    return group.rows(piece.first + which, piece.n[row], piece.states[reached], of_rows)
 
 
-def _no_rows(group: GroupRun[Any], piece: Piece) -> Columns | None:
+def _no_rows(group: GroupRun[Any], piece: Piece, values: Values) -> Columns | None:
     return None
 
 
 class _Record:
-    """What is kept of an ensemble while it runs, in memory that does not grow with the number of trajectories.
+    """Tables and sums of an ensemble that runs, in memory that does not grow with the number of trajectories.
 
-    ``series`` is the table of rows, if there is one besides that of trajectories, which ``table_of`` its columns opens.
+    ``series`` is the table of rows, if rows are stored. ``table_of(names)`` opens the table of trajectories.
     """
 
     def __init__(
@@ -154,7 +160,7 @@ class _Record:
         self.seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
 
     def run(self, progress: Progress, stop: Callable[[], bool], threads: int | None) -> None:
-        """Run group after group, and in each block after block."""
+        """Run each group, block by block."""
         N, total = self.experiment.first.N, self.experiment.first.N * self.experiment.count
         keep = _all_rows if self.experiment.store == "trajectories" else _no_rows
         offset = 0
@@ -191,17 +197,17 @@ class _Record:
         self.seconds["run"] += run.run_seconds
         self.seconds["threads"] = run.threads
 
-    def finish(self) -> dict[str, Any]:
-        """End the tables; the report. Raises OSError."""
+    def finish(self, digest: str) -> dict[str, Any]:
+        """Complete the tables and return the report. Raises OSError."""
         ended = {"topcli.outcome": self.endings.outcome.value, "topcli.message": self.endings.message}
         for table in (self.series, self.trajectories):
             if table is not None:
                 table.finish(ended)
-        return ensemble_report(self.experiment, self.endings, self.summary.rows(), self.seconds)
+        return ensemble_report(self.experiment, digest, self.endings, self.summary.rows(), self.seconds)
 
 
 def _tables(experiment: EnsembleExperiment, folder: Path) -> tuple[Path, Path]:
-    """The paths of the table of rows and of that of trajectories, which are one where no rows are stored."""
+    """Paths of the table of rows and of that of trajectories; the same path if no rows are stored."""
     suffix = experiment.first.output.format
     table = folder / f"trajectories.{suffix}"
     return (table if experiment.store == "statistics" else folder / f"series.{suffix}"), table
@@ -210,30 +216,38 @@ def _tables(experiment: EnsembleExperiment, folder: Path) -> tuple[Path, Path]:
 def _carry_out(
     experiment: EnsembleExperiment,
     writer: RunWriter,
-    about: dict[str, str],
+    origin: Origin,
     progress: Progress,
     stop: Callable[[], bool],
     threads: int | None,
-) -> tuple[dict[str, Any], str]:
-    """Run into the tables of the run folder; the report, and the sha256 of the initial states. Raises OSError."""
+) -> RunResult:
+    """Run into the tables of the run folder and put it in its place. Raises OSError."""
     path, table = _tables(experiment, writer.folder)
+    metadata = origin.metadata()
     with ExitStack() as stack:
         series = None
         if path != table:
             names = list(experiment.first.output.columns or column_names(experiment.top))
-            series = stack.enter_context(SeriesWriter(path, ["trajectory", *names], about))
+            series = stack.enter_context(SeriesWriter(path, ["trajectory", *names], metadata))
 
         def table_of(names: list[str]) -> SeriesWriter:
-            return stack.enter_context(SeriesWriter(table, names, about))
+            return stack.enter_context(SeriesWriter(table, names, metadata))
 
         spool = stack.enter_context(tempfile.TemporaryFile(dir=writer.folder))
         record = _Record(experiment, series, table_of, cast(Spool, spool))
         record.run(progress, stop, threads)
-        report = record.finish()
+        report = record.finish(origin.identity.digest)
         for name, written in ((path.name, series), (table.name, record.trajectories)):
             if written is not None:
                 writer.sha256[name] = written.sha256
-        return report, record.initial.hexdigest()
+    manifest = {
+        "kind": "ensemble",
+        "series": path.name,
+        "trajectories": table.name,
+        "initial_states_sha256": record.initial.hexdigest(),
+    }
+    stored = store_run(writer, origin, report, ensemble_markdown(report), manifest)
+    return RunResult(stored, report, "ran", writer.set_aside)
 
 
 def run_ensemble(
@@ -246,52 +260,21 @@ def run_ensemble(
     progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> RunResult:
-    """Run an ensemble into ``out/<name>/``, or find it there already; as ``run_experiment`` does for one trajectory.
+    """Run an ensemble into the folder ``out/<name>``, unless it has been run before; see ``run_experiment``.
 
-    ``series.parquet`` has a column ``trajectory`` and the rows that ``store`` asks for, a row group for each block of
-    trajectories (in a long run, for each stretch of a block); ``trajectories.parquet`` has a row for each trajectory
-    and is the only table when ``store`` is ``statistics``. ``threads`` changes no bit of them; all CPUs by default.
+    ``series.parquet`` has a column ``trajectory`` and the rows selected by ``store``, one row group per block of
+    trajectories, or per stretch of a block in a long run. ``trajectories.parquet`` has one row per trajectory; with
+    ``store: statistics`` it is the only table. The results do not depend on ``threads`` (default: all CPUs).
 
-    Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind.
+    Raises UsageError before anything is written, and RunError if writing fails; then nothing is left behind.
     """
-    code = ensemble_fingerprint(experiment)
-    plan = plan_run(experiment, out, code, force=force, retry_failed=retry_failed)
-    if plan.up_to_date and plan.standing is not None:
-        return RunResult(plan.standing, plan.standing.report(), "up to date")
-    started = now()
-    with Commit() as commit, RunWriter(out, experiment.name, displace=force or retry_failed) as writer:
+    identity = ensemble_identity(experiment)
+    plan = plan_run(identity, out, force=force, retry_failed=retry_failed)
+    if plan.up_to_date and plan.existing is not None:
+        return RunResult(plan.existing, plan.existing.report(), "up to date")
+    with Commit() as commit, RunWriter(out, identity.name, displace=force or retry_failed) as writer:
+        origin = Origin(identity, experiment.first.scheme.origin, now(), environment(), commit)
         try:
-            resolved, provenance = experiment.resolved(), environment()
-            about = {
-                "topcli.config": json.dumps(resolved),
-                "topcli.digest": experiment.digest,
-                "topcli.environment": json.dumps(provenance),
-            }
-            report, initial = _carry_out(experiment, writer, about, progress, stop, threads)
-            writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-            writer.write("report.md", ensemble_markdown(report))
-            writer.write("config.yaml", experiment.to_yaml())
-            path, table = _tables(experiment, writer.folder)
-            stored = writer.commit(
-                {
-                    "name": experiment.name,
-                    "kind": "ensemble",
-                    "digest": experiment.digest,
-                    "code": code,
-                    "outcome": report["outcome"],
-                    "message": report["message"],
-                    "series": path.name,
-                    "trajectories": table.name,
-                    "initial_states_sha256": initial,
-                    "config": resolved,
-                    "scheme_origin": experiment.first.scheme.origin,
-                    "started": started,
-                    "ended": now(),
-                    "seconds": report["seconds"],
-                    "environment": provenance,
-                    **commit.read(),
-                }
-            )
+            return _carry_out(experiment, writer, origin, progress, stop, threads)
         except OSError as error:
             raise writer.failure(error) from error
-    return RunResult(stored, report, "ran", writer.set_aside)

@@ -1,4 +1,4 @@
-"""The report of an ensemble: as plain data for ``report.json``, as Markdown, and as lines of a table."""
+"""Report of an ensemble: plain data for ``report.json``, Markdown for ``report.md``, lines of a table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from topcli.engine.endings import NO_FAILURE, Endings
 from topcli.studies.report import SCHEMA_VERSION, finite, markdown_table, number, report_head
 
 SHOWN = 20
-"""Failures that are listed one by one; the table of trajectories has them all."""
+"""Failures listed in the report; the table of trajectories contains all of them."""
 TITLES = {"max_deviation": "max deviation", "rms_deviation": "rms deviation", "final_deviation": "deviation at the end"}
 
 
@@ -25,17 +25,17 @@ WORDS = {
     Outcome.NO_CONVERGENCE: "did not converge",
     Outcome.INTERRUPTED: "interrupted",
 }
-"""Outcomes in words."""
+"""Outcomes as words of a sentence."""
 
 
 def _failure(ending: Ending) -> dict[str, Any]:
-    """Outcome, step and time of a failure: the first of one that did not end the trajectory."""
+    """Outcome of a failed trajectory, with the step and time at which it ended or first left its energy surface."""
     at = (ending.left, ending.left_t) if ending.outcome is Outcome.LEFT_MOTION else (ending.step, ending.t)
     return {"outcome": ending.outcome.value, "step": at[0], "t": at[1]}
 
 
 class EndingTally:
-    """How many trajectories of an ensemble of N steps ended in which way, gathered block by block."""
+    """Counts of outcomes over the trajectories of an ensemble of N steps, added up block by block."""
 
     def __init__(self, N: int) -> None:
         self.N, self.total = N, 0
@@ -45,7 +45,7 @@ class EndingTally:
         self._counts: Counter[Outcome] = Counter()
 
     def add(self, endings: Endings) -> None:
-        """Take in the endings of the next trajectories."""
+        """Add the endings of the next trajectories."""
         self._counts.update(endings.outcomes)
         self.counters.update(endings.totals)
         for i in endings.failed[: SHOWN - len(self.failures)].tolist():
@@ -54,19 +54,19 @@ class EndingTally:
 
     @property
     def outcomes(self) -> dict[str, int]:
-        """How many trajectories ended in which way, of the ways that occur."""
+        """Number of trajectories for each outcome that occurs."""
         return {outcome.value: self._counts[outcome] for outcome in Outcome if self._counts[outcome]}
 
     @property
     def outcome(self) -> Outcome:
-        """How the ensemble ended: interrupted, or completed if all are, or as the first failure."""
+        """Outcome of the ensemble: interrupted if any trajectory is; else that of the first failure; else completed."""
         if self._counts[Outcome.INTERRUPTED]:
             return Outcome.INTERRUPTED
         return self.failures[0][1].outcome if self.failures else Outcome.COMPLETED
 
     @property
     def message(self) -> str:
-        """A line that says how the ensemble ended."""
+        """Outcomes of the trajectories, and the first failure, in one line."""
         if self._counts[Outcome.COMPLETED] == self.total:
             return f"all {self.total} trajectories completed {self.N} step{'s' * (self.N != 1)}"
         counted = ", ".join(f"{count} {WORDS[Outcome(name)]}" for name, count in self.outcomes.items())
@@ -78,16 +78,20 @@ class EndingTally:
 
 
 def ensemble_report(
-    experiment: EnsembleExperiment, endings: EndingTally, invariants: Sequence[dict[str, Any]], seconds: dict[str, Any]
+    experiment: EnsembleExperiment,
+    digest: str,
+    endings: EndingTally,
+    invariants: Sequence[dict[str, Any]],
+    seconds: dict[str, Any],
 ) -> dict[str, Any]:
-    """The content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
+    """Content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
     first = experiment.first
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
             "kind": "ensemble",
             "name": experiment.name,
-            "digest": experiment.digest,
+            "digest": digest,
             "top": first.top.kind,
             "top_title": first.top.title,
             "scheme": first.scheme.name,
@@ -109,7 +113,7 @@ def ensemble_report(
 
 
 def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
-    """Lines of cells, a column for each invariant; the first line is the header."""
+    """Ensemble report as lines of cells, a column for each invariant; the first line is the header."""
     rows = report["invariants"]
     lines = [
         ["invariant", *(row["symbol"] for row in rows)],
@@ -122,7 +126,7 @@ def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
 
 
 def ensemble_markdown(report: dict[str, Any]) -> str:
-    """``report.md``: the same content for a reader."""
+    """Content of ``report.md``."""
     listed = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
     failed = sum(count for outcome, count in report["outcomes"].items() if outcome not in NO_FAILURE)
     if failed > len(listed):

@@ -1,9 +1,8 @@
-"""The growth of round-off under several ways to write a step, side by side: what the figure ``roundoff`` shows.
+"""Growth of round-off for several ways to write a step: the data of the figure ``roundoff``.
 
-The BS scheme of Lagrange's top turns the axis by Cayley's rotation. Written as a product of matrix and vector it is
-biased; as axis + change its errors are a random walk; with the lost part of that sum carried along, a smaller one.
-Under the hybrid, xi is recomputed from the state in every step; carried as a unit number that turns, its errors do not
-add up.
+The BS scheme of Lagrange's top turns the axis by Cayley's rotation. Written as a product of matrix and vector, it is
+biased; as axis + change, its errors are a random walk; with compensated sums, a smaller one. The hybrid recomputes xi
+from the state in every step; hybrid-xi carries it as a unit number that turns, and its errors do not add up.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.fingerprint import fingerprint
 from topcli.schemes.compensated import enter_compensated
+from topcli.studies.identity import method_fingerprint
 from topcli.studies.roundoff import copies_followed, sampling_of
-from topcli.studies.run import method_fingerprint
 
 STEPS = 1 << 19
 COPIES = 4
@@ -28,7 +27,7 @@ H = 0.01
 
 
 def turned_step(s: Floats, h: float, p: Floats) -> Floats:
-    """The BS step with the axis turned by the matrix of Cayley's rotation: the biased form."""
+    """BS step with the axis turned by the matrix of Cayley's rotation: the biased form."""
     m1, m2, m3, a1, a2, a3 = s
     d = -0.5 * h
     n1, n2 = m1 - h * a2, m2 + h * a1
@@ -37,7 +36,7 @@ def turned_step(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def bs_change(s: Floats, h: float, p: Floats) -> Floats:
-    """The change in a BS step."""
+    """Change in a BS step."""
     m1, m2, m3, a1, a2, a3 = s
     d = -0.5 * h
     x1, x2 = -(h * a2), h * a1
@@ -46,7 +45,7 @@ def bs_change(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def _under(experiment: Experiment, method: Stepper) -> Experiment:
-    """The experiment under a step that is no scheme."""
+    """Experiment under a step that is not registered as a scheme."""
     return experiment.model_copy(update={"scheme": replace(experiment.scheme, build=lambda top, options: method)})
 
 
@@ -65,7 +64,7 @@ def _variants() -> dict[str, tuple[Experiment, str]]:
 
 
 def growth_columns() -> Mapping[str, Array]:
-    """``steps``, and for each curve the root mean square of the drift over so many steps."""
+    """Columns of the figure: ``steps``, and for each curve the root mean square of the drift over that many steps."""
     sampling = sampling_of(STEPS, H, exact=True)
     lags = doubling_lags(sampling.blocks)
     columns: dict[str, Array] = {"steps": lags * float(sampling.block_steps)}
@@ -76,6 +75,6 @@ def growth_columns() -> Mapping[str, Array]:
 
 
 def growth_code() -> str:
-    """A digest of all that the columns are made by; an equal one means equal columns."""
+    """Digest of everything that the columns depend on; equal digests mean equal columns."""
     digests = [method_fingerprint(experiment.method()) + experiment.digest for experiment, _ in _variants().values()]
     return fingerprint(block_weights, structure, compiled=False) + "".join(digests) + f"{STEPS} {COPIES}"

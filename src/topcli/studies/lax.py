@@ -1,4 +1,4 @@
-"""The Lax forms of a top, checked along the motion and along runs of its schemes."""
+"""Checks of the Lax forms of a top along the motion and along runs of its schemes."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from topcli.tops import forms
 
 NAME = "the study of Lax forms"
 ROWS = 1000
-"""At most so many states of a run are looked at."""
+"""Largest number of states of a run that are used."""
 DIFFERENCES = 40
-"""Times at which dL/dt is taken by differences on the reference."""
+"""Times at which dL/dt is computed by differences of the reference."""
 MIDPOINT_STEPS = 200
 ROUND_OFF = 1e-13
-"""A conjugation defect below this is a rounding error, and has no order in h."""
+"""Conjugation defects below this are rounding errors, without an order in h."""
 INITIAL = {"omega": (0.7, -0.4, 1.3), "gamma": (0.6, 0.48, 0.64)}
-"""The state in general position that is taken without a config."""
+"""Default initial state, in general position."""
 
 NO_PAIR = (
     "dL/dt = [M, L] holds for every top, integrable or not: it is a rewriting of the Euler-Poisson equations, and what "
@@ -49,7 +49,7 @@ NO_PAIR = (
 
 
 def lax_experiment(name: str, config: str | None, sets: Sequence[str]) -> Experiment:
-    """The experiment to check: that of ``config``, which must be of the top ``name``, or a state in general position.
+    """Experiment to check: that of ``config``, of the top ``name``, or one that starts in general position.
 
     Raises UsageError for a config of another top or a state that is not omega, gamma.
     """
@@ -86,7 +86,7 @@ def _require_body(top: type[Top]) -> None:
 
 
 def default_schemes(experiment: Experiment) -> list[str]:
-    """Every scheme of the experiment's top, except the adaptive ones, which take long."""
+    """All schemes of the experiment's top except the adaptive ones, which are slow."""
     form = experiment.top.form
     return [name for name in names_for(form) if not find_scheme(name, form).adaptive]
 
@@ -97,7 +97,7 @@ def _body(states: Array) -> Array:
 
 
 def _each(measure: Any, form: LaxForm) -> list[float]:
-    """``measure(lambda)`` at every lambda, at one where the form has none."""
+    """``measure(lambda)`` at every lambda; at one only if the form has no spectral parameter."""
     return [measure(lam) for lam in (LAMBDAS if form.spectral else LAMBDAS[:1])]
 
 
@@ -115,7 +115,7 @@ def _windows(experiment: Experiment) -> tuple[Array, float]:
 
 
 def _midpoint_states(experiment: Experiment, h: float, steps: int) -> Array:
-    """States (n, 6) of the midpoint rule: all the ``steps``, or those before the first that does not converge."""
+    """States (n, 6) of the midpoint rule after 0 to ``steps`` steps, up to the first that does not converge."""
     equations = checked_equations(experiment.top, NAME)
     p = (*equations.moments, *equations.gravity)
     states = [tuple(_body(np.array([experiment.y0]))[0].tolist())]
@@ -205,7 +205,7 @@ def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
     for name in dict.fromkeys(schemes):
         one = under_scheme(experiment, name)
         trajectory = trajectory_of(one.model_copy(update={"output": one.output.model_copy(update={"every": every})}))
-        with np.errstate(all="ignore"):  # a run on its way to blow up
+        with np.errstate(all="ignore"):  # the run may blow up
             runs.append(_drift(one.scheme.name, trajectory.ending.outcome.value, found, _thinned(trajectory)))
         runs[-1]["message"] = trajectory.ending.message
     return finite(

@@ -1,9 +1,10 @@
-"""The report of a run: as plain data for ``report.json`` and as Markdown for ``report.md``."""
+"""Report of a run: plain data for ``report.json``, Markdown for ``report.md``, cells for tables."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from topcli.analysis.drift import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
@@ -13,7 +14,7 @@ SCHEMA_VERSION = 1
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number for a table: short, with an exponent where it helps, a dash for None."""
+    """Number for a table: short, with an exponent if it is very large or small; a dash for None."""
     if value is None:
         return "–"
     if value == 0.0:
@@ -24,52 +25,57 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def exact_number(value: float | None) -> str:
-    """A number to ten digits: enough to see how an invariant moves; a dash for None."""
+    """Number to ten digits, which show how an invariant moves; a dash for None."""
     return "–" if value is None else f"{value:.10g}"
 
 
-INVARIANT_COLUMNS = (
-    "invariant",
-    "first",
-    "min",
-    "max",
-    "max deviation",
-    "relative",
-    "rms deviation",
-    "relative",
-    "drift per unit time",
-    "± standard error",
-    "over the run",
-    "model",
-    "scatter",
-    "round-off bound",
-    "verdict",
+def _two_digits(value: float | None) -> str:
+    return number(value, 2)
+
+
+def _word(value: str | None) -> str:
+    return value or "–"
+
+
+@dataclass(frozen=True)
+class ReportColumn:
+    """Figure of the report on one invariant: its key in ``report.json``, its label and format in tables.
+
+    ``compared`` is the label in comparisons of schemes, where {} is the invariant's symbol; None if not shown there.
+    """
+
+    key: str
+    label: str
+    format: Callable[[Any], str] = number
+    compared: str | None = None
+
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """Text of this figure in a table, from a row of ``report.json``."""
+        return self.format(row[self.key])
+
+
+REPORT_COLUMNS = (
+    ReportColumn("symbol", "invariant", str),
+    ReportColumn("first", "first", exact_number),
+    ReportColumn("min", "min", exact_number),
+    ReportColumn("max", "max", exact_number),
+    ReportColumn("max_deviation", "max deviation", compared="{} max deviation"),
+    ReportColumn("max_deviation_relative", "relative"),
+    ReportColumn("rms_deviation", "rms deviation"),
+    ReportColumn("rms_deviation_relative", "relative"),
+    ReportColumn("drift", "drift per unit time", compared="{} drift per unit time"),
+    ReportColumn("drift_error", "± standard error", _two_digits, compared="  its standard error"),
+    ReportColumn("drift_over_run", "over the run"),
+    ReportColumn("model", "model", _word, compared="  model"),
+    ReportColumn("scatter", "scatter"),
+    ReportColumn("round_off_bound", "round-off bound"),
+    ReportColumn("verdict", "verdict", str, compared="  verdict"),
 )
-
-
-def invariant_cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """One line of the invariant table, for the terminal and for Markdown, from a row of ``report.json``."""
-    return (
-        row["symbol"],
-        exact_number(row["first"]),
-        exact_number(row["min"]),
-        exact_number(row["max"]),
-        number(row["max_deviation"]),
-        number(row["max_deviation_relative"]),
-        number(row["rms_deviation"]),
-        number(row["rms_deviation_relative"]),
-        number(row["drift"]),
-        number(row["drift_error"], 2),
-        number(row["drift_over_run"]),
-        row["model"] or "–",
-        number(row["scatter"]),
-        number(row["round_off_bound"]),
-        row["verdict"],
-    )
+"""Figures of the invariant report in the order of all its tables; the keys are fields of ``InvariantRow``."""
 
 
 def finite(data: Any) -> Any:
-    """The same plain data with null for numbers that JSON does not have (nan, inf)."""
+    """Plain data with None for numbers that JSON does not have (nan, inf)."""
     if isinstance(data, float) and not math.isfinite(data):
         return None
     if isinstance(data, dict):
@@ -80,12 +86,12 @@ def finite(data: Any) -> Any:
 
 
 def left_motion(ending: Ending) -> dict[str, Any] | None:
-    """First recorded step and time at which a run was far off its energy surface; None for never."""
+    """First recorded step and time at which a run was far off its energy surface; None if it never was."""
     return None if ending.left is None else {"step": ending.left, "t": ending.left_t}
 
 
 def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[str, Any]:
-    """The content of ``report.json``: the run's ``summary`` and a row for each invariant."""
+    """Content of ``report.json``: the ``summary`` of the run and a row for each invariant."""
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
@@ -99,34 +105,43 @@ def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[s
 
 
 ORDINARY = ("iterations", "evaluations", "expansions", "corrections", "chart_switches")
-"""Counters of a scheme's normal work; any other counts events that a user should know of."""
+"""Counters of a scheme's normal work; all others count events that are reported as warnings."""
 
 
 def warning_of(report: dict[str, Any]) -> str:
-    """What was counted that a user should know of, as a line; empty where there was nothing."""
+    """Events counted by the scheme that a user should know about, in one line; empty if there were none."""
     counted = {name: count for name, count in report["counters"].items() if count and name not in ORDINARY}
     if not counted:
         return ""
-    told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counted.items())
-    return f"{told} in {report['step']} steps; topcli show {report['scheme']} tells of limits"
+    events = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counted.items())
+    return f"{events} in {report['step']} steps; topcli show {report['scheme']} lists its limits"
 
 
-def invariant_table(report: dict[str, Any]) -> list[list[str]]:
-    """The invariant report as lines of cells, a column for each invariant; the first line is the header."""
-    cells = [invariant_cells(row) for row in report["invariants"]]
-    return [[label, *(cell[i] for cell in cells)] for i, label in enumerate(INVARIANT_COLUMNS)]
+def invariant_table(report: Mapping[str, Any]) -> list[list[str]]:
+    """Invariant report as lines of cells, a column for each invariant; the first line is the header."""
+    return [[column.label, *map(column.cell, report["invariants"])] for column in REPORT_COLUMNS]
+
+
+def comparison_lines(schemes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Compared figures of each invariant as lines: a label, then a cell for each of the ``schemes``."""
+    return [
+        [column.compared.format(rows[0]["symbol"]), *map(column.cell, rows)]
+        for rows in zip(*(scheme["invariants"] for scheme in schemes), strict=True)
+        for column in REPORT_COLUMNS
+        if column.compared is not None
+    ]
 
 
 def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of cells as a Markdown table; the first line is the header."""
+    """Markdown table of lines of cells; the first line is the header."""
     ruled = ["| " + " | ".join(line) + " |" for line in lines]
     return [ruled[0], "|" + " --- |" * len(lines[0]), *ruled[1:]]
 
 
 def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] = (), where: str = "") -> list[str]:
-    """The lines that a report of one run and one of an ensemble begin with, down to the table of invariants.
+    """First lines of ``report.md``, of a run or an ensemble, up to the table of invariants.
 
-    ``extent`` stands before h, ``listed`` below the outcome, ``where`` behind the word counters.
+    ``extent`` comes before h, ``listed`` after the outcome, ``where`` after the word "Counters".
     """
     counters = ", ".join(f"{name.replace('_', ' ')}: {count}" for name, count in report["counters"].items())
     return [
@@ -145,7 +160,7 @@ def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] 
 
 
 def report_markdown(report: dict[str, Any]) -> str:
-    """``report.md``: the same content for a reader."""
+    """Content of ``report.md``."""
     lines = [
         *report_head(report),
         *markdown_table(invariant_table(report)),

@@ -1,8 +1,8 @@
-"""How the round-off of a scheme's exact invariants grows, plainly and with compensated sums, and what the latter cost.
+"""Growth of round-off in the invariants of a scheme, with plain and compensated sums, and the cost of the latter.
 
-Where a scheme claims no invariant at all, as HK for Kowalevski's top, those of the top are followed by means over long
-windows, which take their quasi-periodic oscillations out. What is left and common to all copies of a run is the motion
-of the exact map, the more exact the better its sums are; by what the copies differ from that is round-off.
+If a scheme claims no exact invariant, like HK for Kowalevski's top, those of the top are followed by means over long
+windows, which remove their quasi-periodic oscillations. The remaining part that is common to all copies of a run is the
+motion of the exact map, most accurate with compensated sums; the deviations of the copies from it are round-off.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ SCENES = {
     "euler+gamma": "euler_gamma",
     "heavy": "heavy_hk",
 }
-"""The scene for each form of a top when none is asked for."""
+"""Default scene for each form of a top."""
 GENERIC = "kowalevski_generic_hk"
-"""The same for a scheme of Kowalevski's top that claims nothing exactly: no window is long enough near a separatrix."""
+"""Default scene for schemes of Kowalevski's top without exact invariants; near a separatrix windows are too short."""
 DEFAULT_H = 0.01
 
 BLOCKS = 1024
 ROWS = 16
-"""Blocks of an exact invariant, and the rows recorded in each."""
+"""Rows recorded in each of the BLOCKS blocks of an exact invariant."""
 WINDOW = 4000.0
-"""Length in time of the blocks of the others."""
+"""Length in time of the blocks of other invariants."""
 SAMPLING = 0.05
-"""Time between the rows of the others: the sum over a window is then the integral."""
+"""Time between the rows of other invariants, short enough that sums over a window are integrals."""
 SHIFT = 1e-14
-"""By how much, relative to its components, the initial states of the copies differ."""
+"""Relative differences between the initial states of the copies."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,12 @@ class Sampling:
 
     @property
     def steps(self) -> int:
-        """Steps in all."""
+        """Steps of a run."""
         return self.blocks * self.block_steps
 
 
 def sampling_of(steps: int, h: float, exact: bool) -> Sampling:
-    """How to record so many steps. Raises UsageError for too few."""
+    """Sampling of a run of about ``steps`` steps. Raises UsageError for too few."""
     if exact:
         least = MIN_BLOCKS * ROWS
         if steps < least:
@@ -92,9 +92,9 @@ def sampling_of(steps: int, h: float, exact: bool) -> Sampling:
 
 
 def roundoff_experiment(scheme: str, config: str | Path | None, overrides: Sequence[str] = ()) -> Experiment:
-    """The experiment of ``config`` under ``scheme``; without one, a packaged scene that the scheme fits, at h = 0.01.
+    """Experiment of ``config`` under ``scheme``; by default a packaged scene for the scheme, at h = 0.01.
 
-    Raises UsageError and its kin, UnknownNameError among them for a scheme that no top has.
+    Raises UsageError, and UnknownNameError for an unknown scheme.
     """
     if config is not None:
         return under_scheme(load_experiment(config, overrides), scheme)
@@ -110,14 +110,14 @@ def roundoff_experiment(scheme: str, config: str | Path | None, overrides: Seque
 
 
 def _watched(experiment: Experiment) -> tuple[tuple[Invariant, ...], bool]:
-    """The invariants to follow, and whether the scheme claims them."""
+    """Invariants to follow; True if the scheme claims them as exact."""
     known = experiment.top.invariants()
     claimed = tuple(one for one in known if one.name in experiment.scheme.conserves) + experiment.modified
     return (claimed, True) if claimed else (known, False)
 
 
 def _copies(experiment: Experiment, count: int) -> list[Array]:
-    """Initial states: the experiment's own, and others so close by that only the rounding differs."""
+    """Initial states: that of the experiment, and others so close that only the rounding differs."""
     random = np.random.default_rng(1)
     y0 = np.array(experiment.y0)
     return [y0, *(y0 * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y0))) for _ in range(count - 1))]
@@ -141,7 +141,11 @@ def _followed(
 
 @dataclass(frozen=True)
 class Copies:
-    """The copies of one form: block means (invariants, copies, blocks), and a figure for each invariant."""
+    """Results of all copies of one form.
+
+    ``means`` (invariants, copies, blocks) are block means; ``largest`` and ``scale`` (invariants,) are the largest
+    deviation and the scale of each invariant.
+    """
 
     ending: Ending
     means: Array
@@ -150,7 +154,7 @@ class Copies:
 
 
 def copies_followed(experiment: Experiment, watched: Sequence[Invariant], sampling: Sampling, copies: int) -> Copies:
-    """All copies of one form, as many at a time as there are processors."""
+    """Run all copies of one form, in as many threads as there are processors."""
     stop = Event()
     with ThreadPoolExecutor(max_workers=min(copies, os.cpu_count() or 1)) as pool:
         try:
@@ -158,7 +162,7 @@ def copies_followed(experiment: Experiment, watched: Sequence[Invariant], sampli
                 pool.submit(_followed, experiment, watched, sampling, y0, stop) for y0 in _copies(experiment, copies)
             ]
             done = [run.result() for run in runs]
-        finally:  # an interruption, above all
+        finally:  # in particular after an interruption
             stop.set()
             pool.shutdown(cancel_futures=True)
     failed = [ending for _, ending in done if ending.outcome is not Outcome.COMPLETED]
@@ -173,14 +177,14 @@ def copies_followed(experiment: Experiment, watched: Sequence[Invariant], sampli
 def _rows(
     watched: Sequence[Invariant], exact: bool, sampling: Sampling, runs: Copies, common: Array
 ) -> list[dict[str, Any]]:
-    """The growth of each invariant; ``common`` (invariants, blocks) is what the exact map does."""
+    """Figures on the growth of each invariant; ``common`` (invariants, blocks) is the motion of the exact map."""
     rows = []
     for i, invariant in enumerate(watched):
         drift = runs.means[i] - common[i]
         own = not exact and np.array_equal(common[i], runs.means[i].mean(axis=0))
         if not exact:
             drift = drift - drift[:, :1]
-        if own:  # the copies' own mean takes its part of their scatter, and all of a bias
+        if own:  # the mean of the copies absorbs a part of their scatter, and all of a bias
             drift = drift * np.sqrt(len(drift) / (len(drift) - 1.0))
         fitted = growth(drift, sampling.block_steps, float(runs.scale[i])).as_dict()
         if own:
@@ -202,7 +206,7 @@ def _rows(
 
 
 def forms_of(experiment: Experiment) -> dict[str, Experiment]:
-    """The experiment plainly and with compensated sums where its scheme has that option, by name."""
+    """Experiment with plain and with compensated sums, by name; only the former if the scheme has no such option."""
     if "compensated" not in type(experiment.options).model_fields:
         return {"plain": experiment}
     resolved = experiment.resolved()
@@ -215,7 +219,7 @@ def forms_of(experiment: Experiment) -> dict[str, Experiment]:
 def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str, Any]:
     """Follow ``copies`` of the experiment over about ``steps`` steps each; plain data, ready for JSON.
 
-    ``experiment.N`` plays no part. Raises UsageError for a scheme that takes no steps, and for too few of them.
+    ``experiment.N`` is ignored. Raises UsageError for a scheme that takes no steps, and for too few steps.
     """
     if isinstance(experiment.method(), Sampler):
         raise UsageError(f"scheme {experiment.scheme.name!r} is a closed form: it takes no steps whose errors add up")
@@ -226,7 +230,7 @@ def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str,
     sampling = sampling_of(steps, experiment.h, exact)
     variants = forms_of(experiment)
     methods = [one.method() for one in variants.values()]
-    # before the runs, which heat the processor, and in time of this thread, which others cannot lengthen
+    # before the runs, which heat the processor; thread time does not depend on other threads
     timed = nanoseconds_per_step(
         [(experiment.top, method, experiment.y0, experiment.h) for method in methods], clock=time.thread_time_ns
     )

@@ -1,56 +1,44 @@
-"""Run an experiment into a run folder: stream the series, tally the invariants, write the reports."""
+"""Run an experiment into a run folder: the series, the report on its invariants, the manifest."""
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from numpy.typing import NDArray
-
-from topcli.analysis.columns import column_names, columns
-from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
-from topcli.contracts import Block, Invariant, Method, Outcome, Sampler
-from topcli.engine.fingerprint import fingerprint
+from topcli.contracts import Method, Outcome
 from topcli.engine.loop import Run
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import Checkpoint, write_checkpoint
-from topcli.store.manifest import CHECKED_AT_ONCE, StoredRun
-from topcli.store.provenance import Commit, environment, now
-from topcli.store.run_folder import RunWriter, io_failure, require_place, require_real
-from topcli.store.series import SeriesWriter
+from topcli.store.manifest import StoredRun
+from topcli.store.provenance import Commit
+from topcli.store.run_folder import RunWriter, io_failure
+from topcli.studies.identity import Identity, Origin, store_run
+from topcli.studies.plan import plan_run
+from topcli.studies.recorder import Recorder
 from topcli.studies.report import left_motion, report_data, report_markdown
 from topcli.studies.resume import (
     CHECKPOINT_SECONDS,
-    Batch,
     Checkpoints,
-    Source,
-    begun,
     checked_start,
+    checkpoint_data,
     find_source,
     position_of,
-    say_what_could_be_resumed,
+    report_unfinished,
 )
 
-if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
-
 Progress = Callable[[int, int], None]
-"""Told (steps done, N) between chunks."""
+"""Called with (steps done, N) between chunks."""
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """A run folder, its report, and what became of the call.
+    """A run folder, its report, and the ``status`` of the call: ``"ran"``, ``"resumed"`` or ``"up to date"``.
 
-    ``status`` is ``"ran"``, ``"resumed"`` or ``"up to date"``; ``set_aside`` is where a different earlier run was
-    moved.
+    ``set_aside`` is the new folder of an earlier, different run that was moved away.
     """
 
     stored: StoredRun
@@ -60,124 +48,45 @@ class RunResult:
 
     @property
     def outcome(self) -> Outcome:
-        """How the run ended."""
+        """Outcome of the run."""
         return Outcome(self.report["outcome"])
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a call of ``run_experiment`` will do: ``standing`` is the run that is there, ``action`` says it in words."""
+class _Job:
+    """A run with all that it needs: the scheme made ready, the folder to fill, its checkpoints and its origin."""
 
-    standing: StoredRun | None
-    up_to_date: bool
-    action: str
+    experiment: Experiment
+    method: Method
+    writer: RunWriter
+    checkpoints: Checkpoints
+    origin: Origin
 
-
-def method_fingerprint(method: Method) -> str:
-    """A digest of the code of a scheme made ready for a top. Raises SchemeCodeError for code that cannot be hashed."""
-    if isinstance(method, Sampler):
-        return fingerprint(method.states, compiled=False)
-    if isinstance(method, Block):
-        code = method.text() + fingerprint(method.enter, compiled=False)
-        layout = (method.width, method.counters, method.iterative)
-    else:
-        code = fingerprint(method.step, method.enter, method.leave, compiled=not method.plain)
-        stages = method.stages and (fingerprint(method.stages[0]), method.stages[1])
-        layout = (method.width, method.counters, method.iterative, method.checked, method.plain, stages)
-    return hashlib.sha256((code + repr(layout)).encode()).hexdigest()
+    @property
+    def series(self) -> Path:
+        """File of the series."""
+        return self.writer.folder / f"series.{self.experiment.output.format}"
 
 
-def plan_run(
-    experiment: Experiment | EnsembleExperiment,
-    out: Path,
-    code: str,
-    *,
-    force: bool = False,
-    retry_failed: bool = False,
-    source: Source | None = None,
-) -> Plan:
-    """What running ``experiment`` into ``out``, or continuing from ``source``, will do.
-
-    Raises UsageError for what would be refused.
-    """
-    target, digest = out / experiment.name, experiment.digest
-    standing = require_place(out, experiment.name)
-    begin = f"will continue from step {source.done}" if source else "will run"
-    if standing is None:
-        return Plan(None, False, begin)
-    if not standing.same_experiment(digest):
-        if not force and source is None:
-            raise UsageError(
-                f"{target}: holds a different experiment (digest {standing.manifest['digest'][:8]}, this one "
-                f"{digest[:8]}); nothing was written",
-                "choose --set name=... or --out, or --force to keep the earlier run aside and put this one in "
-                "its place",
-            )
-        require_real(target)
-        return Plan(standing, False, f"{begin}, and keep the different run that is there aside")
-    failed = standing.outcome is not Outcome.COMPLETED
-    if not force and not (failed and retry_failed) and standing.up_to_date(digest, code):
-        return Plan(standing, True, f"up to date; {retry_hint(standing)}" if failed else "up to date")
-    require_real(target)
-    damaged = "".join(f"; {name} is damaged: {why}" for name, why in standing.damage(CHECKED_AT_ONCE).items())
-    return Plan(standing, False, (begin if source else "will run again") + damaged)
-
-
-def retry_hint(standing: StoredRun) -> str:
-    """How a finished run failed, and how to run it again."""
-    return f"the run that is there ended as {standing.outcome.value}; --retry-failed runs it again"
-
-
-def _write_series(
-    path: Path,
-    experiment: Experiment,
-    run: Run,
-    tally: InvariantTally,
-    modified: tuple[Invariant, ...],
-    about: dict[str, str],
-    progress: Progress,
-    checkpoints: Checkpoints,
-    start: Checkpoint | None,
-) -> str:
-    """Run and write the rows to ``path``; the SHA-256 of the file."""
-    top, h = experiment.top, experiment.h
-    names = list(experiment.output.columns or column_names(top))
-    batch = Batch(start)
-    with SeriesWriter(path, names, about, start.series if start else None) as writer:
-
-        def take_in(n: NDArray[Any], states: NDArray[Any]) -> None:
-            tally.add(n, states)
-            writer.write(columns(top, n, h, states, names, modified))
-
+def _record(job: _Job, run: Run, recorder: Recorder, progress: Progress) -> None:
+    """Carry out ``run`` and record its rows. Raises OSError."""
+    with recorder:
         for chunk in run:
-            if len(chunk.n):
-                batch.add(chunk.n, chunk.states)
-            if chunk.whole and batch.enough:
-                take_in(*batch.take())
-            checkpoints.consider(run, tally, writer, batch)
-            progress(chunk.done, experiment.N)
+            recorder.add(chunk)
+            job.checkpoints.consider(run, recorder)
+            progress(chunk.done, run.N)
         assert run.ending is not None
         if run.ending.outcome is Outcome.INTERRUPTED:
-            checkpoints.save(run, tally, writer, batch)
-        if len(batch.rows()[0]):
-            take_in(*batch.take())
-        run.ending = ending = run.ending.having_left(tally.left, experiment.h)
-        writer.finish(
-            {
-                "topcli.outcome": ending.outcome.value,
-                "topcli.message": ending.message,
-                **({} if ending.left is None else {"topcli.left_motion": json.dumps(left_motion(ending))}),
-            }
-        )
-    return writer.sha256
+            job.checkpoints.save(run, recorder)
+        run.ending = recorder.finish(run.ending)
 
 
-def _summary(experiment: Experiment, run: Run, digest: str) -> dict[str, Any]:
-    ending = run.ending
+def _summary(job: _Job, run: Run) -> dict[str, Any]:
+    experiment, ending = job.experiment, run.ending
     assert ending is not None
     return {
         "name": experiment.name,
-        "digest": digest,
+        "digest": job.origin.identity.digest,
         "top": experiment.top.kind,
         "top_title": experiment.top.title,
         "scheme": experiment.scheme.name,
@@ -195,65 +104,32 @@ def _summary(experiment: Experiment, run: Run, digest: str) -> dict[str, Any]:
 
 
 def _carry_out(
-    experiment: Experiment,
-    method: Method,
-    writer: RunWriter,
-    commit: Commit,
-    checkpoints: Checkpoints,
-    start: Checkpoint | None,
-    progress: Progress,
-    stop: Callable[[], bool],
+    job: _Job, start: Checkpoint | None, progress: Progress, stop: Callable[[], bool]
 ) -> tuple[StoredRun, dict[str, Any]]:
-    """Run, from ``start`` if there is one, to the end or until ``stop``, and put the folder in its place.
+    """Run from ``start``, or from step 0, to the end or until ``stop``, and put the folder in its place.
 
     Raises OSError.
     """
-    top, h, modified = experiment.top, experiment.h, experiment.modified
-    resolved, provenance = experiment.resolved(), environment()
-    about = {
-        "topcli.config": json.dumps(resolved),
-        "topcli.digest": checkpoints.about["digest"],
-        "topcli.environment": json.dumps(provenance),
-    }
-    tally = InvariantTally((*top.invariants(), *modified), h, top)
+    experiment, writer = job.experiment, job.writer
     try:
-        if start is not None:
-            tally.restore(start.tally)
+        recorder = Recorder(experiment, job.series, job.origin.metadata(), start)
         position = position_of(start) if start else None
-        run = Run(top, method, experiment.y0, h, experiment.N, experiment.output.every, stop, position)
+        y0, every = experiment.y0, experiment.output.every
+        run = Run(experiment.top, job.method, y0, experiment.h, experiment.N, every, stop, position)
     except (KeyError, ValueError) as error:
         if start is None:
             raise
-        raise UsageError(f"{writer.folder}: its checkpoint is none of this version of topcli ({error})") from None
+        raise UsageError(
+            f"{writer.folder}: its checkpoint was written by another version of topcli ({error})"
+        ) from None
     run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
-    series = writer.folder / f"series.{experiment.output.format}"
-    digest = _write_series(series, experiment, run, tally, modified, about, progress, checkpoints, start)
-    writer.sha256[series.name] = digest
-    report = report_data(_summary(experiment, run, checkpoints.about["digest"]), tally.rows())
-    writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-    writer.write("report.md", report_markdown(report))
-    writer.write("config.yaml", experiment.to_yaml())
-    stored = writer.commit(
-        {
-            "name": experiment.name,
-            "digest": checkpoints.about["digest"],
-            "code": checkpoints.about["code"],
-            "outcome": report["outcome"],
-            "message": report["message"],
-            "step": report["step"],
-            "left_motion": report["left_motion"],
-            "series": series.name,
-            "config": resolved,
-            "scheme_origin": experiment.scheme.origin,
-            "started": checkpoints.about["started"],
-            "ended": now(),
-            **({"resumed": resumed} if (resumed := checkpoints.about["resumed"]) else {}),
-            "seconds": report["seconds"],
-            "environment": provenance,
-            **commit.read(),
-        }
-    )
-    return stored, report
+    _record(job, run, recorder, progress)
+    writer.sha256[job.series.name] = recorder.series.sha256
+    report = report_data(_summary(job, run), recorder.tally.rows())
+    manifest = {"step": report["step"], "left_motion": report["left_motion"], "series": job.series.name}
+    if resumed := job.checkpoints.about["resumed"]:
+        manifest["resumed"] = resumed
+    return store_run(writer, job.origin, report, report_markdown(report), manifest), report
 
 
 def run_experiment(
@@ -268,55 +144,58 @@ def run_experiment(
     stop: Callable[[], bool] = lambda: False,
     tell: Callable[[str], None] = lambda line: None,
 ) -> RunResult:
-    """Run ``experiment`` into ``out/<name>/``, or find it there already.
+    """Run ``experiment`` into the folder ``out/<name>``, unless it has been run before.
 
-    A run of the same experiment by the same code that ended by itself is not repeated unless ``force``, or
-    ``retry_failed`` and it failed. A different experiment is refused, unless ``force``: then it is set aside under
-    another name.
-    ``stop`` is asked between chunks; what was written until then is kept, marked ``interrupted``.
-    With ``resume`` an interrupted or killed run goes on from its last checkpoint and ends, bit for bit, as if it had
-    never been stopped; checkpoints are written every ``checkpoint_every`` seconds. ``tell`` receives lines of talk.
+    A finished run of the same experiment and code is not repeated unless ``force``, or if it failed ``retry_failed``.
+    A different experiment of that name is refused; with ``force`` it is renamed.
+    ``stop`` is called between chunks; if it returns True, the run ends as ``interrupted`` and keeps its rows.
+    With ``resume`` an interrupted or killed run continues from its last checkpoint and ends, bit for bit, as if it had
+    never been stopped. Checkpoints are written every ``checkpoint_every`` seconds. ``tell`` receives messages.
 
-    Raises UsageError before anything is written, RunError when writing fails; then nothing is left behind but what
-    can be read or resumed.
+    Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
     """
-    method, digest = experiment.method(), experiment.digest
-    code = method_fingerprint(method)
-    source = find_source(experiment, out, code) if resume else None
-    plan = plan_run(experiment, out, code, force=force, retry_failed=retry_failed, source=source)
-    if plan.up_to_date and plan.standing is not None:
-        return RunResult(plan.standing, plan.standing.report(), "up to date")
+    method = experiment.method()
+    identity = Identity.of(experiment, [method])
+    source = find_source(identity, out) if resume else None
+    plan = plan_run(identity, out, force=force, retry_failed=retry_failed, source=source)
+    if plan.up_to_date and plan.existing is not None:
+        return RunResult(plan.existing, plan.existing.report(), "up to date")
     if not resume:
-        say_what_could_be_resumed(experiment, out, code, tell)
-    if "damaged" in plan.action:
-        tell(f"{experiment.name}: {plan.action}")
-    identity, displace = {"digest": digest, "code": code}, force or retry_failed
-    with Commit() as commit, RunWriter(out, experiment.name, identity, source and source.where, displace) as writer:
+        report_unfinished(identity, out, tell)
+    if plan.damaged:
+        tell(f"{identity.name}: {plan.action}")
+    where, displace = source and source.where, force or retry_failed
+    with Commit() as commit, RunWriter(out, identity.name, identity.digests, where, displace) as writer:
         if writer.complete is not None:
-            try:
-                stored = writer.put_in_place(writer.complete.manifest)
-            except OSError as error:
-                raise writer.failure(error) from error
-            tell(f"{experiment.name}: the run had ended before it was killed; it is in its place now")
-            return RunResult(stored, stored.report(), "resumed", writer.set_aside)
-        start = checked_start(experiment, writer, source, identity, tell) if resume else None
-        checkpoints = Checkpoints(writer, begun(experiment, identity, start), checkpoint_every, last=start)
-        carry_out = partial(_carry_out, experiment, method, writer, commit, checkpoints)
+            return _put_in_place(writer, writer.complete, tell)
+        start = checked_start(identity, writer, source, tell) if resume else None
+        about = checkpoint_data(identity, start)
+        checkpoints = Checkpoints(writer, about, checkpoint_every, last=start)
+        origin = Origin(identity, experiment.scheme.origin, about["started"], about["environment"], commit)
+        job = _Job(experiment, method, writer, checkpoints, origin)
         try:
-            stored, report = carry_out(start, progress, stop)
+            stored, report = _carry_out(job, start, progress, stop)
         except OSError as error:
-            raise _saved(carry_out, checkpoints, error) from error
+            raise _saved(job, error) from error
     return RunResult(stored, report, "ran" if start is None else "resumed", writer.set_aside)
 
 
-def _saved(
-    carry_out: Callable[..., tuple[StoredRun, dict[str, Any]]], checkpoints: Checkpoints, error: OSError
-) -> RunError:
-    """The error to report of a write that failed, after saving what can be saved: as an interrupted run if possible."""
-    writer, last = checkpoints.writer, None
+def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], None]) -> RunResult:
+    """Finish a run that was killed after its manifest was written. Raises RunError."""
+    try:
+        stored = writer.put_in_place(complete.manifest)
+    except OSError as error:
+        raise writer.failure(error) from error
+    tell(f"{writer.name}: the run was complete when it was killed; it has been renamed into place")
+    return RunResult(stored, stored.report(), "resumed", writer.set_aside)
+
+
+def _saved(job: _Job, error: OSError) -> RunError:
+    """Error to report after a failed write; first saves the run as interrupted, or its last checkpoint, if possible."""
+    writer, checkpoints, last = job.writer, job.checkpoints, None
     for last in [] if writer.finished else checkpoints.to_save():
         with contextlib.suppress(OSError, TopcliError):
-            carry_out(last, lambda done, total: None, lambda: True)
+            _carry_out(job, last, lambda done, total: None, lambda: True)
             kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
             return io_failure(error, writer.target, kept)
     if last is not None and checkpoints.kept is None:

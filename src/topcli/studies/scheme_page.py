@@ -1,4 +1,4 @@
-"""What the registry knows of a scheme, for a reader: as Markdown for ``docs/schemes.md``, as plain data, as text."""
+"""Descriptions of schemes from the registry: Markdown for ``docs/schemes.md``, plain data, text."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ a failure.
 
 
 def scheme_forms(name: str) -> list[Scheme]:
-    """The schemes called ``name``, one for each form of a top that it steps; empty when there is none."""
+    """Schemes called ``name``, one for each form of a top; empty if there is none."""
     base = name.lower().partition("+")[0]
     return [find_scheme(name, scheme.top) for scheme in all_schemes() if scheme.name == base]
 
 
 def scheme_data(scheme: Scheme) -> dict[str, Any]:
-    """What a scheme declares, as plain data."""
+    """Declarations of a scheme as plain data."""
     return {
         "name": scheme.name,
         "top": scheme.top,
@@ -69,29 +69,29 @@ def _traits(scheme: Scheme) -> list[tuple[str, str]]:
 
 
 def _limits(scheme: Scheme) -> list[tuple[str, str]]:
-    """The limits, the hard cases first and quoted."""
+    """Limits of a scheme, those named after hard cases first and quoted."""
     known = case_names()
     quoted = [(f"`{key}`", text) for key, text in scheme.limits.items() if key in known]
     return [*quoted, *((key, text) for key, text in scheme.limits.items() if key not in known)]
 
 
-def _shared(schemes: Sequence[Scheme], told: Sequence[Sequence[tuple[str, str]]]) -> list[str]:
-    """A bullet for each (label, text) that the schemes tell; with the tops that tell it where not all of them do."""
-    tellers: dict[tuple[str, str], list[str]] = {}
-    for scheme, items in zip(schemes, told, strict=True):
+def _shared(schemes: Sequence[Scheme], traits: Sequence[Sequence[tuple[str, str]]]) -> list[str]:
+    """Bullet for each (label, text) among the ``traits`` of the schemes, with the tops unless it holds for all."""
+    tops_with: dict[tuple[str, str], list[str]] = {}
+    for scheme, items in zip(schemes, traits, strict=True):
         for item in items:
-            tellers.setdefault(item, []).append(scheme.top)
-    labels = list(dict.fromkeys(label for label, _ in tellers))
+            tops_with.setdefault(item, []).append(scheme.top)
+    labels = list(dict.fromkeys(label for label, _ in tops_with))
     bullets = []
-    for label, text in sorted(tellers, key=lambda item: labels.index(item[0])):
-        tops = tellers[label, text]
+    for label, text in sorted(tops_with, key=lambda item: labels.index(item[0])):
+        tops = tops_with[label, text]
         where = "" if len(tops) == len(schemes) else f" ({', '.join(tops)})"
         bullets.append(f"- {label}{where}: {text}")
     return bullets
 
 
 def _section(schemes: Sequence[Scheme]) -> list[str]:
-    """The Markdown section on one scheme of one or several tops."""
+    """Markdown section on one scheme of one or several tops."""
     first = schemes[0]
     tops = ", ".join(scheme.top for scheme in schemes)
     limits = _shared(schemes, [_limits(scheme) for scheme in schemes])
@@ -107,7 +107,7 @@ def _section(schemes: Sequence[Scheme]) -> list[str]:
 
 
 def schemes_page(schemes: Sequence[Scheme] | None = None) -> str:
-    """``docs/schemes.md``: every scheme that comes with topcli, by name."""
+    """Content of ``docs/schemes.md``: by default, every scheme that comes with topcli, by name."""
     shown = [scheme for scheme in all_schemes() if scheme.origin == "topcli"] if schemes is None else list(schemes)
     groups: dict[tuple[str, str], list[Scheme]] = {}
     for scheme in sorted(shown, key=lambda scheme: scheme.name):
@@ -117,7 +117,7 @@ def schemes_page(schemes: Sequence[Scheme] | None = None) -> str:
 
 
 def scheme_text(scheme: Scheme, width: int = 100) -> str:
-    """The same for a terminal, in lines of at most ``width`` characters."""
+    """Description of a scheme for a terminal, in lines of at most ``width`` characters."""
     from textwrap import fill, indent
 
     lines = [fill(f"{scheme.name} ({scheme.top}): {scheme.title}", width), ""]

@@ -1,4 +1,4 @@
-"""The Python interface: a config, a scene's name or keywords in, a Trajectory out."""
+"""Python interface for single runs: from a config, a scene or keywords to a Trajectory."""
 
 from __future__ import annotations
 
@@ -34,17 +34,50 @@ def trajectory_of(experiment: Experiment) -> Trajectory:
 def simulate(
     config: str | Path | Mapping[str, Any] | None = None, *, overrides: Sequence[str] = (), **changes: Any
 ) -> Trajectory:
-    """Run an experiment in memory and return its Trajectory.
+    """Run an experiment in memory.
 
-    ``config`` is a config file, the name of a packaged scene (``"kowalevski_hybrid"``), or the config itself as
-    a mapping; ``overrides`` are ``key=value`` texts as for ``--set``; ``changes`` replace whole top-level keys::
+    All quantities are dimensionless, as in configs.
 
-        simulate("kowalevski_hybrid", h=0.01, N=5000)
-        simulate(top="kowalevski", initial={"omega": [2, 0, 0], "gamma": ["auto", 0, 1e-3]},
-                 scheme="hk", h=1e-3, N=50_000)
+    Parameters
+    ----------
+    config : path, str or mapping, optional
+        Config file (YAML or TOML), name of a packaged scene such as ``"kowalevski_hybrid"``, or the content of a
+        config as nested mappings.
+    overrides : sequence of str
+        Texts ``"key=value"`` as for ``--set`` on the command line, such as ``"output.every=10"``.
+    **changes
+        Values that replace whole top-level keys of the config: ``top``, ``initial``, ``scheme``, ``h``, ``N``,
+        ``output``.
 
-    Raises ConfigError and its kin for what is wrong with the config. A trajectory that blows up is returned
-    with what came before; its ``ending`` says so.
+    Returns
+    -------
+    Trajectory
+        Recorded states (m, d), one row for every ``output.every`` steps, starting with the initial state. A run that
+        fails is returned up to its last finite state; ``outcome`` and ``ending`` describe the failure.
+
+    Raises
+    ------
+    ConfigError
+        If the config cannot be read or has a fault; the message names the key and, in a file, the line.
+    UnknownNameError
+        If there is no such scene or scheme.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> trajectory = topcli.simulate("kowalevski_hybrid", h=0.01, N=5000)
+    >>> trajectory.states.shape
+    (5001, 6)
+    >>> float(trajectory.t[-1])
+    50.0
+    >>> bool(abs(trajectory["k_sq"] - trajectory["k_sq"][0]).max() < 1e-12)
+    True
+
+    The same without a scene:
+
+    >>> initial = {"omega": [2, 0, 0], "gamma": ["auto", 0, 1e-3]}
+    >>> topcli.simulate(top="kowalevski", initial=initial, scheme="hk", h=1e-3, N=100).outcome.value
+    'completed'
     """
     if config is None or isinstance(config, Mapping):
         return trajectory_of(experiment_from({"name": "simulation", **(config or {}), **changes}, overrides))

@@ -1,4 +1,4 @@
-"""Ensembles from Python: a config, a scene's name, or an array of initial states in, an Ensemble out."""
+"""Python interface for ensembles: from a config, a scene or an array of initial states to an Ensemble."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from topcli.studies.ensemble import GroupRun, varied_parameters
 from topcli.tops import TOPS
 
 MAX_NUMBERS = 5 * 10**8
-"""Numbers that the recorded states may hold in memory: four gigabytes."""
+"""Largest count of numbers in the recorded states: four gigabytes."""
 
 
 def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> Ensemble:
-    """Run an ensemble in memory. Raises UsageError when its rows would not fit."""
+    """Run an ensemble in memory. Raises UsageError if its rows would not fit."""
     first, d = experiment.first, len(experiment.top.components)
     each = first.N // first.output.every + 1 if experiment.store == "trajectories" else 0
     if experiment.count * each * d > MAX_NUMBERS:
@@ -35,7 +35,7 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
         )
     states = np.full((experiment.count, each, d), np.nan)
 
-    def keep(group: GroupRun[None], piece: Piece) -> None:
+    def keep(group: GroupRun[None], piece: Piece, values: object) -> None:
         if each and len(piece.n):
             where = group.offset + piece.first
             start = int(piece.n[0]) // first.output.every
@@ -78,31 +78,66 @@ def simulate_ensemble(
     threads: int | None = None,
     **changes: Any,
 ) -> Ensemble:
-    """Run one experiment from many initial states and return the Ensemble.
+    """Run one experiment from many initial states in memory.
 
-    ``config``, ``overrides`` and ``changes`` are those of ``topcli.simulate``. The initial states are the config's
-    ``ensemble``, or ``states`` (trajectories, d), in the order of the top's components; a trajectory has the same
-    bits as a single run from its state, whatever the number of ``threads`` (all CPUs by default)::
+    A trajectory has the same bits as a single run from its initial state.
 
-        topcli.simulate_ensemble("kowalevski_ensemble")
-        topcli.simulate_ensemble("kowalevski_hk", ensemble={"random": {"count": 500, "seed": 7, "gamma": "sphere"}})
-        topcli.simulate_ensemble("kowalevski_hk", states=array, ensemble={"store": "statistics"})
+    Parameters
+    ----------
+    config : path, str or mapping, optional
+        Config file, name of a packaged scene, or the content of a config, as for ``topcli.simulate``.
+    states : array_like of float, shape (trajectories, d), optional
+        Initial states, with the components in the order of the top's. By default those of the config's ``ensemble``:
+        a list ``states``, a ``grid``, or ``random`` draws.
+    overrides : sequence of str
+        Texts ``"key=value"`` as for ``--set`` on the command line.
+    threads : int, optional
+        Number of threads, which does not change the results; all CPUs by default.
+    **changes
+        Values that replace whole top-level keys of the config. ``ensemble={"store": "final"}`` keeps only the last
+        states, ``"statistics"`` only the deviations of the invariants.
 
-    Raises ConfigError and its kin for what is wrong with the config or the states. Trajectories that blow up do not
-    disturb the others; ``endings`` says how each ended.
+    Returns
+    -------
+    Ensemble
+        Recorded states (trajectories, m, d), initial and last states (trajectories, d), endings, and a table of the
+        deviations of all invariants. A trajectory that fails does not disturb the others.
+
+    Raises
+    ------
+    ConfigError
+        If the config has a fault.
+    UsageError
+        If there are no initial states or unsuitable ones, or if the rows would not fit in memory.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> random = {"count": 50, "seed": 7, "gamma": "sphere"}
+    >>> ensemble = topcli.simulate_ensemble("kowalevski_hk", ensemble={"random": random}, N=100)
+    >>> ensemble.states.shape
+    (50, 101, 6)
+    >>> single = topcli.simulate("kowalevski_hk", N=100)
+    >>> same = topcli.simulate_ensemble("kowalevski_hk", states=single.states[:1], N=100)
+    >>> bool((same.states[0] == single.states).all())
+    True
     """
     if threads is not None and threads < 1:
         raise UsageError(f"threads must be at least 1, not {threads}")
+    return ensemble_of(_experiment(config, states, overrides, changes), threads)
+
+
+def _experiment(
+    config: str | Path | Mapping[str, Any] | None, states: Any, overrides: Sequence[str], changes: Mapping[str, Any]
+) -> EnsembleExperiment:
     if config is None or isinstance(config, Mapping):
         data = {"name": "simulation", **(config or {}), **changes}
     elif changes or states is not None:
         data = {**load_any(config, overrides).resolved(), **changes}
         overrides = ()
     else:
-        return ensemble_of(_ensemble(load_any(config, overrides)), threads)
-    if states is not None:
-        return ensemble_of(_from_states(data, states, overrides), threads)
-    return ensemble_of(_ensemble(any_from(data, overrides)), threads)
+        return _ensemble(load_any(config, overrides))
+    return _ensemble(any_from(data, overrides)) if states is None else _from_states(data, states, overrides)
 
 
 def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
@@ -114,7 +149,7 @@ def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
 
 
 def _from_states(data: dict[str, Any], states: Any, overrides: Sequence[str]) -> EnsembleExperiment:
-    """The ensemble from an array of states, with what ``ensemble`` says of keeping it."""
+    """Ensemble from an array of states; the section ``ensemble`` may only say what to store."""
     section = dict(data.pop("ensemble", None) or {})
     if given := [key for key in SOURCES if section.get(key) is not None]:
         raise UsageError(f"simulate_ensemble: initial states are given by states= and by ensemble.{given[0]}; keep one")

@@ -28,9 +28,9 @@ from topcli.studies.bench.competitors import (
 from topcli.studies.bench.front import decade_rows, front
 from topcli.studies.bench.measure import Effort, Measurements, as_rows, deviations, explore, time_all
 from topcli.studies.bench.scenes import Problem
+from topcli.studies.identity import method_fingerprint
 from topcli.studies.peers import Peer, missing
 from topcli.studies.report import finite
-from topcli.studies.run import method_fingerprint
 
 COMPOSED = {"hk": ("kahan-li6", "kahan-li8")}
 """Compositions that take part by default if their base fits."""

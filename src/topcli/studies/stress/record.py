@@ -13,7 +13,7 @@ from topcli.errors import RunError
 from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import io_failure, require_writable, write_whole
-from topcli.studies.run import method_fingerprint
+from topcli.studies.identity import method_fingerprint
 from topcli.studies.stress import CASES
 from topcli.studies.stress.suite import Judged, tried
 from topcli.tops import TOPS

@@ -1,0 +1,118 @@
+"""Identity of a run: the experiment as plain data and the code that carries it out, each with its digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from topcli.config.models import Experiment, digest_of
+from topcli.contracts import Block, Method, Sampler
+from topcli.engine.fingerprint import fingerprint
+from topcli.store.manifest import StoredRun
+from topcli.store.provenance import Commit, now
+from topcli.store.run_folder import RunWriter
+
+if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
+
+
+def method_fingerprint(method: Method) -> str:
+    """Digest of the code of a scheme made ready for a top. Raises SchemeCodeError for code that cannot be hashed."""
+    if isinstance(method, Sampler):
+        return fingerprint(method.states, compiled=False)
+    if isinstance(method, Block):
+        code = method.text() + fingerprint(method.enter, compiled=False)
+        layout = (method.width, method.counters, method.iterative)
+    else:
+        code = fingerprint(method.step, method.enter, method.leave, compiled=not method.plain)
+        stages = method.stages and (fingerprint(method.stages[0]), method.stages[1])
+        layout = (method.width, method.counters, method.iterative, method.checked, method.plain, stages)
+    return hashlib.sha256((code + repr(layout)).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Experiment or ensemble resolved to the plain data ``config``, its ``digest``, and that of the ``code``.
+
+    Computed once for a run. Two runs are the same if both digests are equal.
+    """
+
+    config: dict[str, Any]
+    digest: str
+    code: str
+
+    @classmethod
+    def of(cls, experiment: Experiment | EnsembleExperiment, methods: Sequence[Method]) -> Identity:
+        """Identity of an experiment under one method, or of an ensemble under those of its groups."""
+        config = experiment.resolved()
+        codes = [method_fingerprint(method) for method in methods]
+        code = codes[0] if len(codes) == 1 else hashlib.sha256(",".join(codes).encode()).hexdigest()
+        return cls(config, digest_of(config), code)
+
+    @property
+    def name(self) -> str:
+        """Name of the run and its folder."""
+        return self.config["name"]
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """``digest`` and ``code``, as locks, checkpoints and manifests hold them."""
+        return {"digest": self.digest, "code": self.code}
+
+    def same(self, about: Mapping[str, Any]) -> bool:
+        """True if ``about``, a manifest or the data of a checkpoint, has both digests."""
+        return about.get("digest") == self.digest and about.get("code") == self.code
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the files of a run folder come from: what was run, by which scheme, when and in which environment."""
+
+    identity: Identity
+    scheme_origin: str
+    started: str
+    environment: dict[str, Any]
+    commit: Commit
+
+    def metadata(self) -> dict[str, str]:
+        """Metadata of the tables."""
+        return {
+            "topcli.config": json.dumps(self.identity.config),
+            "topcli.digest": self.identity.digest,
+            "topcli.environment": json.dumps(self.environment),
+        }
+
+
+def store_run(
+    writer: RunWriter, origin: Origin, report: dict[str, Any], markdown: str, manifest: Mapping[str, Any]
+) -> StoredRun:
+    """Write the reports and the config beside the tables and put the folder in its place.
+
+    ``manifest`` holds the entries of one kind of run; those of every run are added. Raises OSError, and RunError if
+    another process has put a different run there.
+    """
+    from topcli.config.emit import to_yaml
+
+    identity = origin.identity
+    writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+    writer.write("report.md", markdown)
+    writer.write("config.yaml", to_yaml(identity.config))
+    return writer.commit(
+        {
+            "name": identity.name,
+            **identity.digests,
+            "outcome": report["outcome"],
+            "message": report["message"],
+            **manifest,
+            "config": identity.config,
+            "scheme_origin": origin.scheme_origin,
+            "started": origin.started,
+            "ended": now(),
+            "seconds": report["seconds"],
+            "environment": origin.environment,
+            **origin.commit.read(),
+        }
+    )

@@ -1,0 +1,81 @@
+"""The recorder: what a run needs is computed once, for the report, the series and the checkpoints alike."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import ROOT
+from topcli.config.ensemble import EnsembleExperiment
+from topcli.config.load import load_any
+from topcli.config.models import Experiment
+from topcli.contracts import Invariant
+from topcli.store.series import read_series
+from topcli.studies.ensemble import run_ensemble
+from topcli.studies.run import RunResult, run_experiment
+from topcli.tops.kowalevski import Kowalevski
+
+
+def run(config: str, *overrides: str, out: Path) -> RunResult:
+    experiment = load_any(ROOT / "configs" / f"{config}.yaml", list(overrides))
+    if isinstance(experiment, EnsembleExperiment):
+        return run_ensemble(experiment, out, threads=1)
+    return run_experiment(experiment, out, checkpoint_every=0.0)
+
+
+@pytest.fixture
+def evaluated(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Rows at which each invariant of Kowalevski's top has been evaluated."""
+    counts: Counter[str] = Counter()
+    invariants = Kowalevski.invariants
+
+    def counted(one: Invariant) -> Invariant:
+        def value(states: np.ndarray) -> np.ndarray:
+            counts[one.name] += len(states)
+            return one.value(states)
+
+        return replace(one, value=value)
+
+    monkeypatch.setattr(Kowalevski, "invariants", lambda self: tuple(map(counted, invariants(self))))
+    return counts
+
+
+def test_invariants_are_evaluated_once_for_report_and_series(evaluated: Counter[str], tmp_path: Path) -> None:
+    """Once for every row, and once more for the first one: the reference of the deviations."""
+    stored = run("kowalevski_hk", "N=3000", out=tmp_path).stored
+    series = read_series(stored.series)
+    evaluated.pop("energy", None)  # also judged against its limit
+    assert len(evaluated) == 3
+    assert set(evaluated) < set(series)
+    assert set(evaluated.values()) == {len(series["n"]) + 1}
+
+
+def test_invariants_of_an_ensemble_are_evaluated_once_for_report_and_series(
+    evaluated: Counter[str], tmp_path: Path
+) -> None:
+    """Once for every row, and once for the last state of each trajectory."""
+    run_result = run("kowalevski_ensemble", "N=300", "ensemble.store=trajectories", out=tmp_path)
+    rows, members = len(read_series(run_result.stored.series)["n"]), run_result.report["trajectories"]
+    assert rows > members > 1
+    evaluated.pop("energy", None)
+    assert set(evaluated.values()) == {rows + members}
+
+
+@pytest.mark.parametrize("config", ["kowalevski_hk", "kowalevski_ensemble"])
+def test_a_run_resolves_its_config_once(config: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = EnsembleExperiment if "ensemble" in config else Experiment
+    calls = []
+    resolved = kind.resolved
+
+    def recording(self) -> dict:
+        calls.append(self)
+        return resolved(self)
+
+    monkeypatch.setattr(kind, "resolved", recording)
+    result = run(config, "N=100", out=tmp_path)
+    assert len(calls) == 1
+    assert result.report["digest"] == result.stored.manifest["digest"] == calls[0].digest
