@@ -94,7 +94,7 @@ def store_run(
     ``manifest`` holds the entries of one kind of run; those of every run are added. Raises OSError, and RunError if
     another process has put a different run there.
     """
-    from topcli.config.emit import to_yaml
+    from topcli.config.yaml_text import to_yaml
 
     identity = origin.identity
     writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
