@@ -76,7 +76,7 @@ SEEN = {
 
 
 def test_every_planted_fault_is_seen_and_nothing_else(tmp_path: Path) -> None:
-    done = python(TESTS / "attack_plants.py", tmp_path)
+    done = python(TESTS / "attack" / "plants.py", tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == {name: SEEN.get(name, []) for name in (*FINE, *SEEN)}
 

@@ -1,6 +1,6 @@
 """The closed forms of the Euler top against Taylor series and iterated maps at 30 digits and more.
 
-``TOPCLI_RANDOM_TOPS=200 pytest tests/test_euler_exact.py`` compares 200 random tops with mpmath's series (minutes).
+``TOPCLI_RANDOM_TOPS=200 pytest tests/tops/test_euler_exact.py`` compares 200 random tops with mpmath (minutes).
 """
 
 from __future__ import annotations

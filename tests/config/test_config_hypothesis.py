@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from config_texts import CONFIGS
 from topcli.config.emit import to_yaml
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import name_fault
@@ -22,7 +23,6 @@ from topcli.config.yaml_text import parse_yaml
 from topcli.errors import ConfigError, TopcliError
 from topcli.schemes.registry import all_schemes
 
-CONFIGS = Path(__file__).parent.parent / "configs"
 settings.register_profile(
     "config", deadline=None, max_examples=150, suppress_health_check=[HealthCheck.too_slow], derandomize=True
 )

@@ -1,6 +1,6 @@
 """Plants faults into topcli, one of each kind, and prints which kinds the judge of the attack sees: ``{plant: kinds}``.
 
-``python attack_plants.py FOLDER``, in a process of its own because it forks and puts another ``main`` into place.
+``python plants.py FOLDER``, in a process of its own because it forks and puts another ``main`` into place.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import pytest
 from mpmath import mp, mpf
 
 from conftest import GEN, PAPER, random_states
-from test_contract import TRIALS, gen
+from declared import TRIALS, gen
 from topcli.arithmetic.increments import carried_sum, compensated6
 from topcli.config.load import experiment_from
 from topcli.contracts import Outcome, Scheme, Stepper, Top

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from conftest import GEN, ROOT
+from declared import TRIALS, by_name
 from resuming import FILES, KINDS, NAME, after, content, killed, small
-from test_contract import TRIALS, by_name
 from topcli.analysis.drift import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Scheme, Stepper

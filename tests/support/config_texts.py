@@ -10,7 +10,7 @@ import pytest
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 
-CONFIGS = Path(__file__).parent.parent / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 ENSEMBLES = sorted(CONFIGS.glob("*_ensemble.yaml"))
 FILES = sorted(path for path in CONFIGS.iterdir() if path.suffix in (".yaml", ".toml") and path not in ENSEMBLES)
 """The configs of single runs."""

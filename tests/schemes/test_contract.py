@@ -9,41 +9,22 @@ import numpy as np
 import pytest
 
 from conftest import GEN, random_states
+from declared import SCHEMES, TRIALS, by_name, gen
 from steppers import EULER, RK2, rk2
 from topcli.analysis.drift import invariant_report
 from topcli.analysis.order import observed_order, one_step_back_and_forth, reversal
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Method, Scheme, Top
 from topcli.engine.loop import Run
-from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
-from topcli.tops.euler import Euler, EulerGamma
-from topcli.tops.heavy import Heavy
+from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
-from topcli.tops.lagrange import Lagrange, LagrangeInertial
-
-SCHEMES = all_schemes()
-TRIALS: dict[str, list[Top]] = {
-    "kowalevski": [Kowalevski(), Kowalevski(c0=-1.5), Kowalevski(c0=0.0), Kowalevski(c0=2.0, A=5.0)],
-    "euler": [Euler(), Euler(A=1.3, B=2.0, C=0.9), Euler(A=2.0, B=2.0, C=3.0)],
-    "euler+gamma": [EulerGamma(), EulerGamma(A=1.3, B=2.0, C=0.9), EulerGamma(A=1.0, B=1.0, C=1.0)],
-    "heavy": [Heavy(), Heavy(A=0.7, B=1.1, C=1.6, x0=-0.4, y0=1.2, z0=0.3), Heavy(A=3.0, B=1.0, C=2.5, y0=0.0)],
-    "lagrange": [Lagrange(), Lagrange(A=1.4, C=2.1, mu=-0.8), Lagrange(mu=0.0), Lagrange(A=1.0, C=1.0)],
-    "lagrange/inertial": [LagrangeInertial()],
-}
-"""Tops to try the schemes of each form on; the first two are generic."""
-
-
-def gen(top: Top) -> tuple[float, ...]:
-    """A generic state of the top."""
-    return GEN[: len(top.components)]
 
 
 def some_states(top: Top, count: int, seed: int) -> np.ndarray:
     return random_states(count, seed)[:, : len(top.components)]
 
 
-by_name = pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}/{s.top}")
 by_step = pytest.mark.parametrize("scheme", [s for s in SCHEMES if not s.adaptive], ids=lambda s: f"{s.name}/{s.top}")
 """The schemes whose step is h; the adaptive ones are tried in ``test_baselines``."""
 
