@@ -247,7 +247,15 @@ def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
 
 
 def bench_report(name: str, errors: dict[str, list[float]]) -> dict[str, Any]:
-    """A result of ``topcli bench``: time 2e-6/error^(1/4) for the first competitor, 3e-6 for the next, ..."""
+    """A result of ``topcli bench``: time 2e-6/error^(1/4) for the first competitor, 3e-6 for the next, ...
+
+    Each has two points more that are not to be drawn: an error above 1, and a point beaten by another in both.
+    """
+
+    def point(error: float, seconds: float) -> dict[str, Any]:
+        found = {"value": 0.1, "error": error, "end_error": error / 7.0, "seconds": seconds, "drift": 0.0}
+        return {**found, "quartiles": [1.0, 2.0], "invariants": {}}
+
     return {
         "name": name,
         "title": name.title(),
@@ -256,18 +264,8 @@ def bench_report(name: str, errors: dict[str, list[float]]) -> dict[str, Any]:
                 "name": competitor,
                 "kind": "peer" if competitor.startswith("peer") else "topcli",
                 "parameter": "h",
-                "points": [
-                    {
-                        "value": 0.1 / (1 + k),
-                        "error": error,
-                        "end_error": error / 7.0,
-                        "seconds": (2.0 + i) * 1e-6 * error**-0.25,
-                        "quartiles": [1.0, 2.0],
-                        "drift": 0.0,
-                        "invariants": {},
-                    }
-                    for k, error in enumerate(values)
-                ],
+                "points": [point(error, (2.0 + i) * 1e-6 * error**-0.25) for error in values]
+                + [point(3.0, 1e-9), point(max(values) / 2.0, 1.0)],
             }
             for i, (competitor, values) in enumerate(errors.items())
         ],
@@ -293,7 +291,7 @@ def test_work_and_precision_are_drawn_in_microseconds(monkeypatch: pytest.Monkey
         assert "µs" in axes.get_ylabel()
         by_end = {tuple(data_of(line)[-1]): line for line in axes.lines}
         for competitor in report["competitors"]:
-            points = [(point["error"], 1e6 * point["seconds"]) for point in competitor["points"]]
+            points = [(point["error"], 1e6 * point["seconds"]) for point in competitor["points"][:-2]]
             line = next(line for end, line in by_end.items() if end == pytest.approx(points[-1], rel=1e-12))
             np.testing.assert_allclose(data_of(line), points, rtol=1e-12)
             assert in_sight(axes, line)
