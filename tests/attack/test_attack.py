@@ -281,6 +281,7 @@ def test_mutants_follow_from_the_seed_and_every_mutation_changes_something() -> 
         assert sum(changed) >= 6, mutation.__name__
 
 
+@pytest.mark.slow
 def test_mutated_configs(tmp_path: Path) -> None:
     """With this seed long names, which the messages repeat whole, come later."""
     printed = attack(tmp_path, "fuzz", "--seed", "1", "--configs", "150", "--workers", "2")

@@ -56,6 +56,7 @@ def test_help_is_light(tmp_path: Path) -> None:
     assert done.stderr.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_warm_run_is_light(tmp_path: Path) -> None:
     """A run whose machine code is known imports neither the compiler nor pandas nor SciPy."""
     process("run", HYBRID, "--set", "N=10", cwd=tmp_path)
@@ -196,6 +197,7 @@ def test_schema_is_json_schema(cli) -> None:
     assert {"name", "top", "initial", "scheme", "h", "N", "output"} <= set(schema["properties"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -230,6 +232,7 @@ def test_mistakes_are_told_in_a_line_or_three(
     assert list(in_tmp.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
     done = process("run", HK, "--set", "N=100", "--json", cwd=tmp_path)
     assert done.returncode == 0
@@ -237,12 +240,14 @@ def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 def test_output_without_colour_or_boxes_when_piped(tmp_path: Path) -> None:
     done = process("run", HK, "--set", "N=100", cwd=tmp_path)
     assert "\x1b" not in done.stdout + done.stderr
     assert "━" not in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_keeps_what_was_written(tmp_path: Path, number: signal.Signals) -> None:
@@ -262,6 +267,7 @@ def test_interruption_keeps_what_was_written(tmp_path: Path, number: signal.Sign
     assert manifest["outcome"] == "interrupted"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -296,6 +302,7 @@ def test_dry_run_refuses_what_run_refuses(cli) -> None:
     assert "aside" in cli("run", HK, "--dry-run", "--force").out
 
 
+@pytest.mark.slow
 def test_options_reach_every_scheme_that_has_them(cli) -> None:
     said = cli("compare", "hk", "hybrid", "bohlin-a", "--set", "scheme.branch=sign", "--set", "N=100", "--json")
     changed = {scheme["scheme"]: scheme["changed"] for scheme in said.json()["schemes"]}
@@ -324,6 +331,7 @@ def test_several_tables_are_told_apart(cli) -> None:
     assert "kowalevski_hybrid" in out.splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_or_foreign_stdout_is_no_bug_of_ours(tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
@@ -338,6 +346,7 @@ def test_a_full_or_foreign_stdout_is_no_bug_of_ours(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_broken_pipe_is_no_traceback(tmp_path: Path) -> None:
     done = subprocess.run(
         f"{sys.executable} -m topcli schema | head -n 1",

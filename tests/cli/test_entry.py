@@ -13,6 +13,7 @@ import pytest
 from topcli.__main__ import main
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("fails", [False, True])
 def test_a_closed_pipe_does_not_change_the_code(tmp_path: Path, unbuffered: str, fails: bool) -> None:

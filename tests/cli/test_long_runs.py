@@ -21,6 +21,7 @@ from topcli.store.series import read_series
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> None:
     """Through the command: what SIGTERM or SIGKILL leaves is continued to the end of a run that was never stopped."""
@@ -68,6 +69,7 @@ def test_options_that_contradict_each_other(cli) -> None:
     assert "must be a number of seconds" in said.err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the file size the way Linux does")
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_a_file_that_may_not_grow_is_closed_and_readable(tmp_path: Path, suffix: str) -> None:

@@ -58,6 +58,7 @@ def use(python: Path, where: Path, package: Path, **environment: str) -> None:
     assert "hybrid" in run_python(python, where, "-m", "topcli", "list", "schemes", **environment)
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_the_package_and_the_scenes_and_no_more(wheel: Path) -> None:
     package = ROOT / "src" / "topcli"
     source = {path.relative_to(package).as_posix() for path in package.rglob("*") if path.is_file()}
@@ -72,6 +73,7 @@ def test_the_wheel_holds_the_package_and_the_scenes_and_no_more(wheel: Path) -> 
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_wheel_runs_in_an_environment_of_its_own(wheel: Path, tmp_path: Path) -> None:
     """Its dependencies are those of this environment, which is on the path behind it."""
     venv.create(tmp_path / "env", symlinks=True)
@@ -87,6 +89,7 @@ def test_the_wheel_runs_in_an_environment_of_its_own(wheel: Path, tmp_path: Path
     use(python, tmp_path / "elsewhere", packages / "topcli")
 
 
+@pytest.mark.slow
 def test_a_plain_checkout_finds_its_scenes(tmp_path: Path) -> None:
     """Also one that was copied or unpacked by what knows no symbolic links."""
     for name in ("src", "configs"):

@@ -47,6 +47,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "site"
 
 
+@pytest.mark.slow
 def test_an_installed_scheme_equals_the_built_in_bit_for_bit(installed: Path, tmp_path: Path) -> None:
     for scheme in ("bohlin-a", "example-bohlin-a"):
         settings = ["--set", f"scheme={scheme}", "--set", f"name={scheme}", "--set", "N=20000", "--format", "csv"]
@@ -62,6 +63,7 @@ def test_an_installed_scheme_equals_the_built_in_bit_for_bit(installed: Path, tm
     assert origins["bohlin-a"] == "topcli"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -106,6 +108,7 @@ def scheme_file(folder: Path, name: str = "rest", top: str = "kowalevski", doc: 
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_scheme_from_a_file(tmp_path: Path) -> None:
     file = scheme_file(tmp_path)
     done = topcli("run", HK, "--scheme-file", file, "--set", "scheme=rest", "--set", "N=20", "--json", cwd=tmp_path)
@@ -114,6 +117,7 @@ def test_a_scheme_from_a_file(tmp_path: Path) -> None:
     assert '"rest"' in topcli("list", "schemes", "--scheme-file", file, "--json", cwd=tmp_path).stdout
 
 
+@pytest.mark.slow
 def test_a_step_that_uses_complex_numbers_works_from_the_cache_too(tmp_path: Path) -> None:
     text = SCHEME.format(name="turn", top="kowalevski", doc="Turn omega.").replace(
         "return s\n",
@@ -131,6 +135,7 @@ def test_a_step_that_uses_complex_numbers_works_from_the_cache_too(tmp_path: Pat
     assert series[0] == series[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -146,6 +151,7 @@ def test_a_file_that_cannot_be_registered_is_refused(tmp_path: Path, changes: di
     assert len(done.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_file_without_a_scheme_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.py").write_text("x = 1\n")
     done = topcli("run", HK, "--scheme-file", "empty.py", cwd=tmp_path)
@@ -153,6 +159,7 @@ def test_a_file_without_a_scheme_is_refused(tmp_path: Path) -> None:
     assert "registers no scheme" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["return s[0]", "return (s[0], s[1])", "return open('x')", "return (*s, 1.0)"])
 def test_a_step_that_cannot_be_compiled_is_named(tmp_path: Path, body: str) -> None:
     text = SCHEME.format(name="odd", top="kowalevski", doc="Odd.").replace("return s\n", f"{body}\n", 1)

@@ -29,6 +29,7 @@ def topcli(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_the_python_example_runs(tmp_path: Path) -> None:
     example = blocks("python")[0]
     assert "simulate" in example
@@ -38,6 +39,7 @@ def test_the_python_example_runs(tmp_path: Path) -> None:
     assert "exact" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_run_is_real(tmp_path: Path) -> None:
     done = topcli("run", str(ROOT / "configs" / "kowalevski_hk.yaml"), cwd=tmp_path)
     assert done.returncode == 0
@@ -45,6 +47,7 @@ def test_the_run_is_real(tmp_path: Path) -> None:
         assert f"    {line}\n" in README
 
 
+@pytest.mark.slow
 def test_the_comparison_is_real(tmp_path: Path) -> None:
     """All but what belongs to the machine (times) and to round-off."""
     done = topcli("compare", "hk", "bohlin-A", "hybrid", cwd=tmp_path)
@@ -56,12 +59,14 @@ def test_the_comparison_is_real(tmp_path: Path) -> None:
         assert f"    {line}\n" in README
 
 
+@pytest.mark.slow
 def test_the_config_is_the_shipped_one(tmp_path: Path) -> None:
     (tmp_path / "kowalevski_hk.yaml").write_text(blocks("yaml")[0])
     ours = topcli("show", "kowalevski_hk.yaml", cwd=tmp_path).stdout
     assert ours == topcli("show", str(ROOT / "configs" / "kowalevski_hk.yaml"), cwd=tmp_path).stdout
 
 
+@pytest.mark.slow
 def test_the_scheme_of_the_readme_can_be_compared(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(blocks("python")[1])
     done = topcli(
@@ -103,6 +108,7 @@ def agrees(shown: str, now: str) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "labels"),
     [

@@ -83,6 +83,7 @@ def test_table_and_json_tell_the_same(cli) -> None:
     assert not Path("results").exists()
 
 
+@pytest.mark.slow
 def test_the_grid_shows_many(cli) -> None:
     said = cli("stress", "--top", "lagrange", "--case", "pole")
     assert said.code == 2
@@ -137,6 +138,7 @@ def test_an_outlived_limit_leaves_with_4(cli) -> None:
     assert "declares a limit and outlives it" in said.err
 
 
+@pytest.mark.slow
 def test_options_and_compositions(cli) -> None:
     assert cli("stress", "bohlin-b", "--case", "pole").code == 0
     assert cli("stress", "bohlin-b", "--case", "pole", "--set", "scheme.chart=single").code == 4
@@ -189,6 +191,7 @@ def test_the_study_is_stored_whole(study: dict, tmp_path: Path) -> None:
         stored_stress(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_stored_study_is_drawn_and_not_run_again(
     study: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

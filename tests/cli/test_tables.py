@@ -36,6 +36,7 @@ def words(text: str) -> Counter[str]:
     return Counter(text.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [60, 80, 120])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_tables_fit_the_terminal(cli, monkeypatch: pytest.MonkeyPatch, command: str, width: int) -> None:

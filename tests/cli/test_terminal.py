@@ -119,6 +119,7 @@ ATTACKS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", ATTACKS, ids=lambda arguments: " ".join(arguments)[:20].encode("unicode_escape"))
 def test_no_argument_reaches_the_terminal_raw(cli, in_tmp: Path, arguments: tuple[str, ...]) -> None:
     (in_tmp / "file").write_text("")
@@ -133,6 +134,7 @@ PATHS = {("run", NAME + ".yaml"), ("run", f"{NAME}/x.yaml"), ("init", NAME), ("l
 PATHS |= {("plot", "fig1", "--configs", NAME), ("run", HK, "--scheme-file", NAME)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [one for one in ATTACKS if "N=3" not in one],
@@ -257,6 +259,7 @@ def test_nothing_given_prints_the_help(cli) -> None:
     assert "Commands:" in said.out + said.err
 
 
+@pytest.mark.slow
 def test_help_is_readable(cli, monkeypatch: pytest.MonkeyPatch) -> None:
     """Summaries whole at 80 columns; no types of Python, no backticks; a metavar for every option with a value."""
     monkeypatch.setenv("COLUMNS", "80")

@@ -120,6 +120,7 @@ def test_a_fault_of_topcli_itself_is_still_a_bug(
     assert "this is a bug in topcli" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "words", "code"),
     [

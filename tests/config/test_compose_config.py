@@ -113,6 +113,7 @@ def test_mistakes(tmp_path: Path, new: str, key: str, says: str) -> None:
     assert len(message.splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("with_options")
 def test_options_are_the_bases() -> None:
     scene = load_experiment(HK, ["scheme={name: kick-turn, compose: suzuki4, pace: double}", "N=10"])
@@ -162,6 +163,7 @@ def test_the_plus_and_the_key_are_taken(word: str) -> None:
             return KICK_TURN
 
 
+@pytest.mark.slow
 def test_simulate_and_compare_from_python() -> None:
     """Over 10 time units in steps of 0.1 the error falls by orders of magnitude with the order."""
     scene = load_experiment(GENERIC, ["h=0.1", "N=100", "output.every=1"])
@@ -176,6 +178,7 @@ def test_simulate_and_compare_from_python() -> None:
     assert np.array_equal(trajectory.states, topcli.simulate(GENERIC, scheme="hk+kahan-li8", h=0.1, N=100).states)
 
 
+@pytest.mark.slow
 def test_command_line(cli, in_tmp: Path) -> None:
     said = cli("compare", "hk", "HK+Suzuki4", "--config", GENERIC, "--set", "h=0.05", "--set", "N=200", "--json").json()
     hk, composed = said["schemes"]
@@ -208,6 +211,7 @@ def test_list_compositions(cli) -> None:
     assert not any("+" in row["name"] for row in cli("list", "schemes", "--json").json()["schemes"])
 
 
+@pytest.mark.slow
 def test_the_readme_is_real(cli) -> None:
     """Its list, and its comparison but for what is round-off."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -122,6 +122,7 @@ def loads_or_refuses(path: Path, content: bytes) -> None:
     assert not message or message.startswith(str(path))
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(content=ANYTHING | pieces(YAML_PIECES).map(str.encode) | spliced(HYBRID).map(str.encode))
 @example(content=b"a: &a\n  b: &a *a\n")
@@ -154,6 +155,7 @@ PLAIN_DATA = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(key=st.sampled_from(["name", "top", "initial", "scheme", "h", "N", "output"]), value=PLAIN_DATA)
 def test_any_value_of_a_key(key: str, value: object) -> None:
@@ -225,6 +227,7 @@ def bits(values: tuple[float, ...]) -> bytes:
     return struct.pack(f"{len(values)}d", *values)
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(data=experiments())
 def test_valid_experiments_round_trip(folder: Path, data: dict[str, Any]) -> None:
@@ -239,6 +242,7 @@ def test_valid_experiments_round_trip(folder: Path, data: dict[str, Any]) -> Non
     assert abs(sum(value * value for value in first.y0[3:]) - 1.0) < 1e-15
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(others=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), place=st.integers(0, 2), sign=st.sampled_from("+-"))
 def test_auto_gives_a_unit_vector(others: tuple[float, float], place: int, sign: str) -> None:
@@ -266,6 +270,7 @@ SECTION_VALUES = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(data=st.dictionaries(TEXT, SECTION_VALUES, min_size=1, max_size=4))
 def test_emitted_yaml_reads_back(data: dict[str, Any]) -> None:

@@ -94,6 +94,7 @@ def fits(schema: Any, value: Any, root: Any = None) -> bool:
     return all(keyword(name, limit) for name, limit in schema.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_schema_accepts(path: Path) -> None:
     schema = config_schema()
@@ -102,6 +103,7 @@ def test_schema_accepts(path: Path) -> None:
     assert fits(schema, parse_yaml(starter_config(), "starter")[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value"),
     [

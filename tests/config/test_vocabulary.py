@@ -44,6 +44,7 @@ def test_a_component_is_not_taken_for_a_square() -> None:
     assert experiment_from(data | {"output": {"columns": ["gamma2"]}}).output.columns == ("gamma2",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("form", "name"), PAIRS)
 def test_no_two_columns_share_a_spelling(form: str, name: str) -> None:
     experiment = experiment_from(parse_yaml(starter_config(form, name), "starter")[0])
@@ -66,6 +67,7 @@ def test_unknown_columns_list_names_and_symbols(tmp_path: Path) -> None:
     assert "names 'energy' twice" in refusal(write(tmp_path, BASE.replace("format: csv", "columns: [energy, E]")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", TOPS)
 def test_a_form_is_a_name_of_a_top_wherever_one_is_named(cli, form: str) -> None:
     """``list tops`` prints forms; configs, the schema, ``lax``, ``list``, ``init`` and ``stress`` know them."""
@@ -124,6 +126,7 @@ def test_the_commented_ensemble_of_init_loads(tmp_path: Path, form: str, suffix:
     assert set(found.resolved()["ensemble"]["random"]) == {"count", "seed", *TOPS[form].vectors}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", TOPS)
 @pytest.mark.parametrize("suffix", ["yaml", "yml", "toml"])
 def test_init_needs_no_scheme(cli, form: str, suffix: str) -> None:

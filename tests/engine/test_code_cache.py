@@ -69,6 +69,7 @@ HARM: dict[str, Callable[[Path], None]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", HARM)
 def test_a_folder_that_another_could_fill_is_not_used(cache: Path, harm: str, cli: Callable[..., Said]) -> None:
     HARM[harm](cache)
@@ -127,6 +128,7 @@ print(x[0])
 """
 
 
+@pytest.mark.slow
 def test_code_of_another_signature_in_its_place_is_not_run(tmp_path: Path) -> None:
     """In a process of its own: it was a segmentation fault."""
     done = subprocess.run(
@@ -140,6 +142,7 @@ def test_code_of_another_signature_in_its_place_is_not_run(tmp_path: Path) -> No
     assert (done.returncode, done.stdout) == (0, "3.0\n"), done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["digest", "key", "signature", "symbol", "code", "end"])
 def test_a_single_flipped_bit_is_found(cache: Path, place: str) -> None:
     (path,) = cache.glob("*.o")
@@ -170,6 +173,7 @@ app(prog_name="topcli")
 """
 
 
+@pytest.mark.slow
 def test_a_series_is_the_first_code_of_a_process_where_libm_is_not_loaded_by_name(tmp_path: Path) -> None:
     """As on macOS: symbols of the process are found only once there is an engine."""
     done = subprocess.run(

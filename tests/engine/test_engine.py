@@ -48,6 +48,7 @@ def test_compiled_equals_plain_python(scheme) -> None:
     assert (states[0] == y0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
 @pytest.mark.parametrize("every", [1, 7])
 def test_chunked_equals_whole(scheme, every: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,6 +156,7 @@ def probe(tmp_path: Path, cache: Path, factor: float) -> dict:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_second_process_hits_the_cache_and_an_edited_kernel_is_recompiled(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     assert probe(tmp_path, cache, 2.0) == {"last": 8.0, "cached": False, "numba": True}
@@ -167,6 +169,7 @@ def test_second_process_hits_the_cache_and_an_edited_kernel_is_recompiled(tmp_pa
     assert probe(tmp_path, cache, 2.0) == {"last": 8.0, "cached": False, "numba": True}
 
 
+@pytest.mark.slow
 def test_cached_code_equals_fresh_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     fresh_run = Run(Kowalevski(), RK2, GEN, 0.01, 500)
@@ -264,6 +267,7 @@ print(states.tobytes().hex(), "numba" in sys.modules)
 """
 
 
+@pytest.mark.slow
 def test_code_with_functions_of_its_own_survives_the_cache(tmp_path: Path) -> None:
     """The reference is compiled without forced inlining and mentions numba's own symbols."""
     told = []

@@ -115,6 +115,7 @@ def test_the_stand_in_for_libm_is_noticed() -> None:
         assert all(map(math.isfinite, stepper.step(start, h, (1.0,))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, ensemble.SMALL_TILE, TILE // 2 + 1, TILE, TILE + 1])
 @pytest.mark.parametrize(("N", "every"), [(1, 1), (10, 3), (10, 10), (10, 11)])
 def test_every_size(count: int, N: int, every: int) -> None:

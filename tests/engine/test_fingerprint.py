@@ -80,6 +80,7 @@ def write_files(folder: Path, body: str, factor: str, options: str = "") -> Path
     return write_scheme(folder, body.replace("2.0", factor), options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", COMPILED)
 def test_an_edit_gives_the_new_numbers(folder: Path, kind: str) -> None:
     """Same size, same second: 2.0 becomes 4.0 and back, in everything that a compiled step can depend on."""
@@ -176,6 +177,7 @@ def test_a_step_that_calls_itself_is_refused(folder: Path) -> None:
         run_scheme(write_files(folder, body, "2.0"))
 
 
+@pytest.mark.slow
 def test_modules_of_one_name_beside_two_files_stay_apart(folder: Path, tmp_path: Path) -> None:
     body = COMPILED["module attribute"]
     (tmp_path / "other" / "parts").mkdir(parents=True)
@@ -255,6 +257,7 @@ MUTATIONS = 16
 SEED = 20261122
 
 
+@pytest.mark.slow
 def test_random_edits_give_what_an_empty_cache_gives(folder: Path, tmp_path: Path, monkeypatch) -> None:
     """One number or operator of the scheme file or of the module beside it is changed at a time."""
     random = np.random.default_rng(SEED)

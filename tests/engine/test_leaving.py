@@ -88,6 +88,7 @@ def left_by_each(top: Top, states: np.ndarray) -> set[int | None]:
     return set(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("top", "energy"), TOPS, ids=["kowalevski", "euler", "lagrange/inertial"])
 @pytest.mark.parametrize("at", [1, 417, 999])
 def test_both_sides_of_the_limit(top: Top, energy, at: int) -> None:
@@ -188,6 +189,7 @@ def test_a_later_failure_keeps_its_outcome_and_mentions_it() -> None:
     assert "energy" not in simulate("kowalevski_rk4", N=100).ending.message
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_chunks")
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 @pytest.mark.parametrize("chunks", [1, 3])

@@ -42,6 +42,7 @@ def stop_after(seconds: float):
     return asked
 
 
+@pytest.mark.slow
 def test_a_step_that_never_ends_is_given_up_when_asked_to() -> None:
     experiment = load_experiment(ROOT / "configs" / "heavy_dop853.yaml", ["h=1e20", "N=3"])
     begin = time.perf_counter()
@@ -64,6 +65,7 @@ def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.Mo
     assert 3000 <= run.ending.counters["evaluations"] < 3020
 
 
+@pytest.mark.slow
 def test_long_compiled_steps_are_interrupted_within_a_chunk() -> None:
     run = Run(Kowalevski(), Stepper(long_step, 6), GEN, 0.1, 100_000, stop=stop_after(0.5))
     begin = time.perf_counter()
@@ -78,6 +80,7 @@ def test_long_compiled_steps_are_interrupted_within_a_chunk() -> None:
     assert position.done == position.into == run.ending.step
 
 
+@pytest.mark.slow
 def test_an_ensemble_of_long_steps_is_interrupted_within_a_chunk() -> None:
     y0 = np.tile(GEN, (40, 1))
     run = EnsembleRun(

@@ -367,6 +367,9 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell() -> None:
         column, row = schemes.index(scheme), cases.index(case)
         assert same_color(tuple(shades[row, column]), meaning[keys[outcome]].get_facecolor())
         assert ((column, row) in texts) == (outcome == "broke")
+    order = ("not", "held", "degraded", "broke")
+    darkness = [3.0 - sum(meaning[name].get_facecolor()[:3]) for name in order]
+    assert darkness == sorted(darkness)
     assert texts[schemes.index("rk4"), cases.index("a")] == "37"
     assert texts[schemes.index("rk4"), cases.index("b")] == "!"
     assert texts[schemes.index("bs"), cases.index("a")] == "$10^{4}$"

@@ -34,6 +34,7 @@ def data(made: Path, name: str) -> dict[str, np.ndarray]:
     return {column: table.column(column).to_numpy() for column in table.column_names}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fig1", "fig2", "fig4"])
 def test_plotted_data_is_the_run(made: Path, name: str) -> None:
     plotted = data(made, name)
@@ -88,6 +89,7 @@ def test_nothing_is_done_twice(made: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert again.status == "up to date"
 
 
+@pytest.mark.slow
 def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_path: Path) -> None:
     configs, results = tmp_path / "configs", tmp_path / "results"
     configs.mkdir()
@@ -111,6 +113,7 @@ def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_pat
     assert not (tmp_path / "fig1.pdf").exists()
 
 
+@pytest.mark.slow
 def test_packaged_scenes_serve_where_there_are_no_configs(tmp_path: Path) -> None:
     made = make_figure(
         FIGURES["fig3"], out=tmp_path, results=tmp_path / "r", configs=tmp_path / "none", formats=["png"]
@@ -179,6 +182,7 @@ READS_RUNS = [name for name, spec in FIGURES.items() if spec.sources]
 TITLED = {"fig1": "hk", "fig2": "bohlin-a", "fig3": "bohlin-a", "fig4": "hybrid", "modified": "hk"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READS_RUNS)
 def test_no_figure_names_a_scheme_that_it_does_not_draw(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -225,6 +229,7 @@ def test_motions_are_called_what_they_are(tmp_path: Path, monkeypatch: pytest.Mo
     assert titles == ["cusps", "mine", "waves"]
 
 
+@pytest.mark.slow
 def test_polhodes_have_the_moments_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     panels = []
     paint = Polhodes.paint

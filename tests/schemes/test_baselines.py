@@ -119,6 +119,7 @@ def test_order_of_an_adaptive_formula(scheme: Scheme) -> None:
     assert counted[1] - counted[0] == 20 * 13  # 12 stages, and one to begin with: a single step each
 
 
+@pytest.mark.slow
 @adaptive
 def test_error_follows_the_tolerance_and_not_h(scheme: Scheme) -> None:
     top = TOPS[scheme.top].new()

@@ -138,6 +138,7 @@ ALL_FOUR = ("hk-projected", "hk-symproj", "dg4", "midpoint4")
 SYMMETRIC = ("hk-symproj", "dg4", "midpoint4")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_FOUR)
 @pytest.mark.parametrize(("y0", "h"), [(GEN, 0.05), (PAPER, 0.01), (AT_REST, 0.02)], ids=["generic", "paper", "rest"])
 def test_four_integrals_over_a_million_steps(name: str, y0: Floats, h: float) -> None:
@@ -149,6 +150,7 @@ def test_four_integrals_over_a_million_steps(name: str, y0: Floats, h: float) ->
     assert min(deviations(control).values()) > 1e6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_FOUR)
 @pytest.mark.parametrize("c0", [1.0, 0.0, -1.5])
 @pytest.mark.parametrize(
@@ -178,6 +180,7 @@ def test_degenerate_tori_are_no_worse_than_hk(name: str, c0: float, y0: Floats) 
     assert np.abs(states[index] - exact).max() <= 2.0 * np.abs(base[index] - exact).max() + 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_FOUR)
 @pytest.mark.parametrize("k", [0.0, 1e-12, 1e-9, 1e-6, 1e-4, 1e-3])
 def test_small_k_is_kept(name: str, k: float) -> None:

@@ -94,6 +94,7 @@ def errors(scheme: Scheme, top: Top, y0: Any, h: float, exact: list[Any], n: int
     return plain, better
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["kowalevski", "euler", "euler+gamma", "lagrange", "heavy"])
 def test_hk_against_forty_digits(form: str) -> None:
     """After 150 steps the plain form is off by many ulp, the compensated one by hardly more than its rounding."""
@@ -174,6 +175,7 @@ def test_every_sum_is_carried_on(name: str) -> None:
         assert float(after(moved, i, j) - after(start, i, j)) / bit == pytest.approx(1.0, rel=0.1), i
 
 
+@pytest.mark.slow
 @by_name
 def test_composable_as_ever(scheme: Scheme) -> None:
     """The option changes nothing about whether a scheme can be composed, and the composed one runs."""
@@ -191,6 +193,7 @@ def test_composable_as_ever(scheme: Scheme) -> None:
     assert 0.0 < np.abs(ends[0] - ends[1]).max() < 1e-13
 
 
+@pytest.mark.slow
 @by_name
 def test_compensated_machine_code_is_the_python_code(scheme: Scheme) -> None:
     for top in TRIALS[scheme.top][:2]:
@@ -258,6 +261,7 @@ def deviation(scheme: Scheme, top: Top, y0: Any, compensated: bool, h: float = 0
     return float(max(found))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "form"), [("hk", "lagrange"), ("hk", "euler"), ("bs", "euler+gamma"), ("midpoint", "heavy")]
 )

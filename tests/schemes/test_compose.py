@@ -51,6 +51,7 @@ def states_of(run: Run) -> np.ndarray:
     return np.concatenate([chunk.states.copy() for chunk in run])
 
 
+@pytest.mark.slow
 @by_base
 @by_composition
 def test_declared_order_is_observed(base: Scheme, name: str) -> None:
@@ -79,6 +80,7 @@ def worst_defect(top: Top, stepper: Stepper, h: float) -> float:
     return max(one_step_back_and_forth(top, stepper, y, h) for y in states)
 
 
+@pytest.mark.slow
 @by_base
 @by_composition
 def test_self_adjoint_to_round_off(base: Scheme, name: str) -> None:
@@ -105,6 +107,7 @@ def deviation(values: np.ndarray, scale: np.ndarray, steps: int) -> float:
     return float(np.abs(values - values[0]).max() / (50.0 * np.finfo(float).eps * np.sqrt(steps) * scale.max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", [base for base in BASES if base.conserves], ids=lambda s: f"{s.name}/{s.top}")
 @by_composition
 def test_what_the_base_conserves_survives(base: Scheme, name: str) -> None:
@@ -174,6 +177,7 @@ def test_integrals_that_depend_on_h_do_not_survive(name: str) -> None:
 # How stages are put together
 
 
+@pytest.mark.slow
 @by_base
 @by_composition
 def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
@@ -197,6 +201,7 @@ def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
         assert run.ending.counters == {"stages": 10 * COMPOSITIONS[name].stages}
 
 
+@pytest.mark.slow
 @by_base
 @by_composition
 def test_compiled_equals_plain_python(base: Scheme, name: str) -> None:

@@ -36,6 +36,7 @@ def residual(weights: tuple[float, ...], order: int) -> float:
     return float(max(abs(product[word] - exact[word]) for word in basis))
 
 
+@pytest.mark.slow
 @by_composition
 def test_order_conditions(name: str) -> None:
     """Met to 1e-15 up to the order that is said, missed by far at the next order, missed by weights a bit off."""

@@ -100,6 +100,7 @@ def worst_defect(top: Top, stepper: Method, h: float) -> float:
     return max(one_step_back_and_forth(top, stepper, y, h) for y in some_states(top, 12, seed=3))
 
 
+@pytest.mark.slow
 @by_step
 def test_declared_self_adjointness(scheme: Scheme) -> None:
     """One step there and back: round-off for a self-adjoint scheme at every h, visibly more for the others."""
@@ -132,6 +133,7 @@ def deviation_over_bound(top: Top, stepper: Method, y0, h: float, names: tuple[s
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "top"),
     [(scheme, top) for scheme in SCHEMES if scheme.conserves for top in TRIALS[scheme.top]],
@@ -151,6 +153,7 @@ def test_exactness_control(top: Top) -> None:
         assert deviation_over_bound(top, rk2(top), gen(top), 0.01, (name,)) > 100.0
 
 
+@pytest.mark.slow
 @by_step
 def test_reversal_order_is_reported(scheme: Scheme) -> None:
     """The study's own measure: no order for a self-adjoint scheme, at least order + 1 for the others."""

@@ -35,6 +35,7 @@ def stepper(name: str, c: float = 1.0, **options) -> Stepper:
     return found.build(Kowalevski(c0=c), found.options(**options))
 
 
+@pytest.mark.slow
 @given(states, steps, rational)
 def test_hk_is_the_solution_of_the_papers_equations_exactly(y, h, c) -> None:
     """No rounding: the closed form and the block form satisfy all six equations with equality."""
@@ -73,6 +74,7 @@ def test_hk_is_kahans_method_for_the_field() -> None:
     assert [d - h / 4 * (p - m) for d, p, m in zip(x, there, back, strict=True)] == [h * f for f in here]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [1e-12, 1e-5, 1e-3, 0.1, -0.1, 0.5])
 @pytest.mark.parametrize("c", [1.0, -2.0, 0.0, 1e-200, 50.0])
 def test_hk_rounds_once_and_at_the_size_of_the_increment(h: float, c: float) -> None:
@@ -108,6 +110,7 @@ def bias(errors: np.ndarray) -> float:
     return abs(errors.mean()) / (errors.std() / math.sqrt(len(errors)))
 
 
+@pytest.mark.slow
 def test_hk_round_off_is_small_and_unbiased() -> None:
     errors = local_errors(hk_kowalevski, 1500, 0.01)
     assert errors.std() < 0.6
@@ -125,6 +128,7 @@ def integrals(y) -> list[Fraction]:
     ]
 
 
+@pytest.mark.slow
 def test_hk_round_off_is_unbiased_in_every_integral() -> None:
     """From states all over the sphere: the mean of the error over its standard deviation, and a biased control."""
 
@@ -145,6 +149,7 @@ def test_hk_round_off_is_unbiased_in_every_integral() -> None:
     assert control[2] > 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c", [1.0, -0.7, 0.0])
 @pytest.mark.parametrize("h", [1e-3, 0.1, -0.2])
 def test_hybrid_is_its_straightforward_form(c: float, h: float) -> None:
@@ -218,6 +223,7 @@ def test_bohlin_c_at_rest_is_exact() -> None:
     assert new[2] == pytest.approx(-0.01 * 0.48, rel=4 * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hk", "hybrid", "bohlin-a", "bohlin-b", "bohlin-c"])
 def test_steps_at_rest_and_without_gravity_stay_finite(name: str) -> None:
     for c in (0.0, 1.0):

@@ -62,6 +62,7 @@ def test_hybrid_is_no_solution_of_them() -> None:
     assert 12.0 < defects[0] / defects[1] < 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hybrid-sym", "hybrid-xi"])
 @pytest.mark.parametrize(("y0", "h"), SCENES)
 def test_lengths_stay_within_ulps_over_a_million_steps(name: str, y0: Floats, h: float) -> None:
@@ -128,6 +129,7 @@ def test_reversal_over_long_runs(y0: Floats) -> None:
     assert 1e-3 < missed("hybrid") < 5.0  # no further than across the energy surface
 
 
+@pytest.mark.slow
 def test_no_step_of_many_orbits_fails() -> None:
     """100 random orbits, 1e4 steps of 0.1: some pass close to omega1 + i omega2 = 0, where the roots merge."""
     closest, iterations = 1.0, 0

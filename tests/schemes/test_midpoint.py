@@ -57,6 +57,7 @@ def over_bound(top: Top, made: Stepper, y0, h: float, names: tuple[str, ...]) ->
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [0.2, 0.05, 0.01])
 def test_quadratic_integrals_of_random_tops_over_long_runs(h: float) -> None:
     """20 random tops, 1e5 steps each: all three integrals within 50 ulp sqrt(N), and much less than that."""

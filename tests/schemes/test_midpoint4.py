@@ -144,6 +144,7 @@ def test_close_to_a_degenerate_torus(eps: float) -> None:
     assert 0.01 * int(np.argmin(first)) == pytest.approx(swing, abs=0.011)
 
 
+@pytest.mark.slow
 def test_random_orbits_with_a_large_step() -> None:
     """100 orbits, 2000 steps of 0.1, and one step there and back: a few ulp, no projection; HK is far off."""
     made, worst, control = stepper("midpoint4"), 0.0, math.inf
@@ -167,6 +168,7 @@ def test_from_rest_with_gamma_along_the_third_axis() -> None:
     assert tuple(ran(stepper("bohlin-a"), y0, 0.05, 100)[0][-1]) == y0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c0", [1.0, -1.0, 300.0])
 def test_large_steps_are_never_silently_wrong(c0: float) -> None:
     """All integrals are kept, or the run says that it did not keep them, or that it did not converge."""

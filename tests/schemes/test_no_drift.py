@@ -29,6 +29,7 @@ def in_errors(row: InvariantRow) -> float:
     return abs(row.drift) / row.drift_error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
 def test_all_four_stay(y0: Floats) -> None:
     for row in drifts("midpoint4", y0).values():
@@ -37,6 +38,7 @@ def test_all_four_stay(y0: Floats) -> None:
         assert in_errors(row) < 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
 def test_the_self_adjoint_hybrid_stays(y0: Floats) -> None:
     rows = drifts("hybrid-sym", y0)

@@ -84,6 +84,7 @@ def follow(top: Top, tol: float, work, out, h: float, steps: int, every: int, fu
     return advance(arrangement(top), d, order, work, out, h, steps, every, 1, careful=careful(order), fuse=fuse)
 
 
+@pytest.mark.slow
 @of_every_top
 @pytest.mark.parametrize(("tol", "h", "steps"), [(1e-16, 0.25, 12), (1e-4, -1.7, 3), (1e-7, 1e-3, 900)])
 def test_machine_code_equals_plain_python(top: Top, tol: float, h: float, steps: int) -> None:
@@ -99,6 +100,7 @@ def test_machine_code_equals_plain_python(top: Top, tol: float, h: float, steps:
     assert np.count_nonzero(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cpu", "fuse"), [("x86-64", False), ("x86-64-v3", True), ("x86-64-v4", True)])
 @pytest.mark.parametrize("top", [Kowalevski(), Heavy(), Euler()], ids=repr)
 def test_other_processors_do_the_same(cpu: str, fuse: bool, top: Top, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,6 +151,7 @@ def test_coefficients_are_the_derivatives(top: Top) -> None:
         assert o.load("a", m + 1) == pytest.approx(a.spread(new[:d]), rel=1e-12, abs=1e-14)
 
 
+@pytest.mark.slow
 @of_every_top
 @pytest.mark.parametrize(("h", "N"), [(0.01, 2000), (20.0, 1), (-0.7, 30), (math.pi, 7)])
 def test_the_motion_to_round_off(top: Top, h: float, N: int) -> None:
@@ -175,6 +178,7 @@ def test_closed_forms(top: Top) -> None:
         assert np.abs(states(Run(top, taylor(top), y0, 0.5, 60)) - closed).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("top", [Kowalevski(), Heavy(), EulerGamma(), Lagrange(), Euler()], ids=repr)
 def test_the_error_follows_the_tolerance(top: Top) -> None:
     y0, tolerances = gen(top), 10.0 ** -np.arange(3.0, 16.0)
@@ -264,6 +268,7 @@ def test_units_do_not_matter(scale: float) -> None:
     assert (found == after(slow, y0, 0.3, 40)).all()
 
 
+@pytest.mark.slow
 def test_the_first_coefficient_is_to_more_than_a_double(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rounded, as the others, it would make twice the error."""
     top, y0 = Lagrange(), random_states(24, seed=3)

@@ -82,6 +82,7 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_a_bad_manifest_is_damage_and_nothing_else(
     cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, kind: str
@@ -137,6 +138,7 @@ LOCKS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", LOCKS)
 def test_a_bad_lock_says_nothing(tmp_path: Path, kind: str) -> None:
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)

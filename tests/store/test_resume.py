@@ -24,6 +24,7 @@ from topcli.studies.run import run_experiment
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
 
+@pytest.mark.slow
 @by_name
 def test_every_scheme_goes_on_bit_for_bit(scheme: Scheme) -> None:
     """Working states of every scheme, carried quantities and counters included, and the sums of the report."""
@@ -68,6 +69,7 @@ def test_physical_states_alone_would_not_do() -> None:
     assert np.abs(half - whole[200:]).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", KINDS.values(), ids=KINDS)
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene: str, suffix: str) -> None:

@@ -93,6 +93,7 @@ def test_a_checkpoint_that_cannot_be_written_is_told_by_name(tmp_path: Path, mon
     assert "continues from step" in told[0]
 
 
+@pytest.mark.slow
 def test_a_living_process_keeps_others_off(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
@@ -187,6 +188,7 @@ def test_a_series_cut_anywhere_goes_on_to_the_same_file(tmp_path: Path, suffix: 
         assert read_metadata(cut)["who"] == "test"
 
 
+@pytest.mark.slow
 def test_many_row_groups_keep_their_places(tmp_path: Path) -> None:
     """Offsets beyond one byte of a varint, and one row group read without the others."""
     path = tmp_path / "series.parquet"

@@ -160,6 +160,7 @@ def test_a_full_disk_leaves_nothing_and_loses_nothing(
     assert (earlier.stored.folder / "series.parquet").read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the file size the way Linux does")
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_a_real_write_failure_through_the_entry_point(tmp_path: Path, suffix: str) -> None:
@@ -255,6 +256,7 @@ def test_nothing_is_integrated_for_a_refusal(tmp_path: Path, monkeypatch: pytest
     assert run_experiment(small(), tmp_path).status == "up to date"
 
 
+@pytest.mark.slow
 def test_concurrent_different_experiments_are_both_kept(tmp_path: Path) -> None:
     """Both start on an empty folder; the one that ends second gives way, and says so even under -q."""
     command = [sys.executable, "-m", "topcli", "run", str(HK), "--out", str(tmp_path), "--quiet"]

@@ -32,6 +32,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "lock"}
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_is_never_read_as_a_number(tmp_path: Path) -> None:
     run = run_experiment(small("output.columns=[n, k_sq]"), tmp_path).stored
     expected, data = read_series(run.series), run.series.read_bytes()
@@ -112,6 +113,7 @@ def test_missing_rows_are_not_resumed(tmp_path: Path, how: str) -> None:
     assert run_experiment(small(), tmp_path).status == "ran"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["series.parquet", "series.csv", CHECKPOINT])
 def test_a_damaged_interrupted_run_is_not_resumed(tmp_path: Path, name: str) -> None:
     experiment = small("output.format=csv" if name.endswith("csv") else "output.format=parquet")

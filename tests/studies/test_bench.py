@@ -130,6 +130,7 @@ def test_a_failing_setting_is_passed_over(short: Problem) -> None:
     assert [rung.error for rung in standing.rungs] == [1e-2, 1e-3]
 
 
+@pytest.mark.slow
 def test_a_step_that_cannot_be_compiled_is_told_and_stops_nothing_else(short: Problem) -> None:
     def step(s: Any, h: float, p: Any) -> Any:
         return print(s)
@@ -192,6 +193,7 @@ def test_names_of_peers() -> None:
         find_peers(["scipy", "SciPy"])
 
 
+@pytest.mark.slow
 def test_scipy_as_a_peer(short: Problem) -> None:
     """A peer that is always there, in its process: its errors fall with its tolerance, and its seconds are counted."""
     result = bench(short, choose(short, ("rk4",)), find_peers(["scipy"]), Effort(0.02, 1))

@@ -137,6 +137,7 @@ def test_mistakes_are_told_with_what_would_be_right(cli: Any, arguments: tuple[s
 # the figure
 
 
+@pytest.mark.slow
 def test_the_figure_reads_results_and_measures_nothing(result: dict[str, Any], cli: Any) -> None:
     nothing = cli("plot", "work-precision")
     assert nothing.code == 2

@@ -34,6 +34,7 @@ def of(comparison: Comparison, scheme: str) -> dict:
     return next(one for one in comparison.figures["schemes"] if one["scheme"] == scheme)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "spacing"),
     [("hk", 28.172), ("hybrid", 28.167), ("bohlin-a", 15.30), ("bohlin-b", 15.35), ("bohlin-c", 15.30)],
@@ -65,6 +66,7 @@ def largest_jump(branch: str, y0: np.ndarray, h: float) -> float:
     return float(np.abs(np.diff(states[:, :2], axis=0)).max())
 
 
+@pytest.mark.slow
 def test_the_papers_branch_rule_takes_wrong_roots_and_the_default_none() -> None:
     """Where omega1 + i omega2 crosses the real axis the signs of the arguments mislead: omega jumps to -omega."""
     jumps = {
@@ -115,6 +117,7 @@ def test_options_belong_to_their_scheme() -> None:
     assert under_scheme(experiment, "bohlin-a").options.model_dump() == {"branch": "nearest"}
 
 
+@pytest.mark.slow
 def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
     experiment = load_experiment(
         HK,
@@ -134,6 +137,7 @@ def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
     assert of(comparison, "hk")["outcome"] == "completed"
 
 
+@pytest.mark.slow
 def test_pictures_of_a_comparison(tmp_path: Path) -> None:
     from topcli.figures.comparison import draw_comparison
 
@@ -161,6 +165,7 @@ def test_the_python_interface() -> None:
     assert shorter.t[-1] == 10 * 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "scheme", "power"), [("euler_hk", "hk", 2), ("lagrange_hk", "hk", 2), ("lagrange_bs", "bs", 1)]
 )

@@ -33,6 +33,7 @@ def peak(folder: Path, count: int, **changes: Any) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("store", "changes"),
     [("statistics", {}), ("final", {}), ("trajectories", {}), ("statistics", {"scheme": "rk2", "h": 1e200})],
@@ -58,6 +59,7 @@ def test_a_block_of_the_engine_begins_with_a_tile() -> None:
     assert engine.BLOCK % (engine.GROUP * engine.TILE) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("store", ["trajectories", "final", "statistics"])
 @pytest.mark.parametrize(
     "changes",

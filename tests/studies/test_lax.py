@@ -187,6 +187,7 @@ def midpoint_run(equations: EulerPoisson, y0, h: float, steps: int) -> np.ndarra
     return np.array(states)
 
 
+@pytest.mark.slow
 @each_form
 @pytest.mark.parametrize("lam", LAMBDAS)
 def test_midpoint_is_a_conjugation(equations: EulerPoisson, form: LaxForm, lam: complex) -> None:
@@ -207,6 +208,7 @@ def test_midpoint_is_a_conjugation(equations: EulerPoisson, form: LaxForm, lam: 
         assert np.log2(defects[0] / defects[1]) == pytest.approx(3.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_study_of_kowalevski() -> None:
     experiment = lax_experiment("kowalevski", None, ["N=500"])
     found = lax_study(experiment, ["hk", "rk4"])
@@ -222,6 +224,7 @@ def test_study_of_kowalevski() -> None:
     assert flow < 1e-14 < 1e-12 < rk4 < hk < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sets", [["N=1"], ["h=-0.01", "N=50"], ["top.x0=0", "top.y0=0", "top.z0=0", "N=50"]])
 def test_study_of_odd_experiments(sets: list[str]) -> None:
     found = lax_study(lax_experiment("heavy", None, sets), ["midpoint"])
@@ -229,6 +232,7 @@ def test_study_of_odd_experiments(sets: list[str]) -> None:
         assert all(form["drift"] < 1e-13 for form in run["forms"])
 
 
+@pytest.mark.slow
 def test_command(cli) -> None:
     said = cli("lax", "kowalevski", "midpoint", "--config", "kowalevski_midpoint", "--set", "N=2000", "--json")
     assert said.code == 0
@@ -255,6 +259,7 @@ def test_mistakes(cli, arguments: tuple[str, ...], words: tuple[str, ...]) -> No
         assert word in said.err
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_is_told(cli) -> None:
     said = cli("lax", "heavy", "rk2", "midpoint", "--set", "h=60.0", "--set", "N=20", "--set", "top.x0=50")
     assert said.code == 1

@@ -27,6 +27,7 @@ def noise(seed: int, copies: int = 8, blocks: int = 256) -> np.ndarray:
     return SIZE * np.random.default_rng(seed).normal(size=(copies, blocks))
 
 
+@pytest.mark.slow
 def test_a_random_walk() -> None:
     """Exponents about 1/2, with the spread that is told; never taken for a bias."""
     found = [growth(walks(seed), 100, 1.0) for seed in range(60)]
@@ -113,6 +114,7 @@ def with_bias(experiment: Experiment) -> Experiment:
     return experiment.model_copy(update={"scheme": scheme})
 
 
+@pytest.mark.slow
 def test_the_hybrid_walks_and_a_biased_one_is_found_out() -> None:
     experiment = roundoff_experiment("hybrid", "kowalevski_generic_hk", ["h=0.01"])
     study = roundoff_study(experiment, 400_000, 6)
@@ -124,6 +126,7 @@ def test_the_hybrid_walks_and_a_biased_one_is_found_out() -> None:
     assert control[0]["bias"] < -5.0 * control[0]["bias_error"]
 
 
+@pytest.mark.slow
 def test_carried_xi_is_flat_and_the_target_is_met() -> None:
     study = roundoff_study(roundoff_experiment("hybrid-xi", None), 400_000, 4)
     assert [form["form"] for form in study["forms"]] == ["plain", "compensated"]
@@ -136,6 +139,7 @@ def test_carried_xi_is_flat_and_the_target_is_met() -> None:
     assert study["forms"][0]["cost"] == 1.0
 
 
+@pytest.mark.slow
 def test_hk_of_kowalevski_by_long_windows() -> None:
     """No integral is exact, all oscillate by 1e-3 and more, and yet round-off is seen, and seen to be smaller."""
     experiment = roundoff_experiment("hk", None, ["h=0.08"])
@@ -174,6 +178,7 @@ def test_what_is_refused() -> None:
         roundoff_study(roundoff_experiment("hk", None), 10_000_000, 1)
 
 
+@pytest.mark.slow
 def test_command(cli, tmp_path: Path) -> None:
     said = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
     assert said.code == 0
@@ -219,6 +224,7 @@ def test_picture_leaves_out_what_never_changed() -> None:
     assert len(lines) == 6
 
 
+@pytest.mark.slow
 def test_the_figures_curves() -> None:
     """A biased algebra, a random walk, a smaller one, and nothing that grows: the picture shows what it says."""
     columns = growth_columns()
@@ -235,12 +241,14 @@ def test_the_figures_curves() -> None:
     assert abs(exponent("k_sq:hybrid-xi")) < 0.1
 
 
+@pytest.mark.slow
 def test_the_figure_is_drawn_once(cli, tmp_path: Path) -> None:
     told = [cli("plot", "roundoff", "--format", "png", "--json").json()["figures"][0] for _ in range(2)]
     assert [one["status"] for one in told] == ["drawn", "up to date"]
     assert all((tmp_path / file).is_file() for file in told[0]["files"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hk", "midpoint"])
 def test_compensation_of_euler_has_no_bias(name: str) -> None:
     """Where only the errors of the changes are left, those of an iteration that stops early would show."""

@@ -207,6 +207,7 @@ def test_bounds() -> None:
     assert finding("singular-step", "bohlin-a").result is Result.DEGRADED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scheme", [s for s in all_schemes() if s.self_adjoint and not s.adaptive], ids=lambda s: f"{s.name}/{s.top}"
 )
@@ -257,6 +258,7 @@ def fast() -> list[Judged]:
     return stress(names, [name for name in case_names() if name not in SLOW])
 
 
+@pytest.mark.slow
 def test_what_breaks_is_declared_and_what_is_declared_breaks(fast: list[Judged]) -> None:
     wrong = [
         (one.scheme.name, one.scheme.top, one.case.name, one.verdict)

@@ -187,6 +187,7 @@ N: 200
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("description", ["", NONE], ids=["wrong", "none"])
 def test_a_gyrostat_from_a_file(cli: Callable[..., Said], in_tmp: Path, description: str) -> None:
     """Runs under what needs its field alone; what needs the description refuses, and says so by name."""

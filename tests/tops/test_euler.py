@@ -65,6 +65,7 @@ def scaled(c: Fraction, a: Rational) -> Rational:
     return (c * a[0], c * a[1], c * a[2])
 
 
+@pytest.mark.slow
 @given(vectors, vectors, st.tuples(moment, moment, moment), st.fractions(-1, 1, max_denominator=50))
 def test_hk_solves_the_papers_equations_exactly(w: Rational, g: Rational, moments: Rational, h: Fraction) -> None:
     """m' - m = h/2 (m' x omega + m x omega'), and the same for gamma (its last line without the misprint)."""
@@ -80,6 +81,7 @@ def test_hk_solves_the_papers_equations_exactly(w: Rational, g: Rational, moment
     assert y == scaled(d, plus(cross(plus(g, y), w), cross(g, new)))
 
 
+@pytest.mark.slow
 @given(vectors, st.tuples(moment, moment, moment), st.fractions(-1, 1, max_denominator=50))
 def test_bs_solves_the_papers_equation_exactly(w: Rational, moments: Rational, h: Fraction) -> None:
     """m' - m = h/2 (m' + m) x omega (EulerBS)."""
@@ -152,6 +154,7 @@ def over_bar(invariant: Invariant, states: np.ndarray, N: int) -> float:
     return float(np.abs(values - values[0]).max() / (50 * EPS * math.sqrt(N) * invariant.scale(states).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [0.2, 0.05, 0.01])
 def test_integrals_stay_within_round_off(h: float) -> None:
     """20 random tops, 1e5 steps: HK's modified integrals and all of midpoint's within 50 ulp sqrt(N)."""
@@ -204,6 +207,7 @@ def test_the_corrections_are_of_second_order() -> None:
     assert np.array(gaps[:-1]) / gaps[1:] == pytest.approx(4.0, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hk", "midpoint"])
 def test_round_off_is_a_random_walk(name: str) -> None:
     """Over 100 times as many steps the error of m² (HK: of its modified m²) grows like their root, not like them."""
@@ -267,6 +271,7 @@ def run_cli(*arguments: object):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [("run",), ("run", "--json"), ("compare", "hk", "bs", "--config")])
 def test_moments_of_no_rigid_body_warn(in_tmp, command) -> None:
     """A warning on stderr, and the run goes on; a rigid body's moments are not warned about, nor a flat body's."""

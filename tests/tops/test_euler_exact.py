@@ -68,6 +68,7 @@ def missed(states: np.ndarray, exact: list[mpf]) -> tuple[float, float]:
     return max(errors[:3]), max(errors[3:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(RANDOM_TOPS))
 def test_exact_is_the_motion_at_thirty_digits(seed: int) -> None:
     """At t = 50, against Taylor series in mpmath."""
@@ -77,6 +78,7 @@ def test_exact_is_the_motion_at_thirty_digits(seed: int) -> None:
     assert gamma < GAMMA_BAR
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [1e-3, 1e-6, 1e-9, 1e-12, 1e-15, -1e-15, -1e-12, -1e-9, -1e-6, -1e-3])
 def test_exact_beside_the_separatrix(offset: float) -> None:
     """From either side, at t = 50; the motion amplifies an error of the offset by 1e12."""
@@ -96,6 +98,7 @@ def test_the_separatrix_comparison_can_fail() -> None:
     assert np.abs(states[0] - states[1]).max() > 1e-8
 
 
+@pytest.mark.slow
 def test_exact_is_the_reference() -> None:
     """200 random tops, 400 times up to t = 50, against the package's own Taylor series in double-double."""
     n = np.arange(1, 401)
@@ -124,6 +127,7 @@ SPECIAL = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, -1)], ids=str)
 @pytest.mark.parametrize("scene", SPECIAL)
 def test_exact_in_special_cases(scene: str, signs: tuple[int, int, int]) -> None:
@@ -179,6 +183,7 @@ def hk_iterated(moments, w, h: float, steps: int) -> list[mpf]:
         return [x, y, z]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [0.2, 0.05, -0.01])
 def test_hk_exact_is_the_iterated_map(h: float) -> None:
     """1000 steps, random tops; the map iterated in double differs by its own round-off, the closed form does not."""

@@ -34,6 +34,7 @@ parameters = st.tuples(*[positive] * 3, *[rational] * 3)
 steps = st.fractions(-1, 1, max_denominator=40)
 
 
+@pytest.mark.slow
 @given(states, parameters)
 def test_field_is_the_papers_equation(y, p) -> None:
     w, g = y[:3], y[3:]
@@ -83,6 +84,7 @@ def test_special_tops_have_the_same_equations() -> None:
         assert mine.value(y) == pytest.approx(theirs.value(y), rel=1e-14, abs=1e-14)
 
 
+@pytest.mark.slow
 @given(states, steps, parameters)
 def test_hk_is_the_solution_of_the_papers_equations_exactly(y, h, p) -> None:
     """No rounding: the closed form satisfies all six equations with equality."""
@@ -102,6 +104,7 @@ def test_hk_is_the_general_solve_exactly(h: Fraction) -> None:
         assert exactly(hk_heavy, y, h, p) == hk_general(y, h, p)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [1e-12, 1e-5, 1e-3, 0.1, -0.1, 0.3])
 def test_hk_rounds_at_the_size_of_the_increment(h: float) -> None:
     for top in random_heavy_tops(5, seed=5):
@@ -143,6 +146,7 @@ def towards_zero(state, h, p):
     return tuple(math.nextafter(x, 0.0) for x in hk_heavy(state, h, p))
 
 
+@pytest.mark.slow
 def test_hk_round_off_is_unbiased() -> None:
     for which in range(3):
         assert bias(hk_heavy, 800, 0.01, which) < 4.0
@@ -167,12 +171,14 @@ def test_kowalevski_run_through_heavy_is_the_kowalevski_run() -> None:
     assert np.abs(ends[0] - ends[1]).max() < 1e-12
 
 
+@pytest.mark.slow
 @given(st.tuples(*[rational] * 3), st.tuples(*[rational] * 3))
 def test_resolvent_solves_its_equation(a, b) -> None:
     z = exactly(resolvent, *a, *b)
     assert [u - v for u, v in zip(z, cross(z, a), strict=True)] == list(b)
 
 
+@pytest.mark.slow
 @given(st.tuples(*[rational] * 9), st.tuples(*[rational] * 3))
 def test_solve3_solves(m, r) -> None:
     try:

@@ -137,6 +137,7 @@ def over_bound(invariants: tuple[Invariant, ...], states: np.ndarray, N: int) ->
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [0.2, 0.05, 0.01])
 @pytest.mark.parametrize("name", ["hk", "bs"])
 def test_integrals_of_random_tops_stay_at_round_off(name: str, h: float) -> None:
@@ -182,6 +183,7 @@ def test_corrections_are_of_second_order() -> None:
 # ---------------------------------------------------------------- closed forms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [0.2, 0.05, 0.01, -0.05])
 def test_nutation_of_the_maps_in_closed_form(h: float) -> None:
     n = np.arange(1001)
@@ -196,6 +198,7 @@ def test_nutation_of_the_maps_in_closed_form(h: float) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [0.2, 0.01])
 def test_nutation_of_the_maps_iterated_in_40_digits(h: float) -> None:
     """Without the round-off of the iteration the closed forms agree with the maps much better."""
@@ -211,6 +214,7 @@ def test_nutation_of_the_maps_iterated_in_40_digits(h: float) -> None:
             assert abs(nutation_hk(top, y0, h, n)[0] - body[5]) < 2e-15
 
 
+@pytest.mark.slow
 def test_closed_form_against_the_reference() -> None:
     times = np.arange(0, 2001, 50)
     for top, y0 in zip(random_tops(25, 5), random_states(25, 6), strict=True):

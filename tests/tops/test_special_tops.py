@@ -36,6 +36,7 @@ def end(top: Top, scheme: str, y0, h: float, N: int) -> np.ndarray:
     return np.concatenate(pieces)[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("top", SPECIAL, ids=repr)
 @pytest.mark.parametrize("scheme", ["hk", "midpoint", "rk4"])
 def test_one_step_is_the_heavy_tops(top: Top, scheme: str) -> None:

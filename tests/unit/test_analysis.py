@@ -67,6 +67,7 @@ def noises(kind: str, count: int, m: int) -> list[np.ndarray]:
     return [make() for _ in range(count)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m", [64, 128])
 @pytest.mark.parametrize(
     ("kind", "walks", "least"),
@@ -202,6 +203,7 @@ def test_what_runs_away_or_is_not_finite_is_not_called_bounded() -> None:
     assert report(values).verdict == "unjudged"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [100, 129, 1000, 20_000])
 def test_the_slope_does_not_need_the_planned_length(rows: int) -> None:
     """Blocks join in pairs as a run grows: a run stopped anywhere has its slope."""
@@ -214,6 +216,7 @@ def test_a_first_value_of_zero_has_no_relative_figures() -> None:
     assert report(np.zeros(100)).max_deviation_relative is None
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(shift=st.floats(-0.5, 0.5), period=st.floats(5.0, 30.0))
 def test_minima_are_placed_between_the_samples(shift: float, period: float) -> None:

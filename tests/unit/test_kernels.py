@@ -28,6 +28,7 @@ def cross(a, b):
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
+@pytest.mark.slow
 @given(vector, vector)
 def test_cayley_solves_its_equation_exactly(a, g) -> None:
     d = exactly(cayley_increment, *a, *g)

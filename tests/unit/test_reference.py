@@ -110,6 +110,7 @@ def ulps(states, true) -> float:
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_states_are_right_to_an_ulp(name):
     top, y0, times = SCENES[name]
@@ -156,6 +157,7 @@ def pairs(state):
         return [mp.mpf(float(state[i])) + mp.mpf(float(state[6 + i])) for i in range(6)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("top", "y0"), [(Kowalevski(), GEN), (Heavy(), GEN), (Kowalevski(), PAPER)])
 def test_the_state_carries_29_digits(top, y0):
     code, state, _ = drive(top, y0, [10.0])
@@ -199,6 +201,7 @@ def test_the_swing_in_closed_form(w, c):
         assert error < 1e-31 * 50 * math.exp(16)
 
 
+@pytest.mark.slow
 def test_series_coefficients_against_those_of_the_closed_form():
     with mp.workdps(50):
         t0 = mp.mpf("0.3")
@@ -225,6 +228,7 @@ def test_forward_then_back_returns():
     assert np.abs(out[0] - GEN).max() <= math.ulp(1.3)
 
 
+@pytest.mark.slow
 def test_machine_code_does_what_plain_python_does():
     """Bit for bit: a contracted or reassociated operation would destroy the error terms."""
     times = np.linspace(0.0, 4.0, 7)
