@@ -75,6 +75,7 @@ SEEN = {
 }
 
 
+@pytest.mark.slow
 def test_every_planted_fault_is_seen_and_nothing_else(tmp_path: Path) -> None:
     done = python(TESTS / "attack" / "plants.py", tmp_path)
     assert done.returncode == 0, done.stderr
@@ -290,6 +291,7 @@ def test_mutated_configs(tmp_path: Path) -> None:
     assert 30 < int(counted[1]) < 120
 
 
+@pytest.mark.slow
 def test_damaged_files_and_kills(tmp_path: Path) -> None:
     """Damages that hold: of checkpoints, series and folders, the last one of the machine-code cache."""
     cases = ["2", "4", "6", "8", "10", "12", "16", "18", "11"]

@@ -98,6 +98,7 @@ def test_the_hybrid_is_exact_where_it_says_so(cli) -> None:
     assert "exact" not in (verdicts["two_l"], verdicts["energy"])
 
 
+@pytest.mark.slow
 def test_json_is_one_document(cli) -> None:
     said = cli("run", HK, HYBRID, "--set", "N=100", "--json")
     document = said.json()
@@ -170,6 +171,7 @@ def test_init_writes_a_config_that_runs(cli, in_tmp: Path) -> None:
     assert (in_tmp / "first.yaml").read_text() == text
 
 
+@pytest.mark.slow
 def test_lists_come_from_the_registries(cli) -> None:
     names = {item["name"] for item in cli("list", "schemes", "--json").json()["schemes"]}
     assert names == {scheme.name for scheme in all_schemes()}

@@ -99,6 +99,7 @@ def test_the_grid_shows_many(cli) -> None:
     assert any(line.startswith("rk4") and "X" in line for line in grid.out.splitlines())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -98,6 +98,7 @@ def test_prose_is_wrapped_at_words_and_indented_labels_stay_indented() -> None:
     assert lines == ["  a label  one two three", "           four five six", "x          y"]
 
 
+@pytest.mark.slow
 def test_a_table_elsewhere_than_on_a_terminal_has_whole_lines(cli) -> None:
     out = cli("list", "scenes").out.splitlines()
     scenes = cli("list", "scenes", "--json").json()["scenes"]
@@ -126,6 +127,7 @@ def test_the_table_of_the_readme_is_real(cli) -> None:
 cells = st.text("abc xyz0123456789.-", max_size=30).map(lambda text: " ".join(text.split()))
 
 
+@pytest.mark.slow
 @given(
     st.integers(1, 8).flatmap(lambda n: st.lists(st.lists(cells, min_size=n, max_size=n), min_size=1, max_size=5)),
     st.integers(20, 130),

@@ -58,6 +58,7 @@ def calls(path: Path) -> list[ast.Call]:
     return [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
 
 
+@pytest.mark.slow
 def test_only_one_module_prints() -> None:
     """Whoever prints past ``talk`` prints raw characters. Pipes to other processes are no terminal."""
     for path in sorted((ROOT / "src" / "topcli").rglob("*.py")):
@@ -72,6 +73,7 @@ def test_only_one_module_prints() -> None:
             assert not (isinstance(call.func, ast.Attribute) and call.func.attr in ("echo", "secho")), where
 
 
+@pytest.mark.slow
 def test_lines_of_an_error_are_arguments() -> None:
     """A line end inside a line would be printed as an escape."""
     for path in sorted((ROOT / "src" / "topcli").rglob("*.py")):
@@ -167,6 +169,7 @@ TEXTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
 def test_no_content_of_a_config_reaches_the_terminal_raw(tmp_path: Path, text: str) -> None:
     message = refusal(write(tmp_path, text.encode("utf-8", "surrogatepass")))
@@ -184,6 +187,7 @@ def test_names_of_files_nearby_are_not_obeyed(cli, in_tmp: Path) -> None:
     assert len(said.err) < 400
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="such names are not possible")
 @pytest.mark.parametrize("terminal", [False, True])
 def test_foreign_runs_are_listed_as_data(cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:

@@ -73,6 +73,7 @@ def run(cli: Callable[..., Said], path: Path) -> Said:
     return cli("run", str(ROOT / "configs" / "kowalevski_hk.yaml"), "--scheme-file", str(path), *settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_code_that_raises_is_named_by_file_and_line(
     case: str, cli: Callable[..., Said], tmp_path: Path, own_registry: None

@@ -20,6 +20,7 @@ from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_config_round_trips(path: Path, tmp_path: Path) -> None:
     first = load_experiment(path)

@@ -112,6 +112,7 @@ def euler_scheme(monkeypatch: pytest.MonkeyPatch) -> None:
         return Stepper(lambda y, h, p: y, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("euler_scheme")
 @pytest.mark.parametrize(("old", "new", "line", "key", "says"), WRONG)
 def test_wrong_value(tmp_path: Path, old: str, new: str, line: int, key: str, says: str) -> None:
@@ -158,6 +159,7 @@ SYNTAX = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "says"), SYNTAX)
 def test_wrong_yaml(tmp_path: Path, text: str | bytes, says: str) -> None:
     path = write(tmp_path, text)

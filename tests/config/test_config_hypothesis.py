@@ -135,12 +135,14 @@ def test_any_yaml_file(folder: Path, content: bytes) -> None:
     loads_or_refuses(folder / "any.yaml", content)
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(content=ANYTHING | pieces(TOML_PIECES).map(str.encode) | spliced(GENERIC).map(str.encode))
 def test_any_toml_file(folder: Path, content: bytes) -> None:
     loads_or_refuses(folder / "any.toml", content)
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(text=st.text(max_size=40) | pieces(YAML_PIECES).map(lambda text: "h=" + text))
 def test_any_override(text: str) -> None:

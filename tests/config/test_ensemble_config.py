@@ -228,6 +228,7 @@ def test_numbers_that_are_replaced_are_finite_too(section: Any, number: float) -
         any_from({**BASE, "initial": initial, "ensemble": section})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("section", "good"),
     [
@@ -301,6 +302,7 @@ sections = st.one_of(
 )
 
 
+@pytest.mark.slow
 @given(section=sections)
 @settings(settings.get_profile("ci"), deadline=None, max_examples=200)
 def test_any_section_is_refused_in_words_or_round_trips(section: Any) -> None:

@@ -102,6 +102,7 @@ def test_a_form_says_which_vectors_it_needs() -> None:
         top_class("zzz")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["yaml", "toml"])
 @pytest.mark.parametrize(("form", "name"), PAIRS)
 def test_init_for_every_top_and_scheme_loads(tmp_path: Path, form: str, name: str, suffix: str) -> None:

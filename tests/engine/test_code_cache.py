@@ -81,6 +81,7 @@ def test_a_folder_that_another_could_fill_is_not_used(cache: Path, harm: str, cl
     assert any("not used" in problem and str(cache) in problem for problem in told["problems"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", [*HARM, "fifo"])
 def test_a_file_that_another_could_write_is_not_used(cache: Path, harm: str) -> None:
     (path,) = cache.glob("*.o")

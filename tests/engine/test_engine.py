@@ -178,6 +178,7 @@ def test_cached_code_equals_fresh_code(tmp_path: Path, monkeypatch: pytest.Monke
     assert (rows(fresh_run)[1] == rows(cached_run)[1]).all()
 
 
+@pytest.mark.slow
 def test_runs_without_a_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocker = tmp_path / "file"
     blocker.write_text("not a folder")
@@ -187,6 +188,7 @@ def test_runs_without_a_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(rows(run)[0]) == 6
 
 
+@pytest.mark.slow
 def test_cache_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr("topcli.engine.code_cache.CACHE_ENTRIES", 2)

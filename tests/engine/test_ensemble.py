@@ -87,6 +87,7 @@ def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.M
         assert {ending.outcome for ending in run.endings} == {Outcome.COMPLETED}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hk", "hybrid", "bohlin-b", "midpoint", "hybrid-sym", "hk+suzuki4"])
 def test_at_large_steps_too(name: str) -> None:
     """Large angles take libm's branch, iterations fail, schemes blow up: what happens is what happens alone."""

@@ -166,6 +166,7 @@ def test_what_cannot_be_hashed_is_refused_by_name(folder: Path, kind: str, optio
     assert "\n" not in message
 
 
+@pytest.mark.slow
 def test_a_global_that_only_shares_the_name_of_an_attribute_is_not_refused(folder: Path) -> None:
     body = "import threading\nreal = threading.Lock()\nK = 2.0 + 1.0j\n" + STEP.format(value="K.real")
     assert run_scheme(write_files(folder, body, "2.0")).value == 4.0

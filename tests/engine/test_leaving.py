@@ -118,6 +118,7 @@ class Named(Heavy):
     energy: ClassVar[str] = "gamma_sq"
 
 
+@pytest.mark.slow
 def test_a_top_without_an_energy_never_leaves() -> None:
     states = np.tile(np.array(GEN), (1000, 1))
     states[5:, :3] *= 1e8
@@ -128,6 +129,7 @@ def test_a_top_without_an_energy_never_leaves() -> None:
     assert left_by_each(Named(), states) == {21}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gamma", [(0.0, 0.0, 1.0), (1e-12, 0.6, 0.8)])
 def test_a_start_whose_terms_vanish_has_the_scale_of_its_lengths(gamma: tuple[float, ...]) -> None:
     """At rest with the centre of gravity level the energy's terms are 0: no error is a hundred times as large."""
@@ -146,6 +148,7 @@ def test_a_state_at_rest_for_ever_is_not_judged() -> None:
     assert left_by_each(Kowalevski(c0=0.0), np.zeros((1000, 6))) == {None}
 
 
+@pytest.mark.slow
 def test_the_run_goes_on_and_says_so_everywhere(cli: Callable[..., Said], in_tmp: Path) -> None:
     done = cli("run", "kowalevski_hk", *(part for text in BIG for part in ("--set", text)))
     assert done.code == 1

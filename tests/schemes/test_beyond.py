@@ -257,6 +257,7 @@ def test_midpoint_steps_are_counted() -> None:
     assert ran(stepper("dg4"), DELONE, 0.05, 1000)[1].counters["midpoint_steps"] == 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SYMMETRIC)
 @pytest.mark.parametrize("y0", [GEN, *map(tuple, random_states(2, seed=34))])
 def test_reversal_over_long_runs(name: str, y0: Floats) -> None:

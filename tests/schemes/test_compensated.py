@@ -220,6 +220,7 @@ def test_plain_is_old_plus_change(scheme: Scheme) -> None:
     assert plain.drive(0.05, 200).tolist() != better.drive(0.05, 200).tolist()
 
 
+@pytest.mark.slow
 @by_name
 def test_a_run_goes_on_from_its_working_state(scheme: Scheme) -> None:
     top = TRIALS[scheme.top][0]

@@ -155,6 +155,7 @@ def test_a_run_warns_of_what_it_counted() -> None:
     assert warning_of(report) == "3 midpoint steps in 9 steps; topcli show dg4 tells of limits"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", all_schemes(), ids=lambda one: f"{one.name}/{one.top}")
 def test_normal_work_is_no_warning(scheme: Scheme) -> None:
     """On an ordinary run nothing that a scheme counts is a warning; what can be one has a limit that explains it."""

@@ -162,6 +162,7 @@ def test_hybrid_is_its_straightforward_form(c: float, h: float) -> None:
 ROOTS = {"nearest": twins.polar_root, "sign": twins.polar_root_sign}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("branch", ROOTS)
 @pytest.mark.parametrize("method", ["a", "b", "c"])
 def test_bohlin_is_its_straightforward_form(method: str, branch: str) -> None:

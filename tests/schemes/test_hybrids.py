@@ -36,6 +36,7 @@ def relations(old: Floats, new: Floats, h, c) -> list:
     return [*(b - a - h * x for a, b, x in zip(g, n, turned, strict=True)), v[2] - w[2] + h * c * q[1], z.real, z.imag]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("h", [1e-4, 0.1, -0.1])
 def test_hybrid_sym_solves_its_relations(h: float) -> None:
     """To round-off, against a solution of the relations as they stand with 40 digits."""
@@ -110,6 +111,7 @@ def slope_over_error(made: Stepper, integral: str) -> float:
     return abs(fit.slope) / fit.error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integral", ["two_l", "energy"])
 def test_the_other_integrals_do_not_drift(integral: str) -> None:
     assert slope_over_error(stepper("hybrid-sym"), integral) < 5.0

@@ -97,6 +97,7 @@ def test_solves_its_equation(h: float) -> None:
         assert k_new == pytest.approx(k, rel=2e-14, abs=0.0)
 
 
+@pytest.mark.slow
 def test_what_is_carried_changes_nothing() -> None:
     """Forgetting the expected change before every step gives the same trajectory to round-off, with more iterations."""
     p, h = (1.0,), 0.05
@@ -108,6 +109,7 @@ def test_what_is_carried_changes_nothing() -> None:
     assert forgetful[25] > 1.2 * s[25]
 
 
+@pytest.mark.slow
 def test_compiled_and_interpreted_agree() -> None:
     for y in (GEN, DELONE, (2.0, 0.0, 0.0, 1.0, 0.0, 1e-7)):
         s = enter(y, 0.05, (1.0,))

@@ -204,6 +204,7 @@ def test_order_grows_with_the_digits() -> None:
     assert order_of(0.0) == ORDERS[1]
 
 
+@pytest.mark.slow
 @of_every_top
 def test_dense_output_is_where_other_steps_lead(top: Top) -> None:
     """What the series gives between its centres is what a run of another h finds at the same time."""
@@ -320,6 +321,7 @@ def ending(top: Top, y0, h: float, N: int):
     return run.ending
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize("top", TOPS_TRIED[:6], ids=repr)
 def test_a_state_that_is_not_finite_ends_the_run(top: Top, bad: float) -> None:

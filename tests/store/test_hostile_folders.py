@@ -116,6 +116,7 @@ def test_a_named_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -
     assert look(tmp_path) == DamagedRun(tmp_path, f"{MANIFEST}: no regular file")
 
 
+@pytest.mark.slow
 def test_thousands_of_runs_are_listed_at_once(tmp_path: Path) -> None:
     text = (run_experiment(small(), tmp_path).stored.folder / MANIFEST).read_text()
     for i in range(2000):
@@ -309,6 +310,7 @@ def test_a_run_looks_at_its_own_name_alone(tmp_path: Path, monkeypatch: pytest.M
     assert stored_run(tmp_path / NAME).outcome is Outcome.COMPLETED
 
 
+@pytest.mark.slow
 def test_failed_runs_are_run_again_on_request(cli, in_tmp: Path) -> None:
     arguments = ["run", "kowalevski_hk"] + [word for key in ("N=300", *BLOW_UP) for word in ("--set", key)]
     assert cli(*arguments).code == 1

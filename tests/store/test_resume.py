@@ -151,6 +151,7 @@ def test_nothing_to_resume_starts_afresh_saying_so(tmp_path: Path) -> None:
     assert told == [f"{NAME}: nothing to resume; starts afresh"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["killed", "interrupted"])
 def test_another_experiment_or_code_is_refused_and_nothing_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str

@@ -40,6 +40,7 @@ def full_after(monkeypatch: pytest.MonkeyPatch, room: int, forever: bool = True)
     monkeypatch.setattr(SeriesWriter, "_append", limited)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_a_full_disk_leaves_what_was_written_readable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str

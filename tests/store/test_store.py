@@ -195,6 +195,7 @@ def test_interrupted_runs_are_kept_marked_and_repeated(tmp_path: Path, monkeypat
     assert (again.status, again.outcome) == ("ran", Outcome.COMPLETED)
 
 
+@pytest.mark.slow
 def test_killed_before_the_manifest_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     """What a killed process leaves is no result, hinders nothing, and is swept away by the next run."""
     code = (

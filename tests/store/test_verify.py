@@ -52,6 +52,7 @@ def test_a_flipped_bit_is_never_read_as_a_number(tmp_path: Path) -> None:
     assert not run.damage()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 @pytest.mark.parametrize("name", ["series", "report.json", "config.yaml"])
 def test_a_damaged_finished_run_is_not_up_to_date(tmp_path: Path, suffix: str, name: str) -> None:
@@ -77,6 +78,7 @@ def test_large_files_are_compared_by_size_before_a_run_counts_as_up_to_date(
     assert run.damage() == {"series.parquet": "its SHA-256 differs from the manifest's"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_damaged_rows_are_not_resumed_and_nothing_is_deleted(tmp_path: Path, suffix: str) -> None:
     """One bit before the checkpoint, anywhere; behind it the file is cut off and damage does no harm."""
@@ -159,6 +161,7 @@ def test_verify_finished_and_unfinished_runs(cli, in_tmp: Path) -> None:
     assert [file["name"] for file in damaged] == ["series.parquet", "series.parquet"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["manifest", "missing", "longer", "checkpoint"])
 def test_verify_names_every_damaged_file(cli, in_tmp: Path, kind: str) -> None:
     folder = run_experiment(small(), in_tmp, stop=after(7)).stored.folder

@@ -89,6 +89,7 @@ def test_errors_that_are_not_finite_are_drawn_and_told_as_none(result: dict[str,
     assert set(panel.columns) == set(data)
 
 
+@pytest.mark.slow
 def test_end_to_end(cli: Any) -> None:
     scenes = ("--scene", "lagrange", "--scene", "kowalevski-paper")
     arguments = (*scenes, "--against", "none", "--budget", "0.001", "--repetitions", "1")

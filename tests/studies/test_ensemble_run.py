@@ -277,6 +277,7 @@ def command(cli, *arguments: str) -> tuple[int, str, str]:
     return said.code, said.out, said.err
 
 
+@pytest.mark.slow
 def test_the_command_line(cli, in_tmp: Path) -> None:
     small = ("--set", "ensemble.random.count=20", "--set", "N=200")
     code, out, err = command(cli, "run", "kowalevski_ensemble", *small, "--threads", "2")

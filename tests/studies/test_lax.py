@@ -153,6 +153,7 @@ def test_what_the_spectra_carry() -> None:
     assert (content.independent, content.carries) == (2, ("energy",))
 
 
+@pytest.mark.slow
 @each_form
 def test_spectrum_along_the_flow(equations: EulerPoisson, form: LaxForm) -> None:
     """Constant along the exact flow; not under the explicit midpoint rule."""

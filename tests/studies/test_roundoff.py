@@ -190,6 +190,7 @@ def test_command(cli, tmp_path: Path) -> None:
     assert told["forms"][1]["options"] == {"branch": "nearest", "compensated": True}
 
 
+@pytest.mark.slow
 def test_command_tells_violations(cli) -> None:
     few = ("--steps", "2e4", "--copies", "2")
     assert cli("roundoff", "hybrid-xi", *few, "--max-exponent", "0.6", "--max-drift", "1e-13").code == 0
@@ -216,6 +217,7 @@ def test_command_refuses(cli) -> None:
     assert "error: rk4 with plain sums: blew up at step" in said.err
 
 
+@pytest.mark.slow
 def test_picture_leaves_out_what_never_changed() -> None:
     experiment = roundoff_experiment("hk", "lagrange_hk")
     data, lines = growth_data(roundoff_study(experiment, 20_000, 2))

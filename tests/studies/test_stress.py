@@ -223,6 +223,7 @@ def test_the_papers_hybrid_does_not_return() -> None:
     assert finding("there-and-back", "hybrid", self_adjoint=True).result is Result.BROKE
 
 
+@pytest.mark.slow
 def test_claimed_invariants_do_not_drift() -> None:
     for scheme in ("hybrid-sym", "dg4", "hk-symproj"):
         held = finding("drift", scheme, N=200_000)

@@ -255,6 +255,7 @@ def test_carlsons_integrals_to_thirty_five_digits(arguments: tuple[str, str, str
             assert abs(mpf(str(got)) / exact - 1) < mpf(10) ** -35
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m1", [1.0, 0.7, 0.01, 1e-6, 1e-12, 1e-25])
 def test_jacobis_functions_keep_the_digits_of_the_small(m1: float) -> None:
     """sn, cn and dn to some ulp each of its own size, though cn and dn fall to sqrt(m1) and below."""

@@ -92,6 +92,7 @@ def test_slope_errors_are_honest(kind: str, walks: tuple[float, float], least: f
     assert least < np.median(ratios) < 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "steps"), [("walk", 1), ("means of a walk", 10)])
 def test_a_walk_has_the_error_of_its_increments(kind: str, steps: int) -> None:
     """The standard error of a walk's slope from the covariance min(i, j) of its values, written out here."""

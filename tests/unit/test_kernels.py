@@ -97,6 +97,7 @@ def test_sinc_and_cosc_are_exact_at_zero() -> None:
     assert sinc_cosc(0.0) == (1.0, 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 1e-2, 1.0, 7.0])
 def test_rodrigues_against_the_increment_in_forty_digits(size: float) -> None:
     """Relative to the angle, also where the paper's matrix loses it among the digits of 1."""

@@ -279,6 +279,7 @@ def test_backward_is_forward_with_the_spin_reversed():
     assert not np.array_equal(backward[-1], reference_states(Heavy(), GEN, times)[-1])
 
 
+@pytest.mark.slow
 @given(st.integers(-500, 500), st.integers(-400, 400))
 def test_powers_of_two_scale_through(k, m):
     """omega 2^k, gamma 2^m, c0 2^(2k-m), t 2^-k is the same motion, bit for bit, at the ends of the range too."""
