@@ -138,7 +138,7 @@ def test_one_failure_does_not_stop_the_rest(cli, in_tmp: Path) -> None:
     assert not (in_tmp / "results" / "kowalevski_hybrid").exists()
 
 
-def test_blow_up_is_told_kept_and_marked(cli, in_tmp: Path) -> None:
+def test_blow_up_is_reported_and_its_rows_kept(cli, in_tmp: Path) -> None:
     said = cli("run", HK, "--set", "initial.omega=[1e200, 1e200, 1e200]", "--set", "h=1.0", "--set", "N=50")
     assert said.code == 1
     assert "blew up at step 1 (t = 1)" in said.err
@@ -222,7 +222,7 @@ def test_schema_is_json_schema(cli) -> None:
         (("plot", "fig1", "--all"), ("one of the two",)),
     ],
 )
-def test_mistakes_are_told_in_a_line_or_three(
+def test_mistakes_take_at_most_three_lines(
     cli, in_tmp: Path, arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
     said = cli(*arguments)
@@ -311,7 +311,7 @@ def test_options_reach_every_scheme_that_has_them(cli) -> None:
     assert changed == {"hk": {}, "hybrid": {"branch": "sign"}, "bohlin-a": {"branch": "sign"}}
 
 
-def test_an_unwritable_folder_is_told_before_anything_is_computed(cli, in_tmp: Path) -> None:
+def test_an_unwritable_folder_is_refused_before_computing(cli, in_tmp: Path) -> None:
     (in_tmp / "file").write_text("")
     for arguments in (("compare", "hk", "--plot"), ("plot", "fig1")):
         said = cli(*arguments, "--out", "file")
@@ -327,7 +327,7 @@ def test_init_does_not_overwrite_a_file_of_the_users(cli, in_tmp: Path) -> None:
     assert not (in_tmp / "first.yaml").exists()
 
 
-def test_several_tables_are_told_apart(cli) -> None:
+def test_several_tables_have_titles(cli) -> None:
     out = cli("run", HK, HYBRID, "--set", "N=100").out
     assert out.splitlines()[0] == "kowalevski_hk"
     assert "kowalevski_hybrid" in out.splitlines()

@@ -224,7 +224,7 @@ def test_toml_key_lines() -> None:
     assert not any("j" in path for path in lines)
 
 
-def test_several_mistakes_are_told_at_once(tmp_path: Path) -> None:
+def test_several_mistakes_are_reported_at_once(tmp_path: Path) -> None:
     text = BASE.replace("h: 0.001", "h: 0").replace("c0", "c_0").replace("hk", "hkk").replace("100", "0")
     told = refusal(write(tmp_path, text)).splitlines()
     assert len(told) == 3

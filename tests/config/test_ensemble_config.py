@@ -113,7 +113,7 @@ def test_a_grid_over_a_whole_vector_needs_no_initial_one() -> None:
     assert states(found).tolist() == [list(x) for x in itertools.product((0.1, 0.2), repeat=3)]
 
 
-def test_forms_of_a_top_are_told_by_the_vectors_that_are_drawn() -> None:
+def test_random_vectors_decide_the_form_of_a_top() -> None:
     random = {"count": 5, "m": {"sphere": 2}, "a": "sphere"}
     found = any_from({**BASE, "top": "lagrange", "initial": {}, "scheme": "bs", "ensemble": {"random": random}})
     assert isinstance(found, EnsembleExperiment)
@@ -158,7 +158,7 @@ def test_forms_of_a_top_are_told_by_the_vectors_that_are_drawn() -> None:
         ("  gamma: [auto, 0, 1e-3]\n", "  gama: [0, 0, 1]\n", ("initial.gama: unknown key; did you mean 'gamma'?",)),
     ],
 )
-def test_mistakes_are_told_with_their_place(tmp_path: Path, old: str, new: str, said: tuple[str, ...]) -> None:
+def test_mistakes_are_reported_with_file_and_line(tmp_path: Path, old: str, new: str, said: tuple[str, ...]) -> None:
     assert old in TEXT
     message = refusal_of(write(tmp_path, TEXT.replace(old, new)))
     for part in said:

@@ -86,6 +86,8 @@ def test_every_key_of_a_run_enters_its_digest(scene: str, scheme: str) -> None:
             other["top"]["B"] = other["top"]["A"]
         digests[path] = single_from(other).digest
     assert len(set(digests.values())) == len(digests)
+    assert {path[1] for path in digests if path[:1] == ("scheme",)} == set(options)
+    assert {path[1] for path in digests if path[:1] == ("output",)} == {"format", "every", "columns"}
     assert {path[0] for path in digests if path} >= {"name", "top", "initial", "h", "N", "output"}
 
 

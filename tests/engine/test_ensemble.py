@@ -271,7 +271,7 @@ def test_an_interruption_keeps_what_there_is(name: str, monkeypatch: pytest.Monk
     assert len(rows[done][0]) == step + 1
 
 
-def test_a_step_that_cannot_be_compiled_is_told() -> None:
+def test_a_step_that_cannot_be_compiled_is_reported() -> None:
     from topcli.errors import SchemeCodeError
 
     def step(s: Floats, h: float, p: Floats) -> Floats:

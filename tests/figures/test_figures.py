@@ -121,7 +121,7 @@ def test_packaged_scenes_serve_where_there_are_no_configs(tmp_path: Path) -> Non
     assert made.status == "drawn"
 
 
-def test_a_config_without_the_columns_is_told(tmp_path: Path) -> None:
+def test_a_config_without_the_columns_is_refused(tmp_path: Path) -> None:
     (tmp_path / "kowalevski_hk.yaml").write_text(
         (ROOT / "configs" / "kowalevski_hk.yaml").read_text() + "\noutput:\n  columns: [t, gamma1]\n"
     )

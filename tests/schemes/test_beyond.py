@@ -209,7 +209,7 @@ def test_near_the_homoclinic_orbit_the_phase_is_right(name: str) -> None:
     assert mine < 1e-3
 
 
-def test_counters_tell_what_was_not_met() -> None:
+def test_counters_report_unmet_tolerances() -> None:
     generic = ran(stepper("hk-projected"), GEN, 0.01, 1000)[1].counters
     assert 1000 <= generic["corrections"] <= 4000
     assert generic["unmet"] == 0

@@ -61,7 +61,7 @@ def test_every_hk_and_the_hybrids_have_the_option() -> None:
     assert all(issubclass(one.options, CompensatedOption) and one.options().compensated is False for one in SCHEMES)
 
 
-def test_what_a_sum_loses() -> None:
+def test_carried_sum_returns_the_lost_part() -> None:
     """Exactly, where the change is the smaller one; else up to the last bit of the change."""
     random = np.random.default_rng(5)
     for y, d, e in zip(*random.normal(size=(3, 2000)), strict=True):

@@ -98,7 +98,7 @@ def test_solves_its_equation(h: float) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_carried_changes_nothing() -> None:
+def test_carried_prediction_changes_only_iteration_counts() -> None:
     """Forgetting the expected change before every step gives the same trajectory to round-off, with more iterations."""
     p, h = (1.0,), 0.05
     s = forgetful = enter(GEN, h, p)

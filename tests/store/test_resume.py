@@ -145,7 +145,7 @@ def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> 
     assert [path.name for path in tmp_path.iterdir()] == [NAME], "superseded, and swept away"
 
 
-def test_nothing_to_resume_starts_afresh_saying_so(tmp_path: Path) -> None:
+def test_resume_without_a_checkpoint_starts_from_step_0(tmp_path: Path) -> None:
     told: list[str] = []
     assert run_experiment(small(), tmp_path, resume=True, tell=told.append).status == "ran"
     assert told == [f"{NAME}: nothing to resume; starts afresh"]

@@ -77,7 +77,7 @@ def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
     assert [path.name for path in out.iterdir()] == [NAME]
 
 
-def test_a_checkpoint_that_cannot_be_written_is_told_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_checkpoint_names_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sync, calls = os.fsync, iter(range(10**6))
 
     def full(handle: int) -> None:

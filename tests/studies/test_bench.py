@@ -131,7 +131,7 @@ def test_a_failing_setting_is_passed_over(short: Problem) -> None:
 
 
 @pytest.mark.slow
-def test_a_step_that_cannot_be_compiled_is_told_and_stops_nothing_else(short: Problem) -> None:
+def test_a_step_that_cannot_be_compiled_stops_nothing_else(short: Problem) -> None:
     def step(s: Any, h: float, p: Any) -> Any:
         return print(s)
 

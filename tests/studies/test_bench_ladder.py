@@ -93,7 +93,7 @@ def test_every_adaptive_scheme_has_a_ladder() -> None:
 # scenes and who takes part
 
 
-def test_scenes_are_as_told() -> None:
+def test_bench_scenes_have_their_tops_and_durations() -> None:
     problems = {problem.name: problem for problem in bench_problems((), ())}
     assert list(problems) == list(SCENES)
     assert problems["kowalevski-generic"].duration == 1000.0

@@ -79,7 +79,7 @@ def test_a_half_written_result_is_none(result: dict[str, Any], tmp_path: Path) -
 # the command
 
 
-def test_errors_that_are_not_finite_are_drawn_and_told_as_none(result: dict[str, Any], tmp_path: Path) -> None:
+def test_non_finite_errors_are_stored_and_drawn_as_missing(result: dict[str, Any], tmp_path: Path) -> None:
     lost = json.loads(json.dumps(result))
     lost["competitors"][0]["points"][0]["error"] = None
     store_bench(lost, "code", "start", "end", tmp_path / "bench")
@@ -127,7 +127,7 @@ def test_end_to_end(cli: Any) -> None:
         (("--scene", "euler", "--set", "h=1"), "none is given"),
     ],
 )
-def test_mistakes_are_told_with_what_would_be_right(cli: Any, arguments: tuple[str, ...], told: str) -> None:
+def test_mistakes_are_reported_with_a_correction(cli: Any, arguments: tuple[str, ...], told: str) -> None:
     failed = cli("bench", *arguments)
     assert failed.code == 2
     assert told in failed.err

@@ -261,7 +261,7 @@ def test_mistakes(cli, arguments: tuple[str, ...], words: tuple[str, ...]) -> No
 
 
 @pytest.mark.slow
-def test_a_run_that_fails_is_told(cli) -> None:
+def test_a_run_that_fails_is_reported(cli) -> None:
     said = cli("lax", "heavy", "rk2", "midpoint", "--set", "h=60.0", "--set", "N=20", "--set", "top.x0=50")
     assert said.code == 1
     assert "error: rk2: blew up" in said.err

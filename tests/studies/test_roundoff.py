@@ -54,7 +54,7 @@ def test_a_bias(bias: float) -> None:
     assert pure.exponent == pytest.approx(1.0, abs=0.01)
 
 
-def test_what_does_not_grow() -> None:
+def test_growth_of_noise_is_flat() -> None:
     flat = growth(noise(2), 100, 1.0)
     assert (flat.verdict, flat.exponent) == ("flat", pytest.approx(0.0, abs=0.03))
     still = growth(np.zeros((4, 64)), 100, 1.0)

@@ -37,11 +37,10 @@ def report(values: np.ndarray, h: float = 0.01, pieces: int = 1):
 
 N = 20_000
 TIMES = 0.01 * np.arange(N + 1)
-RANDOM = np.random.default_rng(7)
 
 
 def test_known_slope_is_recovered_within_its_error() -> None:
-    noise = RANDOM.normal(size=N + 1) * 1e-3
+    noise = np.random.default_rng(7).normal(size=N + 1) * 1e-3
     row = report(1.0 + 2e-4 * TIMES + noise)
     assert row.verdict == "drifting"
     assert abs(row.drift - 2e-4) < 4.0 * row.drift_error
@@ -161,7 +160,10 @@ def test_a_small_drift_under_an_oscillation_is_found(period: float) -> None:
 
 
 def test_round_off_walk_is_exact_and_a_larger_one_is_not() -> None:
-    walk = np.concatenate([[0.0], np.cumsum(RANDOM.choice([-1.0, 1.0], size=N))]) * np.finfo(float).eps
+    signs = np.random.default_rng(8).choice([-1.0, 1.0], size=N)
+    walk = np.concatenate([[0.0], np.cumsum(signs)]) * np.finfo(float).eps
+        np.concatenate([[0.0], np.cumsum(np.random.default_rng(8).choice([-1.0, 1.0], size=N))]) * np.finfo(float).eps
+    )
     assert report(1.0 + 2.0 * walk).verdict == "exact"
     assert report(1.0 + 400.0 * walk).verdict != "exact"
     row = report(1.0 + 2.0 * walk)
@@ -174,7 +176,7 @@ def test_a_linear_loss_of_one_ulp_a_step_is_not_exact() -> None:
 
 
 def test_the_figures_are_those_of_the_series() -> None:
-    values = 2.0 + 0.1 * np.sin(TIMES) + 0.01 * RANDOM.normal(size=N + 1)
+    values = 2.0 + 0.1 * np.sin(TIMES) + 0.01 * np.random.default_rng(9).normal(size=N + 1)
     row = report(values)
     assert row.first == values[0]
     assert (row.min, row.max) == (values.min(), values.max())

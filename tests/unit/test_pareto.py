@@ -110,7 +110,7 @@ def test_the_decades_name_the_fastest_and_by_how_much() -> None:
     assert rows[1e-12]["words"] == "for an error of 1e-12: nothing measured reaches it"
 
 
-def test_the_next_is_another_program_and_ties_are_told() -> None:
+def test_the_next_best_is_another_program_and_ties_are_named() -> None:
     points = curve(4, [1.0, 0.5, 0.25, 0.125])
     two = [competitor("heyoka", "peer", points), competitor("heyoka high-accuracy", "peer", points)]
     other = competitor("rk4", "topcli", [Point(p.error, 1.01 * p.seconds, p.setting) for p in points])
