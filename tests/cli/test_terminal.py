@@ -263,7 +263,6 @@ def test_nothing_given_prints_the_help(cli) -> None:
     assert "Commands:" in said.out + said.err
 
 
-@pytest.mark.slow
 def test_help_is_readable(cli, monkeypatch: pytest.MonkeyPatch) -> None:
     """Summaries whole at 80 columns; no types of Python, no backticks; a metavar for every option with a value."""
     monkeypatch.setenv("COLUMNS", "80")

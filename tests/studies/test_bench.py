@@ -193,7 +193,6 @@ def test_names_of_peers() -> None:
         find_peers(["scipy", "SciPy"])
 
 
-@pytest.mark.slow
 def test_scipy_as_a_peer(short: Problem) -> None:
     """A peer that is always there, in its process: its errors fall with its tolerance, and its seconds are counted."""
     result = bench(short, choose(short, ("rk4",)), find_peers(["scipy"]), Effort(0.02, 1))

@@ -217,7 +217,6 @@ def test_command_refuses(cli) -> None:
     assert "error: rk4 with plain sums: blew up at step" in said.err
 
 
-@pytest.mark.slow
 def test_picture_leaves_out_what_never_changed() -> None:
     experiment = roundoff_experiment("hk", "lagrange_hk")
     data, lines = growth_data(roundoff_study(experiment, 20_000, 2))
@@ -226,7 +225,6 @@ def test_picture_leaves_out_what_never_changed() -> None:
     assert len(lines) == 6
 
 
-@pytest.mark.slow
 def test_the_figures_curves() -> None:
     """A biased algebra, a random walk, a smaller one, and nothing that grows: the picture shows what it says."""
     columns = growth_columns()

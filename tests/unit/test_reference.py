@@ -201,7 +201,6 @@ def test_the_swing_in_closed_form(w, c):
         assert error < 1e-31 * 50 * math.exp(16)
 
 
-@pytest.mark.slow
 def test_series_coefficients_against_those_of_the_closed_form():
     with mp.workdps(50):
         t0 = mp.mpf("0.3")
