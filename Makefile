@@ -1,5 +1,6 @@
 # make figures   install what runs need and draw the paper's figures into results/figures
-# make test      install what tests need and run them
+# make quick     the tests that are not slow: every module's main path, in half a minute on two cores
+# make test      install what tests need and run them all
 # make check     lint, format, types, layers, tests
 # make docs      the documentation as HTML in docs/_build/html
 # make docs-images  the pictures in docs/images, with a summary of their data
@@ -14,7 +15,7 @@ BIN := $(VENV)/bin
 NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
 export NUMBA_CACHE_DIR
 
-.PHONY: venv figures test check attack docs docs-images bench bench-steps clean
+.PHONY: venv figures quick test check attack docs docs-images bench bench-steps clean
 
 venv: $(VENV)/.installed
 
@@ -28,6 +29,9 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 
 figures: $(VENV)/.installed
 	@$(BIN)/topcli plot --all
+
+quick: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -n auto -m "not slow"
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto

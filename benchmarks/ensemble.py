@@ -2,7 +2,7 @@
 
     python benchmarks/ensemble.py [--json] [--repetitions 41]
 
-The baseline is one step of the straightforward HK scheme (block elimination, ``tests/twins.py``) in the engine's time
+The baseline is one step of the straightforward HK scheme (block elimination, ``hk_block``) in the engine's time
 loop, as in ``benchmarks/steps.py``; the second ratio is against the same scheme's own step in that loop. Repetitions
 are interleaved; every figure is the median over them of the ratio, with the ratio of the least times beside it. Nothing
 is recorded. Two threads need two idle CPUs: on a busy machine only the best of many short runs tells anything.
@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "src")]
+sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/support", "src")]
 
 from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402

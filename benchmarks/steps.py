@@ -28,7 +28,7 @@ from c_peer import compiled
 from ratios import ratio_rows, show_rows
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "src")]
+sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/support", "src")]
 
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine.driver import loop_of  # noqa: E402

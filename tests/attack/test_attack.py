@@ -1,0 +1,326 @@
+"""The attack itself: it sees each kind of fault that it looks for, and what holds today still holds under a small one.
+
+``make attack`` is the large one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from attack.__main__ import arguments
+from attack.command import Said
+from attack.damage import Case, Sandbox, foreign_kept, meet, plot, verify
+from attack.fuzz import misread, read_back, wrong_run
+from attack.judge import CODES, Finding, content, judged, rows_apart, wrong_content
+from attack.kills import Life, Start
+from attack.mutations import CORPUS, MUTATIONS, Mutant, draw_for, mutant
+from attack.scenes import Scene
+from attack.spoil import FOREIGN
+from conftest import ROOT
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.store.series import write_parquet
+from topcli.studies.run import run_experiment
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the attack calls topcli in forks")
+TESTS = ROOT / "tests"
+HK = ROOT / "configs" / "kowalevski_hk.yaml"
+
+
+def python(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")]).strip(os.pathsep)
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+
+
+def attack(folder: Path, *arguments: str) -> str:
+    """What a small attack prints, in which nothing may be found."""
+    done = python("-m", "attack", *arguments, "--folder", folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+FINE = ("nothing", "write in out", "tab and letters", "message of 1000", "two messages", "codes")
+SEEN = {
+    "segfault": ["signal"],
+    "exception": ["traceback"],
+    "unknown code": ["exit code"],
+    "code of a bug": ["traceback"],
+    "hang": ["hang"],
+    "slow": ["slow"],
+    "message of 1001": ["long message"],
+    "message of many lines": ["long message"],
+    "escape": ["control character"],
+    "carriage return": ["control character"],
+    "C1": ["control character"],
+    "bidi": ["control character"],
+    "write outside": ["touched"],
+    "remove outside": ["touched"],
+    "rename to outside": ["touched"],
+    "folder outside": ["touched"],
+}
+
+
+@pytest.mark.slow
+def test_every_planted_fault_is_seen_and_nothing_else(tmp_path: Path) -> None:
+    done = python(TESTS / "attack" / "plants.py", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {name: SEEN.get(name, []) for name in (*FINE, *SEEN)}
+
+
+def test_the_codes_are_those_of_the_table() -> None:
+    assert {0, 1, 2, 3, 4, 130} == CODES
+    assert [kind for code in range(-1, 140) for kind, _ in judged(Said(("run",), code, "", ""))].count("exit code") == (
+        140 - len(CODES) - 1
+    )
+
+
+def test_a_finding_is_one_line_without_control_characters() -> None:
+    line = str(Finding("kind", "fuzz 1", "a\n\x1b[31m\u202e" + "x" * 500))
+    assert line.startswith("kind: fuzz 1: a\\n\\x1b[31m\\u202ex")
+    assert len(line) < 330
+
+
+# --- wrong rows -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"x": np.array([1.0, np.nextafter(0.1, 1), np.nan, 0.0])}, "1 rows differ, first x[1]"),
+        ({"x": np.array([1.0, 0.1, np.nan, -0.0])}, "1 rows differ, first x[3]"),
+        ({"x": np.array([1.0, 0.1, 0.0, 0.0])}, "1 rows differ, first x[2]"),
+        ({"n": np.array([0, 1, 2, 4])}, "1 rows differ, first n[3]"),
+        ({"x": np.array([1.0, 0.1, np.nan])}, "3 rows, not 4"),
+        ({"y": np.zeros(4)}, "columns ['n', 'x', 'y']"),
+    ],
+)
+def test_rows_that_differ_in_a_bit(change: dict[str, np.ndarray], told: str) -> None:
+    rows = {"n": np.arange(4), "x": np.array([1.0, 0.1, np.nan, 0.0])}
+    assert rows_apart(rows, {name: values.copy() for name, values in rows.items()}) == ""
+    assert rows_apart(rows, {**rows, **change}).startswith(told)
+
+
+def run(out: Path, *overrides: str) -> tuple[Experiment, Path]:
+    experiment = load_experiment(HK, ["N=12", *overrides])
+    return experiment, run_experiment(experiment, out).stored.folder
+
+
+def test_a_run_folder_that_is_not_what_it_should_be(tmp_path: Path) -> None:
+    _, whole = run(tmp_path / "whole")
+    _, other = run(tmp_path / "other", "h=0.002")
+    expected = content(whole)
+    assert wrong_content(expected, run(tmp_path / "again")[1]) == ""
+    for name, told in {
+        "series.parquet": "11 rows differ|12 rows differ",
+        "report.json": "another report",
+        "manifest.json": "another manifest",
+        "config.yaml": "another config",
+    }.items():
+        mixed = tmp_path / f"mixed-{name}"
+        shutil.copytree(whole, mixed)
+        shutil.copyfile(other / name, mixed / name)
+        assert re.match(told, wrong_content(expected, mixed)), name
+        (mixed / name).write_bytes(b"{")
+        assert "cannot be read" in wrong_content(expected, mixed) or name == "config.yaml"
+
+
+def test_a_run_whose_rows_are_not_those_of_its_step(tmp_path: Path) -> None:
+    experiment, folder = run(tmp_path)
+    said = Said(("run",), 0, "", "")
+    assert wrong_run(experiment, said, tmp_path) == ""
+    assert wrong_run(experiment, Said(("run",), 1, "", ""), tmp_path) == "outcome completed, exit code 1"
+    assert "plain Python" in wrong_run(load_experiment(HK, ["N=12", "h=0.0010000001"]), said, tmp_path)
+    assert "initial state" in wrong_run(load_experiment(HK, ["N=12", "initial.omega=[2, 0, 1]"]), said, tmp_path)
+    shutil.rmtree(folder)
+    assert wrong_run(experiment, said, tmp_path) == "it left with 0 and there is no run folder"
+
+
+@pytest.mark.parametrize("file", ["kowalevski_hk.yaml", "kowalevski_generic_hk.toml"])
+def test_a_config_that_is_read_otherwise(tmp_path: Path, file: str) -> None:
+    case = Mutant(file, CORPUS[file].encode(), "")
+    path = tmp_path / file
+    path.write_bytes(case.content)
+    assert misread(case, load_experiment(path)) == ""
+    assert read_back(load_experiment(path), tmp_path) == ""
+    for change in ("h=0.02", "N=11", "top.c0=1.5", "initial.omega=[0.7, -0.4, 1.25]"):
+        assert misread(case, load_experiment(path, [change])).startswith(change.partition("=")[0])
+
+
+# --- what the damages and the kills look for -------------------------------------------------------------------------
+
+
+class Box(Sandbox):
+    """A sandbox in which every call of the command says the same."""
+
+    def __init__(self, folder: Path, said: Said, case: Case) -> None:
+        super().__init__(folder, case)
+        self.out.mkdir()
+        self.said = said
+
+    def call(self, *argv: str) -> Said:
+        return self.said
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    _, folder = run(tmp_path / "before")
+    return Scene("finished", folder.name, HK, tmp_path / "before", content(folder))
+
+
+def box(scene: Scene, tmp_path: Path, code: int, out: str, path: str = "series.parquet") -> Box:
+    """A sandbox with a copy of ``scene``, where the file ``path`` counts as damaged."""
+    made = Box(tmp_path / "box", Said(("run",), code, out, ""), Case("finished", f"{scene.name}/{path}", "bit"))
+    shutil.copytree(scene.before, made.out, dirs_exist_ok=True)
+    return made
+
+
+def test_a_damaged_series_that_counts_as_up_to_date(scene: Scene, tmp_path: Path) -> None:
+    whole = box(scene, tmp_path, 0, "(up to date)")
+    meet(scene, whole, [], resumable=False)
+    assert whole.case.faults == []
+    os.truncate(whole.out / scene.name / "series.parquet", 100)
+    meet(scene, whole, [], resumable=False)
+    assert whole.case.faults[0][0] == "wrong rows"
+    shutil.copytree(run(tmp_path / "other", "h=0.002")[1], whole.out / scene.name, dirs_exist_ok=True)
+    meet(scene, whole, ["--resume"], resumable=False)
+    assert "rows differ" in whole.case.faults[1][1]
+    assert len(whole.case.faults) == 2
+
+
+def test_a_damaged_file_whose_rows_are_right_is_still_damaged(scene: Scene, tmp_path: Path) -> None:
+    marked = box(scene, tmp_path, 0, "(up to date)")
+    scene.expected.files["series.parquet"] += b" "
+    meet(scene, marked, [], resumable=False)
+    assert [kind for kind, _ in marked.case.faults] == ["taken for good"]
+
+
+def test_a_report_that_is_told_wrongly(scene: Scene, tmp_path: Path) -> None:
+    told = {**scene.expected.report, "step": 11}
+    wrong = box(scene, tmp_path, 0, json.dumps({"runs": [told]}))
+    meet(scene, wrong, ["--json"], resumable=False)
+    assert "tells another step" in wrong.case.faults[0][1]
+
+
+def test_a_checkpoint_that_is_gone_after_a_refusal(scene: Scene, tmp_path: Path, monkeypatch) -> None:
+    lost = box(scene, tmp_path, 1, "")
+    checkpoint = lost.out / scene.name / "checkpoint.npz"
+    checkpoint.write_text("x")
+    meet(scene, lost, ["--resume"], resumable=True)
+    assert lost.case.faults == []
+    monkeypatch.setattr(lost, "call", lambda *argv: checkpoint.unlink() or lost.said)
+    meet(scene, lost, ["--resume"], resumable=True)
+    assert [kind for kind, _ in lost.case.faults] == ["lost"]
+
+
+@pytest.mark.parametrize(("code", "out", "faults"), [(1, "series.parquet: x", 0), (0, "", 1), (1, "damaged", 1)])
+def test_verify_must_name_the_file(scene: Scene, tmp_path: Path, code: int, out: str, faults: int) -> None:
+    asked = box(scene, tmp_path, code, out)
+    verify(scene, asked, "series.parquet")
+    assert [kind for kind, _ in asked.case.faults] == ["taken for good"] * faults
+
+
+def test_a_figure_of_other_rows(scene: Scene, tmp_path: Path) -> None:
+    drawn = box(scene, tmp_path, 0, "")
+    (drawn.out / "figures").mkdir()
+    rows = {name: scene.expected.rows[name].copy() for name in ("t", "gamma1")}
+    write_parquet(drawn.out / "figures" / "fig1.parquet", rows, {})
+    plot(scene, drawn)
+    assert drawn.case.faults == []
+    rows["gamma1"][5] = np.nextafter(rows["gamma1"][5], 2.0)
+    write_parquet(drawn.out / "figures" / "fig1.parquet", rows, {})
+    plot(scene, drawn)
+    assert "1 rows differ, first gamma1[5]" in drawn.case.faults[0][1]
+
+
+def test_files_of_others_that_are_gone(scene: Scene, tmp_path: Path) -> None:
+    kept = box(scene, tmp_path, 0, "")
+    (kept.out / "theirs").write_text(FOREIGN)
+    foreign_kept(kept, 1)
+    assert kept.case.faults == []
+    foreign_kept(kept, 2)
+    assert [kind for kind, _ in kept.case.faults] == ["lost"]
+
+
+def test_what_a_kill_must_not_leave(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    life = Life(Start(scene, tmp_path / "empty", []), tmp_path / "life")
+    assert life.check(0) == 0
+    with pytest.raises(AssertionError, match="went back from step 5 to 0"):
+        life.check(5)
+    with pytest.raises(AssertionError, match="an earlier finished run was lost"):
+        Life(Start(scene, tmp_path / "empty", [scene.expected]), tmp_path / "life").check(0)
+    Life(Start(scene, scene.before, [scene.expected]), tmp_path / "life").check(0)
+    (tmp_path / "life" / "out" / scene.name / "report.json").write_text("{")
+    with pytest.raises(ValueError, match="cannot be read"):
+        life.check(0)
+
+
+# --- the attack as a whole ------------------------------------------------------------------------------------------
+
+
+def test_mutants_follow_from_the_seed_and_every_mutation_changes_something() -> None:
+    assert [mutant(5, i) for i in range(40)] == [mutant(5, i) for i in range(40)]
+    assert mutant(5, 1) != mutant(6, 1)
+    for number, mutation in enumerate(dict.fromkeys(MUTATIONS)):
+        texts = [CORPUS["kowalevski_hk.yaml"], CORPUS["kowalevski_generic_hk.toml"]]
+        changed = [mutation(draw_for(number, "", i), text) != text for i in range(6) for text in texts]
+        assert sum(changed) >= 6, mutation.__name__
+
+
+@pytest.mark.slow
+def test_mutated_configs(tmp_path: Path) -> None:
+    """With this seed long names, which the messages repeat whole, come later."""
+    printed = attack(tmp_path, "fuzz", "--seed", "1", "--configs", "150", "--workers", "2")
+    counted = re.search(r"fuzz: 150 configs, (\d+) accepted in", printed)
+    assert counted
+    assert 30 < int(counted[1]) < 120
+
+
+@pytest.mark.slow
+def test_damaged_files_and_kills(tmp_path: Path) -> None:
+    """Damages that hold: of checkpoints, series and folders, the last one of the machine-code cache."""
+    cases = ["2", "4", "6", "8", "10", "12", "16", "18", "11"]
+    printed = attack(tmp_path, "damage", "kills", "--seed", "1", "--only", *cases, "--kills", "2")
+    assert f"damage: {len(cases)} damaged files in" in printed
+    assert re.search(r"kills: 2 kills, \d+ finished", printed)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["pieces"], "no such part: pieces"),
+        (["--only", "1"], "--only wants"),
+        (["kills", "--only", "1"], "--only wants"),
+    ],
+)
+def test_wrong_usage(
+    words: list[str], told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["attack", *words])
+    with pytest.raises(SystemExit):
+        arguments()
+    assert told in capsys.readouterr().err
+
+
+def test_the_environment_says_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, number in {"SEED": "7", "CONFIGS": "8", "DAMAGES": "9", "KILLS": "10"}.items():
+        monkeypatch.setenv(f"ATTACK_{name}", number)
+    monkeypatch.setattr(sys, "argv", ["attack", "--kills", "3"])
+    asked = arguments()
+    assert (asked.seed, asked.configs, asked.damages, asked.kills) == (7, 8, 9, 3)
+    assert asked.parts == ["fuzz", "damage", "kills"]

@@ -1,0 +1,112 @@
+"""Distributions: a wheel from the source distribution holds the scenes, and runs far from any checkout."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from conftest import ROOT
+
+SUFFIXES = {".py", ".yaml", ".toml", ".mplstyle"}
+
+
+def build(source: Path, target: str, into: Path) -> Path:
+    """Build a distribution without a network, in a process of its own."""
+    command = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(into)]
+    subprocess.run(command, cwd=source, check=True, capture_output=True, text=True)
+    (made,) = into.glob("*.tar.gz" if target == "sdist" else "*.whl")
+    return made
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel that is built from the source distribution."""
+    folder = tmp_path_factory.mktemp("dist")
+    with tarfile.open(build(ROOT, "sdist", folder)) as archive:
+        assert not [member.name for member in archive if member.issym() or member.islnk()]
+        archive.extractall(folder / "unpacked", filter="data")
+    (source,) = (folder / "unpacked").iterdir()
+    return build(source, "wheel", folder)
+
+
+def run_python(python: Path, where: Path, *arguments: str, **environment: str) -> str:
+    """Standard output of a Python process in the folder ``where``, which knows nothing of this checkout."""
+    cleared = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    done = subprocess.run(
+        [str(python), *arguments], cwd=where, env={**cleared, **environment}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def use(python: Path, where: Path, package: Path, **environment: str) -> None:
+    """Run a scene and list the schemes with the topcli in ``package``, in the folder ``where``."""
+    found = run_python(python, where, "-c", "import topcli; print(topcli.__file__)", **environment)
+    assert Path(found.strip()).resolve().parent == package.resolve()
+    for scene in ("kowalevski-hk", "kowalevski_generic_hk"):  # a YAML and a TOML file
+        run_python(python, where, "-m", "topcli", "run", scene, "--set", "N=100", "-q", **environment)
+        assert (where / "results" / scene.replace("-", "_") / "series.parquet").exists()
+    assert "hybrid" in run_python(python, where, "-m", "topcli", "list", "schemes", **environment)
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_the_package_and_the_scenes_and_no_more(wheel: Path) -> None:
+    package = ROOT / "src" / "topcli"
+    source = {path.relative_to(package).as_posix() for path in package.rglob("*") if path.is_file()}
+    wanted = {f"topcli/{name}" for name in source if "__pycache__" not in name}
+    wanted |= {f"topcli/scenes/{path.name}" for path in (ROOT / "configs").iterdir()}
+    names = set(zipfile.ZipFile(wheel).namelist())
+    about = {name for name in names if name.split("/")[0].endswith(".dist-info")}
+    assert names - about == wanted
+    assert {Path(name).suffix for name in wanted - {"topcli/py.typed"}} == SUFFIXES
+    assert {name.split("/", 1)[1] for name in about} == {
+        "METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_wheel_runs_in_an_environment_of_its_own(wheel: Path, tmp_path: Path) -> None:
+    """Its dependencies are those of this environment, which is on the path behind it."""
+    venv.create(tmp_path / "env", symlinks=True)
+    scripts = "Scripts" if os.name == "nt" else "bin"
+    python = tmp_path / "env" / scripts / "python"
+    packages = Path(
+        run_python(python, tmp_path, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
+    )
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(packages)
+    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    (tmp_path / "elsewhere").mkdir()
+    use(python, tmp_path / "elsewhere", packages / "topcli")
+
+
+@pytest.mark.slow
+def test_a_plain_checkout_finds_its_scenes(tmp_path: Path) -> None:
+    """Also one that was copied or unpacked by what knows no symbolic links."""
+    for name in ("src", "configs"):
+        linked = [path for path in (ROOT / name).rglob("*") if path.is_symlink()]
+        assert not linked
+        shutil.copytree(ROOT / name, tmp_path / "clone" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "elsewhere").mkdir()
+    source = tmp_path / "clone" / "src"
+    use(Path(sys.executable), tmp_path / "elsewhere", source / "topcli", PYTHONPATH=str(source))
+
+
+def test_an_editable_install_points_to_the_checkout_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No copy of a scene that would not follow the checkout."""
+    from hatchling.build import build_editable
+
+    monkeypatch.chdir(ROOT)
+    archive = zipfile.ZipFile(tmp_path / build_editable(str(tmp_path)))
+    (path,) = (name for name in archive.namelist() if ".dist-info/" not in name)
+    assert path.endswith(".pth")
+    assert archive.read(path).decode().strip() == str(ROOT / "src")

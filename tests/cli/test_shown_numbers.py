@@ -1,0 +1,338 @@
+"""A number shown equals the number stored: every cell of every printed table against its field in ``--json``.
+
+Studies are measured once; then each of their numbers is replaced by one of its own, so that two swapped columns or
+fields cannot look alike. What a cell shows is read from its text.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from shown import cells_of, cells_under, changed_result, distinct, named_differently, shows, table_of
+from topcli.studies import compare, lax, roundoff
+from topcli.studies.bench import run as bench
+
+
+def expect(row: list[str], label: str, values: list[tuple[Any, ...]]) -> None:
+    """The row has this label, and its cells show these values."""
+    assert row[0] == label
+    assert len(row) == len(values) + 1, row
+    for cell, shown in zip(row[1:], values, strict=True):
+        assert shows(cell, *shown), (label, cell, shown)
+
+
+@pytest.mark.parametrize(
+    ("config", "names"), [("kowalevski_hk", ("hk", "hybrid", "bohlin-a")), ("euler_hk", ("hk", "bs", "rk4"))]
+)
+def test_compare_shows_what_it_measured(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, config: str, names: tuple[str, ...]
+) -> None:
+    def change(found: Any) -> Any:
+        figures = distinct(found.figures, 1, keep=("power", "N", "every"))
+        return dataclasses.replace(found, figures=named_differently(figures, ("verdict", "model")))
+
+    monkeypatch.setattr(compare, "compare_schemes", changed_result(change, compare.compare_schemes))
+    command = ("compare", *names, "--config", config, "--set", "N=3000")
+    rows = table_of(cli(*command).out.partition("\n")[2], "hk")
+    found = cli(*command, "--json").json()
+    schemes = found["schemes"]
+    assert rows.pop(0) == list(names)
+    lines = iter(rows)
+
+    def line(label: str, *paths: Callable[[Any], Any]) -> None:
+        expect(next(lines), label, [tuple(path(scheme) for path in paths) for scheme in schemes])
+
+    line("outcome", lambda s: s["outcome"])
+    line("max error", lambda s: s["max_error"])
+    line("error at the end", lambda s: s["end_error"])
+    for i, row in enumerate(schemes[0]["invariants"]):
+        line(f"{row['symbol']} max deviation", lambda s, i=i: s["invariants"][i]["max_deviation"])
+        line(f"{row['symbol']} drift per unit time", lambda s, i=i: s["invariants"][i]["drift"])
+        line("its standard error", lambda s, i=i: s["invariants"][i]["drift_error"])
+        line("model", lambda s, i=i: s["invariants"][i]["model"])
+        line("verdict", lambda s, i=i: s["invariants"][i]["verdict"])
+    assert bool(expect_modified(lines, schemes)) == (config == "euler_hk")
+    label, *cells = next(lines)
+    assert shows(label.removeprefix("reversal defect at h = "), schemes[0]["reversal"]["h"])
+    expect(["defect", *cells], "defect", [(s["reversal"]["defect"],) for s in schemes])
+    line("its order in h", lambda s: "round-off" if s["reversal"]["order"] is None else s["reversal"]["order"])
+    label, *cells = next(lines)
+    spacing = found["reference"]["swing_spacing"]
+    assert spacing is None or shows(label.partition("reference ")[2].rstrip(")"), spacing)
+    expect(["spacing", *cells], "spacing", [(s["swing_spacing"],) for s in schemes])
+    line("ns per step", lambda s: s["nanoseconds_per_step"])
+    line("compile or load, s", lambda s: s["compile_seconds"])
+    assert next(lines, None) is None
+
+
+def expect_modified(lines: Iterator[list[str]], schemes: list[Any]) -> dict[str, Any]:
+    """The integrals of the schemes themselves, whose lines come next."""
+    modified = [{row["name"]: row for row in scheme["modified"]} for scheme in schemes]
+    known = {name: row for rows in modified for name, row in rows.items()}
+    for name, row in known.items():
+        having = [rows.get(name) for rows in modified]
+        expect(next(lines), f"{row['symbol']} max deviation", [(one and one["max_deviation"],) for one in having])
+        expect(next(lines), "verdict", [(one and one["verdict"],) for one in having])
+        if "correction" in row:
+            label, *cells = next(lines)
+            assert label == f"less {row['correction']['of']}, at most"
+            for cell, one in zip(cells, having, strict=True):
+                expect_correction(cell, one and one["correction"])
+    return known
+
+
+def expect_correction(cell: str, terms: dict[str, Any] | None) -> None:
+    """The largest difference between the two integrals, and its coefficient of a power of h."""
+    if terms is None:
+        assert cell == "–"
+        return
+    size, _, product = cell.partition(" = ")
+    coefficient, power = product.split()
+    assert shows(size, terms["size"])
+    assert shows(coefficient, terms["coefficient"])
+    assert power == {1: "h", 2: "h²"}.get(terms["power"], f"h^{terms['power']}")
+
+
+def test_roundoff_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def change(found: Any) -> Any:
+        return named_differently(distinct(found, 2, keep=("steps", "copies")), ("verdict",))
+
+    monkeypatch.setattr(roundoff, "roundoff_study", changed_result(change, roundoff.roundoff_study))
+    command = ("roundoff", "hk", "--config", "euler_hk", "--steps", "300", "--copies", "2")
+    rows = table_of(cli(*command).out, "invariant")[1:]
+    forms = cli(*command, "--json").json()["forms"]
+    assert [form["form"] for form in forms] == ["plain", "compensated"]
+    count = len(forms[0]["invariants"])
+    pairs = [(form, form["invariants"][i]) for i in range(count) for form in forms]
+    for row, (form, one) in zip(rows, pairs, strict=True):
+        shown = [
+            (form["form"],),
+            (one["drift"],),
+            (one["max_drift"],),
+            (one["exponent"], one["exponent_error"]),
+            (one["verdict"],),
+            (one["bias"], one["bias_error"]),
+            (form["nanoseconds_per_step"],),
+            (form["cost"],),
+        ]
+        expect(row, one["symbol"], shown)
+
+
+def test_lax_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def change(found: Any) -> Any:
+        return distinct(found, 3)
+
+    monkeypatch.setattr(lax, "lax_study", changed_result(change, lax.lax_study))
+    command = ("lax", "euler", "hk", "bs", "--set", "N=40")
+    out = cli(*command).out
+    found = cli(*command, "--json").json()
+    forms, names = found["forms"], [form["form"] for form in found["forms"]]
+    assert len(forms) > 1
+    rows = table_of(out.partition("\n")[2], names[0])
+    assert rows.pop(0) == names
+    assert [row[0] for row in rows] == [
+        "size",
+        "dL/dt - [M,L] by the equations",
+        "dL/dt - [M,L] by differences",
+        "independent integrals in it",
+        "it carries",
+        "Lax pair",
+        "midpoint rule: L' - U L U^-1",
+        "its order in h",
+    ]
+    paths: list[Callable[[Any], Any]] = [
+        lambda f: f"{f['size']}x{f['size']}",
+        lambda f: f["residual_by_field"],
+        lambda f: f["residual_by_differences"],
+        lambda f: f["independent_integrals"],
+        lambda f: ", ".join(f["carries"]) or "–",
+        lambda f: {True: "yes", False: "no"}[f["lax_pair"]],
+        lambda f: f["midpoint"]["conjugation_defect"],
+        lambda f: "round-off" if f["midpoint"]["order"] is None else f["midpoint"]["order"],
+    ]
+    for row, path in zip(rows, paths, strict=True):
+        expect(row, row[0], [(path(form),) for form in forms])
+    below = out.partition("largest relative drift of the spectrum of L\n")[2].splitlines()
+    assert cells_of(below[0]) == [f"{name}: {kind}" for name in names for kind in ("tr L^k", "eigenvalues")]
+    for line, run in zip(below[1:], found["runs"], strict=True):
+        assert [form["form"] for form in run["forms"]] == names
+        values = [(form[key],) for form in run["forms"] for key in ("drift", "eigenvalue_shift")]
+        expect(cells_of(line), run["scheme"], values)
+
+
+def test_bench_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def change(found: Any) -> Any:
+        entry = {"name": "rk4", "setting": "h=0.5", "parameter": "h", "value": 0.5, "seconds": 1.0}
+        decades = [
+            row | {"topcli": entry | {"name": "hk"}, "peer": entry, "ratio": 1.0, "baseline_ratio": 1.0}
+            for row in found["decades"]
+        ]
+        kept = ("schema_version", "duration", "intervals", "goal", "value")
+        points = distinct({**found, "decades": [row | {"error": str(row["error"])} for row in decades]}, 4, keep=kept)
+        points["decades"] = [row | {"error": float(row["error"])} for row in points["decades"]]
+        for i, row in enumerate(points["decades"]):
+            row["topcli"]["setting"], row["peer"]["setting"] = f"h=0.{i + 1}", f"h={i + 1}"
+        return points
+
+    monkeypatch.setattr(bench, "bench", changed_result(change, bench.bench))
+    command = ("bench", "hk", "rk4", "--scene", "lagrange", "--against", "none", "--budget", "0.001", "--points")
+    out = cli(*command, "--repetitions", "1").out
+    (scene,) = cli(*command, "--repetitions", "1", "--json").json()["scenes"]
+    rows = table_of(out, "error")
+    assert rows.pop(0) == ["error", "best topcli", "with", "µs", "best peer", "with", "µs", "ratio", "over scipy"]
+    for row, decade in zip(rows, scene["decades"], strict=True):
+        assert float(row[0]) == decade["error"]
+        for cells, entry in ((row[1:4], decade["topcli"]), (row[4:7], decade["peer"])):
+            expect(cells, entry["name"], [(entry["setting"],), (1e6 * entry["seconds"],)])
+        assert shows(row[7], decade["ratio"], rounded=2)
+        assert shows(row[8], decade["baseline_ratio"], rounded=2)
+    below = out.partition("every point\n")[2].splitlines()
+    header = ["with", "µs per unit time", "quartiles", "max error", "at the end", "largest drift"]
+    assert cells_of(below[0]) == header
+    points = [(one, point) for one in scene["competitors"] for point in one["points"]]
+    for line, (one, point) in zip(below[1:], points, strict=False):
+        _, setting, *cells = cells_of(line)
+        assert setting.startswith(f"{one['parameter']}=")
+        expect(
+            [one["name"], *cells],
+            one["name"],
+            [
+                (1e6 * point["seconds"],),
+                tuple(1e6 * quartile for quartile in point["quartiles"]),
+                (point["error"],),
+                (point["end_error"],),
+                (point["drift"],),
+            ],
+        )
+
+
+INVARIANT_ROWS = {
+    "invariant": "symbol",
+    "first": "first",
+    "min": "min",
+    "max": "max",
+    "max deviation": "max_deviation",
+    "rms deviation": "rms_deviation",
+    "drift per unit time": "drift",
+    "± standard error": "drift_error",
+    "over the run": "drift_over_run",
+    "model": "model",
+    "scatter": "scatter",
+    "round-off bound": "round_off_bound",
+    "verdict": "verdict",
+}
+RELATIVE = {"max deviation": "max_deviation_relative", "rms deviation": "rms_deviation_relative"}
+
+
+def test_a_run_shows_the_report_that_it_stored(cli: Callable[..., Any]) -> None:
+    command = ("run", "kowalevski_hk", "--set", "N=3000", "--set", "initial.omega=[0.7,-0.4,1.3]")
+    rows = [cells_of(line) for line in cli(*command).out.splitlines()]
+    (report,) = cli(*command, "--json").json()["runs"]
+    assert report["status"] == "up to date"
+    invariants = report["invariants"]
+    numbers = [value for row in invariants for value in row.values() if isinstance(value, float)]
+    assert len(set(numbers)) > 0.8 * len(numbers)  # hardly any two fields are equal
+    last, shown = "", []
+    for row in rows:
+        key = RELATIVE[last] if row[0] == "relative" else INVARIANT_ROWS[row[0]]
+        expect(row, row[0], [(one[key],) for one in invariants])
+        last = row[0]
+        shown.append(key)
+    assert shown == list(dict.fromkeys(shown))
+    assert set(shown) == {*INVARIANT_ROWS.values(), *RELATIVE.values()}
+
+
+def test_an_ensemble_shows_the_report_that_it_stored(cli: Callable[..., Any]) -> None:
+    command = ("run", "euler_ensemble", "--set", "N=100", "--set", "scheme=hk")
+    rows = [cells_of(line) for line in cli(*command).out.splitlines()]
+    (report,) = cli(*command, "--json").json()["runs"]
+    invariants = report["invariants"]
+    titles = {
+        "max deviation": "max_deviation",
+        "rms deviation": "rms_deviation",
+        "deviation at the end": "final_deviation",
+    }
+    assert rows[0] == ["invariant", *(row["symbol"] for row in invariants)]
+    expect(rows[1], "within round-off", [(row["within_round_off"], row["judged"]) for row in invariants])
+    for row in rows[2:]:
+        title, _, quantile = row[0].rpartition(", ")
+        expect(row, row[0], [(one[titles[title]][quantile],) for one in invariants])
+    shown = [tuple(row[0].rpartition(", ")[::2]) for row in rows[2:]]
+    assert len(shown) == len(set(shown))
+    assert {title for title, _ in shown} == set(titles)
+    assert {quantile for title, quantile in shown if title == "max deviation"} == set(invariants[0]["max_deviation"])
+    assert all({(title, "median"), (title, "max")} <= set(shown) for title in titles)
+
+
+LISTS = {
+    "tops": {"top": "form", "title": "title", "invariants": "invariants"},
+    "schemes": {
+        "name": "name",
+        "top": "top",
+        "order": "order",
+        "self-adjoint": "self_adjoint",
+        "conserves": "conserves",
+        "origin": "origin",
+    },
+    "compositions": {
+        "name": "name",
+        "order": "order",
+        "stages": "stages",
+        "title": "title",
+        "citation": "citation",
+    },
+    "scenes": {"name": "name", "top": "top", "scheme": "scheme", "h": "h", "N": "N", "about": "about"},
+    "cases": {"name": "name", "top": "top", "question": "question"},
+    "figures": {"name": "name", "scene": "scene", "title": "title"},
+    "runs": {"name": "name", "outcome": "outcome", "scheme": "scheme", "h": "h", "N": "N", "digest": "digest"},
+}
+
+
+@pytest.mark.parametrize("kind", LISTS)
+def test_a_list_shows_its_items(cli: Callable[..., Any], kind: str) -> None:
+    if kind == "runs":
+        for name in ("kowalevski_hk", "euler_hk"):
+            cli("run", name, "--set", "N=30", "--quiet")
+    first, *lines = cli("list", kind).out.splitlines()
+    header, rows = cells_of(first), [cells_of(line) for line in lines]
+    if kind == "figures":  # some have no scene
+        rows = [cells_under(first, line) for line in lines]
+    items = cli("list", kind, "--json").json()[kind]
+    assert set(LISTS[kind]) <= set(header)
+    for row, item in zip(rows, items, strict=True):
+        for name, key in LISTS[kind].items():
+            value, cell = item[key], row[header.index(name)]
+            match value:
+                case bool():
+                    assert cell == ("yes" if value else "no")
+                case list():
+                    assert cell == (", ".join(value) or "–")
+                case int() | float():
+                    assert float(cell) == pytest.approx(value, rel=1e-5)
+                case None:
+                    assert cell == "–"
+                case _:
+                    assert cell == value
+        if kind == "tops":
+            assert row[header.index("parameters")] == (
+                ", ".join(f"{name}={value}" for name, value in item["parameters"].items()) or "–"
+            )
+
+
+def test_stress_shows_its_trials(cli: Callable[..., Any]) -> None:
+    command = ("stress", "--top", "euler", "--case", "spherical", "--case", "one-step", "--case", "resonance")
+    trials = cli(*command, "--json").json()["trials"]
+    assert {one["outcome"] for one in trials} >= {"held", "broke"}
+    header, *lines = cli(*command, "--verbose").out.splitlines()
+    assert cells_of(header) == ["scheme", "top", "case", "outcome", "why"]
+    for line, one in zip(lines, trials, strict=False):
+        scheme, top, case, outcome, why, *meaning = cells_of(line)
+        assert (scheme, top, case) == (one["scheme"], one["top"], one["case"])
+        step = "" if one["step"] is None else f" at step {one['step']}"
+        assert outcome == one["outcome"] + step
+        assert one["why"].startswith(why.removesuffix(" [...]"))
+        assert meaning == {"ok": [], "limit": ["declared limit"]}.get(one["verdict"], [one["verdict"].upper()])

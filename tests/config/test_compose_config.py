@@ -1,0 +1,232 @@
+"""Compositions by name: in configs, overrides, the schema, the Python interface and on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+import topcli
+from config_texts import BASE, CONFIGS, refusal, write
+from conftest import ROOT
+from kick_turn import KICK_TURN
+from test_config_schema import fits
+from topcli.cli.options import complete_scheme
+from topcli.config.load import experiment_from, load_experiment
+from topcli.config.schema import config_schema
+from topcli.config.starter import starter_config
+from topcli.contracts import Stepper, Top
+from topcli.schemes import registry
+from topcli.schemes.compose import COMPOSITIONS
+from topcli.studies.compare import compare_schemes, under_scheme
+
+HK = CONFIGS / "kowalevski_hk.yaml"
+GENERIC = str(CONFIGS / "kowalevski_generic_hk.toml")
+
+
+class PaceOptions(BaseModel):
+    """An option that is seen in the trajectory."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    pace: Literal["plain", "double"] = Field(default="plain", description="how fast")
+
+
+@pytest.fixture
+def with_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A self-adjoint scheme with an option, and the same registry as before afterwards."""
+    registry.plugin_failures()
+    monkeypatch.setattr(registry, "_schemes", dict(registry._schemes))
+
+    @registry.scheme(
+        "kick-turn",
+        top="kowalevski",
+        title="Kick and turn",
+        order=2,
+        explicit=True,
+        self_adjoint=True,
+        conserves=("gamma_sq",),
+        citation="none",
+        equations="none",
+        options=PaceOptions,
+    )
+    def _build(top: Top, options: PaceOptions) -> Stepper:
+        """A turn between kicks."""
+        step = KICK_TURN.step
+
+        def double(s, h, p):
+            return step(s, 2.0 * h, p)
+
+        enter, leave = KICK_TURN.enter, KICK_TURN.leave
+        return Stepper(step if options.pace == "plain" else double, 7, enter, leave, KICK_TURN.counters)
+
+
+def test_both_spellings_mean_the_same(tmp_path: Path) -> None:
+    base = load_experiment(write(tmp_path, BASE))
+    found = [
+        load_experiment(write(tmp_path, BASE.replace("scheme: hk", f"scheme: {text}")))
+        for text in ("hk+kahan-li8", "{name: hk, compose: kahan-li8}", "{name: HK, compose: Kahan-Li8}")
+    ]
+    found.append(load_experiment(write(tmp_path, BASE), ["scheme=hk+Kahan-Li8"]))
+    found.append(load_experiment(write(tmp_path, BASE), ["scheme.compose=kahan-li8"]))
+    assert all(one == found[0] for one in found)
+    assert {one.digest for one in found} == {found[0].digest}
+    assert found[0].digest != base.digest
+    assert found[0].resolved()["scheme"] == {"name": "hk+kahan-li8", "compensated": False}
+    again = load_experiment(write(tmp_path, found[0].to_yaml(), "again.yaml"))
+    assert again == found[0]
+    assert experiment_from(again.resolved()).digest == found[0].digest
+
+
+def test_default_name_serves(tmp_path: Path) -> None:
+    data = load_experiment(HK).resolved() | {"scheme": "hk+kahan-li8"}
+    del data["name"]
+    assert experiment_from(data).name == "kowalevski_hk+kahan_li8"
+    assert load_experiment(write(tmp_path, starter_config(scheme="hk+suzuki4"))).scheme_name == "hk+suzuki4"
+
+
+@pytest.mark.parametrize(
+    ("new", "key", "says"),
+    [
+        ("hk+suzuki", "scheme", "unknown composition 'suzuki'; did you mean 'suzuki4'?"),
+        ("hk+", "scheme", "unknown composition ''; known: kahan-li6, kahan-li8, suzuki4, yoshida4"),
+        ("hkk+suzuki4", "scheme", "unknown scheme 'hkk'; did you mean 'hk'?"),
+        ("hk+suzuki4+kahan-li6", "scheme", "scheme 'hk+suzuki4' cannot be composed: it has order 4"),
+        ("hybrid+suzuki4", "scheme", "it is not self-adjoint, which the order of a composition requires; schemes for"),
+        ("{name: hk, compose: suzuki}", "scheme.compose", "did you mean 'suzuki4'?"),
+        ("{name: hk, compose: 4}", "scheme.compose", "must be a name (yoshida4, suzuki4, kahan-li6, kahan-li8), not 4"),
+        ("{name: hk, compose: null}", "scheme.compose", "must be a name"),
+        ("{name: hk+suzuki4, compose: suzuki4}", "scheme.compose", "has order 4"),
+        ("{name: hybrid, compose: suzuki4}", "scheme.compose", "schemes for kowalevski that can be: "),
+        ("{name: hk, composed: suzuki4}", "scheme.composed", "did you mean 'compose' or 'compensated'?"),
+        ("{name: hk, Compose: suzuki4}", "scheme.Compose", "did you mean 'compose'?"),
+    ],
+)
+def test_mistakes(tmp_path: Path, new: str, key: str, says: str) -> None:
+    path = write(tmp_path, BASE.replace("scheme: hk", f"scheme: {new}"))
+    message = refusal(path)
+    assert message.startswith(f"{path}:6: {key}: ")
+    assert says in message
+    assert len(message.splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("with_options")
+def test_options_are_the_bases() -> None:
+    scene = load_experiment(HK, ["scheme={name: kick-turn, compose: suzuki4, pace: double}", "N=10"])
+    assert scene.resolved()["scheme"] == {"name": "kick-turn+suzuki4", "pace": "double"}
+    assert fits(config_schema(), scene.resolved())
+    plain, double = (
+        topcli.simulate(HK, scheme="kick-turn+suzuki4", N=n, h=h).states[-1] for n, h in ((10, 2e-3), (10, 1e-3))
+    )
+    assert np.array_equal(topcli.simulate(scene.resolved()).states[-1], plain)
+    assert not np.array_equal(plain, double)
+    # a comparison keeps the options of the experiment's own scheme, whichever of the two is composed
+    assert under_scheme(scene, "kick-turn").options.model_dump() == {"pace": "double"}
+    assert under_scheme(scene, "Kick-Turn+Kahan-Li6").options.model_dump() == {"pace": "double"}
+    assert under_scheme(load_experiment(HK), "kick-turn+suzuki4").options.model_dump() == {"pace": "plain"}
+
+
+def test_schema_knows_compositions() -> None:
+    schema, data = config_schema(), load_experiment(HK).resolved()
+    for name in COMPOSITIONS:
+        for scheme in (f"hk+{name}", {"name": f"hk+{name}"}, {"name": "hk", "compose": name}):
+            assert fits(schema, data | {"scheme": scheme})
+    for scheme in ("hk+x", {"name": "hk", "compose": "x"}, "hybrid+suzuki4", {"name": "hybrid", "compose": "suzuki4"}):
+        assert not fits(schema, data | {"scheme": scheme})
+    assert not fits(schema, data | {"scheme": {"name": "hk+suzuki4", "compose": "suzuki4"}})
+
+
+@pytest.mark.parametrize("word", ["a+b", "a"])
+def test_the_plus_and_the_key_are_taken(word: str) -> None:
+    class Options(BaseModel):
+        compose: str = Field(default="x", description="taken")
+
+    with pytest.raises(ValueError, match="are reserved for compositions"):
+
+        @registry.scheme(
+            word,
+            top="kowalevski",
+            title="t",
+            order=1,
+            explicit=True,
+            self_adjoint=False,
+            citation="c",
+            equations="e",
+            options=Options if word == "a" else BaseModel,
+        )
+        def _build(top: Top, options: BaseModel) -> Stepper:
+            """Never registered."""
+            return KICK_TURN
+
+
+@pytest.mark.slow
+def test_simulate_and_compare_from_python() -> None:
+    """Over 10 time units in steps of 0.1 the error falls by orders of magnitude with the order."""
+    scene = load_experiment(GENERIC, ["h=0.1", "N=100", "output.every=1"])
+    names = ["hk", "hk+suzuki4", "hk+kahan-li6", "hk+kahan-li8"]
+    compared = compare_schemes(scene, names)
+    errors = [one["max_error"] for one in compared.figures["schemes"]]
+    assert [one["scheme"] for one in compared.figures["schemes"]] == names
+    assert [one["declared_order"] for one in compared.figures["schemes"]] == [2, 4, 6, 8]
+    assert errors[0] > 30 * errors[1] > 900 * errors[2] > 9000 * errors[3] > 0.0
+    trajectory = topcli.simulate(GENERIC, scheme={"name": "hk", "compose": "kahan-li8"}, h=0.1, N=100)
+    assert trajectory.scheme == "hk+kahan-li8"
+    assert np.array_equal(trajectory.states, topcli.simulate(GENERIC, scheme="hk+kahan-li8", h=0.1, N=100).states)
+
+
+@pytest.mark.slow
+def test_command_line(cli, in_tmp: Path) -> None:
+    said = cli("compare", "hk", "HK+Suzuki4", "--config", GENERIC, "--set", "h=0.05", "--set", "N=200", "--json").json()
+    hk, composed = said["schemes"]
+    assert composed["scheme"] == "hk+suzuki4"
+    assert composed["max_error"] < 1e-2 * hk["max_error"]
+    assert composed["reversal"]["order"] is None
+    assert "hk+suzuki4" in cli("compare", "hk", "hk+suzuki4", "--config", GENERIC, "--set", "N=20").out
+    run = cli("run", GENERIC, "--set", "scheme=hk+suzuki4", "--set", "N=20", "--set", "name=x", "--json").json()[
+        "runs"
+    ][0]
+    assert run["scheme"] == "hk+suzuki4"
+    assert [row["scheme"] for row in cli("list", "runs", "--json").json()["runs"]] == ["hk+suzuki4"]
+    said = cli("compare", "hk", "bohlin-a+suzuki4")
+    assert said.code == 2
+    assert "not self-adjoint" in said.err
+    assert cli("compare", "hk+suzuki4", "HK+suzuki4").code == 2
+
+
+def test_list_compositions(cli) -> None:
+    rows = cli("list", "compositions", "--json").json()["compositions"]
+    assert {(row["name"], row["order"], row["stages"]) for row in rows} == {
+        ("yoshida4", 4, 3),
+        ("suzuki4", 4, 5),
+        ("kahan-li6", 6, 9),
+        ("kahan-li8", 8, 17),
+    }
+    assert all(len(row["weights"]) == row["stages"] for row in rows)
+    table = cli("list", "compositions").out
+    assert all(row["name"] in table and row["citation"] in table for row in rows)
+    assert not any("+" in row["name"] for row in cli("list", "schemes", "--json").json()["schemes"])
+
+
+@pytest.mark.slow
+def test_the_readme_is_real(cli) -> None:
+    """Its list, and its comparison but for what is round-off."""
+    readme = (ROOT / "docs" / "higher-order.md").read_text(encoding="utf-8")
+    shown = cli("list", "compositions").out.splitlines()
+    arguments = "hk hk+suzuki4 hk+kahan-li6 --config kowalevski_generic_hk --set h=0.05 --set N=1000"
+    assert f"$ topcli compare {arguments}\n" in readme
+    table = cli("compare", *arguments.split()).out.splitlines()
+    shown += [line for line in table if line.startswith(("   ", "outcome", "max error", "E max", "  its order"))]
+    assert len(shown) == 10
+    for line in shown:
+        assert f"{line}\n" in readme
+
+
+def test_completion() -> None:
+    assert complete_scheme("HK+k") == ["hk+kahan-li6", "hk+kahan-li8"]
+    assert complete_scheme("hk+") == [f"hk+{name}" for name in COMPOSITIONS]
+    assert complete_scheme("hybrid+") == []
+    assert not any("+" in name for name in complete_scheme("h"))

@@ -1,0 +1,279 @@
+"""Configs under arbitrary input: only TopcliError is ever raised, and every valid experiment round-trips."""
+
+from __future__ import annotations
+
+import struct
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from config_texts import CONFIGS
+from topcli.config.load import experiment_from, load_experiment
+from topcli.config.models import name_fault
+from topcli.config.overrides import parse_override
+from topcli.config.toml_text import key_lines
+from topcli.config.yaml_text import parse_yaml, to_yaml
+from topcli.errors import ConfigError, TopcliError
+from topcli.schemes.registry import all_schemes
+
+settings.register_profile(
+    "config", deadline=None, max_examples=150, suppress_health_check=[HealthCheck.too_slow], derandomize=True
+)
+CONFIG = settings.get_profile("config")
+
+
+@pytest.fixture(scope="module")
+def folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
+# Texts near to configs reach deeper than arbitrary ones do.
+YAML_PIECES = [
+    *("name", "top", "kind", "initial", "omega", "gamma", "scheme", "h", "N", "output", "columns", "normalize"),
+    *("kowalevski", "hk", "hybrid", "auto", "-auto", "1e-3", "0", "-1", ".nan", "no", "true", "~", "'x'", '"\\u00e9"'),
+    *(
+        ": ",
+        ":",
+        "\n",
+        "\n  ",
+        "\n    ",
+        "- ",
+        "[",
+        "]",
+        "{",
+        "}",
+        ", ",
+        " #",
+        "&a ",
+        "*a",
+        "!t ",
+        "<<",
+        "? ",
+        "| ",
+        ">",
+    ),
+    *("---", "...", "%YAML 1.1\n", "\t", "\\", '"', "'", "@", "`", "\x85", "\u2028", "\ufeff", "\ud7ff", "🌀"),
+]
+TOML_PIECES = [
+    *("name", "top", "kind", "initial", "omega", "gamma", "scheme", "h", "N", "output", "columns", "normalize"),
+    *('"kowalevski"', "'hk'", '"auto"', "1e-3", "0x1F", "nan", "inf", "true", "1979-05-27", "07:32:00", '"\\u00e9"'),
+    *(
+        " = ",
+        "=",
+        ".",
+        "\n",
+        "[",
+        "]",
+        "[[",
+        "]]",
+        "{",
+        "}",
+        ", ",
+        " #",
+        '"""',
+        "'''",
+        '"',
+        "'",
+        "\\",
+        "\t",
+        "\r",
+        "🌀",
+    ),
+]
+
+
+def pieces(words: list[str]) -> st.SearchStrategy[str]:
+    return st.lists(st.sampled_from(words), max_size=40).map("".join)
+
+
+def spliced(text: str) -> st.SearchStrategy[str]:
+    """``text`` with a stretch of it replaced by something else."""
+    places = st.tuples(st.integers(0, len(text)), st.integers(0, 12), st.text(max_size=6) | pieces(YAML_PIECES[:60]))
+    return places.map(lambda cut: text[: cut[0]] + cut[2] + text[cut[0] + cut[1] :])
+
+
+HYBRID = (CONFIGS / "kowalevski_hybrid.yaml").read_text()
+GENERIC = (CONFIGS / "kowalevski_generic_hk.toml").read_text()
+ANYTHING = st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass"))
+
+
+def refusal(call: Callable[[], object]) -> str:
+    """The message with which ``call`` refuses; empty when it does not. Any other exception passes."""
+    try:
+        call()
+    except TopcliError as error:
+        message = str(error)
+        wrong = error.exit_code != 2 or not 1 <= len(message.splitlines()) <= 3
+        return "not a message for a user: " + message if wrong else message
+    return ""
+
+
+def loads_or_refuses(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    message = refusal(lambda: load_experiment(path))
+    assert not message or message.startswith(str(path))
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(content=ANYTHING | pieces(YAML_PIECES).map(str.encode) | spliced(HYBRID).map(str.encode))
+@example(content=b"a: &a\n  b: &a *a\n")
+@example(content=b"\xff\xfe\x00")
+@example(content=b"%YAML 9.9\n---\na: 1\n")
+@example(content=b"%TAG ! !\n%TAG ! !\n---\na: 1\n")
+@example(content=b'a: "\\UFFFFFFFF"\n')
+@example(content=b"? ? ? ?\n")
+def test_any_yaml_file(folder: Path, content: bytes) -> None:
+    loads_or_refuses(folder / "any.yaml", content)
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(content=ANYTHING | pieces(TOML_PIECES).map(str.encode) | spliced(GENERIC).map(str.encode))
+def test_any_toml_file(folder: Path, content: bytes) -> None:
+    loads_or_refuses(folder / "any.toml", content)
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(text=st.text(max_size=40) | pieces(YAML_PIECES).map(lambda text: "h=" + text))
+def test_any_override(text: str) -> None:
+    message = refusal(lambda: parse_override(text))
+    assert not message or message.startswith("--set ")
+
+
+PLAIN_DATA = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=12,
+)
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(key=st.sampled_from(["name", "top", "initial", "scheme", "h", "N", "output"]), value=PLAIN_DATA)
+def test_any_value_of_a_key(key: str, value: object) -> None:
+    data: dict[str, Any] = load_experiment(CONFIGS / "kowalevski_hybrid.yaml").resolved() | {key: value}
+    message = refusal(lambda: experiment_from(data))
+    assert key in message or not message
+    assert not message.startswith("not a message")
+
+
+# --- round trips ----------------------------------------------------------------------------------------------------
+
+
+def toml_paths(data: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    for key, value in data.items():
+        yield (*path, key)
+        if isinstance(value, dict):
+            yield from toml_paths(value, (*path, key))
+
+
+@settings(CONFIG)
+@given(text=pieces(TOML_PIECES) | spliced(GENERIC))
+def test_toml_lines_hold_their_keys(text: str) -> None:
+    try:
+        data = tomllib.loads(text)
+    except ValueError:
+        return
+    lines = key_lines(text)
+    rows = text.split("\n")
+    for key in data:
+        number = next(number for path, number in lines.items() if path[0] == key or "\\" in text)
+        assert key in rows[number - 1] or "\\" in text
+    assert all(1 <= number <= len(rows) for number in lines.values())
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+names = st.text(min_size=1, max_size=30).filter(
+    lambda name: not any("\ud800" <= letter <= "\udfff" for letter in name) and not name_fault(name)
+)
+
+
+@st.composite
+def experiments(draw: st.DrawFn) -> dict[str, Any]:
+    """Any valid config of a Kowalevski top."""
+    scheme = draw(st.sampled_from([scheme for scheme in all_schemes() if scheme.top == "kowalevski"]))
+    options: dict[str, Any] = {"name": scheme.name}
+    for key, field in scheme.options.model_fields.items():
+        if get_origin(field.annotation) is Literal and draw(st.booleans()):
+            options[key] = draw(st.sampled_from(get_args(field.annotation)))
+    N = draw(st.integers(1, 10**12))
+    columns = ["n", "t", "omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3", "gamma_sq", "energy", "k_sq"]
+    gamma: list[Any] = draw(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(any))
+    initial = {"omega": draw(st.lists(numbers, min_size=3, max_size=3)), "gamma": gamma, "normalize": True}
+    return {
+        "name": draw(names),
+        "top": {"kind": "kowalevski", "c0": draw(st.floats(-1e300, 1e300)), "A": draw(st.floats(1e-3, 1e3))},
+        "initial": initial,
+        "scheme": options,
+        "h": draw(st.floats(1e-12, 1e12) | st.floats(-1e12, -1e-12)),
+        "N": N,
+        "output": {
+            "format": draw(st.sampled_from(["parquet", "csv"])),
+            "every": draw(st.integers(1, N)),
+            "columns": draw(st.none() | st.lists(st.sampled_from(columns), min_size=1, unique=True)),
+        },
+    }
+
+
+def bits(values: tuple[float, ...]) -> bytes:
+    return struct.pack(f"{len(values)}d", *values)
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(data=experiments())
+def test_valid_experiments_round_trip(folder: Path, data: dict[str, Any]) -> None:
+    first = experiment_from(data)
+    path = folder / "round.yaml"
+    path.write_text(first.to_yaml(), encoding="utf-8")
+    for other in (load_experiment(path), experiment_from(first.resolved())):
+        assert other == first
+        assert other.digest == first.digest
+        assert bits((*other.y0, other.h)) == bits((*first.y0, first.h))
+    assert bits(first.y0[:3]) == bits(tuple(float(value) for value in data["initial"]["omega"]))
+    assert abs(sum(value * value for value in first.y0[3:]) - 1.0) < 1e-15
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(others=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), place=st.integers(0, 2), sign=st.sampled_from("+-"))
+def test_auto_gives_a_unit_vector(others: tuple[float, float], place: int, sign: str) -> None:
+    data: dict[str, Any] = load_experiment(CONFIGS / "kowalevski_hk.yaml").resolved()
+    gamma: list[Any] = list(others)
+    gamma.insert(place, sign + "auto")
+    data["initial"] = data["initial"] | {"gamma": gamma}
+    square = others[0] ** 2 + others[1] ** 2
+    if square > 1.0 + 1e-12:
+        with pytest.raises(ConfigError, match="auto cannot make it a unit vector"):
+            experiment_from(data)
+        return
+    found = experiment_from(data).y0[3:]
+    assert abs(sum(value * value for value in found) - 1.0) <= 1e-12
+    assert found[place] == 0.0 or (found[place] < 0.0) == (sign == "-")
+    assert tuple(value for index, value in enumerate(found) if index != place) == others
+
+
+# Half a surrogate pair is no text that UTF-8 can hold.
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
+SECTION_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**18), 10**18) | numbers | TEXT,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
+    max_leaves=10,
+)
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(data=st.dictionaries(TEXT, SECTION_VALUES, min_size=1, max_size=4))
+def test_emitted_yaml_reads_back(data: dict[str, Any]) -> None:
+    found, _ = parse_yaml(to_yaml(data), "text")
+    assert repr(found) == repr(data)

@@ -1,0 +1,116 @@
+"""Everything resolved enters the digest: each key of a resolved config, changed in turn, gives another one."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from topcli.config.load import experiment_from as single_from
+from topcli.config.load import load_any
+from topcli.schemes.registry import all_schemes
+
+PLACES = tuple[str | int, ...]
+
+
+def leaves(data: Any, path: PLACES = ()) -> Iterator[tuple[PLACES, Any]]:
+    """Path and value of every leaf of plain data; a vector of numbers is one."""
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from leaves(value, (*path, key))
+    elif isinstance(data, list) and any(isinstance(value, list | dict) for value in data):
+        for i, value in enumerate(data):
+            yield from leaves(value, (*path, i))
+    else:
+        yield path, data
+
+
+def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
+    """Another valid value for a key, close to this one."""
+    match value:
+        case bool():
+            return not value
+        case int():
+            return value + 1
+        case float():
+            return value * (1.0 + 2.0**-40) if value else 2.0**-40
+        case list():
+            rest = math.hypot(value[0], value[1])
+            return [rest, 0.0, *value[2:]] if value[0] != rest else [0.6 * rest, 0.8 * rest, *value[2:]]
+        case str() if "enum" in schema:
+            return next(one for one in schema["enum"] if one != value)
+    return {("name",): "other", ("output", "format"): "csv", ("output", "columns"): ["t"]}[path]
+
+
+def replaced(data: dict[str, Any], path: PLACES, value: Any) -> dict[str, Any]:
+    """A copy of the data with another value at a path."""
+    made = copy.deepcopy(data)
+    inner: Any = made
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    return made
+
+
+NAMES = {("top", "kind"), ("scheme", "name")}
+"""Tried by the tests over all tops and schemes: another name needs other keys beside it."""
+
+
+def one_of_each() -> list[Any]:
+    """A config for each scheme and each form of a top."""
+    forms = {"kowalevski": "kowalevski_hk", "euler": "euler_hk", "heavy": "heavy_hk", "lagrange": "lagrange_hk"}
+    return [
+        pytest.param(forms[scheme.top], scheme.name, id=f"{scheme.name}/{scheme.top}")
+        for scheme in all_schemes()
+        if scheme.top in forms
+    ]
+
+
+@pytest.mark.parametrize(("scene", "scheme"), one_of_each())
+def test_every_key_of_a_run_enters_its_digest(scene: str, scheme: str) -> None:
+    experiment = load_any(scene, [f"scheme={scheme}", "output.every=3"])
+    resolved = experiment.resolved()
+    options = experiment.scheme.options.model_json_schema().get("properties", {})
+    digests = {(): experiment.digest}
+    for path, value in leaves(resolved):
+        if path in NAMES:
+            continue
+        schema = options.get(path[-1], {}) if path[0] == "scheme" else {}
+        if path == ("top", "B") and scene == "lagrange_hk":
+            continue  # must equal A, and is changed with it
+        other = replaced(resolved, path, changed(path, value, schema))
+        if path == ("top", "A") and scene == "lagrange_hk":
+            other["top"]["B"] = other["top"]["A"]
+        digests[path] = single_from(other).digest
+    assert len(set(digests.values())) == len(digests)
+    assert {path[1] for path in digests if path[:1] == ("scheme",)} == set(options)
+    assert {path[1] for path in digests if path[:1] == ("output",)} == {"format", "every", "columns"}
+    assert {path[0] for path in digests if path} >= {"name", "top", "initial", "h", "N", "output"}
+
+
+def test_every_scheme_and_top_has_a_digest_of_its_own() -> None:
+    digests = [load_any(*(one.values[0], [f"scheme={one.values[1]}", "name=x"])).digest for one in one_of_each()]
+    assert len(set(digests)) == len(digests)
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "ensemble.random.seed=8",
+        "ensemble.random.count=5",
+        "ensemble.random.omega.near=0.25",
+        "ensemble.store=final",
+        "output.every=2",
+        "output.columns=[t]",
+        "N=50",
+        "h=0.02",
+    ],
+)
+def test_every_key_of_an_ensemble_enters_its_digest(override: str) -> None:
+    base = ["ensemble={random: {count: 4, seed: 3, gamma: sphere, omega: {near: 0.3}}, store: trajectories}"]
+    first = load_any("kowalevski_hk", base)
+    assert load_any("kowalevski_hk", [*base, override]).digest != first.digest
+    assert load_any("kowalevski_hk", base).digest == first.digest

@@ -1,0 +1,189 @@
+"""Machine code on disk: only what its owner wrote, for this function, is loaded."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import ROOT, Said
+from topcli.engine import code_cache, native
+from topcli.engine.native import native as compiled
+
+
+def _double(x, n):
+    x[0] = 2.0 * x[0]
+    return n
+
+
+def _triple(x):
+    x[0] = 3.0 * x[0]
+    return 0
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The cache folder, holding ``_double``."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert not works().cached
+    assert works().cached
+    return tmp_path / "topcli"
+
+
+def works() -> native.Native:
+    """``_double``, which gives the right result whatever lies in the cache."""
+    found, x = compiled(_double, "pq"), np.array([1.5])
+    assert (found(x, 7), x[0]) == (7, 3.0)
+    return found
+
+
+def chown(path: Path) -> None:
+    if os.geteuid():
+        pytest.skip("needs root to give a file to somebody else")
+    os.chown(path, 1234, -1)
+
+
+def linked(path: Path) -> None:
+    """Replace a file or folder by a symbolic link to it."""
+    shutil.move(path, path.with_name("moved"))
+    path.symlink_to(path.with_name("moved"))
+
+
+def fifo(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path, 0o600)
+
+
+HARM: dict[str, Callable[[Path], None]] = {
+    "writable by all": lambda path: path.chmod(0o777),
+    "writable by the group": lambda path: path.chmod(0o770),
+    "another's": chown,
+    "symbolic link": linked,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("harm", HARM)
+def test_a_folder_that_another_could_fill_is_not_used(cache: Path, harm: str, cli: Callable[..., Said]) -> None:
+    HARM[harm](cache)
+    before = sorted(os.listdir(cache))
+    assert not works().cached
+    assert sorted(os.listdir(cache)) == before
+    told = cli("doctor", "--json").json()
+    assert not told["cache"]["kept between processes"]
+    assert any("not used" in problem and str(cache) in problem for problem in told["problems"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("harm", [*HARM, "fifo"])
+def test_a_file_that_another_could_write_is_not_used(cache: Path, harm: str) -> None:
+    (path,) = cache.glob("*.o")
+    {**HARM, "fifo": fifo}[harm](path)
+    (problem,) = code_cache.cache_state().problems
+    assert str(path) in problem
+    assert not works().cached  # and writes a file of its own in its place
+    assert works().cached
+    assert code_cache.cache_state().problems == ()
+
+
+def test_the_folder_is_made_for_its_owner_alone_whatever_is_above(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    above = tmp_path / "shared"
+    above.mkdir()
+    above.chmod(0o1777)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(above))
+    previous = os.umask(0o002)
+    try:
+        works()
+    finally:
+        os.umask(previous)
+    assert works().cached
+    assert (above / "topcli").stat().st_mode & 0o777 == 0o700
+    assert {path.stat().st_mode & 0o777 for path in (above / "topcli").iterdir()} == {0o600}
+
+
+COPIED = """
+import sys, shutil
+from pathlib import Path
+sys.path[:0] = ["tests", "tests/engine"]
+import numpy as np
+from test_code_cache import _double, _triple
+from topcli.engine.native import native
+folder = Path(sys.argv[1])
+native(_double, "pq")
+(one,) = folder.glob("*.o")
+native(_triple, "p")
+(other,) = set(folder.glob("*.o")) - {one}
+shutil.copyfile(one, other)
+x = np.array([1.0])
+native(_triple, "p")(x)
+print(x[0])
+"""
+
+
+@pytest.mark.slow
+def test_code_of_another_signature_in_its_place_is_not_run(tmp_path: Path) -> None:
+    """In a process of its own: it was a segmentation fault."""
+    done = subprocess.run(
+        [sys.executable, "-c", COPIED, str(tmp_path / "topcli")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        cwd=ROOT,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "3.0\n"), done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["digest", "key", "signature", "symbol", "code", "end"])
+def test_a_single_flipped_bit_is_found(cache: Path, place: str) -> None:
+    (path,) = cache.glob("*.o")
+    data = bytearray(path.read_bytes())
+    header = json.loads(bytes(data).split(b"\n")[1])
+    at = {
+        "digest": 3,
+        "key": data.index(header["key"].encode()) + 5,
+        "signature": data.index(b'"pq"') + 1,
+        "symbol": data.index(header["symbol"].encode()) + 1,
+        "code": data.index(b"\n", 80) + 200,
+        "end": len(data) - 1,
+    }[place]
+    data[at] ^= 1
+    path.write_bytes(bytes(data))
+    assert not works().cached
+    assert works().cached
+
+
+FRESH = """
+import sys, types
+import topcli.engine.native as native
+native.sys = types.SimpleNamespace(platform="darwin", version=sys.version)
+assert "llvmlite" not in sys.modules
+from topcli.cli.app import app
+sys.argv = ["topcli", "run", "euler_taylor", "--set", "N=50", "--out", sys.argv[1], "--quiet"]
+app(prog_name="topcli")
+"""
+
+
+@pytest.mark.slow
+def test_a_series_is_the_first_code_of_a_process_where_libm_is_not_loaded_by_name(tmp_path: Path) -> None:
+    """As on macOS: symbols of the process are found only once there is an engine."""
+    done = subprocess.run(
+        [sys.executable, "-c", FRESH, str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        cwd=tmp_path,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert list((tmp_path / "topcli").glob("*.o"))

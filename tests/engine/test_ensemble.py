@@ -1,0 +1,279 @@
+"""Ensembles in the engine: the bits of single runs, failures that stay alone, threads and interruptions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from conftest import random_states
+from steppers import EXPLODE
+from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
+from topcli.engine import ensemble
+from topcli.engine.ensemble import TILE, EnsembleRun, Piece
+from topcli.engine.lanes import plain_lanes
+from topcli.engine.loop import Run
+from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.tops import TOPS
+from topcli.tops.kowalevski import Kowalevski
+
+COUNT = TILE + 6
+Rows = list[tuple[np.ndarray, np.ndarray]]
+
+
+def slow(method: Method) -> bool:
+    """Whether trajectories run one after the other: in the interpreter, by a closed form, or by a loop of their own."""
+    return not isinstance(method, Stepper) or method.plain
+
+
+def together(
+    top: Top, method: Method, y0: np.ndarray, h: float, N: int, every: int = 1, **options
+) -> tuple[Rows, EnsembleRun]:
+    """Step numbers and states of every trajectory, and the run."""
+
+    def made(piece: Piece) -> tuple[int, Rows]:
+        kept = [(piece.n[:k].copy(), piece.states[i, :k].copy()) for i, k in enumerate(piece.kept)]
+        return piece.first, kept
+
+    run = EnsembleRun(top, method, y0, h, N, every, made=made, **options)
+    pieces: list[Rows] = [[] for _ in y0]
+    for (first, rows), _ in run:
+        for i, one in enumerate(rows):
+            pieces[first + i].append(one)
+    return [(np.concatenate([n for n, _ in p]), np.concatenate([y for _, y in p])) for p in pieces if p], run
+
+
+def alone(
+    top: Top, method: Method, y0: np.ndarray, h: float, N: int, every: int = 1
+) -> tuple[np.ndarray, np.ndarray, Ending]:
+    run = Run(top, method, y0.tolist(), h, N, every)
+    return run.collect()
+
+
+def assert_same(
+    top: Top, method: Method, y0: np.ndarray, h: float, N: int, every: int = 1, lanes=None, **options
+) -> EnsembleRun:
+    """The ensemble has the bits, the rows and the endings of single runs."""
+    rows, run = together(top, method, y0, h, N, every, **options)
+    assert len(rows) == len(run.endings) == len(y0)
+    for i in range(len(y0)) if lanes is None else lanes:
+        n, states, ending = alone(top, method, y0[i], h, N, every)
+        assert np.array_equal(rows[i][0], n)
+        assert np.array_equal(rows[i][1], states), i
+        assert run.endings[i] == ending
+        if N % every == 0 or ending.outcome is not Outcome.COMPLETED:
+            assert np.array_equal(run.last[i], states[-1])
+            assert run.last_n[i] == n[-1]
+        else:
+            finer = alone(top, method, y0[i], h, N, math.gcd(N, every))
+            assert np.array_equal(run.last[i], finer[1][-1])
+            assert run.last_n[i] == N
+    return run
+
+
+@pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
+def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ensemble, "CHUNK_ROWS", 37)
+    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 61)
+    top = TOPS[scheme.top]()
+    method = scheme.build(top, scheme.options())
+    count, N = (3, 20) if slow(method) else (COUNT, 150)
+    y0 = random_states(count, 5)[:, : len(top.components)]
+    for h, every in ((0.02, 1), (-0.03, 7)):
+        run = assert_same(top, method, y0, h, N, every, lanes=sorted({0, 1, count - 1, min(count - 1, TILE - 1)}))
+        assert {ending.outcome for ending in run.endings} == {Outcome.COMPLETED}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hk", "hybrid", "bohlin-b", "midpoint", "hybrid-sym", "hk+suzuki4"])
+def test_at_large_steps_too(name: str) -> None:
+    """Large angles take libm's branch, iterations fail, schemes blow up: what happens is what happens alone."""
+    top = Kowalevski()
+    method = find_scheme(name, "kowalevski").build(top, find_scheme(name, "kowalevski").options())
+    y0 = random_states(20, 8) * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
+    run = assert_same(top, method, y0, 1.7, 60)
+    failed = [ending.outcome for ending in run.endings if ending.outcome is not Outcome.COMPLETED]
+    if name == "hybrid-sym":
+        assert Outcome.NO_CONVERGENCE in failed
+        assert 0 < len(failed) < 20
+
+
+def test_the_stand_in_for_libm_is_noticed() -> None:
+    """Side by side the rotation by a large angle is nan, which sends the trajectory to the loop of single runs."""
+    top, y = Kowalevski(), np.array([0.3, 0.2, 2.0, 0.6, 0.48, 0.64])
+    stepper = find_scheme("hybrid", "kowalevski").build(top, find_scheme("hybrid", "kowalevski").options())
+    assert isinstance(stepper, Stepper)
+    assert stepper.enter is not None
+    drive = plain_lanes(stepper, 6, 1, 1)
+    for h, finite in ((0.1, True), (1.0, False)):
+        start = stepper.enter(tuple(y.tolist()), h, (1.0,))
+        work = [*start, 0.0]
+        drive(work, [0.0] * 6, [1.0, 1.0], h, 1, 1, 1, 6)
+        assert math.isfinite(work[stepper.width]) == finite
+        assert all(map(math.isfinite, stepper.step(start, h, (1.0,))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2, ensemble.SMALL_TILE, TILE // 2 + 1, TILE, TILE + 1])
+@pytest.mark.parametrize(("N", "every"), [(1, 1), (10, 3), (10, 10), (10, 11)])
+def test_every_size(count: int, N: int, every: int) -> None:
+    method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
+    assert_same(Kowalevski(), method, random_states(count, 2), 0.01, N, every)
+
+
+def test_a_blow_up_stays_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """x**(2**n) overflows at a step that depends on x; those with |x| <= 1 never do."""
+    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 4)
+    y0 = random_states(COUNT, 3)
+    y0[:, 0] = np.where(np.arange(COUNT) % 3 == 0, 2.0 ** (1.0 + np.arange(COUNT) % 5), 0.5)
+    rows, run = together(Kowalevski(), EXPLODE, y0, 0.5, 100)
+    for i, ending in enumerate(run.endings):
+        if i % 3:
+            assert ending == Ending(Outcome.COMPLETED, 100, 50.0)
+            assert len(rows[i][0]) == 101
+        else:
+            step = math.ceil(math.log2(1024 / (1 + i % 5)))
+            assert (ending.outcome, ending.step) == (Outcome.BLEW_UP, step)
+            assert list(rows[i][0]) == list(range(step))
+    quiet = y0[y0[:, 0] == 0.5]
+    apart, _ = together(Kowalevski(), EXPLODE, quiet, 0.5, 100)
+    for (_, one), (_, other) in zip([row for i, row in enumerate(rows) if i % 3], apart, strict=True):
+        assert np.array_equal(one, other)
+
+
+def passing_step(s: Floats, h: float, p: Floats) -> Floats:
+    """Infinite for one step only, when it meets 1, because 1/inf is 0."""
+    return (1.0 / (s[0] - 1.0), s[1], s[2], s[3], s[4], s[5])
+
+
+def test_an_infinity_that_passes_is_seen() -> None:
+    y0 = random_states(9, 3)
+    y0[4, 0] = 2.0
+    _, run = together(Kowalevski(), Stepper(passing_step, 6), y0, 0.5, 50)
+    assert run.endings[4] == Ending(Outcome.BLEW_UP, 2, 1.0)
+    assert [ending.outcome for ending in run.endings].count(Outcome.COMPLETED) == 8
+
+
+def test_huge_states_are_no_failure() -> None:
+    """Their sum overflows, which raises the alarm, and the loop of single runs calls it off."""
+    still = Stepper(lambda s, h, p: (s[0], s[1], s[2], s[3], s[4], s[5]), 6)
+    y0 = np.full((COUNT, 6), 1.5e308)
+    y0[0] = 1.0
+    rows, run = together(Kowalevski(), still, y0, 0.5, 20)
+    assert all(ending.outcome is Outcome.COMPLETED for ending in run.endings)
+    assert all((states == y0[i]).all() for i, (_, states) in enumerate(rows))
+
+
+def test_counters_belong_to_their_trajectory() -> None:
+    def step(s: Floats, h: float, p: Floats) -> Floats:
+        return (s[0], s[1], s[2], s[3], s[4], s[5], s[6] + (1.0 if s[0] > 0.0 else 0.0))
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (*y, 0.0)
+
+    def leave(s: Floats, h: float, p: Floats) -> Floats:
+        return (s[0], s[1], s[2], s[3], s[4], s[5])
+
+    y0 = random_states(COUNT, 4)
+    _, run = together(Kowalevski(), Stepper(step, 7, enter, leave, ("positive",)), y0, 0.1, 10)
+    assert [ending.counters["positive"] for ending in run.endings] == np.where(y0[:, 0] > 0, 10, 0).tolist()
+
+
+def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pieces come in the same order with the same bits."""
+    monkeypatch.setattr(ensemble, "GROUP", 2)
+    monkeypatch.setattr(ensemble, "CHUNK_ROWS", 20)
+    method = find_scheme("hybrid", "kowalevski").build(Kowalevski(), find_scheme("hybrid", "kowalevski").options())
+    y0 = random_states(3 * TILE + 5, 6)
+
+    def pieces(threads: int) -> list[tuple[int, bytes, bytes, int]]:
+        def made(piece: Piece) -> tuple[int, bytes, bytes]:
+            return piece.first, piece.n.tobytes(), piece.states.tobytes()
+
+        run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, threads=threads)
+        return [(*one, done) for one, done in run]
+
+    one = pieces(1)
+    assert one == pieces(2) == pieces(5)  # five: more than there are tiles to take
+    assert [first // TILE for first, *_ in one] == [0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3]
+    assert one[-1][-1] == len(y0) * 50
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also around a tile that is left out because all of it failed."""
+    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 20)
+    scheme = find_scheme("rk2", "kowalevski")
+    y0 = random_states(6 * TILE + 5, 6)
+    y0[2 * TILE : 3 * TILE, :3] = 1e200
+    y0[7, :3] = 1e200
+    method, sizes = scheme.build(Kowalevski(), scheme.options()), []
+    options = {"threads": threads, "wide": True}
+    some = (0, 7, 8, 2 * TILE, 3 * TILE, 5 * TILE + 1, 6 * TILE + 4)
+    assert_same(Kowalevski(), method, y0, 0.01, 50, 5, lanes=some, **options)
+
+    def made(piece: Piece) -> None:
+        assert len(piece.states) == len(piece.kept)
+        sizes.append(len(piece.kept))
+
+    for _ in EnsembleRun(Kowalevski(), method, y0, 0.01, 50, 5, made=made, **options):
+        pass
+    first = [7 * TILE - 59] if threads == 1 else [3 * TILE, 3 * TILE, 5]
+    later = [2 * TILE, 3 * TILE + 5] if threads == 1 else [2 * TILE, 3 * TILE, 5]
+    assert sorted(sizes) == sorted([*first, *later, *later])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("broken", [0, 1, 3])
+def test_what_goes_wrong_with_a_piece_is_raised_once_and_ends_the_rest(
+    threads: int, broken: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 10)
+    begun: list[int] = []
+
+    def made(piece: Piece) -> int:
+        begun.append(piece.first // TILE)
+        if begun[-1] == broken:
+            raise OSError(f"no room for tile {broken}")
+        return begun[-1]
+
+    method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
+    run = EnsembleRun(Kowalevski(), method, random_states(4 * TILE, 2), 0.01, 50, made=made, threads=threads)
+    with pytest.raises(OSError, match=f"no room for tile {broken}"):
+        list(run)
+    assert len(begun) == len(set(begun)) <= 4  # no tile twice, and no second chunk
+
+
+@pytest.mark.parametrize("name", ["hk", "dop853"])
+def test_an_interruption_keeps_what_there_is(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ensemble, "GROUP", 1)
+    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 10)
+    monkeypatch.setattr("topcli.engine.loop.PLAIN_STEPS", 10)
+    scheme = find_scheme(name, "kowalevski")
+    count, asked = (TILE + 6, 7) if name == "hk" else (3, 5)  # within the second tile, within the second trajectory
+    answers = iter([False] * asked + [True] * 10)
+    rows, run = together(
+        Kowalevski(),
+        scheme.build(Kowalevski(), scheme.options()),
+        random_states(count, 6),
+        0.01,
+        40 if name == "dop853" else 50,
+        stop=lambda: next(answers),
+    )
+    done = TILE if name == "hk" else 1
+    assert [ending.outcome for ending in run.endings[:done]] == [Outcome.COMPLETED] * done
+    assert [ending.outcome for ending in run.endings[done:]] == [Outcome.INTERRUPTED] * (count - done)
+    step = 20 if name == "hk" else 10
+    assert run.endings[done].step == run.last_n[done] == step
+    assert len(rows[done][0]) == step + 1
+
+
+def test_a_step_that_cannot_be_compiled_is_reported() -> None:
+    from topcli.errors import SchemeCodeError
+
+    def step(s: Floats, h: float, p: Floats) -> Floats:
+        return tuple(float(str(x)) for x in s)
+
+    with pytest.raises(SchemeCodeError, match=r"test_ensemble\.py:"):
+        together(Kowalevski(), Stepper(step, 6), random_states(2, 1), 0.1, 1)

@@ -1,0 +1,284 @@
+"""The key of stored machine code and of run folders: every edit that changes the numbers changes the key."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scheme_files import run_scheme, write_scheme
+from topcli.engine.fingerprint import fingerprint
+from topcli.errors import SchemeCodeError
+
+REST = "s[1], s[2], s[3], s[4], s[5])"
+STEP = "def step(s, h, p):\n    return (s[0] * {value}, " + REST
+
+COMPILED = {
+    "global": "K = 2.0\n" + STEP.format(value="K"),
+    "tuple": "K = (1.0, (2.0, 3.0))\n" + STEP.format(value="K[1][0]"),
+    "array": "import numpy as np\nK = np.array([0.5, 2.0])\n" + STEP.format(value="K[1]"),
+    "strided array": "import numpy as np\nK = np.array([0.5, 9.0, 2.0, 9.0])[::2]\n" + STEP.format(value="K[1]"),
+    "large array": "import numpy as np\nK = np.full(200_000, 2.0)\n" + STEP.format(value="K[7]"),
+    "numpy scalar": "import numpy as np\nK = np.float64(2.0)\n" + STEP.format(value="K"),
+    "complex": "K = 2.0 + 1.0j\n" + STEP.format(value="K.real"),
+    "namedtuple": (
+        "from collections import namedtuple\nParameters = namedtuple('Parameters', 'g k')\n"
+        "K = Parameters(1.0, 2.0)\n" + STEP.format(value="K.k")
+    ),
+    "builtin's name": "sum = 2.0\n" + STEP.format(value="sum"),
+    "default": "def step(s, h, p, k=2.0):\n    return (s[0] * k, " + REST,
+    "default of a helper": "def helper(x, k=2.0):\n    return k * x\n"
+    + STEP.format(value="1.0").replace("s[0] * 1.0", "helper(s[0])"),
+    "default that is a function": (
+        "def twice(x):\n    return 2.0 * x\ndef step(s, h, p, f=twice):\n    return (f(s[0]), " + REST
+    ),
+    "closure": (
+        "def make(k):\n    def step(s, h, p):\n        return (s[0] * k, "
+        + REST
+        + "\n    return step\nstep = make(2.0)"
+    ),
+    "dispatcher": (
+        "from numba import njit\nK = 2.0\n@njit\ndef helper(x):\n    return K * x\n"
+        "def step(s, h, p):\n    return (helper(s[0]), " + REST
+    ),
+    "lambda in a tuple of code": "K = 2.0\nhelper = lambda x: K * x\ndef step(s, h, p):\n    return (helper(s[0]), "
+    + REST,
+    "getattr": "import consts\n" + STEP.format(value="getattr(consts, 'G')"),
+    "module attribute": "import consts\n" + STEP.format(value="consts.G"),
+    "module of a package": "import parts.consts\n" + STEP.format(value="parts.consts.G"),
+    "imported name": "from consts import G\n" + STEP.format(value="G"),
+    "module's function": "import consts\ndef step(s, h, p):\n    return (consts.times(s[0]), " + REST,
+    "module's module": "import consts\ndef step(s, h, p):\n    return (consts.inner.times(s[0]), " + REST,
+    "module's array": "import consts\n" + STEP.format(value="consts.A[1]"),
+}
+CONSTS = (
+    "import numpy as np\nimport inner\nG = 2.0\nA = np.array([1.0, 2.0])\ndef times(x):\n    return inner.times(x)\n"
+)
+INNER = "def times(x):\n    return 2.0 * x\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of scheme files, and a cache of its own."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "files" / "parts").mkdir(parents=True)
+    return tmp_path / "files"
+
+
+def write_files(folder: Path, body: str, factor: str, options: str = "") -> Path:
+    """The scheme file and the modules beside it with ``factor`` where the text says 2.0."""
+    for name, text in (
+        ("consts.py", CONSTS),
+        ("inner.py", INNER),
+        ("parts/consts.py", CONSTS),
+        ("parts/__init__.py", ""),
+    ):
+        (folder / name).write_text(text.replace("2.0", factor))
+    return write_scheme(folder, body.replace("2.0", factor), options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", COMPILED)
+def test_an_edit_gives_the_new_numbers(folder: Path, kind: str) -> None:
+    """Same size, same second: 2.0 becomes 4.0 and back, in everything that a compiled step can depend on."""
+    first = run_scheme(write_files(folder, COMPILED[kind], "2.0"))
+    edited = run_scheme(write_files(folder, COMPILED[kind], "4.0"))
+    back = run_scheme(write_files(folder, COMPILED[kind], "2.0"))
+    assert (first.value, edited.value, back.value) == (4.0, 16.0, 4.0)
+    assert first.code == back.code != edited.code
+    assert not first.cached
+    assert not edited.cached
+    assert back.cached is (kind not in ("large array", "strided array"))
+
+
+PLAIN = {
+    "partial": "from functools import partial\ndef times(k, x):\n    return k * x\nf = partial(times, 2.0)\n"
+    "def step(s, h, p):\n    return (f(s[0]), " + REST,
+    "keyword default": "def f(x, *, k=2.0):\n    return k * x\ndef step(s, h, p):\n    return (f(s[0]), " + REST,
+    "instance": "class Gain:\n    def __init__(self, k):\n        self.k = k\ngain = Gain(2.0)\n"
+    + STEP.format(value="gain.k"),
+    "class": "class Gain:\n    k = 2.0\n" + STEP.format(value="Gain.k"),
+    "base class": "class Base:\n    k = 2.0\nclass Gain(Base):\n    pass\n" + STEP.format(value="Gain.k"),
+    "method": "class Gain:\n    def times(self, x):\n        return 2.0 * x\ntimes = Gain().times\n"
+    "def step(s, h, p):\n    return (times(s[0]), " + REST,
+    "slots": "class Gain:\n    __slots__ = ('k',)\ngain = Gain()\ngain.k = 2.0\n" + STEP.format(value="gain.k"),
+    "dataclass": "from dataclasses import dataclass\n@dataclass\nclass Gain:\n    k: float = 2.0\ngain = Gain()\n"
+    + STEP.format(value="gain.k"),
+    "dictionary": "K = {'k': [1.0, 2.0]}\n" + STEP.format(value="K['k'][1]"),
+    "frozenset": "K = frozenset(('a', 'b', 2.0))\n" + STEP.format(value="(2.0 if 2.0 in K else 0.0)"),
+    "enum": "from enum import Enum\nclass Gain(Enum):\n    K = 2.0\n" + STEP.format(value="Gain.K.value"),
+    "fraction": "from fractions import Fraction\nK = Fraction(2.0)\n" + STEP.format(value="float(K)"),
+    "cached function": "from functools import lru_cache\n@lru_cache\ndef f():\n    return 2.0\n"
+    + STEP.format(value="f()"),
+    "wrapped function": "from functools import wraps\ndef twice(f):\n    @wraps(f)\n    def g():\n        return f()\n"
+    "    return g\n@twice\ndef f():\n    return 2.0\n" + STEP.format(value="f()"),
+    "SciPy and numpy": "import numpy as np\nfrom scipy.special import cbrt\nfrom numpy import roll\n"
+    + STEP.format(value="float(np.sum(roll(np.array([2.0]), 1)) + cbrt(0.0))"),
+    "random numbers": "import numpy as np\nK = np.random.default_rng(2)\nk = 2.0\n"
+    + STEP.format(value="(k + 0.0 * K.random())"),
+    "inner function": "def step(s, h, p):\n    def f(x):\n        return 2.0 * x\n    return (f(s[0]), " + REST,
+}
+
+
+@pytest.mark.parametrize("kind", PLAIN)
+def test_an_edit_of_a_plain_step_gives_another_code(folder: Path, kind: str) -> None:
+    """What runs in the interpreter needs no new machine code, but its folder must not count as up to date."""
+    found = [run_scheme(write_files(folder, PLAIN[kind], k, ", plain=True")) for k in ("2.0", "4.0", "2.0")]
+    assert [one.value for one in found] == [4.0, 16.0, 4.0]
+    assert found[0].code == found[2].code != found[1].code
+
+
+REFUSED = {
+    "lock": ("import threading\nK = threading.Lock()\n" + STEP.format(value="(K is None)"), "'K'", "lock"),
+    "view": ("K = memoryview(b'2.0')\n" + STEP.format(value="len(K)"), "'K'", "memoryview"),
+    "pointer": (
+        "import ctypes\nK = ctypes.CFUNCTYPE(ctypes.c_double)(lambda: 2.0)\n" + STEP.format(value="K()"),
+        "'K'",
+        "an address in this process",
+    ),
+    "module's lock": (
+        "import consts, threading\nconsts.lock = threading.Lock()\n" + STEP.format(value="(consts.lock is None)"),
+        "'consts'",
+        "consts.lock",
+    ),
+    "default": (
+        "import threading\ndef step(s, h, p, k=threading.Lock()):\n    return (s[0], " + REST,
+        "default",
+        "lock",
+    ),
+    "generator": ("K = (x for x in (2.0,))\n" + STEP.format(value="(K is None)"), "'K'", "generator"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+@pytest.mark.parametrize("options", ["", ", plain=True"])
+def test_what_cannot_be_hashed_is_refused_by_name(folder: Path, kind: str, options: str) -> None:
+    body, name, what = REFUSED[kind]
+    with pytest.raises(SchemeCodeError) as refusal:
+        run_scheme(write_files(folder, body, "2.0", options))
+    message = str(refusal.value)
+    assert name in message
+    assert what in message
+    assert "mine.py:" in message
+    assert "\n" not in message
+
+
+@pytest.mark.slow
+def test_a_global_that_only_shares_the_name_of_an_attribute_is_not_refused(folder: Path) -> None:
+    body = "import threading\nreal = threading.Lock()\nK = 2.0 + 1.0j\n" + STEP.format(value="K.real")
+    assert run_scheme(write_files(folder, body, "2.0")).value == 4.0
+
+
+def test_a_step_that_calls_itself_is_refused(folder: Path) -> None:
+    body = "def f(x):\n    return f(x - 1.0) if x > 0.0 else 2.0\n" + STEP.format(value="f(s[0])")
+    with pytest.raises(SchemeCodeError, match=r"mine.py:4: f calls itself"):
+        run_scheme(write_files(folder, body, "2.0"))
+
+
+@pytest.mark.slow
+def test_modules_of_one_name_beside_two_files_stay_apart(folder: Path, tmp_path: Path) -> None:
+    body = COMPILED["module attribute"]
+    (tmp_path / "other" / "parts").mkdir(parents=True)
+    here, there = write_files(folder, body, "2.0"), write_files(tmp_path / "other", body, "4.0")
+    assert [run_scheme(path).value for path in (here, there, here)] == [4.0, 16.0, 4.0]
+
+
+def test_reading_a_constant_of_a_library_does_not_walk_the_library() -> None:
+    visited = []
+
+    def step(s, h, p):
+        return (math.sin(s[0]) + np.pi + np.linalg.norm(s),)
+
+    from topcli.engine import fingerprint as module
+
+    class Counting(module._Walk):
+        def _function(self, function) -> None:
+            visited.append(function.__name__)
+            super()._function(function)
+
+    walk = Counting(None)
+    walk.value(step)
+    assert visited == ["step"]
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, 1, True, 1.0, "1", b"1", (1,), [1], None, {1: 1}, frozenset((1,)), 1j])
+def test_values_that_differ_in_kind_or_sign_differ(value: object) -> None:
+    others = [0.0, -0.0, 1, True, 1.0, "1", b"1", (1,), [1], None, {1: 1}, frozenset((1,)), 1j]
+
+    def make(k):
+        return lambda: k
+
+    same = [other for other in others if fingerprint(make(other)) == fingerprint(make(value))]
+    assert [repr(one) for one in same] == [repr(value)]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda a: a.astype(np.float32),
+        lambda a: a.reshape(3, 2),
+        lambda a: np.asfortranarray(a),
+        lambda a: a + np.eye(2, 3) * 1e-16,
+        lambda a: a.astype(">f8"),
+        lambda a: a.tolist(),
+    ],
+)
+def test_arrays_count_by_type_shape_layout_and_content(change) -> None:
+    array = np.arange(6.0).reshape(2, 3) * 0.1
+
+    def make(k):
+        return lambda: k
+
+    assert fingerprint(make(array)) == fingerprint(make(array.copy()))
+    assert fingerprint(make(array)) != fingerprint(make(change(array)))
+
+
+MUTABLE = """
+import numpy as np
+import consts
+A, B = 1.5, (2.5, [7.5][0])
+C = np.array([3.5, 4.5])
+sum = 5.5
+
+def inner(x, k=6.5):
+    return x * k + consts.times(x)
+
+def make(k, f):
+    def step(s, h, p, q=8.5):
+        x = A * s[0] + B[0] * s[1] - C[1] * f(s[2]) + k
+        return (x / (q + sum * consts.G), s[1] - h * B[1] * C[0], s[2], s[3], s[4], s[5])
+    return step
+
+step = make(9.5, inner)
+"""
+MUTATIONS = 16
+SEED = 20261122
+
+
+@pytest.mark.slow
+def test_random_edits_give_what_an_empty_cache_gives(folder: Path, tmp_path: Path, monkeypatch) -> None:
+    """One number or operator of the scheme file or of the module beside it is changed at a time."""
+    random = np.random.default_rng(SEED)
+    texts = {"mine": MUTABLE, "consts": CONSTS.replace("2.0", "0.25")}
+    write_files(folder, "step = None", "0.5")
+    known: dict[str, float] = {}
+    for i in range(MUTATIONS):
+        name = ("mine", "consts")[int(random.random() < 0.3)]
+        spots = list(re.finditer(r"\d\.\d+|(?<= )[-+*](?= )", texts[name]))
+        spot = spots[random.integers(len(spots))]
+        is_operator = len(spot[0]) == 1
+        new = str(random.choice([c for c in "-+*" if c != spot[0]]) if is_operator else random.integers(1, 99) / 8)
+        texts[name] = texts[name][: spot.start()] + new + texts[name][spot.end() :]
+        (folder / "consts.py").write_text(texts["consts"])
+        path = write_scheme(folder, texts["mine"])
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+        shared = run_scheme(path)
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / f"empty{i}"))
+        empty = run_scheme(path)
+        assert shared.value == empty.value, f"seed {SEED}, mutation {i}: {spot[0]} -> {new}"
+        assert shared.code == empty.code
+        assert not empty.cached
+        assert known.setdefault(shared.code, shared.value) == shared.value

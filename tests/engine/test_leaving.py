@@ -1,0 +1,264 @@
+"""The outcome ``left_motion``: a finite state far off its energy surface, found at the first recorded step."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from conftest import GEN, ROOT, Said
+from resuming import after, content, killed
+from topcli.analysis.drift import InvariantTally
+from topcli.analysis.leaving import EnergyWatch
+from topcli.analysis.many import EnsembleTally
+from topcli.config.ensemble import EnsembleExperiment
+from topcli.config.load import load_any, load_experiment
+from topcli.contracts import Invariant, Outcome, Top
+from topcli.schemes.registry import find_scheme
+from topcli.studies.ensemble import run_ensemble
+from topcli.studies.run import run_experiment
+from topcli.studies.simulate import simulate
+from topcli.studies.simulate_ensemble import simulate_ensemble
+from topcli.studies.stress.case import Case, CaseCache, Result
+from topcli.studies.stress.checks import stays_bounded
+from topcli.studies.stress.suite import tried
+from topcli.tops.euler import Euler
+from topcli.tops.heavy import Heavy
+from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import LagrangeInertial
+
+BIG = ["h=2", "N=1000", "name=big"]
+"""HK with so long a step that gamma² grows to 2e59; the state stays finite."""
+
+
+def kowalevski_energy(y: np.ndarray) -> tuple[float, float]:
+    """Energy and magnitudes of its terms for A = B = 2, C = c0 = 1, written out."""
+    kinetic = y[0] ** 2 + y[1] ** 2 + 0.5 * y[2] ** 2
+    return kinetic + y[3], kinetic + abs(y[3])
+
+
+def euler_energy(y: np.ndarray) -> tuple[float, float]:
+    """Twice the energy for the moments 3, 2, 1."""
+    twice = 3.0 * y[0] ** 2 + 2.0 * y[1] ** 2 + y[2] ** 2
+    return twice, twice
+
+
+def inertial_energy(y: np.ndarray) -> tuple[float, float]:
+    kinetic = 0.5 * (y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
+    return kinetic + y[5], kinetic + abs(y[5])
+
+
+TOPS = [(Kowalevski(), kowalevski_energy), (Euler(), euler_energy), (LagrangeInertial(), inertial_energy)]
+
+
+def departing(top: Top, energy: Callable[..., tuple[float, float]], factor: float, at: int) -> np.ndarray:
+    """States (1000, d): the first one until ``at``, from there on off by ``factor`` of the energy's terms."""
+    start = np.array(GEN[: len(top.components)])
+    first, scale = energy(start)
+    low, high = 1.0, 1e3
+    while low < 0.5 * (low + high) < high:  # omega (or m) times this has the energy wanted
+        middle = 0.5 * (low + high)
+        state = np.where(np.arange(len(start)) < 3, middle * start, start)
+        low, high = (middle, high) if energy(state)[0] - first < factor * scale else (low, middle)
+    states = np.tile(start, (1000, 1))
+    states[at:, :3] *= low
+    return states
+
+
+def left_by_each(top: Top, states: np.ndarray) -> set[int | None]:
+    """The step of leaving by the three consumers of rows, in one piece and in pieces, every third step recorded."""
+    n = 3 * np.arange(len(states))
+    found: list[int | None] = []
+    for pieces in (1, 7, 400):
+        tally, watch = InvariantTally(top.invariants(), 0.1, top), EnergyWatch(top, states[0])
+        many = EnsembleTally(top.invariants(), 2, top)
+        for part in np.array_split(np.arange(len(states)), pieces):
+            tally.add(n[part], states[part])
+            watch.add(n[part], states[part])
+            both = np.stack([np.tile(states[0], (len(part), 1)), states[part]])
+            many.add(0, n[part], both, np.full(2, len(part)))
+        assert many.left[0] == -1
+        found += [tally.left, watch.left, None if many.left[1] < 0 else int(many.left[1])]
+    return set(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("top", "energy"), TOPS, ids=["kowalevski", "euler", "lagrange/inertial"])
+@pytest.mark.parametrize("at", [1, 417, 999])
+def test_both_sides_of_the_limit(top: Top, energy, at: int) -> None:
+    """A hundred times the magnitudes of the energy's terms at the start."""
+    assert left_by_each(top, departing(top, energy, 99.9, at)) == {None}
+    assert left_by_each(top, departing(top, energy, 100.1, at)) == {3 * at}
+
+
+@pytest.mark.parametrize("value", [1e160, math.nan])
+def test_an_energy_beyond_the_range_of_numbers_has_left(value: float) -> None:
+    states = departing(Kowalevski(), kowalevski_energy, 1.0, 500)
+    states[500:, 1] = value
+    with np.errstate(all="ignore"):
+        assert left_by_each(Kowalevski(), states) == {1500}
+
+
+class Without(Heavy):
+    """A top whose energy is not known."""
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        return super().invariants()[:2]
+
+
+class Named(Heavy):
+    """A top whose energy has another name."""
+
+    energy: ClassVar[str] = "gamma_sq"
+
+
+@pytest.mark.slow
+def test_a_top_without_an_energy_never_leaves() -> None:
+    states = np.tile(np.array(GEN), (1000, 1))
+    states[5:, :3] *= 1e8
+    assert left_by_each(Without(), states) == {None}
+    assert left_by_each(Named(), states) == {None}
+    assert left_by_each(Heavy(), states) == {15}
+    states[7:, 3:] *= 1e8
+    assert left_by_each(Named(), states) == {21}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gamma", [(0.0, 0.0, 1.0), (1e-12, 0.6, 0.8)])
+def test_a_start_whose_terms_vanish_has_the_scale_of_its_lengths(gamma: tuple[float, ...]) -> None:
+    """At rest with the centre of gravity level the energy's terms are 0: no error is a hundred times as large."""
+    states = np.tile(np.array([0.0, 0.0, 0.0, *gamma]), (1000, 1))
+    for factor, left in ((0.99, None), (1.01, 900)):  # of c0 |gamma|
+        states[300:, 1] = math.sqrt(factor)
+        assert left_by_each(Kowalevski(), states) == {left}
+    falls = simulate(
+        {"top": "kowalevski", "initial": {"omega": [0, 0, 0], "gamma": [0, 0, 1]}, "scheme": "hk", "h": 0.1, "N": 500}
+    )
+    assert falls.outcome is Outcome.COMPLETED
+    assert np.ptp(falls["energy"]) > 1e-5
+
+
+def test_a_state_at_rest_for_ever_is_not_judged() -> None:
+    assert left_by_each(Kowalevski(c0=0.0), np.zeros((1000, 6))) == {None}
+
+
+@pytest.mark.slow
+def test_the_run_goes_on_and_says_so_everywhere(cli: Callable[..., Said], in_tmp: Path) -> None:
+    done = cli("run", "kowalevski_hk", *(part for text in BIG for part in ("--set", text)))
+    assert done.code == 1
+    assert "left its energy surface at step 14 (t = 28)" in done.err
+    folder = in_tmp / "results" / "big"
+    series = pq.read_table(folder / "series.parquet")
+    energy = series.column("energy").to_numpy()
+    assert series.num_rows == 1001
+    assert np.flatnonzero(np.abs(energy - energy[0]) > 100.0 * (4.0 + math.sqrt(1.0 - 1e-6)))[0] == 14
+    report, manifest = (json.loads((folder / f"{name}.json").read_text()) for name in ("report", "manifest"))
+    for told in (report, manifest):
+        assert told["outcome"] == "left_motion"
+        assert told["left_motion"] == {"step": 14, "t": 28.0}
+        assert (told["step"], "step 14 " in told["message"]) == (1000, True)
+    assert "**left_motion**: left its energy surface at step 14 " in (folder / "report.md").read_text()
+    metadata = pq.read_metadata(folder / "series.parquet").metadata
+    assert metadata[b"topcli.outcome"] == b"left_motion"
+    assert json.loads(metadata[b"topcli.left_motion"]) == {"step": 14, "t": 28.0}
+    assert cli("list", "runs", "--json").json()["runs"][0]["outcome"] == "left_motion"
+    again = cli("run", "kowalevski_hk", *(part for text in BIG for part in ("--set", text)))
+    assert (again.code, "(not run again: it ended as left_motion before" in again.err) == (1, True)
+    compared = cli("compare", "hk", "hk-projected", "--set", "h=2", "--set", "N=100", "--json")
+    assert compared.code == 1
+    first, second = compared.json()["schemes"]
+    assert (first["outcome"], first["left_motion"]["step"], second["left_motion"]) == ("left_motion", 14, None)
+    assert first["end_error"] is not None
+    assert "left_motion" in cli("compare", "hk", "--set", "h=2", "--set", "N=100").out
+
+
+def test_only_recorded_steps_count() -> None:
+    found = simulate("kowalevski_hk", overrides=[*BIG, "output.every=10"])
+    assert (found.outcome, found.ending.left, found.ending.left_t) == (Outcome.LEFT_MOTION, 20, 40.0)
+    assert len(found) == 101
+
+
+def test_a_later_failure_keeps_its_outcome_and_mentions_it() -> None:
+    found = simulate("kowalevski_rk4", overrides=["h=2", "N=200"])
+    assert (found.outcome, found.ending.left) == (Outcome.BLEW_UP, 8)
+    assert found.ending.message.startswith("blew up at step 10 ")
+    assert "left its energy surface at step 8 (t = 16)" in found.ending.message
+    assert "energy" not in simulate("kowalevski_rk4", N=100).ending.message
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_chunks")
+@pytest.mark.parametrize("suffix", ["parquet", "csv"])
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_leaving_survives_an_interruption(tmp_path: Path, suffix: str, chunks: int) -> None:
+    """Interrupted or killed after it had left, and before: the report of the uninterrupted run, bit for bit."""
+    start = ["initial={omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}"]
+    experiment = load_experiment(
+        ROOT / "configs" / "kowalevski_hk.yaml", ["h=2", *start, "N=300", f"output.format={suffix}"]
+    )
+    whole = run_experiment(experiment, tmp_path / "whole")
+    assert whole.outcome is Outcome.LEFT_MOTION
+    step = whole.report["left_motion"]["step"]
+    cut = run_experiment(experiment, tmp_path / "cut", stop=after(chunks))
+    assert cut.outcome is Outcome.INTERRUPTED
+    assert (cut.report["left_motion"] is None) == (cut.report["step"] < step)
+    resumed = run_experiment(experiment, tmp_path / "cut", resume=True)
+    assert resumed.status == "resumed"
+    assert content(resumed.stored.folder) == content(whole.stored.folder)
+    killed(tmp_path / "killed", experiment, chunks)
+    resumed = run_experiment(experiment, tmp_path / "killed", resume=True)
+    assert content(resumed.stored.folder) == content(whole.stored.folder)
+
+
+def test_ensembles_count_them(tmp_path: Path) -> None:
+    experiment = load_any("kowalevski_ensemble", ["h=2", "N=300", "ensemble.store=final"])
+    assert isinstance(experiment, EnsembleExperiment)
+    result = run_ensemble(experiment, tmp_path)
+    report = result.report
+    table = pq.read_table(tmp_path / "kowalevski_ensemble" / "trajectories.parquet")
+    outcomes, steps = (table.column(name).to_pylist() for name in ("outcome", "left_motion"))
+    left = [i for i, step in enumerate(steps) if step >= 0]
+    assert 0 < len(left) < len(steps)
+    assert result.outcome is Outcome.LEFT_MOTION
+    assert report["outcomes"] == {"completed": len(steps) - len(left), "left_motion": len(left)}
+    assert [one["trajectory"] for one in report["failures"]] == left[:20]
+    assert report["failures"][0] == {
+        "trajectory": left[0],
+        "outcome": "left_motion",
+        "step": steps[left[0]],
+        "t": 2.0 * steps[left[0]],
+    }
+    assert f"{len(left)} left their energy surface" in report["message"]
+    found = simulate_ensemble("kowalevski_ensemble", overrides=["h=2", "N=300"])
+    assert [ending.outcome.value for ending in found.endings] == outcomes
+    for i in (left[0], left[-1], next(i for i in range(len(steps)) if i not in left)):
+        y = found.initial[i].tolist()
+        initial = {"omega": y[:3], "gamma": y[3:]}
+        alone = simulate(
+            {
+                "top": "kowalevski",
+                "scheme": found.scheme,
+                "initial": initial,
+                "h": 2.0,
+                "N": 300,
+                "output": {"every": 10},
+            }
+        )
+        assert found.tops[i] == Kowalevski()
+        assert (alone.ending.left, alone.outcome.value) == (None if steps[i] < 0 else steps[i], outcomes[i])
+
+
+def test_stress_counts_it_as_broken() -> None:
+    resolved = load_experiment("kowalevski_hk").resolved()
+    config = {key: resolved[key] for key in ("top", "initial")} | {"h": 2.0, "N": 100}
+    case = Case("far", "kowalevski", "?", lambda: config, stays_bounded)
+    judged = tried(case, find_scheme("hk", "kowalevski"), CaseCache())
+    assert judged.finding.result is Result.BROKE
+    assert judged.finding.figures["largest"] > 1e10
+    assert (judged.finding.step, judged.finding.why) == (14, "left its energy surface at step 14 (t = 28)")

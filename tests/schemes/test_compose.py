@@ -1,0 +1,285 @@
+"""Compositions: everything that the composed schemes declare, how stages are put together, what is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from conftest import GEN, random_states
+from kick_turn import KICK_TURN
+from steppers import RK2
+from topcli.analysis.order import observed_order, one_step_back_and_forth
+from topcli.analysis.reference import reference_states
+from topcli.contracts import EulerPoisson, Invariant, Outcome, Sampler, Scheme, Stepper, Top
+from topcli.engine.driver import plain_loop
+from topcli.engine.loop import Run
+from topcli.errors import UnknownNameError, UsageError
+from topcli.schemes.compose import COMPOSITIONS, compose, composed_step, obstacle
+from topcli.schemes.registry import all_schemes, composed, find_scheme
+from topcli.tops import TOPS
+from topcli.tops.kowalevski import Kowalevski
+
+HK = find_scheme("hk", "kowalevski")
+SPLIT = replace(
+    HK, name="kick-turn", conserves=("gamma_sq",), build=lambda top, options: KICK_TURN, doc="A turn between kicks."
+)
+BASES = [SPLIT, *(scheme for scheme in all_schemes() if not obstacle(scheme))]
+by_base = pytest.mark.parametrize("base", BASES, ids=lambda s: f"{s.name}/{s.top}")
+by_composition = pytest.mark.parametrize("name", COMPOSITIONS)
+
+
+# What composed schemes declare
+
+LADDERS = {
+    4: (2.0, (40, 57, 80, 113, 160, 226, 320)),
+    6: (2.0, (16, 20, 25, 32, 40, 50, 64, 80)),
+    8: (4.0, (6, 8, 10, 12, 14, 17, 20, 24, 28, 34)),
+}
+"""Durations, and numbers of steps that take the errors from below 1e-3 to round-off."""
+
+
+def errors_after(top: Top, stepper: Stepper, y0, duration: float, counts) -> list[float]:
+    exact = reference_states(top, y0, np.array([duration]))[0]
+    return [float(np.linalg.norm(states_of(Run(top, stepper, y0, duration / N, N, N))[-1] - exact)) for N in counts]
+
+
+def states_of(run: Run) -> np.ndarray:
+    return run.collect().states
+
+
+@pytest.mark.slow
+@by_base
+@by_composition
+def test_declared_order_is_observed(base: Scheme, name: str) -> None:
+    """Between 1e-3 and round-off, where the errors of order 8 fall fast."""
+    scheme, top = compose(base, name), TOPS[base.top].new()
+    duration, counts = LADDERS[scheme.order]
+    if scheme.order == 8 and len(top.components) == 3:  # free, so calm that errors need time to rise above round-off
+        duration, counts = 5 * duration, [5 * N for N in counts]
+    method = scheme.build(top, base.options())
+    errors = errors_after(top, method, GEN[: len(top.components)], duration, counts)
+    assert max(errors) < 1e-3
+    order = observed_order([duration / N for N in counts], errors, 1e-12)
+    assert order == pytest.approx(scheme.order, abs=0.1)
+
+
+def test_order_control() -> None:
+    """With a base that is not self-adjoint the same weights give order 3, not 8."""
+    weights = COMPOSITIONS["kahan-li8"].weights
+    counts = [160, 226, 320]
+    errors = errors_after(Kowalevski(), Stepper(composed_step(RK2.step, weights), 6), GEN, 2.0, counts)
+    assert observed_order([2.0 / N for N in counts], errors, 1e-12) == pytest.approx(3.0, abs=0.1)
+
+
+def worst_defect(top: Top, stepper: Stepper, h: float) -> float:
+    states = random_states(8, seed=3)[:, : len(top.components)]
+    return max(one_step_back_and_forth(top, stepper, y, h) for y in states)
+
+
+@pytest.mark.slow
+@by_base
+@by_composition
+def test_self_adjoint_to_round_off(base: Scheme, name: str) -> None:
+    scheme, top = compose(base, name), TOPS[base.top].new()
+    assert scheme.self_adjoint
+    for h in (0.2, 0.1, 0.05):
+        assert worst_defect(top, scheme.build(top, base.options()), h) < 1e-14
+
+
+def test_self_adjointness_control() -> None:
+    """A base without the trait, and weights that are no palindrome: by their defects, which are far from round-off."""
+    weights = COMPOSITIONS["suzuki4"].weights
+    hk = HK.build(Kowalevski(), HK.options())
+    assert isinstance(hk, Stepper)
+    without = Stepper(composed_step(RK2.step, weights), 6)
+    lopsided = replace(hk, step=composed_step(hk.step, sorted(weights)))
+    assert worst_defect(Kowalevski(), without, 0.1) == pytest.approx(6.4e-4, rel=0.02)
+    assert worst_defect(Kowalevski(), lopsided, 0.1) == pytest.approx(6.0e-5, rel=0.02)
+    assert worst_defect(Kowalevski(), replace(hk, step=composed_step(hk.step, weights)), 0.1) < 1e-14
+
+
+def deviation(values: np.ndarray, scale: np.ndarray, steps: int) -> float:
+    """In units of 50 ulp of the terms times the square root of the number of steps."""
+    return float(np.abs(values - values[0]).max() / (50.0 * np.finfo(float).eps * np.sqrt(steps) * scale.max()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("base", [base for base in BASES if base.conserves], ids=lambda s: f"{s.name}/{s.top}")
+@by_composition
+def test_what_the_base_conserves_survives(base: Scheme, name: str) -> None:
+    """To round-off, while another integral of the same run deviates visibly (unless the base conserves them all).
+
+    The longest stage is no longer than what the iterations of the implicit bases settle for.
+    """
+    scheme, top = compose(base, name), TOPS[base.top].new()
+    assert scheme.conserves == base.conserves
+    longest = max(map(abs, COMPOSITIONS[name].weights))
+    for h in (0.5 if base is SPLIT else 0.2 / longest, 0.03):
+        states = states_of(Run(top, scheme.build(top, base.options()), GEN[: len(top.components)], h, 4000, 10))
+        steps = 4000 * COMPOSITIONS[name].stages
+        found = {i.name: deviation(i.value(states), i.scale(states), steps) for i in top.invariants()}
+        assert max(found[invariant] for invariant in base.conserves) < 1.0
+        if base is SPLIT and h == 0.5:
+            assert min(found[other] for other in found if other not in base.conserves) > 100.0
+
+
+class Oscillator(Top):
+    """q'' = -q: no top, but the simplest system whose self-adjoint scheme has an integral that depends on h."""
+
+    kind = form = "oscillator"
+    title = citation = swing = "oscillator"
+    components = ("q", "p")
+    vectors: ClassVar = {"q": (0, 2)}
+
+    def constants(self) -> tuple[float, ...]:
+        return (1.0,)
+
+    def euler_poisson(self) -> EulerPoisson:
+        raise NotImplementedError
+
+
+def leapfrog(s, h, p):
+    """Kick, drift, kick; conserves p² + (1 - h²/4) q²."""
+    v = s[1] - (0.5 * h) * s[0]
+    q = s[0] + h * v
+    return (q, v - (0.5 * h) * q)
+
+
+def leapfrog_integral(top: Top, h: float, options: object) -> tuple[Invariant, ...]:
+    def value(y):
+        return y[:, 1] ** 2 + (1.0 - 0.25 * h * h) * y[:, 0] ** 2
+
+    return (Invariant("modified_energy", "E", "E", "energy of the leapfrog", value, value),)
+
+
+@by_composition
+def test_integrals_that_depend_on_h_do_not_survive(name: str) -> None:
+    """And are not said to."""
+    top, h, N = Oscillator(), 0.3, 4000
+    base = replace(HK, top="oscillator", build=lambda *_: Stepper(leapfrog, 2), modified=leapfrog_integral)
+    scheme = compose(base, name)
+    assert scheme.modified is None
+    (integral,) = leapfrog_integral(top, h, None)
+    kept, lost = (integral.value(states_of(Run(top, s.build(top, None), (0.6, 0.8), h, N))) for s in (base, scheme))
+    assert deviation(kept, kept, N) < 1.0
+    assert deviation(lost, lost, N * COMPOSITIONS[name].stages) > 1e4
+    # nor does the same integral at the length of any one stage
+    for c in COMPOSITIONS[name].weights:
+        (integral,) = leapfrog_integral(top, c * h, None)
+        lost = integral.value(states_of(Run(top, scheme.build(top, None), (0.6, 0.8), h, N)))
+        assert deviation(lost, lost, N * COMPOSITIONS[name].stages) > 1e4
+
+
+# How stages are put together
+
+
+@pytest.mark.slow
+@by_base
+@by_composition
+def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
+    """Compiled, ten steps are bit for bit so many runs of one compiled base step each.
+
+    Where the base carries more than the state from step to step (the place where its iteration starts), to round-off.
+    """
+    top, h = TOPS[base.top].new(), 0.05
+    method = base.build(top, base.options())
+    y0 = state = np.array(GEN[: len(top.components)])
+    carried = method.width - len(y0) - len(method.counters)
+    for _ in range(10):
+        for c in COMPOSITIONS[name].weights:
+            state = states_of(Run(top, method, state, c * h, 1))[-1]
+    run = Run(top, compose(base, name).build(top, base.options()), y0, h, 10)
+    composed = states_of(run)[-1]
+    assert np.array_equal(composed, state) or (carried and np.abs(composed - state).max() < 1e-13)
+    assert run.ending is not None
+    assert run.ending.outcome is Outcome.COMPLETED
+    if base is SPLIT:
+        assert run.ending.counters == {"stages": 10 * COMPOSITIONS[name].stages}
+
+
+@pytest.mark.slow
+@by_base
+@by_composition
+def test_compiled_equals_plain_python(base: Scheme, name: str) -> None:
+    top, h, N = TOPS[base.top].new(), 0.05, 50
+    method = compose(base, name).build(top, base.options())
+    y0 = np.array(GEN[: len(top.components)])
+    p, work, out = np.array(top.constants()), np.zeros(method.width), np.empty(N * len(y0))
+    enter, drive = plain_loop(method, len(y0), len(p))
+    enter(y0, work, p, h)
+    assert drive(work, out, p, h, N, 1, 1) == N
+    assert np.array_equal(states_of(Run(top, method, y0, h, N))[1:], out.reshape(N, -1))
+
+
+def unsettled_step(s, h, p):
+    """A status in the last slot that is nan after a step back, and 0.0 after a step forward."""
+    status = math.nan if h < 0.0 else 0.0
+    return (s[0], s[1], s[2], s[3], s[4], s[5], status)
+
+
+def test_a_stage_that_fails_is_not_hidden_by_the_next() -> None:
+    base = replace(SPLIT, build=lambda *_: replace(KICK_TURN, step=unsettled_step, counters=(), iterative=True))
+    run = Run(Kowalevski(), compose(base, "suzuki4").build(Kowalevski(), None), GEN, 0.1, 10)
+    assert len(states_of(run)) == 1
+    assert run.ending is not None
+    assert (run.ending.outcome, run.ending.step) == (Outcome.NO_CONVERGENCE, 1)
+
+
+# What cannot be composed
+
+
+def scaled(y, h, p):
+    return (h * y[0], h * y[1], h * y[2], y[3], y[4], y[5], 0.0)
+
+
+def floored(y, h, p):
+    return (y[0], y[1], y[2], y[3], y[4], y[5], float(math.floor(h)))
+
+
+def rescaled(s, h, p):
+    return (s[0] / h, s[1] / h, s[2] / h, s[3], s[4], s[5])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"self_adjoint": False}, "is not self-adjoint"),
+        ({"order": 4}, "has order 4, but compositions need order 2"),
+        ({"build": lambda *_: Sampler(lambda y0, h, n, p: y0)}, "closed form"),
+        ({"build": lambda *_: replace(KICK_TURN, enter=scaled)}, "depends on h"),
+        ({"build": lambda *_: replace(KICK_TURN, enter=floored)}, "depends on h"),
+        ({"build": lambda *_: replace(KICK_TURN, leave=rescaled)}, "depends on h"),
+    ],
+)
+def test_bases_that_do_not_serve(change: dict, says: str) -> None:
+    with pytest.raises(UsageError, match=says) as told:
+        composed(replace(SPLIT, **change), "suzuki4")
+    assert "schemes for kowalevski that can be: " in str(told.value)
+    assert " hk," in str(told.value)
+    assert len(str(told.value).splitlines()) == 1
+
+
+def test_options_decide_when_the_scheme_is_built() -> None:
+    """A base whose default options serve and whose others do not."""
+    base = replace(SPLIT, build=lambda top, options: replace(KICK_TURN, enter=scaled) if options else KICK_TURN)
+    default = replace(base, options=lambda: None)  # type: ignore[arg-type]
+    scheme = compose(default, "suzuki4")
+    assert isinstance(scheme.build(Kowalevski(), None), Stepper)
+    with pytest.raises(UsageError, match="with these options: it works on a form of the state that depends on h"):
+        scheme.build(Kowalevski(), "scaled")
+
+
+def test_names_and_traits() -> None:
+    scheme = find_scheme("HK+Kahan-Li8", "kowalevski")
+    assert scheme == compose(HK, "kahan-li8") == compose(HK, "KAHAN-LI8")
+    assert (scheme.name, scheme.top, scheme.order) == ("hk+kahan-li8", "kowalevski", 8)
+    assert (scheme.explicit, scheme.self_adjoint, scheme.origin) == (HK.explicit, True, HK.origin)
+    assert scheme.citation.startswith("Kahan, Li, Math. Comp. 66 (1997)")
+    assert HK.citation in scheme.citation
+    assert not compose(replace(HK, explicit=False), "suzuki4").explicit
+    with pytest.raises(UnknownNameError, match="unknown composition 'kahanli8'; did you mean 'kahan-li8'"):
+        compose(HK, "kahanli8")

@@ -1,0 +1,209 @@
+"""Speed against error as it is measured: errors, the ends of ladders, repetitions, peers that are missing or fail."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Stepper
+from topcli.engine.loop import Run
+from topcli.errors import UnknownNameError, UsageError
+from topcli.schemes.registry import find_scheme
+from topcli.studies.bench import competitors as entrants
+from topcli.studies.bench.competitors import FirstCall, NoResultError, SchemeCompetitor
+from topcli.studies.bench.ladder import Rung
+from topcli.studies.bench.measure import Effort, explore, time_all
+from topcli.studies.bench.run import Entrants, bench, choose
+from topcli.studies.bench.scenes import Problem, bench_problems
+from topcli.studies.peers import PEERS, Peer, find_peers, missing
+
+# what is measured
+
+
+@pytest.fixture(scope="module")
+def short() -> Problem:
+    """The generic Kowalevski top for a short while."""
+    (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=0.01", "N=1000"), 20)
+    return problem
+
+
+@pytest.mark.parametrize(("name", "order"), [("hk", 2), ("rk2", 2), ("rk4", 4), ("hk+kahan-li6", 6)])
+def test_errors_fall_as_the_order_says(short: Problem, name: str, order: int) -> None:
+    reference = reference_states(short.top, short.experiment.y0, short.times)
+    mine = SchemeCompetitor(find_scheme(name, "kowalevski"), short)
+    standing = explore(mine, short, reference, Effort(0.02, 1))
+    asymptotic = [rung for rung in standing.rungs if 1e-10 < rung.error < 1e-3]
+    assert len(asymptotic) > 3
+    a, b = asymptotic[-2:]
+    assert math.log(a.error / b.error) / math.log(a.rung.value / b.rung.value) == pytest.approx(order, abs=0.2)
+    assert all(rung.end_error <= rung.error for rung in standing.rungs)
+    assert all(set(rung.drift) == {"gamma_sq", "two_l", "energy", "k_sq"} for rung in standing.rungs)
+
+
+def test_a_run_of_the_bench_is_a_run_of_the_engine(short: Problem) -> None:
+    """The states that errors are taken from are, bit for bit, those that ``Run`` records."""
+    scheme = find_scheme("hybrid", "kowalevski")
+    mine = SchemeCompetitor(scheme, short)
+    rung = next(rung for rung in mine.rungs() if rung.steps >= 8)
+    states = mine.run(rung).states
+    run = Run(
+        short.top,
+        scheme.build(short.top, scheme.options()),
+        short.experiment.y0,
+        short.interval / rung.steps,
+        rung.steps * short.intervals,
+        rung.steps,
+    )
+    assert (states == run.collect().states).all()
+
+
+def test_an_adaptive_scheme_gets_nearer_with_its_tolerance() -> None:
+    (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=0.01", "N=2000"), 2)
+    reference = reference_states(problem.top, problem.experiment.y0, problem.times)
+    mine = SchemeCompetitor(find_scheme("dop853", "kowalevski"), problem)
+    assert mine.parameter == "rtol"
+    errors = [np.abs(mine.run(rung).states - reference).max() for rung in list(mine.rungs())[::8]]
+    assert len(errors) == 4
+    assert errors[0] > 1e-6
+    assert all(a > 30.0 * b for a, b in itertools.pairwise(errors[:3]))
+    assert errors[-1] < 1e-11
+
+
+class Scripted:
+    """A competitor whose errors and times are given."""
+
+    name, kind, parameter, order = "scripted", "topcli", "h", 2
+
+    def __init__(self, errors: list[float], seconds: list[float], problem: Problem, patience: float = 1.0) -> None:
+        self.errors, self.spent, self.patience = errors, seconds, patience
+        self.reference = np.zeros((problem.intervals + 1, 6))
+        self.calls: list[int] = []
+
+    def rungs(self) -> Iterator[Rung]:
+        return (Rung(0.5**k, 2**k) for k in range(len(self.errors)))
+
+    def run(self, rung: Rung) -> FirstCall:
+        k = rung.steps.bit_length() - 1
+        if math.isnan(self.errors[k]):
+            raise NoResultError("fails at step 1 of 2")
+        states = self.reference.copy()
+        states[-1, 0] = self.errors[k]
+        return FirstCall(states, self.spent[k], 0.0)
+
+    def seconds(self, rung: Rung, calls: int) -> list[float]:
+        self.calls.append(rung.steps)
+        if len(self.calls) == 5:
+            raise NoResultError("its process died")
+        return [2.0, 1.0]
+
+
+def test_a_ladder_ends_at_the_budget_and_says_so(short: Problem) -> None:
+    mine = Scripted([1e-1, 1e-2, 1e-3, 1e-4, 1e-5], [0.001, 0.002, 0.004, 0.008, 0.016], short)
+    standing = explore(mine, short, mine.reference, Effort(0.01, 1))
+    assert [rung.error for rung in standing.rungs] == [1e-1, 1e-2, 1e-3, 1e-4]
+    assert standing.ended == "h = 0.062 would take about 0.016 s a run; 0.01 s are allowed"
+    patient = Scripted(mine.errors, mine.spent, short, patience=2.0)
+    assert len(explore(patient, short, mine.reference, Effort(0.01, 1)).rungs) == 5
+
+
+def test_a_ladder_ends_at_round_off_and_not_before(short: Problem) -> None:
+    errors = [1.0, 2.0, 1.5, 1e-3, 1e-9, 1.2e-9, 0.9e-9, 1e-9, 1e-10]
+    mine = Scripted(errors, [1e-4] * len(errors), short)
+    standing = explore(mine, short, mine.reference, Effort(1.0, 1))
+    assert [rung.error for rung in standing.rungs] == errors[:7]
+    assert "round-off" in standing.ended
+
+
+def test_a_failing_setting_is_passed_over(short: Problem) -> None:
+    mine = Scripted([math.nan, 1e-2, 1e-3], [1e-4] * 3, short)
+    standing = explore(mine, short, mine.reference, Effort(1.0, 1))
+    assert standing.failed == [(1.0, "fails at step 1 of 2")]
+    assert [rung.error for rung in standing.rungs] == [1e-2, 1e-3]
+
+
+@pytest.mark.slow
+def test_a_step_that_cannot_be_compiled_stops_nothing_else(short: Problem) -> None:
+    def step(s: Any, h: float, p: Any) -> Any:
+        return print(s)
+
+    bad = replace(find_scheme("hk", "kowalevski"), name="bad", build=lambda top, options: Stepper(step, 6))
+    talk: list[str] = []
+    both = Entrants((bad, find_scheme("rk4", "kowalevski")), (), ())
+    result = bench(short, both, [], Effort(0.001, 1), on_message=talk.append)
+    assert "cannot be compiled" in result["competitors"][0]["broken"]
+    assert len(talk) == 1
+    assert talk[0].startswith("error: kowalevski_generic_hk: bad failed")
+    assert result["competitors"][1]["points"]
+
+
+def test_repetitions_are_interleaved_and_the_best_process_counts(short: Problem) -> None:
+    mine = Scripted([1e-1, 1e-2], [1e-4] * 2, short)
+    standing = explore(mine, short, mine.reference, Effort(1.0, 3))
+    time_all([standing], Effort(1.0, 3), lambda done, total: None)
+    assert sorted(mine.calls[:2]) == [1, 2]
+    assert sorted(mine.calls[2:4]) == [1, 2]
+    assert standing.broken == "its process died"  # at the fifth call; what was measured stands
+    assert [point.seconds for point in standing.points()] == [1.0, 1.0]
+
+
+# peers
+
+
+def test_a_missing_peer_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = Peer("absent", "not there", "topcli.no_such_module", ("no_such_package_of_anybody",))
+    assert "no_such_package_of_anybody not installed" in missing(absent)
+    talk: list[str] = []
+    result = bench(short, choose(short, ("hk",)), [absent], Effort(0.001, 1), on_message=talk.append)
+    assert result["skipped_peers"] == [{"name": "absent", "reason": missing(absent)}]
+    assert talk == [f"kowalevski_generic_hk: peer absent is skipped: {missing(absent)}"]
+
+
+def test_a_peer_that_fails_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PEERS, "broken", Peer("broken", "", "topcli.no_such_module", ("numpy",)))
+    monkeypatch.setattr(entrants.subprocess, "Popen", _worker_that_dies)
+    talk: list[str] = []
+    result = bench(short, choose(short, ("hk",)), [PEERS["broken"]], Effort(0.001, 1), on_message=talk.append)
+    assert [row["name"] for row in result["failed_peers"]] == ["broken"]
+    assert "died with code 7: no luck" in result["failed_peers"][0]["reason"]
+    assert "broken failed" in talk[0]
+
+
+def _worker_that_dies(command: list[str], **options: Any) -> Any:
+    text = "import sys; print('no luck', file=sys.stderr); sys.exit(7)"
+    return _popen([sys.executable, "-c", text], **options)
+
+
+_popen = subprocess.Popen
+
+
+def test_names_of_peers() -> None:
+    assert [peer.name for peer in find_peers(["Heyoka", "scipy"])] == ["heyoka", "scipy"]
+    with pytest.raises(UnknownNameError, match="did you mean 'heyoka'"):
+        find_peers(["heyok"])
+    with pytest.raises(UsageError, match="named twice"):
+        find_peers(["scipy", "SciPy"])
+
+
+def test_scipy_as_a_peer(short: Problem) -> None:
+    """A peer that is always there, in its process: its errors fall with its tolerance, and its seconds are counted."""
+    result = bench(short, choose(short, ("rk4",)), find_peers(["scipy"]), Effort(0.02, 1))
+    rows = {row["name"]: row for row in result["competitors"]}
+    assert set(rows) == {"rk4", "scipy dop853", "scipy dop853 numba"}
+    for name in ("scipy dop853", "scipy dop853 numba"):
+        points = rows[name]["points"]
+        errors = [row["error"] for row in points]
+        assert len(errors) == 6
+        assert all(a > 5.0 * b for a, b in itertools.pairwise(errors[:4]))
+        assert min(errors) < 1e-11
+        assert all(row["seconds"] > 0.0 for row in points)
+    ours, theirs = (np.array([row["error"] for row in rows[name]["points"]]) for name in list(rows)[1:])
+    assert ours == pytest.approx(theirs, rel=0.2, abs=1e-12)  # the same method

@@ -1,0 +1,160 @@
+"""The results of a bench on disk, the command, and the figure."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from topcli.errors import RunError
+from topcli.figures.catalogue import FIGURES
+from topcli.figures.contract import Request
+from topcli.studies.bench.front import DECADES
+from topcli.studies.bench.measure import Effort
+from topcli.studies.bench.run import bench, choose
+from topcli.studies.bench.scenes import Problem, bench_problems
+from topcli.studies.bench.stored import POINTS, points_table, store_bench, stored_benches
+
+
+@pytest.fixture(scope="module")
+def short() -> Problem:
+    """The generic Kowalevski top for a short while."""
+    (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=0.01", "N=1000"), 20)
+    return problem
+
+
+# results on disk
+
+
+@pytest.fixture
+def result(short: Problem) -> dict[str, Any]:
+    """A small result."""
+    return bench(short, choose(short, ("hk", "rk4")), [], Effort(0.001, 1))
+
+
+def test_a_result_is_stored_whole(result: dict[str, Any], tmp_path: Path) -> None:
+    stored, aside = store_bench(result, "code", "start", "end", tmp_path / "bench")
+    assert aside is None
+    assert stored.folder == tmp_path / "bench" / "kowalevski_generic_hk"
+    names = sorted(path.name for path in stored.folder.iterdir())
+    assert names == ["manifest.json", "points.parquet", "report.json", "report.md"]
+    table = pq.read_table(stored.folder / POINTS)
+    assert table.num_rows == sum(len(row["points"]) for row in result["competitors"])
+    assert table.column("name").to_pylist() == points_table(result)["name"]
+    assert {"error", "end_error", "drift", "seconds", "drift_k_sq", "lower_quartile"} <= set(table.column_names)
+    (found,) = stored_benches(tmp_path / "bench")
+    assert {key: found[1][key] for key in result} == json.loads(json.dumps(result))
+    assert "take" in (stored.folder / "report.md").read_text()
+
+
+def test_a_result_is_never_lost(result: dict[str, Any], tmp_path: Path) -> None:
+    out = tmp_path / "bench"
+    first, _ = store_bench(result, "code", "start", "end", out)
+    _, aside = store_bench(result, "code", "start", "end", out)
+    assert aside is None  # the same measured again
+    _, aside = store_bench(result, "other code", "start", "end", out)
+    assert aside is not None
+    assert (aside / POINTS).is_file()
+    assert [run.folder for run, _ in stored_benches(out)] == [first.folder]  # what is set aside is not drawn
+    fewer = {**result, "competitors": result["competitors"][:1]}
+    assert store_bench(fewer, "other code", "start", "end", out)[1] is not None
+    assert len(list(out.iterdir())) == 3
+
+
+def test_a_half_written_result_is_none(result: dict[str, Any], tmp_path: Path) -> None:
+    def fails(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("topcli.studies.bench.stored.write_table", fails)
+        with pytest.raises(RunError, match="nothing was kept of this bench"):
+            store_bench(result, "code", "start", "end", tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    assert stored_benches(tmp_path) == []
+
+
+# the command
+
+
+def test_non_finite_errors_are_stored_and_drawn_as_missing(result: dict[str, Any], tmp_path: Path) -> None:
+    lost = json.loads(json.dumps(result))
+    lost["competitors"][0]["points"][0]["error"] = None
+    store_bench(lost, "code", "start", "end", tmp_path / "bench")
+    assert pq.read_table(tmp_path / "bench" / lost["name"] / POINTS).column("error").null_count == 1
+    loaded = FIGURES["work-precision"].load(Request(tmp_path))
+    (panel,) = loaded.panels
+    assert panel.scene == lost["name"]
+    assert set(panel.columns) == set(loaded.data())
+
+
+@pytest.mark.slow
+def test_end_to_end(cli: Any) -> None:
+    scenes = ("--scene", "lagrange", "--scene", "kowalevski-paper")
+    arguments = (*scenes, "--against", "none", "--budget", "0.001", "--repetitions", "1")
+    document = cli("bench", "hk", "rk4", "hybrid", *arguments, "--json").json()
+    assert document["command"] == "bench"
+    assert document["schema_version"] == 1
+    scene, other = document["scenes"]
+    assert [row["name"] for row in other["competitors"]] == ["hk", "rk4", "hybrid"]
+    assert [row["name"] for row in scene["competitors"]] == ["hk", "rk4"]
+    assert scene["left_out"] == [{"name": "hybrid", "reason": "does not fit the top lagrange"}]
+    assert scene["skipped_peers"] == scene["failed_peers"] == []
+    for row in scene["competitors"]:
+        assert row["parameter"] == "h"
+        assert row["compile_seconds"] >= 0.0
+        for point in row["points"]:
+            assert set(point) == {
+                "value", "error", "end_error", "drift", "invariants",
+                "seconds", "fastest", "quartiles", "repetitions", "processes",
+            }  # fmt: skip
+    assert [row["error"] for row in scene["decades"]] == list(DECADES)
+    assert Path(scene["folder"], POINTS).is_file()
+    again = cli("bench", "rk4", *arguments)
+    assert "for an error of 1e-3 take rk4 with h=" in again.out
+    assert "renamed the earlier, different result to results/bench/lagrange." in again.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("hkk", "--scene", "euler"), "did you mean 'hk'"),
+        (("--scene", "eulr"), "did you mean 'euler'"),
+        (("--against", "heyok"), "did you mean 'heyoka'"),
+        (("hybrid", "--scene", "euler"), "does not fit top 'euler'"),
+        (("exact", "--scene", "kowalevski-paper"), "exact"),
+        (("--scene", "euler", "--set", "h=1"), "none is given"),
+    ],
+)
+def test_mistakes_are_reported_with_a_correction(cli: Any, arguments: tuple[str, ...], told: str) -> None:
+    failed = cli("bench", *arguments)
+    assert failed.code == 2
+    assert told in failed.err
+    assert "Traceback" not in failed.err
+    assert not Path("results").exists()
+
+
+# the figure
+
+
+@pytest.mark.slow
+def test_the_figure_reads_results_and_measures_nothing(result: dict[str, Any], cli: Any) -> None:
+    nothing = cli("plot", "work-precision")
+    assert nothing.code == 2
+    assert "topcli bench" in nothing.err
+    store_bench(result, "code", "start", "end", Path("results/bench"))
+    made = cli("plot", "work-precision", "--format", "png", "--json").json()["figures"]
+    assert [figure["status"] for figure in made] == ["drawn"]
+    data = pq.read_table("results/figures/work-precision.parquet")
+    column = data.column("kowalevski_generic_hk:rk4:error").to_numpy()
+    measured = [row["error"] for row in result["competitors"][1]["points"]]
+    drawn = column[np.isfinite(column)]
+    assert len(drawn) > 2
+    assert set(drawn) <= set(measured)
+    assert (np.diff(drawn) < 0.0).all()
+    assert cli("plot", "work-precision", "--format", "png", "--json").json()["figures"][0]["status"] == "up to date"
+    store_bench(result, "code", "start", "later", Path("results/bench"))
+    assert cli("plot", "work-precision", "--format", "png", "--json").json()["figures"][0]["status"] == "drawn"

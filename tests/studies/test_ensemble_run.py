@@ -1,0 +1,322 @@
+"""Ensembles as results: run folders, statistics, the Python interface and the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import topcli
+from conftest import ROOT, random_states
+from topcli.analysis.drift import invariant_report
+from topcli.analysis.many import MEASURES, quantiles
+from topcli.config.ensemble import EnsembleExperiment
+from topcli.config.load import any_from
+from topcli.contracts import Outcome
+from topcli.engine import ensemble as engine
+from topcli.errors import UsageError
+from topcli.store.manifest import stored_run
+from topcli.store.series import read_series
+from topcli.studies.ensemble import run_ensemble
+from topcli.studies.run import RunResult
+
+RANDOM = {"count": 70, "seed": 3, "gamma": "sphere", "omega": {"near": 0.3}}
+
+
+def experiment(**changes: Any) -> EnsembleExperiment:
+    data = {
+        "name": "some",
+        "top": "kowalevski",
+        "initial": {"omega": [0.7, -0.4, 1.3]},
+        "ensemble": {"random": RANDOM},
+        "scheme": "hk",
+        "h": 0.02,
+        "N": 200,
+        "output": {"every": 10},
+        **changes,
+    }
+    found = any_from(data)
+    assert isinstance(found, EnsembleExperiment)
+    return found
+
+
+def run(tmp_path: Path, **changes: Any) -> RunResult:
+    return run_ensemble(experiment(**changes), tmp_path)
+
+
+def failing(count: int = 40) -> dict[str, Any]:
+    """Initial states of which those with a huge omega blow up at once under rk2."""
+    return {
+        "scheme": "rk2",
+        "ensemble": {"states": [{"omega": [1e200 if i % 4 == 1 else 0.5, 0, 1]} for i in range(count)]},
+        "initial": {"gamma": [0.6, 0.48, 0.64]},
+    }
+
+
+def columns(path: Path) -> dict[str, np.ndarray]:
+    return read_series(path)
+
+
+def test_the_series_holds_single_runs(tmp_path: Path) -> None:
+    found = experiment()
+    stored = run_ensemble(found, tmp_path).stored
+    series = columns(stored.series)
+    assert list(series) == ["trajectory", "n", "t", *found.top.components, "gamma_sq", "two_l", "energy", "k_sq"]
+    assert np.array_equal(series["trajectory"], np.repeat(np.arange(70), 21))
+    for i in (0, 63, 64, 69):
+        rows = series["trajectory"] == i
+        single = topcli.simulate(found.member(i).resolved())
+        for name in ("n", "t", *found.top.components, "k_sq"):
+            assert np.array_equal(series[name][rows], single[name]), name
+
+
+def test_a_row_group_for_each_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored = run(tmp_path).stored
+    file = pq.ParquetFile(stored.series)
+    groups = [file.metadata.row_group(i) for i in range(file.num_row_groups)]
+    assert [group.num_rows for group in groups] == [64 * 21, 6 * 21]
+    assert [group.column(0).statistics.min for group in groups] == [0, 64]  # found without reading the rest
+    whole = columns(stored.series)
+    monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
+    pieces = pq.ParquetFile(run_ensemble(experiment(), tmp_path / "cut").stored.series)
+    assert pieces.num_row_groups == 6  # three stretches of time for each block
+    cut = pieces.read()
+    order = np.lexsort((cut["n"].to_numpy(), cut["trajectory"].to_numpy()))
+    assert all(np.array_equal(cut[name].to_numpy()[order], whole[name]) for name in whole)
+
+
+def test_slow_schemes_fill_blocks_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "SMALL_TILE", 4)
+    stored = run(tmp_path, scheme="dop853", N=20, ensemble={"random": {**RANDOM, "count": 6}}).stored
+    file = pq.ParquetFile(stored.series)
+    assert [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)] == [12, 6]
+
+
+def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In pieces and without rows, against each single trajectory's own report."""
+    monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
+    found = experiment()
+    stored = run_ensemble(found, tmp_path / "rows").stored
+    without = run(tmp_path / "none", ensemble={"random": RANDOM, "store": "statistics"})
+    assert without.stored.manifest["series"] == "trajectories.parquet"
+    assert not (without.stored.folder / "series.parquet").exists()
+    table, other = columns(stored.folder / "trajectories.parquet"), columns(without.stored.series)
+    assert all(np.array_equal(table[name], other[name]) for name in table)
+    series = columns(stored.series)
+    order = np.lexsort((series["n"], series["trajectory"]))
+    states = np.stack([series[name][order] for name in found.top.components], axis=1).reshape(70, 21, 6)
+    for i in range(70):
+        assert tuple(table[f"initial_{name}"][i] for name in found.top.components) == tuple(states[i, 0])
+        reports = invariant_report(found.top.invariants(), np.arange(0, 201, 10), 0.02, states[i])
+        for one, invariant in zip(reports, found.top.invariants(), strict=True):
+            assert table[f"{one.name}_first"][i] == one.first
+            assert table[f"{one.name}_max_deviation"][i] == one.max_deviation
+            assert table[f"{one.name}_rms_deviation"][i] == pytest.approx(one.rms_deviation, rel=1e-9, abs=0.0)
+            last = invariant.value(states[i, -1:])[0] - one.first
+            assert table[f"{one.name}_final_deviation"][i] == last
+    for row in without.report["invariants"]:
+        for measure in MEASURES:
+            values = np.sort(np.abs(table[f"{row['name']}_{measure}"]))
+            assert row[measure] == {
+                "min": values[0], "5 %": values[3], "median": values[34], "95 %": values[66], "max": values[-1]
+            }  # fmt: skip
+
+
+def test_the_verdict_is_that_of_single_runs() -> None:
+    """The hybrid keeps gamma² and k², HK neither: trajectory by trajectory as in their own reports."""
+    for scheme, exact in (("hybrid", {"gamma_sq", "k_sq"}), ("hk", set())):
+        found = topcli.simulate_ensemble(experiment(scheme=scheme, N=1000).resolved())
+        for row in found.invariants().itertuples():
+            verdicts = [found.trajectory(i).invariants().loc[row.Index, "verdict"] for i in range(5)]
+            assert row.within_round_off == (70 if row.Index in exact else 0)
+            assert (verdicts == ["exact"] * 5) == (row.Index in exact)
+
+
+def test_only_the_last_states(tmp_path: Path) -> None:
+    """Also where N is no multiple of every: the state at step N."""
+    found = experiment(N=205, ensemble={"random": RANDOM, "store": "final"})
+    last = columns(run_ensemble(found, tmp_path).stored.series)
+    assert len(last["n"]) == 70
+    assert set(last["n"]) == {205}
+    single = topcli.simulate({**found.member(66).resolved(), "output": {"every": 205}})
+    assert [last[name][66] for name in found.top.components] == single.states[-1].tolist()
+
+
+def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
+    result = run(tmp_path, **failing())
+    report = result.report
+    assert report["outcome"] == "blew_up"
+    assert report["outcomes"] == {"completed": 30, "blew_up": 10}
+    assert (
+        "of 40 trajectories 30 completed, 10 blew up; the first of them, trajectory 1, blew up at step"
+        in report["message"]
+    )
+    assert [failure["trajectory"] for failure in report["failures"]] == list(range(1, 40, 4))
+    series = columns(result.stored.series)
+    rows = np.bincount(series["trajectory"], minlength=40)
+    assert (np.delete(rows, range(1, 40, 4)) == 21).all()
+    assert (rows[1::4] == 1).all()
+    table = columns(result.stored.folder / "trajectories.parquet")
+    assert list(table["outcome"]) == [("blew_up" if i % 4 == 1 else "completed") for i in range(40)]
+    assert (table["n"][1::4] < 5).all()
+    text = (result.stored.folder / "report.md").read_text()
+    assert "- trajectory 1: blew_up at step" in text
+    assert json.loads((result.stored.folder / "report.json").read_text()) == report
+
+
+def test_threads_change_no_byte_of_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
+    found = experiment(ensemble={"random": {**RANDOM, "count": 200}})
+    one = run_ensemble(found, tmp_path / "1", threads=1).stored
+    two = run_ensemble(found, tmp_path / "2", threads=2).stored
+    for name in ("series.parquet", "trajectories.parquet"):
+        assert pq.read_table(one.folder / name).equals(pq.read_table(two.folder / name))
+
+
+def test_csv(tmp_path: Path) -> None:
+    stored = run(tmp_path, output={"every": 100, "format": "csv", "columns": ["t", "k_sq"]}).stored
+    series = columns(stored.series)
+    assert list(series) == ["trajectory", "t", "k_sq"]
+    assert series["trajectory"].dtype == np.int64
+    assert (stored.folder / "trajectories.csv").read_text().startswith("trajectory,initial_omega1,")
+
+
+def test_up_to_date_replaced_and_refused(tmp_path: Path) -> None:
+    assert run(tmp_path).status == "ran"
+    assert run(tmp_path).status == "up to date"
+    with pytest.raises(UsageError, match="holds a different experiment"):
+        run(tmp_path, ensemble={"random": {**RANDOM, "seed": 4}})
+    stored = stored_run(tmp_path / "some")
+    assert stored is not None
+    assert stored.manifest["kind"] == "ensemble"
+    assert len(stored.manifest["initial_states_sha256"]) == 64
+    assert stored.manifest["config"]["ensemble"]["random"]["seed"] == 3
+
+
+def test_an_interrupted_ensemble_is_kept_and_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "GROUP", 1)
+    monkeypatch.setattr(engine, "CHUNK_STEPS", 100)
+    answers = iter([False, False, False, True, True])
+    result = run_ensemble(experiment(), tmp_path, stop=lambda: next(answers))
+    assert result.outcome is Outcome.INTERRUPTED
+    assert result.report["outcomes"] == {"completed": 64, "interrupted": 6}
+    rows = np.bincount(columns(result.stored.series)["trajectory"])
+    assert rows.tolist() == [21] * 64 + [11] * 6
+    assert run(tmp_path).status == "ran"  # an interrupted ensemble is run again
+
+
+# ---------------------------------------------------------------- from Python
+
+
+def test_an_array_of_states() -> None:
+    y0 = random_states(33, 9)
+    found = topcli.simulate_ensemble("kowalevski_hk", states=y0, h=0.01, N=50, threads=2)
+    assert found.states.shape == (33, 51, 6)
+    assert np.array_equal(found.initial, y0)
+    assert np.array_equal(found["omega1"], found.states[:, :, 0])
+    assert found.outcomes == {Outcome.COMPLETED: 33}
+    assert "33 completed" in repr(found)
+    frame = found.to_pandas()
+    assert len(frame) == 33 * 51
+    assert frame["k_sq"].iloc[51] == found["k_sq"][1, 0]
+    few = topcli.simulate_ensemble("kowalevski_hk", states=y0, h=0.01, N=50, ensemble={"store": "statistics"})
+    assert few.states.shape == (33, 0, 6)
+    assert np.array_equal(few.last, found.states[:, -1])
+    assert few.invariants().equals(found.invariants())
+    with pytest.raises(ValueError, match="not stored"):
+        few.trajectory(0)
+
+
+def test_a_grid_over_parameters_and_a_failure() -> None:
+    grid = {"top.c0": [0.5, 2.0], "omega1": [0.5, 1e200]}
+    found = topcli.simulate_ensemble("kowalevski_rk2", ensemble={"grid": grid}, N=50, h=0.01)
+    assert [top.model_dump()["c0"] for top in found.tops] == [0.5, 0.5, 2.0, 2.0]
+    assert [ending.outcome.value for ending in found.endings] == ["completed", "blew_up"] * 2
+    assert np.isnan(found.states[1, -1]).all()
+    assert len(found.trajectory(1)) == 1
+    assert len(found.trajectory(2)) == 51
+    assert found.trajectory(2)["energy"][0] == found["energy"][2, 0]
+    table = found.trajectories()
+    assert list(table["top.c0"]) == [0.5, 0.5, 2.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "no initial states"),
+        ({"states": [[1.0, 2.0]]}, "has 6 components, not 2"),
+        ({"states": [1.0]}, "of shape"),
+        ({"states": [["x"] * 6]}, "array of numbers"),
+        ({"states": [[1, 0, 0, 1, 0, float("nan")]]}, "finite"),
+        ({"states": [[1, 0, 0, 1, 0, 0], [1, 0, 0, 1, 1, 0]]}, r"states\[1\]: gamma must be a unit vector"),
+        ({"states": [[1, 0, 0, 1, 0, 0]], "ensemble": {"grid": {"omega1": [1]}}}, "keep one"),
+        ({"states": [[1, 0, 0, 1, 0, 0]], "ensemble": {"stor": "final"}}, "did you mean 'store'"),
+        ({"ensemble": {"random": {"count": 1e6, "gamma": "sphere"}}, "N": 10**6}, "do not fit in memory"),
+        ({"states": [[1, 0, 0, 1, 0, 0]], "threads": 0}, "threads must be at least 1"),
+    ],
+)
+def test_mistakes_from_python(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        topcli.simulate_ensemble("kowalevski_hk", **options)
+
+
+def test_quantiles_of_what_is_known() -> None:
+    assert quantiles(np.array([np.nan, -3.0, 1.0, np.inf]))["median"] == 3.0
+    assert quantiles(np.array([np.nan]))["max"] is None
+
+
+# ---------------------------------------------------------------- the command line
+
+
+def command(cli, *arguments: str) -> tuple[int, str, str]:
+    said = cli(*arguments)
+    return said.code, said.out, said.err
+
+
+@pytest.mark.slow
+def test_the_command_line(cli, in_tmp: Path) -> None:
+    small = ("--set", "ensemble.random.count=20", "--set", "N=200")
+    code, out, err = command(cli, "run", "kowalevski_ensemble", *small, "--threads", "2")
+    assert code == 0
+    assert "all 20 trajectories completed 200 steps" in err
+    assert "20 of 20" in out
+    code, out, _ = command(cli, "run", "kowalevski_ensemble", *small, "--json")
+    told = json.loads(out)["runs"][0]
+    assert (code, told["status"], told["trajectories"], told["kind"]) == (0, "up to date", 20, "ensemble")
+    code, out, _ = command(cli, "run", "euler_ensemble", "--dry-run")
+    assert (code, out) == (0, "euler_ensemble: will run: 48843 rows in results/euler_ensemble\n")
+    code, out, _ = command(cli, "list", "runs")
+    assert "kowalevski_ensemble" in out
+    code, out, _ = command(cli, "show", "kowalevski_ensemble", "--set", "ensemble.random.seed=77")
+    assert "seed: 77" in out
+    (in_tmp / "shown.yaml").write_text(out)
+    assert command(cli, "show", "shown.yaml")[1] == out
+
+
+def test_exit_codes(cli, in_tmp: Path) -> None:
+    some = experiment(**failing(8))
+    (in_tmp / "some.yaml").write_text(some.to_yaml())
+    code, _, err = command(cli, "run", "some.yaml")
+    assert code == 3
+    assert "error: some: some trajectories failed; the rows before are kept" in err
+    text = some.to_yaml().replace("omega: [0.5,", "omega: [1e200,").replace("name: some", "name: all")
+    (in_tmp / "all.yaml").write_text(text)
+    assert command(cli, "run", "all.yaml")[0] == 1
+    scene = str(ROOT / "configs" / "euler_ensemble.yaml")
+    for arguments in (("compare", "hk", "bs", "--config", scene), ("lax", "euler", "--config", scene)):
+        code, out, err = command(cli, *arguments)
+        assert (code, out) == (2, "")
+        assert "euler_ensemble.yaml:7: ensemble: this is an ensemble of 243 trajectories" in err
+
+
+def test_a_figure_refuses_an_ensemble(cli, in_tmp: Path) -> None:
+    (in_tmp / "configs").mkdir()
+    text = (ROOT / "configs" / "kowalevski_ensemble.yaml").read_text()
+    (in_tmp / "configs" / "kowalevski_hk.yaml").write_text(text)
+    code, _, err = command(cli, "plot", "fig1")
+    assert code == 2
+    assert "this is an ensemble of 1000 trajectories, and a single one is needed here" in err

@@ -1,0 +1,273 @@
+"""Lax forms: the matrices against closed forms of their spectra, and the study, each with a form or run that fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import ROOT, random_states
+from steppers import RK2
+from topcli.analysis.isospectral import (
+    LAMBDAS,
+    commutator_residual,
+    conjugation_defect,
+    difference_slopes,
+    eigenvalue_shift,
+    gradients,
+    spectral_content,
+    spectral_drift,
+)
+from topcli.analysis.lax import (
+    LaxForm,
+    block_form,
+    hat,
+    kowalevski_form,
+    lagrange_form,
+    lax_forms,
+    manakov_form,
+    rates,
+)
+from topcli.analysis.reference import reference_states
+from topcli.contracts import EulerPoisson
+from topcli.engine.loop import Run
+from topcli.errors import UsageError
+from topcli.schemes.any_top.midpoint import midpoint
+from topcli.studies.lax import lax_experiment, lax_study
+from topcli.tops.heavy import Heavy
+from topcli.tops.kowalevski import Kowalevski
+from twins_heavy import random_heavy_tops
+
+EULER = EulerPoisson((2.0, 1.5, 1.0), (0.0, 0.0, 0.0))
+LAGRANGE = EulerPoisson((1.6, 1.6, 0.9), (0.0, 0.0, 0.7))
+KOWALEVSKI = EulerPoisson((3.0, 3.0, 1.5), (0.8, 0.0, 0.0))
+GENERAL = EulerPoisson((2.0, 1.5, 1.0), (1.0, -0.5, 0.8))
+STATES = random_states(12, seed=1)
+PAIRS = [(EULER, manakov_form), (LAGRANGE, lagrange_form), (KOWALEVSKI, kowalevski_form)]
+FORMS = [*((equations, make(equations)) for equations, make in PAIRS), (GENERAL, block_form(GENERAL))]
+each_form = pytest.mark.parametrize(("equations", "form"), FORMS, ids=lambda x: getattr(x, "name", ""))
+
+
+def heavy(equations: EulerPoisson) -> Heavy:
+    (A, B, C), (x, y, z) = equations.moments, equations.gravity
+    return Heavy(A=A, B=B, C=C, x0=x, y0=y, z0=z)
+
+
+def test_hat_has_the_papers_sign() -> None:
+    u, v = STATES[:, :3], STATES[:, 3:]
+    assert hat(u)[0, 0, 1] == u[0, 2]
+    assert hat(v) @ hat(u) - hat(u) @ hat(v) == pytest.approx(hat(np.cross(u, v)), abs=1e-14)
+
+
+def test_rates_are_the_tops_field() -> None:
+    for top in (*random_heavy_tops(3, seed=2), Kowalevski(A=3.0, c0=-0.4)):
+        for state, slope in zip(STATES, rates(top.euler_poisson(), STATES), strict=True):
+            assert top.field(tuple(state), top.constants()) == pytest.approx(slope, rel=1e-13, abs=1e-14)
+
+
+def test_which_forms_a_top_has() -> None:
+    def names(moments, gravity) -> list[str]:
+        return [form.name for form in lax_forms(EulerPoisson(moments, gravity))]
+
+    assert names((3.0, 2.0, 1.0), (0.0, 0.0, 0.0)) == ["manakov", "block"]
+    assert names((2.0, 2.0, 1.5), (0.0, 0.0, 1.0)) == ["lagrange", "block"]
+    assert names((2.0, 2.0, 1.0), (1.0, 0.0, 0.0)) == ["kowalevski", "block"]
+    assert names((2.0, 2.0, 1.0), (0.0, 0.0, 0.0)) == ["manakov", "lagrange", "kowalevski", "block"]
+    assert names((2.0, 2.0, 1.5), (1.0, 0.0, 0.0)) == ["block"]
+    assert names((3.0, 2.0, 1.0), (0.0, 0.0, 1.0)) == ["block"]
+
+
+@each_form
+def test_commutator_equation_holds(equations: EulerPoisson, form: LaxForm) -> None:
+    slopes = rates(equations, STATES)
+    for lam in LAMBDAS:
+        assert commutator_residual(form, STATES, slopes, lam) < 1e-15
+        assert commutator_residual(form, STATES, slopes * 1.001, lam) > 1e-5  # control
+
+
+@pytest.mark.parametrize(("equations", "make"), PAIRS, ids=lambda x: getattr(x, "__name__", ""))
+def test_pairs_belong_to_their_tops_only(equations: EulerPoisson, make) -> None:
+    """Control: with other moments or other gravity the same matrices are no Lax form."""
+    A, B, C = equations.moments
+    x, y, z = equations.gravity
+    others = [EulerPoisson((A, B, C), (x + 0.3, y + 0.2, z + 0.1))]
+    if make is not manakov_form:
+        others.append(EulerPoisson((A, 1.1 * B, C), (x, y, z)))
+    for other in others:
+        assert commutator_residual(make(other), STATES, rates(other, STATES), 1.0) > 1e-3
+
+
+def test_the_block_form_holds_for_any_top() -> None:
+    for top in random_heavy_tops(10, seed=3):
+        form = block_form(top.euler_poisson())
+        assert commutator_residual(form, STATES, rates(top.euler_poisson(), STATES), 1.0) < 1e-15
+        content = spectral_content(form, top.invariants(), 6)
+        assert content.independent == 2
+        assert content.carries == ("gamma_sq", "m_gamma")
+
+
+def test_spectra_by_their_closed_forms() -> None:
+    """tr L² as worked out by hand for each pair; for the block form gamma² and m.gamma."""
+    y = STATES
+    for lam in LAMBDAS:
+        trace = manakov_form(EULER).invariants(y, lam)[:, 1]
+        m = np.array(EULER.moments) * y[:, :3]
+        J = 0.5 * sum(EULER.moments) - np.array(EULER.moments)
+        assert trace == pytest.approx(-2.0 * (m**2).sum(axis=1) + lam**2 * (J**4).sum(), rel=1e-13)
+
+        trace = lagrange_form(LAGRANGE).invariants(y, lam)[:, 1]
+        A = LAGRANGE.moments[0]
+        loop = y[:, 3:] + lam * np.array(LAGRANGE.moments) * y[:, :3] + lam**2 * A * np.array(LAGRANGE.gravity)
+        assert trace == pytest.approx(-2.0 * (loop**2).sum(axis=1), rel=1e-13)
+
+        top = Kowalevski(A=KOWALEVSKI.moments[0], c0=KOWALEVSKI.gravity[0])
+        c = top.c0 / top.C
+        gamma_sq, _, energy, _ = (invariant.value(y) for invariant in top.invariants())
+        trace = kowalevski_form(KOWALEVSKI).invariants(y, lam)[:, 1]
+        want = 16.0 * lam**2 - 8.0 * energy / top.C + 2.0 * c**2 * gamma_sq / lam**2
+        assert trace == pytest.approx(want, rel=1e-13, abs=0.0)
+    trace = block_form(GENERAL).invariants(y, 1.0)
+    gamma_sq, m_gamma, _ = (invariant.value(y) for invariant in heavy(GENERAL).invariants())
+    assert trace[:, 2] == pytest.approx(-2.0 * gamma_sq, rel=1e-13, abs=0.0)
+    assert trace[:, 3] == pytest.approx(-4.0 * m_gamma, rel=1e-13, abs=0.0)
+
+
+@each_form
+def test_gradients_are_those_of_the_traces(equations: EulerPoisson, form: LaxForm) -> None:
+    y, e = STATES[0], 1e-5
+    for lam in LAMBDAS:
+        found = gradients(form, y, lam)
+        for i in range(6):
+            d = e * np.eye(6)[i]
+            ahead, behind = form.invariants(np.array([y + d, y - d]), lam)
+            size = 1.0 + np.abs(found[:, i])
+            assert np.abs((ahead - behind) / (2.0 * e) - found[:, i]).max() < 1e-6 * size.max()
+
+
+def test_what_the_spectra_carry() -> None:
+    top = Kowalevski(A=3.0, c0=0.8)
+    content = spectral_content(kowalevski_form(KOWALEVSKI), top.invariants(), 6)
+    assert (content.independent, content.carries) == (4, ("gamma_sq", "two_l", "energy", "k_sq"))
+    content = spectral_content(lagrange_form(LAGRANGE), heavy(LAGRANGE).invariants(), 6)
+    assert (content.independent, content.carries) == (4, ("gamma_sq", "m_gamma", "energy"))
+    content = spectral_content(manakov_form(EULER), heavy(EULER).invariants(), 6)
+    assert (content.independent, content.carries) == (2, ("energy",))
+
+
+@pytest.mark.slow
+@each_form
+def test_spectrum_along_the_flow(equations: EulerPoisson, form: LaxForm) -> None:
+    """Constant along the exact flow; not under the explicit midpoint rule."""
+    top = heavy(equations)
+    y0 = STATES[0]
+    exact = reference_states(top, y0, np.linspace(0.0, 20.0, 101))
+    loop = np.array([*midpoint_run(equations, y0, 0.05, 200)])
+    broken = loop + 1e-6 * np.sin(np.arange(len(loop)))[:, None]
+    for lam in LAMBDAS:
+        assert spectral_drift(form, exact, lam) < 1e-14
+        assert eigenvalue_shift(form, exact, lam) < 1e-13
+        assert spectral_drift(form, broken, lam) > 1e-8  # control
+    if form.name == "kowalevski":
+        states = Run(Kowalevski(A=3.0, c0=0.8), RK2, y0, 0.05, 400).collect().states
+        assert spectral_drift(form, states, 1.0) > 1e-5
+
+
+@each_form
+def test_differences_on_the_reference(equations: EulerPoisson, form: LaxForm) -> None:
+    step = 0.005
+    states = reference_states(heavy(equations), STATES[1], step * np.arange(9))[None]
+    for lam in LAMBDAS:
+        assert commutator_residual(form, states[:, 4], difference_slopes(states, step), lam) < 1e-11
+        assert commutator_residual(form, states[:, 3], difference_slopes(states, step), lam) > 1e-4  # control
+
+
+def midpoint_run(equations: EulerPoisson, y0, h: float, steps: int) -> np.ndarray:
+    p = (*equations.moments, *equations.gravity)
+    states = [tuple(map(float, y0))]
+    for _ in range(steps):
+        states.append(midpoint(states[-1], h, p)[:6])
+    return np.array(states)
+
+
+@pytest.mark.slow
+@each_form
+@pytest.mark.parametrize("lam", LAMBDAS)
+def test_midpoint_is_a_conjugation(equations: EulerPoisson, form: LaxForm, lam: complex) -> None:
+    """L' = U L U^-1 exactly for the block form and Lagrange's pair; for the other two up to O(h³).
+
+    Manakov's spectrum is conserved all the same, because its traces are quadratic in the state; Kowalevski's is not.
+    """
+    defects = []
+    for h in (0.2, 0.1):
+        states = midpoint_run(equations, STATES[2], h, 60)
+        defects.append(conjugation_defect(form, states, h, lam))
+        assert conjugation_defect(form, states, 1.01 * h, lam) > 1e-5  # control
+        drift = spectral_drift(form, states, lam)
+        assert drift < 1e-13 if form.name != "kowalevski" else drift > 1e-8
+    if form.name in ("block", "lagrange"):
+        assert max(defects) < 1e-14
+    else:
+        assert np.log2(defects[0] / defects[1]) == pytest.approx(3.0, abs=0.3)
+
+
+@pytest.mark.slow
+def test_study_of_kowalevski() -> None:
+    experiment = lax_experiment("kowalevski", None, ["N=500"])
+    found = lax_study(experiment, ["hk", "rk4"])
+    pair, block = found["forms"]
+    assert (pair["form"], pair["lax_pair"], pair["independent_integrals"]) == ("kowalevski", True, 4)
+    assert (block["form"], block["lax_pair"], block["independent_integrals"]) == ("block", False, 2)
+    for form in (pair, block):
+        assert form["residual_by_field"] < 1e-14
+        assert form["residual_by_differences"] < 1e-10
+    assert pair["midpoint"]["order"] == pytest.approx(3.0, abs=0.2)
+    assert block["midpoint"]["order"] is None
+    flow, hk, rk4 = (run["forms"][0]["drift"] for run in found["runs"])
+    assert flow < 1e-14 < 1e-12 < rk4 < hk < 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sets", [["N=1"], ["h=-0.01", "N=50"], ["top.x0=0", "top.y0=0", "top.z0=0", "N=50"]])
+def test_study_of_odd_experiments(sets: list[str]) -> None:
+    found = lax_study(lax_experiment("heavy", None, sets), ["midpoint"])
+    for run in found["runs"]:
+        assert all(form["drift"] < 1e-13 for form in run["forms"])
+
+
+@pytest.mark.slow
+def test_command(cli) -> None:
+    said = cli("lax", "kowalevski", "midpoint", "--config", "kowalevski_midpoint", "--set", "N=2000", "--json")
+    assert said.code == 0
+    assert [run["scheme"] for run in said.json()["runs"]] == ["exact flow", "midpoint"]
+    said = cli("lax", "heavy", "hk", "--set", "N=100")
+    assert said.code == 0
+    assert "block" in said.out
+    assert "no Lax pair" in said.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("lax", "kovalevski"), ("kowalevski",)),
+        (("lax", "heavy", "hkk"), ("did you mean 'hk'",)),
+        (("lax", "heavy", "--config", str(ROOT / "configs" / "kowalevski_hk.yaml")), ("kowalevski_hk", "not 'heavy'")),
+    ],
+)
+def test_mistakes(cli, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+    said = cli(*arguments)
+    assert said.code == 2
+    assert said.out == ""
+    for word in words:
+        assert word in said.err
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_is_reported(cli) -> None:
+    said = cli("lax", "heavy", "rk2", "midpoint", "--set", "h=60.0", "--set", "N=20", "--set", "top.x0=50")
+    assert said.code == 1
+    assert "error: rk2: blew up" in said.err
+
+
+def test_other_frames_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Heavy, "components", ("m1", "m2", "m3", "a1", "a2", "a3"))
+    with pytest.raises(UsageError, match="omega and gamma"):
+        lax_experiment("heavy", None, [])

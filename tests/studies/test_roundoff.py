@@ -1,0 +1,258 @@
+"""The growth of round-off: the fit on series whose law is known, the study, the command and the picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
+from topcli.config.models import Experiment
+from topcli.contracts import Floats, Invariant, StepFunction, Stepper
+from topcli.errors import UsageError
+from topcli.figures.roundoff import growth_data
+from topcli.studies.growth import growth_columns
+from topcli.studies.roundoff import forms_of, roundoff_experiment, roundoff_study
+
+SIZE = 1e-16
+
+
+def walks(seed: int, copies: int = 8, blocks: int = 256) -> np.ndarray:
+    return SIZE * np.cumsum(np.random.default_rng(seed).normal(size=(copies, blocks)), axis=1)
+
+
+def noise(seed: int, copies: int = 8, blocks: int = 256) -> np.ndarray:
+    return SIZE * np.random.default_rng(seed).normal(size=(copies, blocks))
+
+
+@pytest.mark.slow
+def test_a_random_walk() -> None:
+    """Exponents about 1/2, with the spread that is told; never taken for a bias."""
+    found = [growth(walks(seed), 100, 1.0) for seed in range(60)]
+    exponents = np.array([one.exponent for one in found])
+    told = np.array([one.exponent_error for one in found])
+    assert abs(exponents.mean() - 0.5) < 0.02
+    assert 0.6 < exponents.std() / told.mean() < 1.6
+    assert {one.verdict for one in found} == {"random walk"}
+    assert np.mean([abs(one.bias) < 3.0 * one.bias_error for one in found]) > 0.9
+    assert found[0].steps == tuple(int(lag) * 100 for lag in doubling_lags(256))
+    np.testing.assert_allclose(found[0].rms[0], SIZE * np.sqrt(2.0), rtol=0.1)
+
+
+@pytest.mark.parametrize("bias", [0.3, -0.5, 3.0])
+def test_a_bias(bias: float) -> None:
+    """A mean that a walk hides at first and that wins in the end; its size is found."""
+    trend = SIZE * bias * np.arange(256)
+    found = growth(walks(1) + trend, 100, 1.0)
+    assert found.verdict == "biased"
+    assert found.exponent is not None
+    assert 0.6 < found.exponent < 1.02
+    assert abs(found.bias - SIZE * bias / 100) < 4.0 * found.bias_error
+    pure = growth(noise(1) + 100.0 * trend, 100, 1.0)
+    assert pure.exponent == pytest.approx(1.0, abs=0.01)
+
+
+def test_growth_of_noise_is_flat() -> None:
+    flat = growth(noise(2), 100, 1.0)
+    assert (flat.verdict, flat.exponent) == ("flat", pytest.approx(0.0, abs=0.03))
+    still = growth(np.zeros((4, 64)), 100, 1.0)
+    assert (still.verdict, still.exponent, still.bias) == ("flat", None, 0.0)
+    assert growth(1e6 * noise(3), 100, 1.0).verdict == "moves"
+    with pytest.raises(ValueError, match="15 blocks are too few"):
+        growth(np.zeros((4, 15)), 100, 1.0)
+
+
+def test_structure_of_a_line() -> None:
+    lags = np.array([1, 2, 4])
+    np.testing.assert_allclose(structure(np.arange(32.0)[None, :], lags), [1.0, 2.0, 4.0])
+
+
+def made_of(function) -> Invariant:
+    return Invariant("f", "f", "f", "a function of the first component", function, lambda y: np.abs(y[:, 0]))
+
+
+def test_block_means_do_not_depend_on_the_chunks() -> None:
+    states = np.random.default_rng(3).normal(size=(1 + 16 * 50, 1))
+    whole, parts = (BlockMeans([made_of(lambda y: y[:, 0] ** 2)], 16, 50) for _ in range(2))
+    whole.add(states)
+    for piece in np.split(states, [1, 2, 99, 100, 101, 640]):
+        parts.add(piece)
+    np.testing.assert_allclose(parts.means, whole.means, rtol=1e-12)
+    assert parts.largest == whole.largest
+    first = states[0, 0] ** 2
+    np.testing.assert_allclose(whole.means[0, 3], block_weights(50) @ (states[151:201, 0] ** 2 - first), rtol=1e-12)
+
+
+def test_block_means_take_an_oscillation_out() -> None:
+    """An oscillation of size one to less than round-off, and not the walk beneath it."""
+    rows, blocks = 80_000, 16
+    t = 0.05 * np.arange(1 + rows * blocks)
+    wave = 1.0 + np.cos(2.3 * t) + 0.5 * np.sin(0.9 * np.sqrt(2.0) * t)
+    drift = 1e-9 * t
+    means = BlockMeans([made_of(lambda y: y[:, 0])], blocks, rows)
+    means.add((wave + drift)[:, None])
+    steps = np.diff(means.means[0])
+    np.testing.assert_allclose(steps, 1e-9 * 0.05 * rows, atol=1e-14)
+
+
+def shrunk(step: StepFunction) -> StepFunction:
+    """A step whose gamma1 is rounded towards zero, as a bad algebra may: biased by an ulp or so."""
+
+    def biased(s: Floats, h: float, p: Floats) -> Floats:
+        new = step(s, h, p)
+        return (*new[:3], new[3] * (1.0 - 2.0**-53), *new[4:])
+
+    return biased
+
+
+def with_bias(experiment: Experiment) -> Experiment:
+    method = experiment.method()
+    assert isinstance(method, Stepper)
+    scheme = replace(experiment.scheme, build=lambda top, options: replace(method, step=shrunk(method.step)))
+    return experiment.model_copy(update={"scheme": scheme})
+
+
+@pytest.mark.slow
+def test_the_hybrid_walks_and_a_biased_one_is_found_out() -> None:
+    experiment = roundoff_experiment("hybrid", "kowalevski_generic_hk", ["h=0.01"])
+    study = roundoff_study(experiment, 400_000, 6)
+    assert [row["verdict"] for row in study["forms"][0]["invariants"]] == ["random walk", "random walk"]
+    control = roundoff_study(with_bias(experiment), 400_000, 6)["forms"][0]["invariants"]
+    assert control[0]["name"] == "gamma_sq"
+    assert control[0]["verdict"] == "biased"
+    assert control[0]["exponent"] > 0.8
+    assert control[0]["bias"] < -5.0 * control[0]["bias_error"]
+
+
+@pytest.mark.slow
+def test_carried_xi_is_flat_and_the_target_is_met() -> None:
+    study = roundoff_study(roundoff_experiment("hybrid-xi", None), 400_000, 4)
+    assert [form["form"] for form in study["forms"]] == ["plain", "compensated"]
+    assert study["h"] == 0.01
+    for form in study["forms"]:
+        assert [row["name"] for row in form["invariants"]] == ["gamma_sq", "k_sq"]
+        assert {row["verdict"] for row in form["invariants"]} == {"flat"}
+        assert max(row["max_deviation"] for row in form["invariants"]) < 1e-13
+        assert form["nanoseconds_per_step"] > 0.0
+    assert study["forms"][0]["cost"] == 1.0
+
+
+@pytest.mark.slow
+def test_hk_of_kowalevski_by_long_windows() -> None:
+    """No integral is exact, all oscillate by 1e-3 and more, and yet round-off is seen, and seen to be smaller."""
+    experiment = roundoff_experiment("hk", None, ["h=0.08"])
+    assert experiment.name == "kowalevski_generic_hk"
+    study = roundoff_study(experiment, 1_300_000, 4)
+    assert study["claimed"] is False
+    plain, better = (form["invariants"][0] for form in study["forms"])
+    assert plain["name"] == "gamma_sq"
+    assert plain["max_deviation"] > 1e-3
+    assert 1e-15 < plain["drift"] < 1e-12
+    assert better["drift"] < 0.5 * plain["drift"]
+    assert plain["verdict"] != "moves"
+    assert plain["bias"] is not None
+    assert better["bias"] is None  # what all copies have in common cannot be told from the map's own motion
+
+
+def test_experiments_are_chosen() -> None:
+    assert roundoff_experiment("hk+kahan-li8", "lagrange_hk").scheme.name == "hk+kahan-li8"
+    assert roundoff_experiment("bs", None).top.form == "lagrange/inertial"
+    assert roundoff_experiment("bs-implicit", None).top.kind == "euler"
+    assert roundoff_experiment("hybrid", None).name == "kowalevski_hybrid_xi"
+    resolved = roundoff_experiment("hybrid-xi", None, ["scheme.compensated=true"])
+    assert [one.options.model_dump()["compensated"] for one in forms_of(resolved).values()] == [False, True]
+
+
+def test_what_is_refused() -> None:
+    with pytest.raises(UsageError, match="closed form"):
+        roundoff_study(roundoff_experiment("exact", None), 10_000, 2)
+    with pytest.raises(UsageError, match="--steps 100: too few for a fit of the growth; take at least 256"):
+        roundoff_study(roundoff_experiment("hybrid", None), 100, 2)
+    with pytest.raises(UsageError, match=r"windows of length 4000 .* need at least 6400000 steps at h = 0.01"):
+        roundoff_study(roundoff_experiment("hk", None), 100_000, 2)
+    with pytest.raises(UsageError, match="--copies 0: must be at least 1"):
+        roundoff_study(roundoff_experiment("hybrid", None), 10_000, 0)
+    with pytest.raises(UsageError, match="--copies 1: must be at least 2"):
+        roundoff_study(roundoff_experiment("hk", None), 10_000_000, 1)
+
+
+@pytest.mark.slow
+def test_command(cli, tmp_path: Path) -> None:
+    said = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
+    assert said.code == 0
+    assert "flat" in said.out
+    assert len(said.out.splitlines()) == 6
+    assert sorted(path.suffix for path in (tmp_path / "f").iterdir()) == [".parquet", ".pdf", ".png"]
+    told = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--json").json()
+    assert (told["command"], told["copies"], told["violations"]) == ("roundoff", 2, [])
+    assert told["forms"][1]["options"] == {"branch": "nearest", "compensated": True}
+
+
+@pytest.mark.slow
+def test_command_tells_violations(cli) -> None:
+    few = ("--steps", "2e4", "--copies", "2")
+    assert cli("roundoff", "hybrid-xi", *few, "--max-exponent", "0.6", "--max-drift", "1e-13").code == 0
+    said = cli("roundoff", "hybrid", *few, "--max-drift", "1e-18")
+    assert said.code == 4
+    assert "error: gamma_sq of hybrid with plain sums: drift" in said.err
+    assert cli("roundoff", "hybrid", *few, "--max-exponent", "-1").code == 4
+
+
+def test_command_refuses(cli) -> None:
+    for arguments, says in [
+        (("hybird",), "did you mean 'hybrid'"),
+        (("hybrid", "--steps", "0"), "--steps 0: must be a whole number"),
+        (("hybrid", "--steps", "1.5e0"), "--steps 1.5: must be a whole number"),
+        (("hk", "--steps", "1000"), "need at least"),
+        (("exact",), "closed form"),
+    ]:
+        said = cli("roundoff", *arguments)
+        assert said.code == 2
+        assert says in said.err
+        assert said.out == ""
+    said = cli("roundoff", "rk4", "--config", "heavy_rk4", "--set", "h=4", "--steps", "1e6", "--copies", "2")
+    assert said.code == 1
+    assert "error: rk4 with plain sums: blew up at step" in said.err
+
+
+def test_picture_leaves_out_what_never_changed() -> None:
+    experiment = roundoff_experiment("hk", "lagrange_hk")
+    data, lines = growth_data(roundoff_study(experiment, 20_000, 2))
+    assert {"steps", "m_axis:plain", "modified_energy:compensated"} <= set(data)
+    assert "m_axis:plain" not in [column for column, _ in lines]
+    assert len(lines) == 6
+
+
+def test_the_figures_curves() -> None:
+    """A biased algebra, a random walk, a smaller one, and nothing that grows: the picture shows what it says."""
+    columns = growth_columns()
+
+    def exponent(name: str) -> float:
+        return float(np.polyfit(np.log(columns["steps"]), np.log(columns[name]), 1)[0])
+
+    assert exponent("a_sq:matrix") > 0.9
+    assert 0.35 < exponent("a_sq:plain") < 0.65
+    assert exponent("a_sq:compensated") < 0.65
+    assert columns["a_sq:compensated"][-1] < 0.2 * columns["a_sq:plain"][-1]
+    assert columns["a_sq:plain"][-1] < 0.1 * columns["a_sq:matrix"][-1]
+    assert exponent("k_sq:hybrid") > 0.35
+    assert abs(exponent("k_sq:hybrid-xi")) < 0.1
+
+
+@pytest.mark.slow
+def test_the_figure_is_drawn_once(cli, tmp_path: Path) -> None:
+    told = [cli("plot", "roundoff", "--format", "png", "--json").json()["figures"][0] for _ in range(2)]
+    assert [one["status"] for one in told] == ["drawn", "up to date"]
+    assert all((tmp_path / file).is_file() for file in told[0]["files"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hk", "midpoint"])
+def test_compensation_of_euler_has_no_bias(name: str) -> None:
+    """Where only the errors of the changes are left, those of an iteration that stops early would show."""
+    study = roundoff_study(roundoff_experiment(name, "euler_gamma" if name == "midpoint" else "euler_hk"), 1_000_000, 2)
+    better = study["forms"][1]["invariants"]
+    assert {row["verdict"] for row in better} <= {"flat", "random walk"}
+    assert max(row["max_drift"] / row["scale"] for row in better) < 1e-14

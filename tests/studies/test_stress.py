@@ -1,0 +1,298 @@
+"""The hard cases: the states are what they say, every check tells good from bad, and limits meet what happens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from mpmath import mp, mpc, mpf
+
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Floats, Scheme, Stepper, Top
+from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.studies.stress import CASES, case_names, cases_named
+from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
+from topcli.studies.stress.general import singular_step, swing_time
+from topcli.studies.stress.kowalevski import DELONE, EVENT, GENERIC, TOP, TORUS_E4, degenerate, separation
+from topcli.studies.stress.suite import Judged, stress, verdict_of
+from topcli.tops.euler import Euler
+from topcli.tops.heavy import Heavy
+from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange
+
+SLOW = ("drift", "there-and-back")
+
+
+def case_of(name: str, form: str = "kowalevski") -> Case:
+    return next(case for case in cases_named(name) if case.form == form)
+
+
+def finding(
+    case: str,
+    scheme: str,
+    form: str = "kowalevski",
+    N: int | None = None,
+    options: dict[str, Any] | None = None,
+    **told: Any,
+) -> Finding:
+    """What the case says of the scheme; ``told`` changes what the scheme declares, or how it is built."""
+    one = case_of(case, form)
+    experiment = one.experiment(scheme, options)
+    changes: dict[str, Any] = {"scheme": replace(experiment.scheme, **told)} | ({"N": N} if N else {})
+    return one.check(Trial(one, experiment.model_copy(update=changes), CaseCache()))
+
+
+def bent(step: Callable[[Floats, float, Floats], Floats]) -> Callable[[Top, Any], Stepper]:
+    """A ``build`` of the midpoint rule of the Euler top, or of gamma, followed by ``step``."""
+
+    def build(top: Top, options: Any) -> Stepper:
+        inner = find_scheme("midpoint", top.form).build(top, None)
+        assert isinstance(inner, Stepper)
+        inner_step = inner.step
+        return replace(inner, step=lambda s, h, p: step(inner_step(s, h, p), h, p))
+
+    return build
+
+
+# the states
+
+
+def exactly_separated(state: Floats) -> tuple[Any, Any, Any]:
+    """S(e4), S(e5), g2³ - 27 g3² with 40 digits, and S made from Kowalevski's R(x) = 0 instead of by its formula."""
+    with mp.workdps(40):
+        w1, w2, w3, g1, g2, g3 = map(mpf, state)
+        l1 = (w1**2 + w2**2 + w3**2 / 2 + g1) / 3
+        ell = w1 * g1 + w2 * g2 + w3 * g3 / 2
+        k = abs(mpc(w1, w2) ** 2 - mpc(g1, g2))
+        # the invariants of the quartic -x^4 + 6 l1 x^2 - 4 l x + 1 - k^2, its coefficients a, 4b, 6c, 4d, e
+        a, b, c, d, e = -1, 0, l1, -ell, 1 - k**2
+        q2, q3 = a * e - 4 * b * d + 3 * c**2, a * c * e + 2 * b * c * d - c**3 - a * d**2 - b**2 * e
+        assert abs(q3 - (l1 * (k**2 - 1 - l1**2) + ell**2)) < mpf(10) ** -30
+        cubic = [4 * s**3 - q2 * s - q3 for s in ((l1 + k) / 2, (l1 - k) / 2)]
+        return cubic[0], cubic[1], q2**3 - 27 * q3**2
+
+
+def test_degenerate_tori_are_degenerate() -> None:
+    states = (TORUS_E4, degenerate(1, 0.585, 0.59), degenerate(2, 0.62, 0.625))
+    for which, state in enumerate(states):
+        exact = exactly_separated(state)
+        assert abs(exact[which]) < 2e-15
+        assert exact == pytest.approx(separation(state), abs=1e-14)
+        assert abs(separation(GENERIC)[which]) > 1e-3
+    assert math.hypot(*TORUS_E4[3:]) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_delone_is_at_k_zero() -> None:
+    w1, w2, _, g1, g2, _ = DELONE
+    assert (w1 * w1 - w2 * w2 - g1, 2.0 * w1 * w2 - g2) == pytest.approx((0.0, 0.0), abs=2e-16)
+
+
+@pytest.mark.parametrize(
+    ("name", "components", "values"),
+    [
+        ("pole", (3, 4, 5), (0.0, 0.0, -1.0)),
+        ("branch-point", (0, 1), (0.0, 0.0)),
+        ("near-branch-point", (0, 1), (0.0, 1e-3)),
+        ("real-axis", (0, 1), (-0.8, 0.0)),
+    ],
+)
+def test_motions_pass_the_hard_place_on_a_step(name: str, components: tuple[int, ...], values: Floats) -> None:
+    experiment = case_of(name).experiment("hk")
+    assert EVENT / experiment.h == round(EVENT / experiment.h)
+    state = reference_states(experiment.top, experiment.y0, np.array([EVENT]))[0]
+    assert state[list(components)] == pytest.approx(values, abs=4e-15)
+
+
+@pytest.mark.parametrize(
+    "top",
+    [Kowalevski(), Kowalevski(c0=2.0), Euler(), Heavy(), Lagrange(), Lagrange(mu=2.0)],
+    ids=repr,
+)
+def test_singular_steps_are_singular(top: Top) -> None:
+    """Kahan's matrix 1 - h/2 f'(y), by complex steps from the field itself, has a kernel."""
+    state = GENERIC[: len(top.components)]
+    h = singular_step(top, state)  # pyright: ignore
+
+    def least(h: float) -> float:
+        columns = []
+        for i in range(len(state)):
+            z = [complex(value) for value in state]
+            z[i] += 1e-200j
+            columns.append([value.imag / 1e-200 for value in map(complex, type(top).field(tuple(z), top.constants()))])  # pyright: ignore
+        return float(np.linalg.svd(np.eye(len(state)) - 0.5 * h * np.array(columns).T, compute_uv=False)[-1])
+
+    assert least(h) < 1e-14
+    assert least(0.9 * h) > 1e-3
+
+
+def test_a_top_without_a_singular_step_is_reported() -> None:
+    with pytest.raises(ValueError, match="does not vanish"):
+        singular_step(Euler(A=1.0, B=1.0, C=1.0), (0.7, -0.4, 1.3))  # pyright: ignore
+
+
+def test_the_theory_of_the_swings() -> None:
+    """The reference swings when sqrt 2 ln(8 sqrt 7/eps) says, to the first order in eps."""
+    for eps in (1e-3, 1e-5, 1e-6):
+        t = swing_time(eps) + np.linspace(-0.01, 0.01, 201)
+        y = reference_states(TOP, (2.0, 0.0, 0.0, math.sqrt(1.0 - eps * eps), 0.0, eps), t)
+        slope = y[:, 4] * y[:, 2] - y[:, 5] * y[:, 1]  # gamma1'
+        assert abs(float(np.interp(0.0, slope, t)) - swing_time(eps)) < 3.0 * eps
+
+
+# the checks, each on what holds and on what does not
+
+
+def test_order_is_kept_lost_and_left() -> None:
+    assert finding("pole", "bohlin-b").result is Result.HELD
+    single = finding("pole", "bohlin-b", options={"chart": "single"})
+    assert (single.result, single.step) == (Result.BROKE, 59)
+    assert "blew up at step 59" in single.why
+    assert finding("branch-point", "hk").result is Result.HELD
+    hybrid = finding("branch-point", "hybrid")
+    assert hybrid.result is Result.DEGRADED
+    assert hybrid.figures["order"] < 1.65
+    assert finding("real-axis", "bohlin-a").result is Result.HELD
+    flipped = finding("real-axis", "bohlin-a", options={"branch": "sign"})
+    assert (flipped.result, flipped.step) == (Result.BROKE, 50)
+    assert finding("pole", "hk", order=3).result is Result.DEGRADED  # control: it has order 2
+    still = finding("rest-on-axis", "bohlin-a")
+    assert (still.result, "left the motion" in still.why) == (Result.BROKE, True)
+
+
+def test_adaptive_and_exact_schemes_are_judged_by_their_error() -> None:
+    assert finding("backwards", "dop853").result is Result.HELD
+    assert finding("backwards", "rk2", adaptive=True).result is Result.DEGRADED
+    assert finding("backwards", "exact", "euler").result is Result.HELD
+    assert finding("backwards", "midpoint", "euler", order=None).result is Result.DEGRADED
+
+
+def test_swings() -> None:
+    assert finding("homoclinic-1e-9", "hk").result is Result.HELD
+    held = finding("homoclinic-spacing", "hk")
+    assert held.result is Result.HELD
+    assert held.figures["time"] == pytest.approx(28.1722, abs=1e-3)
+    early = finding("homoclinic-spacing", "bohlin-a")
+    assert (early.result, early.step) == (Result.BROKE, 15297)  # the paper's Figure 2
+    none = finding("homoclinic-1e-9", "hk", N=1000)
+    assert none.result is Result.BROKE
+    assert "no swing" in none.why
+
+
+def test_flips() -> None:
+    for offset in ("1e-3", "1e-12"):
+        held = finding(f"racket-{offset}", "midpoint", "euler")
+        assert held.result is Result.HELD
+        assert held.figures["relative_error"] < 1e-3
+    kicked = finding(
+        "racket-1e-12", "midpoint", "euler", conserves=(), build=bent(lambda s, h, p: (s[0] + 1e-9, *s[1:]))
+    )
+    assert kicked.result is Result.BROKE
+    assert kicked.figures["time"] < 0.75 * kicked.figures["exact"]
+    still = finding(
+        "racket-1e-3", "midpoint", "euler", conserves=(), build=bent(lambda s, h, p: (1e-3, 1.0, 0.0, s[3]))
+    )
+    assert (still.result, "no flip" in still.why) == (Result.BROKE, True)
+
+
+def test_bounds() -> None:
+    assert finding("resonance", "midpoint").result is Result.HELD
+    grown = finding("singular-step", "hk")
+    assert (grown.result, grown.step) == (Result.BROKE, 1)
+    assert grown.figures["largest"] > 1e10
+    assert finding("resonance", "rk4").result is Result.BROKE
+    assert finding("singular-step", "bohlin-a").result is Result.DEGRADED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "scheme", [s for s in all_schemes() if s.self_adjoint and not s.adaptive], ids=lambda s: f"{s.name}/{s.top}"
+)
+def test_self_adjoint_schemes_return(scheme: Scheme) -> None:
+    """1e5 steps forward and 1e5 back: nothing but round-off's growth is left."""
+    assert finding("there-and-back", scheme.name, scheme.top).result is Result.HELD
+
+
+def test_the_papers_hybrid_does_not_return() -> None:
+    missed = finding("there-and-back", "hybrid")
+    assert missed.result is Result.DEGRADED
+    assert missed.figures["missed"] > 1e-2
+    assert finding("there-and-back", "hybrid", self_adjoint=True).result is Result.BROKE
+
+
+@pytest.mark.slow
+def test_claimed_invariants_do_not_drift() -> None:
+    for scheme in ("hybrid-sym", "dg4", "hk-symproj"):
+        held = finding("drift", scheme, N=200_000)
+        assert held.result is Result.HELD
+        assert max(value for key, value in held.figures.items() if key.endswith(":ulp")) < 5.0
+    false = finding("drift", "hk", N=10_000, conserves=("energy",))
+    assert (false.result, "claims E" in false.why) == (Result.BROKE, True)
+    assert finding("drift", "hk", N=100).result is Result.NOT_TRIED
+
+    def biased(s: Floats, h: float, p: Floats) -> Floats:
+        a = 1.0 + 2.0**-52
+        return (a * s[0], a * s[1], a * s[2], s[3])
+
+    slanted = finding("drift", "midpoint", "euler", N=100_000, build=bent(biased))
+    assert slanted.result is not Result.HELD
+
+
+def test_a_violated_claim_breaks_whatever_the_question() -> None:
+    violated = finding("backwards", "rk4", conserves=("gamma_sq",))
+    assert violated.result is Result.BROKE
+    assert "claims γ²" in violated.why
+    assert finding("backwards", "rk4").result is Result.HELD
+
+
+# limits
+
+
+@pytest.fixture(scope="module")
+def fast() -> list[Judged]:
+    """All schemes of the registry but those of the interpreter, in all cases but the slowest."""
+    plain = {scheme.name for scheme in all_schemes() if scheme.adaptive}
+    names = sorted({scheme.name for scheme in all_schemes()} - plain)
+    return stress(names, [name for name in case_names() if name not in SLOW])
+
+
+@pytest.mark.slow
+def test_what_breaks_is_declared_and_what_is_declared_breaks(fast: list[Judged]) -> None:
+    wrong = [
+        (one.scheme.name, one.scheme.top, one.case.name, one.verdict)
+        for one in fast
+        if one.verdict in ("unexplained", "outlived limit")
+    ]
+    assert wrong == []
+    assert sum(one.verdict == "limit" for one in fast) > 30
+
+
+def test_every_form_has_its_cases(fast: list[Judged]) -> None:
+    for scheme in {one.scheme.name: one.scheme for one in fast}.values():
+        asked = {case.name for case in CASES if case.form == scheme.top}
+        assert {one.case.name for one in fast if one.scheme == scheme} == asked - set(SLOW)
+
+
+def test_limits_named_like_cases_are_cases_of_the_scheme() -> None:
+    for scheme in all_schemes():
+        for key, text in scheme.limits.items():
+            assert key not in case_names() or any(case.form == scheme.top for case in cases_named(key))
+            assert text.endswith(".")
+
+
+def test_verdicts() -> None:
+    hk = find_scheme("hk", "kowalevski")
+    assert verdict_of(hk, "huge", Result.BROKE) == "unexplained"
+    assert verdict_of(hk, "resonance", Result.BROKE) == "limit"
+    assert verdict_of(hk, "resonance", Result.DEGRADED) == "outlived limit"
+    assert verdict_of(hk, "huge", Result.DEGRADED) == "ok"
+    assert verdict_of(replace(hk, name="hk+suzuki4"), "resonance", Result.HELD) == "ok"
+
+
+def test_a_scheme_that_fails_in_the_interpreter_is_a_finding() -> None:
+    (one,) = stress(["hk-exact"], ["singular-step"])
+    assert one.finding.result is Result.BROKE
+    assert "take |h| <" in one.finding.why

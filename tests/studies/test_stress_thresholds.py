@@ -1,0 +1,180 @@
+"""Both sides of every threshold of the stress checks: motions made up just inside and just outside of each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from topcli.contracts import Array, Ending, Invariant, Outcome
+from topcli.studies.stress.case import Motion, Trial, claim_violated
+from topcli.studies.stress.checks import Check, does_not_drift, flips, keeps_order, returns, stays_bounded, swings_at
+from topcli.tops.euler import Euler
+
+EPS = 2.0**-52
+BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])
+
+
+@dataclass
+class MadeUp:
+    """A trial whose runs are made up: ``moves(n, h)`` gives the states (m, d) at the steps n."""
+
+    moves: Any
+    exact: Any = lambda t: np.stack([np.cos(t), np.sin(t), 0.0 * t], axis=1)
+    N: int = 100
+    h: float = 0.1
+    order: int | None = 2
+    self_adjoint: bool = True
+    claims: tuple[Invariant, ...] = ()
+    y0: tuple[float, ...] = (1.0, 0.0, 0.0)
+    top: Any = field(default_factory=lambda: SimpleNamespace(components=("a", "b", "c"), swing="a"))
+    plain: bool = False
+
+    @property
+    def scheme(self) -> Any:
+        return SimpleNamespace(order=self.order, adaptive=False, self_adjoint=self.self_adjoint)
+
+    @property
+    def experiment(self) -> Any:
+        return SimpleNamespace(h=self.h)
+
+    def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Any = None) -> Motion:
+        h, N = h or self.h, N or self.N
+        n = np.arange(0, N + 1, every, dtype=np.int64)
+        return Motion(n, self.moves(n, h), Ending(Outcome.COMPLETED, N, N * h), h)
+
+    def reference(self, times: Array) -> Array:
+        return self.exact(times)
+
+    def claimed(self, h: float) -> list[Invariant]:
+        return list(self.claims)
+
+
+def outcome(check: Check, trial: MadeUp) -> str:
+    return check(cast(Trial, trial)).result.value
+
+
+def off_by(error: Any) -> MadeUp:
+    """The reference motion with ``error(h)`` in its first component from the first step on."""
+    trial = MadeUp(None)
+    trial.moves = lambda n, h: trial.exact(n * h) + np.where(n > 0, error(h), 0.0)[:, None] * [1.0, 0.0, 0.0]
+    return trial
+
+
+@BELOW_AND_ABOVE
+def test_an_error_of_half_the_size_has_left_the_motion(factor: float) -> None:
+    trial = off_by(lambda h: factor * 0.5 * (h / 0.1) ** 2)
+    assert outcome(keeps_order, trial) == ("held" if factor < 1.0 else "broke")
+
+
+@pytest.mark.parametrize(("order", "found"), [(1.67, "held"), (1.63, "degraded")])
+def test_an_order_may_fall_short_by_0_35(order: float, found: str) -> None:
+    assert outcome(keeps_order, off_by(lambda h: 1e-3 * h**order)) == found
+
+
+@BELOW_AND_ABOVE
+@pytest.mark.parametrize("order", [None])
+def test_a_closed_form_is_right_to_1e_10(order: int | None, factor: float) -> None:
+    trial = off_by(lambda h: factor * 1e-10)
+    trial.order = order
+    assert outcome(keeps_order, trial) == ("held" if factor < 1.0 else "degraded")
+
+
+@pytest.mark.parametrize(
+    ("late", "found"),
+    [
+        (0.0098, "held"),
+        (0.0102, "degraded"),
+        (0.098, "degraded"),
+        (0.102, "broke"),
+        (-0.0098, "held"),
+        (-0.102, "broke"),
+    ],
+)
+def test_times_are_right_to_a_hundredth_and_rough_to_a_tenth(late: float, found: str) -> None:
+    """A swing or a flip that comes too late or too early by this part of its time."""
+    due = math.pi
+    pace = 1.0 / (1.0 + late)
+    swinging = MadeUp(lambda n, h: np.cos(np.outer(n * h * pace, [1.0, 0.0, 0.0])), N=6000, h=0.001)
+    assert outcome(swings_at(due), swinging) == found
+    spaced = MadeUp(swinging.moves, N=16_000, h=0.001)
+    assert outcome(swings_at(2.0 * due, spacing=True), spaced) == found
+
+
+@BELOW_AND_ABOVE
+def test_a_swing_spans_half_a_unit(factor: float) -> None:
+    moves = lambda n, h: factor * 0.25 * np.cos(np.outer(n * h, [1.0, 0.0, 0.0]))  # noqa: E731
+    assert outcome(swings_at(math.pi), MadeUp(moves, N=6000, h=0.001)) == ("held" if factor > 1.0 else "broke")
+
+
+@pytest.mark.parametrize(("late", "found"), [(0.0098, "held"), (0.0102, "degraded"), (0.102, "broke")])
+def test_a_flip_is_timed_against_the_closed_form(late: float, found: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """omega2 = cos t changes its sign at pi/2; the scheme's later by this part."""
+    from topcli.contracts import Sampler
+    from topcli.studies.stress import checks
+
+    def closed(y0: Array, h: float, n: Array, p: Any) -> Array:
+        return np.stack([np.ones(len(n)), np.cos(n * h), np.zeros(len(n))], axis=1)
+
+    exact = Sampler(closed)
+    monkeypatch.setattr(checks, "find_scheme", lambda name, form: SimpleNamespace(build=lambda top, options: exact))
+    top = Euler()
+    moves = lambda n, h: closed(np.zeros(3), h / (1.0 + late), n, ())  # noqa: E731
+    assert outcome(flips, MadeUp(moves, N=2000, h=0.001, top=top)) == found
+
+
+@pytest.mark.parametrize(
+    ("largest", "found"), [(1.98, "held"), (2.02, "degraded"), (98.0, "degraded"), (102.0, "broke")]
+)
+def test_bounded_is_twice_the_size_and_lost_a_hundred_times(largest: float, found: str) -> None:
+    """The motion's size is that of its largest component over ten time scales: 1 here."""
+    moves = lambda n, h: np.where(n == 30, largest, 1.0)[:, None] * np.array([1.0, 0.2, 0.1])  # noqa: E731
+    assert outcome(stays_bounded, MadeUp(moves)) == found
+
+
+@BELOW_AND_ABOVE
+@pytest.mark.parametrize(("self_adjoint", "found"), [(True, "broke"), (False, "degraded")])
+def test_a_return_misses_by_round_off_only(factor: float, self_adjoint: bool, found: str) -> None:
+    """4 ulp (sqrt(N) + h N^1.5) of the size of the state, which is 2."""
+    N, h, size = 400, 0.1, 2.0
+    missed = factor * 4.0 * EPS * (math.sqrt(N) + h * N**1.5) * size
+
+    def moves(n: Array, h: float) -> Array:
+        ends = np.array([size, 0.0, 0.0]) + (np.array([0.0, missed, 0.0]) if h < 0.0 else 0.0)
+        return np.tile(ends, (len(n), 1))
+
+    trial = MadeUp(moves, N=N, h=h, y0=(size, 0.0, 0.0), self_adjoint=self_adjoint)
+    assert outcome(returns, trial) == ("held" if factor < 1.0 else found)
+
+
+FIRST = Invariant("a", "a", "a", "the first component", lambda y: y[:, 0], lambda y: np.ones(len(y)))
+
+
+@BELOW_AND_ABOVE
+def test_a_claim_holds_to_50_ulp_times_the_root_of_the_steps(factor: float) -> None:
+    def moves(n: Array, h: float) -> Array:
+        a = np.ones(len(n))
+        a[64] += factor * 50.0 * EPS * math.sqrt(64.0)
+        return np.stack([a, a, a], axis=1)
+
+    trial = MadeUp(moves, claims=(FIRST,))
+    assert (claim_violated(cast(Trial, trial), trial.run()) is None) == (factor < 1.0)
+
+
+@BELOW_AND_ABOVE
+def test_a_bias_is_a_slope_of_three_times_the_root_of_the_steps_in_ulp(factor: float) -> None:
+    """Within the round-off bound, a line without noise: its error is nearly zero."""
+    N = 8192
+    moved = factor * 3.0 * math.sqrt(N) * EPS * 32.0
+    terms = Invariant("a", "a", "a", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), 32.0))
+
+    def moves(n: Array, h: float) -> Array:
+        ripple = 1e-3 * moved * np.random.default_rng(1).normal(size=len(n))
+        return np.repeat((moved * n / N + ripple)[:, None], 3, axis=1)
+
+    trial = MadeUp(moves, N=N, claims=(terms,))
+    assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")

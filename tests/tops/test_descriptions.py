@@ -1,0 +1,226 @@
+"""A top's description as Euler-Poisson equations is compared with its field before anything trusts it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, MutableMapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from conftest import GEN, Said, random_states
+from topcli.analysis.reference import reference_states
+from topcli.contracts import EulerPoisson, Top, checked_equations
+from topcli.errors import UsageError
+from topcli.schemes.registry import find_scheme
+from topcli.tops import TOPS
+from topcli.tops.euler import Euler
+from topcli.tops.heavy import Heavy
+from topcli.tops.heavy import field as heavy_field
+from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange
+
+TRUE = [
+    *(top.new() for top in TOPS.values()),
+    Kowalevski(c0=-3e5, A=0.7),
+    Kowalevski(c0=0.0),
+    Lagrange(A=1e-3, C=7e2, mu=-1e-9),
+    Heavy(A=1.1, B=1e4, C=0.3, x0=1e-12, y0=-2e8, z0=0.0),
+    Euler(A=1e-300, B=1.0, C=1e300),
+]
+
+
+@pytest.mark.parametrize("top", TRUE, ids=repr)
+def test_descriptions_of_the_tops_are_their_fields(top: Top) -> None:
+    assert checked_equations(top, "a test") == top.euler_poisson()
+
+
+def gyrostat_field(y, p):
+    """The heavy top with a rotor along its third axis, of angular momentum p[6]."""
+    f1, f2, f3, g1, g2, g3 = heavy_field(y, (p[0], p[1], p[2], p[3], p[4], p[5]))
+    return (f1 - p[6] * y[1] / p[0], f2 + p[6] * y[0] / p[1], f3, g1, g2, g3)
+
+
+class Gyrostat(Heavy):
+    """Described as if it had no rotor."""
+
+    kind: ClassVar[str] = "gyrostat"
+    form: ClassVar[str] = "gyrostat"
+    field: ClassVar = staticmethod(gyrostat_field)
+    rotor: float = 0.7
+
+    def constants(self) -> tuple[float, ...]:
+        return (*super().constants(), self.rotor)
+
+
+class HonestGyrostat(Gyrostat):
+    def euler_poisson(self) -> EulerPoisson:
+        raise NotImplementedError
+
+
+def described(change: Callable[[EulerPoisson], EulerPoisson]) -> type[Heavy]:
+    class Described(Heavy):
+        def euler_poisson(self) -> EulerPoisson:
+            return change(super().euler_poisson())
+
+    return Described
+
+
+@pytest.mark.parametrize(
+    ("change", "component"),
+    [
+        (lambda e: EulerPoisson((2.0 + 1e-9, 1.5, 1.0), e.gravity), "omega1"),
+        (lambda e: EulerPoisson(e.moments, (1.0, 0.5, 0.8 + 1e-9)), "omega1"),
+        (lambda e: EulerPoisson(e.moments, (1.0 + 1e-9, 0.5, 0.8)), "omega2"),
+        (lambda e: EulerPoisson(e.moments, e.gravity, omega_sign=-1.0), "omega1"),
+    ],
+)
+def test_the_component_that_differs_is_named(change, component: str) -> None:
+    with pytest.raises(UsageError, match=f"a test needs, is not its field: {component}' is ") as caught:
+        checked_equations(described(change)(), "a test")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e-9, 1.0, 1e9])
+def test_no_term_hides_behind_a_larger_one(size: float) -> None:
+    """Gravity off by a billionth of itself, however small or large beside the other terms."""
+    weak = Heavy(x0=0.0, y0=0.0, z0=size)
+    wrong = described(lambda e: EulerPoisson(e.moments, (0.0, 0.0, e.gravity[2] * (1.0 + 1e-9))))
+    checked_equations(weak, "a test")
+    with pytest.raises(UsageError, match="omega1' is "):
+        checked_equations(wrong(**weak.model_dump()), "a test")
+
+
+def test_a_slow_rotor_is_noticed() -> None:
+    with pytest.raises(UsageError, match="omega1' is "):
+        checked_equations(Gyrostat(rotor=1e-9), "a test")
+
+
+def test_a_top_of_another_shape_is_refused() -> None:
+    class Two(Heavy):
+        components: ClassVar[tuple[str, ...]] = ("q", "p")
+
+    with pytest.raises(UsageError, match="its state has 2 components"):
+        checked_equations(Two(), "a test")
+
+
+def build(name: str, top: Top) -> object:
+    scheme = find_scheme(name, "heavy")
+    return scheme.build(top, scheme.options())
+
+
+USERS = {
+    "the reference": lambda top: reference_states(top, GEN, np.array([1.0])),
+    "scheme 'taylor'": lambda top: build("taylor", top),
+    "scheme 'midpoint'": lambda top: build("midpoint", top),
+}
+
+
+@pytest.mark.parametrize("user", USERS)
+@pytest.mark.parametrize("top", [Gyrostat(), HonestGyrostat()], ids=["wrong", "none"])
+def test_nothing_trusts_a_wrong_description(user: str, top: Top) -> None:
+    with pytest.raises(UsageError) as caught:
+        USERS[user](top)
+    assert caught.value.exit_code == 2
+    assert user in str(caught.value)
+    assert "gyrostat" in str(caught.value)
+    USERS[user](Heavy())
+
+
+def test_a_rotor_at_rest_is_a_heavy_top() -> None:
+    """The control: the same class where its description is right gives the heavy top's reference."""
+    times = np.array([0.5, 3.0])
+    for y0 in map(tuple, random_states(3, seed=61)):
+        same = reference_states(Gyrostat(rotor=0.0), y0, times)
+        assert np.array_equal(same, reference_states(Heavy(), y0, times))
+
+
+FILE = '''
+import topcli
+from topcli.contracts import EulerPoisson, Stepper
+from topcli.tops import TOPS
+from topcli.tops.heavy import Heavy
+
+def field(y, p):
+    w1, w2, w3, g1, g2, g3 = y
+    A, B, C, x0, y0, z0, r = p
+    return (((B - C) * w2 * w3 + (g2 * z0 - g3 * y0) - r * w2) / A,
+            ((C - A) * w3 * w1 + (g3 * x0 - g1 * z0) + r * w1) / B,
+            ((A - B) * w1 * w2 + (g1 * y0 - g2 * x0)) / C,
+            g2 * w3 - g3 * w2, g3 * w1 - g1 * w3, g1 * w2 - g2 * w1)
+
+class Gyrostat(Heavy):
+    """A heavy top with a rotor."""
+    kind = form = "gyrostat"
+    title = "gyrostat"
+    field = staticmethod(field)
+    rotor: float = 0.7
+
+    def constants(self):
+        return (*super().constants(), self.rotor)
+
+    def invariants(self):
+        return tuple(one for one in super().invariants() if one.name != "m_gamma")
+{description}
+TOPS["gyrostat"] = Gyrostat
+
+def step(s, h, p):
+    f = field(s, p)
+    m = tuple([a + 0.5 * h * b for a, b in zip(s, f)])
+    return tuple([a + h * b for a, b in zip(s, field(m, p))])
+
+@topcli.scheme("my-rk2", top="gyrostat", title="mine", order=2, explicit=True, self_adjoint=False, citation="none",
+               equations="y' = y + h f(y + h/2 f(y))")
+def build(top, options):
+    """Midpoint."""
+    return Stepper(step, 6, plain=True)
+'''
+NONE = "\n    def euler_poisson(self):\n        raise NotImplementedError\n"
+CONFIG = """name: g
+top: gyrostat
+initial: {omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}
+scheme: my-rk2
+h: 0.01
+N: 200
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("description", ["", NONE], ids=["wrong", "none"])
+def test_a_gyrostat_from_a_file(cli: Callable[..., Said], in_tmp: Path, description: str) -> None:
+    """Runs under what needs its field alone; what needs the description refuses, and says so by name."""
+    from topcli.schemes import registry
+
+    registry.all_schemes()
+    tables: list[MutableMapping[Any, Any]] = [registry._schemes, TOPS, registry._for_every_top]
+    before = [dict(table) for table in tables]
+    file = in_tmp / f"gyrostat{len(description)}.py"
+    file.write_text(FILE.replace("{description}", description))
+    Path("g.yaml").write_text(CONFIG)
+    try:
+        ends = {}
+        for scheme in ("my-rk2", "rk2", "rk4", "dop853"):
+            done = cli(
+                "run", "g.yaml", "--scheme-file", str(file), "--set", f"scheme={scheme}", "--set", f"name={scheme}"
+            )
+            assert (done.code, done.err.count("error")) == (0, 0), done.err
+            table = pq.read_table(f"results/{scheme}/series.parquet")
+            ends[scheme] = np.array([table.column(name)[-1].as_py() for name in TOPS["gyrostat"].components])
+        assert np.abs(ends["rk2"] - ends["my-rk2"]).max() < 1e-13
+        assert np.abs(ends["rk4"] - ends["dop853"]).max() < 1e-8
+        for arguments, user in (
+            (("compare", "my-rk2", "--config", "g.yaml"), "the reference"),
+            (("run", "g.yaml", "--set", "scheme=taylor", "--force"), "scheme 'taylor'"),
+            (("lax", "gyrostat"), "the study of Lax forms"),
+        ):
+            done = cli(*arguments, "--scheme-file", str(file))
+            assert done.code == 2, arguments
+            assert user in done.err
+            assert "omega1' is " in done.err or description
+            assert len(done.err.strip().splitlines()) <= 2
+    finally:
+        for table, kept in zip(tables, before, strict=True):
+            table.clear()
+            table.update(kept)

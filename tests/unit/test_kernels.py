@@ -1,0 +1,185 @@
+"""Kernels against exact rational arithmetic, mpmath and the paper's own forms."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from conftest import random_states
+from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest, root_sign, rotation_increment
+from topcli.arithmetic.rotations import SMALL_ANGLE_SQ, cayley_increment, cayley_rotated, rodrigues_increment, sinc_cosc
+from topcli.engine.native import native
+from twins import cayley_matrix, exactly, polar_root_sign, rotation_matrix
+
+EPS = 2.0**-52
+number = st.floats(-8.0, 8.0, allow_subnormal=False)
+rational = st.fractions(-5, 5, max_denominator=60)
+vector = st.tuples(rational, rational, rational)
+
+
+def cross(a, b):
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+@pytest.mark.slow
+@given(vector, vector)
+def test_cayley_solves_its_equation_exactly(a, g) -> None:
+    d = exactly(cayley_increment, *a, *g)
+    assert d == cross([2 * x + y for x, y in zip(g, d, strict=True)], a)
+    assert sum((x + y) ** 2 for x, y in zip(g, d, strict=True)) == sum(x * x for x in g)
+
+
+def test_the_matrix_form_is_the_same_rotation() -> None:
+    a, g = (Fraction(1, 3), Fraction(-2, 7), Fraction(5, 4)), (Fraction(3, 5), Fraction(0), Fraction(4, 5))
+    assert exactly(cayley_matrix, *a, *g) == [x + y for x, y in zip(g, exactly(cayley_increment, *a, *g), strict=True)]
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0])
+def test_cayley_increment_rounds_at_the_size_of_the_increment(size: float) -> None:
+    for y in random_states(50, seed=1):
+        a, g = [size * float(x) for x in y[:3]], [float(x) for x in y[3:]]
+        exact = exactly(cayley_increment, *a, *g)
+        scale = math.hypot(*map(float, exact)) + size * EPS
+        assert all(
+            abs(float(Fraction(x) - e)) < 8 * EPS * scale for x, e in zip(cayley_increment(*a, *g), exact, strict=True)
+        )
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+def test_cayley_rotated_is_rounded_once(size: float) -> None:
+    """Half a last bit of the sum, beside the error of the change itself."""
+    for y in random_states(50, seed=4):
+        a, g = [size * float(x) for x in y[:3]], [float(x) for x in y[3:]]
+        change = exactly(cayley_increment, *a, *g)
+        scale = math.hypot(*map(float, change))
+        for x, before, d in zip(cayley_rotated(*a, *g), g, change, strict=True):
+            assert abs(float(Fraction(x) - (Fraction(before) + d))) <= 0.5 * math.ulp(x) + 8 * EPS * scale
+
+
+ANGLES = [0.0, 1e-160, 1e-8, 1e-4, 0.01, 0.1, 0.5, 0.785, math.sqrt(SMALL_ANGLE_SQ), 0.786, 1.0, 3.0, 6.5, 50.0]
+
+
+@pytest.mark.parametrize("x", ANGLES)
+def test_sinc_and_cosc(x: float) -> None:
+    with mpmath.workdps(400):
+        t = x * x
+        root = mpmath.sqrt(mpmath.mpf(t))
+        sinc = mpmath.sin(root) / root if t else mpmath.mpf(1)
+        cosc = (1 - mpmath.cos(root)) / root**2 if t else mpmath.mpf(1) / 2
+        got = sinc_cosc(t)
+        assert abs(got[0] - sinc) <= 2 * EPS * max(abs(sinc), mpmath.mpf(0.05))
+        assert abs(got[1] - cosc) <= 2 * EPS * max(cosc, mpmath.mpf(0.01))
+
+
+def both(t, out, n):
+    for i in range(n):
+        out[2 * i], out[2 * i + 1] = sinc_cosc(t[i])
+    return 0
+
+
+def test_machine_code_takes_the_rare_branch_too() -> None:
+    """On either side of it the compiled kernel has the bits of the plain one."""
+    t = np.array([x * x for x in ANGLES])
+    out = np.zeros((len(t), 2))
+    native(both, "ppq")(t, out, len(t))
+    assert t.min() <= SMALL_ANGLE_SQ < t.max()
+    assert out.tolist() == [list(sinc_cosc(x)) for x in t.tolist()]
+
+
+def test_sinc_and_cosc_are_exact_at_zero() -> None:
+    assert sinc_cosc(0.0) == (1.0, 0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-12, 1e-6, 1e-2, 1.0, 7.0])
+def test_rodrigues_against_the_increment_in_forty_digits(size: float) -> None:
+    """Relative to the angle, also where the paper's matrix loses it among the digits of 1."""
+    for y in random_states(20, seed=2):
+        a, g = [size * float(x) for x in y[:3]], [float(x) for x in y[3:]]
+        with mpmath.workdps(40):
+            rows = mpmath.matrix([[0, a[2], -a[1]], [-a[2], 0, a[0]], [a[1], -a[0], 0]])
+            exact = mpmath.expm(rows) * mpmath.matrix(g) - mpmath.matrix(g)
+            scale = math.hypot(*a)
+            error = max(abs(x - e) for x, e in zip(rodrigues_increment(*a, *g), exact, strict=True))
+            assert error < 12 * EPS * scale
+
+
+def test_rodrigues_is_the_papers_matrix() -> None:
+    for y in random_states(20, seed=3):
+        theta, g = y[:3], y[3:]
+        turned = [float(sum(r * x for r, x in zip(row, g, strict=True))) for row in rotation_matrix(*theta)]
+        step = [x + d for x, d in zip(g, rodrigues_increment(*theta, *g), strict=True)]
+        assert step == pytest.approx(turned, abs=8 * EPS)
+
+
+def test_rodrigues_at_no_angle_is_the_identity() -> None:
+    assert rodrigues_increment(0.0, 0.0, 0.0, 0.6, 0.48, 0.64) == (0.0, 0.0, 0.0)
+
+
+@given(st.floats(-9.0, 9.0), number, number)
+def test_rotation_increment(chi: float, x: float, y: float) -> None:
+    with mpmath.workdps(40):
+        exact = mpmath.expm1(mpmath.mpc(0, -chi)) * mpmath.mpc(x, y)
+        got = mpmath.mpc(*rotation_increment(chi, x, y))
+        assert abs(got - exact) <= 6 * EPS * min(abs(chi), 2.0) * abs(mpmath.mpc(x, y)) + 1e-300
+
+
+@given(st.floats(-9.0, 9.0), number, number, number, number)
+def test_add_rotation_increment(chi: float, x: float, y: float, a: float, b: float) -> None:
+    """Two roundings at the size of the sum, beside the increment's own."""
+    with mpmath.workdps(40):
+        exact = mpmath.mpc(a, b) + mpmath.expm1(mpmath.mpc(0, -chi)) * mpmath.mpc(x, y)
+        got = mpmath.mpc(*add_rotation_increment(chi, x, y, a, b))
+        assert abs(got - exact) <= EPS * (6 * min(abs(chi), 2.0) * math.hypot(x, y) + 2 * math.hypot(a, b)) + 1e-300
+
+
+def squared(w: tuple[float, float]) -> tuple[Fraction, Fraction]:
+    a, b = Fraction(w[0]), Fraction(w[1])
+    return a * a - b * b, 2 * a * b
+
+
+@given(number, number, number, number)
+def test_root_squares_back_and_is_the_nearest(x: float, y: float, p1: float, p2: float) -> None:
+    assume(math.hypot(x, y) > 1e-140 and not 0.0 < math.hypot(p1, p2) < 1e-140)
+    w = root_nearest(0.5 * x, 0.5 * y, p1, p2)
+    re, im = squared(w)
+    assert math.hypot(float(re - Fraction(x)), float(im - Fraction(y))) <= 4 * EPS * math.hypot(x, y)
+    towards = w[0] * p1 + w[1] * p2
+    assert towards >= -4 * EPS * math.hypot(*w) * math.hypot(p1, p2)
+
+
+@pytest.mark.parametrize(
+    "z", [(-4.0, 0.0), (-4.0, -0.0), (0.0, 2.0), (0.0, -2.0), (9.0, 0.0), (-1.0, 1e-14), (-1.0, -1e-14)]
+)
+def test_root_on_and_about_the_axes(z: tuple[float, float]) -> None:
+    root = cmath.sqrt(complex(*z))
+    for p in (root, -root):
+        assert root_nearest(0.5 * z[0], 0.5 * z[1], p.real, p.imag) == pytest.approx(
+            (p.real, p.imag), rel=4 * EPS, abs=1e-300
+        )
+
+
+def test_root_of_zero_and_of_what_underflows() -> None:
+    assert root_nearest(0.0, 0.0, 1.0, -1.0) == (0.0, 0.0)
+    for z in ((1e-170, 1e-165), (0.0, 1e-200), (-1e-300, 5e-324), (1e-308, 1e-308)):
+        assert math.hypot(*root_nearest(*z, 1.0, 1.0)) < 1e-75
+
+
+@given(number, number, number, number)
+def test_root_by_sign_is_the_papers_rule(x: float, y: float, p1: float, p2: float) -> None:
+    assume(abs(y) > 1e-6)
+    assert root_sign(0.5 * x, 0.5 * y, p1, p2) == pytest.approx(polar_root_sign(x, y, p1, p2), rel=1e-9, abs=1e-12)
+
+
+def test_the_two_rules_differ_where_the_root_crosses_the_real_axis() -> None:
+    """A root just above the axis, predicted just below it: the paper's rule turns it around."""
+    z = complex(2.0, 1e-4) ** 2 / 2
+    assert root_nearest(z.real, z.imag, 2.0, -1e-4) == pytest.approx((2.0, 1e-4))
+    assert root_sign(z.real, z.imag, 2.0, -1e-4) == pytest.approx((-2.0, -1e-4))

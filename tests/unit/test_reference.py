@@ -1,0 +1,351 @@
+"""The Taylor reference against exact fractions, 40-digit series, closed forms, and itself."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from functools import cache
+from typing import ClassVar
+
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from topcli.analysis import reference
+from topcli.analysis import reference_series as taylor
+from topcli.analysis.reference import ORDER, REACH, coefficients, reference_states
+from topcli.contracts import EulerPoisson, Top
+from topcli.errors import RunError
+from topcli.tops.kowalevski import Kowalevski
+
+GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
+PAPER = (2.0, 0.0, 0.0, math.sqrt(1 - 1e-6), 0.0, 1e-3)
+U = Fraction(1, 2**53)
+
+
+class Heavy(Top):
+    """Any moments, any centre of gravity."""
+
+    kind: ClassVar[str] = "test-heavy"
+    components: ClassVar[tuple[str, ...]] = reference.BODY
+    moments: tuple[float, float, float] = (1.1, 1.7, 2.3)
+    gravity: tuple[float, float, float] = (0.3, -0.7, 1.9)
+
+    def euler_poisson(self) -> EulerPoisson:
+        return EulerPoisson(self.moments, self.gravity)
+
+
+class Free(Heavy):
+    """An Euler top: three components."""
+
+    kind: ClassVar[str] = "test-free"
+    components: ClassVar[tuple[str, ...]] = reference.BODY[:3]
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+# ---------------------------------------------------------------- 40-digit references
+
+
+def mp_orbit(top: Top, y0, times, *, dps=40, order=42, step=0.1):
+    """Fixed-step, fixed-order series in mpmath, in the equations' undivided form; list of states."""
+    with mp.workdps(dps):
+        (A, B, C), (gx, gy, gz) = ([mp.mpf(v) for v in row] for row in _rows(top))
+        y, at, found = [mp.mpf(v) for v in y0], mp.mpf(0), []
+        for t in times:
+            count = max(1, math.ceil(abs(float(t) - float(at)) / step))
+            d = (mp.mpf(float(t)) - at) / count
+            for _ in range(count):
+                powers = [d**k for k in range(order + 1)]
+                y = [mp.fdot(s, powers) for s in _mp_series(A, B, C, gx, gy, gz, y, order)]
+            at = mp.mpf(float(t))
+            found.append(y)
+        return found
+
+
+def _rows(top: Top):
+    equations = top.euler_poisson()
+    return equations.moments, equations.gravity
+
+
+def _mp_series(A, B, C, gx, gy, gz, y, order):
+    s = w1, w2, w3, g1, g2, g3 = [[v] for v in y]
+    for j in range(order):
+        r1, r2, r3 = w1[::-1], w2[::-1], w3[::-1]
+        rates = (
+            ((B - C) * mp.fdot(w2, r3) + gz * g2[j] - gy * g3[j]) / A,
+            ((C - A) * mp.fdot(w3, r1) + gx * g3[j] - gz * g1[j]) / B,
+            ((A - B) * mp.fdot(w1, r2) + gy * g1[j] - gx * g2[j]) / C,
+            mp.fdot(g2, r3) - mp.fdot(g3, r2),
+            mp.fdot(g3, r1) - mp.fdot(g1, r3),
+            mp.fdot(g1, r2) - mp.fdot(g2, r1),
+        )
+        for series, rate in zip(s, rates, strict=True):
+            series.append(rate / (j + 1))
+    return s
+
+
+SCENES = {
+    "gen": (Kowalevski(), GEN, np.arange(101) * 0.1),
+    "paper": (Kowalevski(), PAPER, np.arange(0, 41) * 1.25),
+    "gen, other units": (Kowalevski(c0=-0.3, A=0.7), GEN, np.arange(0, 11) * 0.5),
+    "heavy": (Heavy(), GEN, np.arange(0, 21) * 0.5),
+    "free": (Free(), GEN[:3], np.arange(0, 11) * 1.0),
+}
+
+
+@cache
+def oracle(name: str):
+    top, y0, times = SCENES[name]
+    return mp_orbit(top, (*y0, 0, 0, 0)[:6], times)
+
+
+def ulps(states, true) -> float:
+    """Largest error in ulps of the size (largest component) of each true state."""
+    worst = 0.0
+    for row, exactly in zip(states, true, strict=True):
+        error = max(abs(mp.mpf(float(a)) - b) for a, b in zip(row, exactly[: len(row)], strict=True))
+        worst = max(worst, float(error / math.ulp(float(max(map(abs, exactly))))))
+    return worst
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_states_are_right_to_an_ulp(name):
+    top, y0, times = SCENES[name]
+    assert ulps(reference_states(top, y0, times), oracle(name)) <= 1.0
+
+
+@pytest.mark.parametrize(("name", "value"), [("ORDER", 12), ("REACH", 5 * REACH), ("coefficients", None)])
+def test_a_poorer_integrator_is_caught(name, value, monkeypatch):
+    """The check above can fail: a truncated series, too long a step, quotients rounded to doubles."""
+
+    def rounded(equations):
+        coef = coefficients(equations)
+        coef[1::2] = 0.0
+        return coef
+
+    top, y0, times = SCENES["heavy"]
+    assert ulps(reference_states(top, y0, times), oracle("heavy")) <= 1.0
+    monkeypatch.setattr(reference, name, value or rounded)
+    assert ulps(reference_states(top, y0, times), oracle("heavy")) > 1.0
+
+
+# ---------------------------------------------------------------- the kernel itself, in double-double
+
+
+def start(y0, steps_to, order=ORDER):
+    """Buffers for ``advance`` from a double-double or mpmath state, with output at ``steps_to``."""
+    with mp.workdps(40):
+        hi = [float(v) for v in y0]
+        lo = [float(mp.mpf(v) - h) for v, h in zip(y0, hi, strict=True)]
+    times = np.array(steps_to, dtype=float)
+    return np.array([*hi, *lo, 0.0, 0.0, 0.0]), times, np.zeros(6 * times.size), np.zeros(12 * (order + 1))
+
+
+def drive(top, y0, times, run=None, budget=10**6, order=ORDER):
+    """``(code, state, out)`` of ``advance`` without any change of units."""
+    state, times, out, work = start(y0, times, order)
+    run = run or reference._compiled()
+    code = run(coefficients(top.euler_poisson()), state, times, out, work, times.size, order, REACH, budget)
+    return code, state, out.reshape(-1, 6)
+
+
+def pairs(state):
+    with mp.workdps(40):
+        return [mp.mpf(float(state[i])) + mp.mpf(float(state[6 + i])) for i in range(6)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("top", "y0"), [(Kowalevski(), GEN), (Heavy(), GEN), (Kowalevski(), PAPER)])
+def test_the_state_carries_29_digits(top, y0):
+    code, state, _ = drive(top, y0, [10.0])
+    assert code == taylor.DONE
+    assert 9.0 < state[12] < 10.0
+    (true,) = mp_orbit(top, y0, [state[12]])
+    with mp.workdps(40):
+        assert max(abs(a - b) for a, b in zip(pairs(state), true, strict=True)) < 1e-29
+
+
+def homoclinic(t, w=2, c=1):
+    """Closed form of the orbit that leaves (w,0,0; 1,0,0) and returns to it, in mpmath."""
+    w, c = mp.mpf(w), mp.mpf(c)
+    lam, q = mp.sqrt(c / 2), mp.sqrt(2 * w**2 / (2 * w**2 - c))
+    s, ch = mp.sinh(lam * t), mp.cosh(lam * t)
+    phi = 2 * mp.atan2(q, s)
+    dphi = -2 * lam * q * ch / (s**2 + q**2)
+    ddphi = -2 * lam**2 * q * (s * (s**2 + q**2) - 2 * s * ch**2) / (s**2 + q**2) ** 2
+    rho = w - c / (2 * w)
+    w1, w2 = c / (2 * w) + rho * mp.cos(phi), rho * mp.sin(phi)
+    return [w1, w2, -2 * dphi, 2 - w1 / w - 2 * dphi**2 / c, 2 * ddphi / c, -dphi / w]
+
+
+@pytest.mark.parametrize(("w", "c"), [(2, 1), (1.5, 2.5)])
+def test_the_swing_in_closed_form(w, c):
+    """From eight growth times before the swing to eight after it.
+
+    The orbit is unstable (perturbations grow like e^(lambda t)), so the start is given in double-double: from
+    a start rounded to doubles no integrator could come closer than about 1e-11.
+    """
+    with mp.workdps(45):
+        lam = math.sqrt(c / 2)
+        t0 = mp.mpf(-8 / lam)
+        times = [16 / lam * k / 64 for k in range(65)]
+        true = [homoclinic(t0 + mp.mpf(t), w, c) for t in times]
+        code, state, out = drive(Kowalevski(c0=c), homoclinic(t0, w, c), times)
+        assert code == taylor.DONE
+        assert ulps(out, true) <= 1.0
+        at_end = homoclinic(t0 + mp.mpf(float(state[12])), w, c)
+        error = max(abs(a - b) for a, b in zip(pairs(state), at_end, strict=True))
+        assert error < 1e-31 * 50 * math.exp(16)
+
+
+def test_series_coefficients_against_those_of_the_closed_form():
+    with mp.workdps(50):
+        t0 = mp.mpf("0.3")
+        closed = cache(lambda t, _precision: homoclinic(t))  # the six share their sample points
+        true = [mp.taylor(lambda t, i=i: closed(t, mp.mp.prec)[i], t0, ORDER) for i in range(6)]
+        work = [0.0] * (12 * (ORDER + 1))
+        n = ORDER + 1
+        for i in range(6):
+            work[2 * i * n] = float(true[i][0])
+            work[2 * i * n + n] = float(true[i][0] - work[2 * i * n])
+        taylor.expand(coefficients(Kowalevski().euler_poisson()).tolist(), work, ORDER)
+        for j in range(n):
+            largest = max(abs(true[i][j]) for i in range(6))
+            for i in range(6):
+                found = mp.mpf(work[2 * i * n + j]) + mp.mpf(work[2 * i * n + n + j])
+                assert abs(found - true[i][j]) <= 1e-29 * largest
+
+
+def test_forward_then_back_returns():
+    _, state, _ = drive(Heavy(), GEN, [20.0])
+    end = float(state[12])
+    code, _, out = drive(Heavy(), pairs(state), [-end])
+    assert code == taylor.DONE
+    assert np.abs(out[0] - GEN).max() <= math.ulp(1.3)
+
+
+@pytest.mark.slow
+def test_machine_code_does_what_plain_python_does():
+    """Bit for bit: a contracted or reassociated operation would destroy the error terms."""
+    times = np.linspace(0.0, 4.0, 7)
+    state, times, out, work = (buffer.tolist() for buffer in start(GEN, times))
+    coef = coefficients(Kowalevski().euler_poisson()).tolist()
+    assert taylor.advance(coef, state, times, out, work, 7, ORDER, REACH, 10**6) == taylor.DONE
+    code, compiled, compiled_out = drive(Kowalevski(), GEN, times)
+    assert code == taylor.DONE
+    assert state[14] >= 10.0
+    assert compiled.tolist() == state
+    assert compiled_out.reshape(-1).tolist() == out
+
+
+def test_codes_of_failure():
+    fast = (1e10, 1.0, 1.0, 0.6, 0.48, 0.64)
+    assert drive(Heavy(), (1e9, *fast[1:]), [1.0], order=12)[0] == taylor.STEP_TOO_SMALL
+    assert drive(Heavy(), fast, [1.0])[0] == taylor.NOT_FINITE
+    assert drive(Heavy(), (math.nan, *fast[1:]), [1.0])[0] == taylor.NOT_FINITE
+    assert drive(Heavy(), GEN, [50.0], budget=3)[0] == taylor.MORE
+
+
+# ---------------------------------------------------------------- the driver
+
+
+def test_invariants_stay_over_a_long_time():
+    top = Kowalevski()
+    states = reference_states(top, GEN, np.arange(10001) * 0.1)
+    for invariant in top.invariants():
+        value = invariant.value(states)
+        assert np.abs(value - value[0]).max() <= 8 * np.finfo(float).eps * invariant.scale(states).max()
+
+
+def test_what_is_asked_for_does_not_change_the_answer(monkeypatch):
+    times = np.arange(20001) * 1e-3
+    whole = reference_states(Kowalevski(), PAPER, times)
+    assert np.array_equal(reference_states(Kowalevski(), PAPER, times[::1000]), whole[::1000])
+    assert np.array_equal(reference_states(Kowalevski(), PAPER, np.repeat(times[::5000], 2))[::2], whole[::5000])
+    monkeypatch.setattr(reference, "BUDGET", 1)
+    assert np.array_equal(reference_states(Kowalevski(), PAPER, times), whole)
+
+
+def test_backward_is_forward_with_the_spin_reversed():
+    times = np.linspace(0.0, 30.0, 50)
+    mirror = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+    backward = reference_states(Heavy(), GEN, -times)
+    forward = reference_states(Heavy(), tuple(mirror * GEN), times)
+    assert np.array_equal(backward, forward * mirror)
+    assert not np.array_equal(backward[-1], reference_states(Heavy(), GEN, times)[-1])
+
+
+@pytest.mark.slow
+@given(st.integers(-500, 500), st.integers(-400, 400))
+def test_powers_of_two_scale_through(k, m):
+    """omega 2^k, gamma 2^m, c0 2^(2k-m), t 2^-k is the same motion, bit for bit, at the ends of the range too."""
+    unit = np.repeat((k, m), 3)
+    times = np.linspace(0.0, 2.0, 5)
+    plain = reference_states(Kowalevski(), GEN, times)
+    if abs(2 * k - m) < 900:
+        top = Kowalevski(c0=math.ldexp(1.0, 2 * k - m))
+        scaled = reference_states(top, tuple(np.ldexp(GEN, unit)), np.ldexp(times, -k))
+        assert np.array_equal(scaled, np.ldexp(plain, unit))
+
+
+def test_extreme_states():
+    fast = tuple(np.array(GEN) * [1e150, 1e150, 1e150, 1, 1, 1])
+    states = reference_states(Kowalevski(), fast, np.linspace(0, 1e-149, 11))
+    assert np.allclose((states[:, 3:] ** 2).sum(axis=1), 1.0, rtol=4e-16, atol=0)
+    assert np.abs(states[-1, 3:] - states[0, 3:]).max() > 0.1
+    slow = (5e-324, 0.0, 0.0, 0.6, 0.48, 0.64)
+    assert np.array_equal(reference_states(Kowalevski(c0=0.0), slow, np.array([0.0, 1e9])), [slow, slow])
+    rest = reference_states(Kowalevski(), (0.0,) * 6, np.array([0.0, 1.0, 1e3]))
+    assert not rest.any()
+    equilibrium = (2.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+    assert np.array_equal(reference_states(Kowalevski(), equilibrium, np.array([1e3])), [equilibrium])
+
+
+def test_no_times_no_states():
+    assert reference_states(Kowalevski(), GEN, np.array([])).shape == (0, 6)
+    assert reference_states(Free(), GEN[:3], np.array([0.0])).tolist() == [list(GEN[:3])]
+
+
+@pytest.mark.parametrize(
+    ("y0", "times"),
+    [
+        (GEN, [0.0, 2.0, 1.0]),
+        (GEN, [-1.0, 1.0]),
+        (GEN, [-2.0, -1.0]),
+        (GEN, [0.0, math.nan]),
+        (GEN, [0.0, math.inf]),
+        (GEN, [[0.0, 1.0]]),
+        ((math.nan, *GEN[1:]), [1.0]),
+        (GEN[:1], [1.0]),
+    ],
+)
+def test_times_and_states_not_as_said(y0, times):
+    with pytest.raises(ValueError, match="reference"):
+        reference_states(Kowalevski(), y0, np.array(times))
+
+
+class Inertial(Heavy):
+    kind: ClassVar[str] = "test-inertial"
+    components: ClassVar[tuple[str, ...]] = ("m1", "m2", "m3", "a1", "a2", "a3")
+
+
+def test_what_cannot_be_followed_is_said(monkeypatch):
+    with pytest.raises(RunError, match=r"can be followed to 1\.3e"):
+        reference_states(Kowalevski(), PAPER, np.array([1e9]))
+    with pytest.raises(RunError, match=r"m1, m2, m3.*expected omega"):
+        reference_states(Inertial(), GEN, np.array([1.0]))
+    with pytest.raises(RunError, match="beyond double precision"):
+        reference_states(Heavy(moments=(5e-324, 1.0, 1.0)), GEN, np.array([1.0]))
+    with pytest.raises(RunError, match="initial angular velocity is beyond double precision"):
+        reference_states(Heavy(moments=(1.0, 8.0, 1.0)), (1e308, *GEN[1:]), np.array([1.0]))
+    with monkeypatch.context() as patch:
+        patch.setattr(reference, "MAX_STEPS", 1000)
+        patch.setattr(reference, "BUDGET", 100)
+        with pytest.raises(RunError, match=r"more than 1000 Taylor steps; after 100 it is at t = "):
+            reference_states(Kowalevski(), PAPER, np.array([1e4]))
+    monkeypatch.setattr(reference, "_units", lambda coef, y: (0, 0))
+    with pytest.raises(RunError, match=r"beyond t = 0: it is not finite"):
+        reference_states(Kowalevski(), (1e150, *GEN[1:]), np.array([1e-150]))
