@@ -295,4 +295,4 @@ def test_verdicts() -> None:
 def test_a_scheme_that_fails_in_the_interpreter_is_a_finding() -> None:
     (one,) = stress(["hk-exact"], ["singular-step"])
     assert one.finding.result is Result.BROKE
-    assert "take |h| <" in one.finding.why
+    assert "use |h| <" in one.finding.why
