@@ -33,4 +33,3 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-nitpicky = True
