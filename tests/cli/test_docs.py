@@ -29,6 +29,8 @@ from topcli.engine.loop import Run
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
+pytestmark = pytest.mark.slow
+
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",

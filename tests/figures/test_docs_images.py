@@ -13,6 +13,8 @@ from conftest import ROOT
 from topcli.schemes.registry import all_schemes
 from topcli.studies.stress.suite import chosen
 
+pytestmark = pytest.mark.slow
+
 IMAGES = ROOT / "docs" / "images"
 
 
