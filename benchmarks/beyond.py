@@ -56,11 +56,11 @@ def nanoseconds() -> dict[str, list[float]]:
 
 
 def in_processes(count: int) -> dict[str, list[float]]:
-    """The least times over so many processes."""
+    """Least times over ``count`` processes."""
     seen = []
     for _ in range(count):
-        told = subprocess.run([sys.executable, __file__, "--one"], capture_output=True, text=True, check=True)
-        seen.append(json.loads(told.stdout))
+        done = subprocess.run([sys.executable, __file__, "--one"], capture_output=True, text=True, check=True)
+        seen.append(json.loads(done.stdout))
     return {name: np.min([one[name] for one in seen], axis=0).tolist() for name in NAMES}
 
 

@@ -32,9 +32,9 @@ def compiled(source: str, functions: Sequence[str], signature: str, folder: Path
     for number, (way, flags) in enumerate(FLAGS.items()):
         library = folder / f"{Path(source).stem}{number}.so"
         command = [gcc, "-O3", "-march=native", *flags, "-shared", "-fPIC", str(HERE / source)]
-        told = subprocess.run([*command, "-o", str(library), "-lm"], capture_output=True, text=True, check=False)
-        if told.returncode:
-            return {}, f"gcc: {told.stderr.strip().splitlines()[-1]}; the comparisons with C are left out"
+        done = subprocess.run([*command, "-o", str(library), "-lm"], capture_output=True, text=True, check=False)
+        if done.returncode:
+            return {}, f"gcc: {done.stderr.strip().splitlines()[-1]}; the comparisons with C are left out"
         loaded = ctypes.CDLL(str(library))
         for name in functions:
             call = getattr(loaded, name)

@@ -76,7 +76,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled afresh, and the user's cache left alone
+        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled again; the user's cache is not touched
         rows = [row for base in composable_names("kowalevski") for row in measure(base, arguments.repetitions)]
     if arguments.json:
         print(json.dumps({"schema_version": 1, "compositions": rows}, indent=1))

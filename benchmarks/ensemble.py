@@ -153,7 +153,7 @@ class Case:
         return spent
 
     def threaded(self, threads: int, steps: int) -> float:
-        """Seconds for two groups of tiles on so many threads, through the engine's front door."""
+        """Seconds for two groups of tiles on this many threads, through the engine's front door."""
         run = EnsembleRun(self.top, self.method, self.y0, H, steps, steps, made=lambda piece: None, threads=threads)
         for _ in run:
             pass
@@ -216,7 +216,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled afresh, and the user's cache left alone
+        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled again; the user's cache is not touched
         rows = measure(arguments.repetitions)
     if arguments.json:
         print(json.dumps({"schema_version": 1, "cpus": os.cpu_count(), "ensembles": rows}, indent=1))

@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled afresh, and the user's cache left alone
+        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled again; the user's cache is not touched
         c_forms, reason = in_c(Path(folder))
         results = {
             "schema_version": 1,

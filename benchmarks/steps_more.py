@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled afresh, and the user's cache left alone
+        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled again; the user's cache is not touched
         c_calls, reason = compiled("steps_more.c", list(CASES), "ppdq", Path(folder))
         rows = [
             measured(case, c_calls, arguments.repetitions, int(arguments.steps)) for case in arguments.cases or CASES

@@ -135,11 +135,11 @@ def measured() -> dict[str, dict[str, list[tuple[float, float]]]]:
 
 
 def in_processes(count: int) -> dict[str, dict[str, list[tuple[float, float]]]]:
-    """The least times over so many processes."""
+    """Least times over ``count`` processes."""
     best: dict[str, dict[str, list[tuple[float, float]]]] = {}
     for _ in range(count):
-        told = subprocess.run([sys.executable, __file__, "--one"], capture_output=True, text=True, check=True)
-        for scene, codes in json.loads(told.stdout).items():
+        done = subprocess.run([sys.executable, __file__, "--one"], capture_output=True, text=True, check=True)
+        for scene, codes in json.loads(done.stdout).items():
             for code, rungs in codes.items():
                 before = best.setdefault(scene, {}).get(code, rungs)
                 best[scene][code] = [(e, min(a, b)) for (e, a), (_, b) in zip(rungs, before, strict=True)]

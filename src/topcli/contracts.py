@@ -454,11 +454,11 @@ class Ending:
         where = f"at step {self.step} (t = {self.t:.6g})"
         completed = f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})"
         left = "" if self.left is None else f"left its energy surface at step {self.left} (t = {self.left_t:.6g})"
-        told = {
+        message = {
             Outcome.COMPLETED: completed,
             Outcome.LEFT_MOTION: f"{left}; {completed}",
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
             Outcome.NO_CONVERGENCE: f"did not converge {where}",
             Outcome.INTERRUPTED: f"interrupted {where}",
         }[self.outcome]
-        return f"{told}; before, it {left}" if left and self.outcome is not Outcome.LEFT_MOTION else told
+        return f"{message}; before, it {left}" if left and self.outcome is not Outcome.LEFT_MOTION else message

@@ -13,6 +13,7 @@ from config_texts import BASE, refusal, write
 from conftest import ROOT
 from test_config_schema import fits
 from topcli.analysis.columns import spellings
+from topcli.cli import options
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import any_from, experiment_from, load_any, load_experiment, scene_files
 from topcli.config.schema import config_schema
@@ -295,3 +296,17 @@ def test_make_bench_keeps_the_log_of_an_installation(tmp_path: Path) -> None:
         "numbalsoda could not be installed (see venv/install-numbalsoda.log); topcli bench runs without it"
     ]
     assert len((tmp_path / "venv" / "install-numbalsoda.log").read_text().splitlines()) == 400
+
+
+@pytest.mark.parametrize(
+    ("complete", "begin", "found"),
+    [
+        (options.complete_config, "kowalevski_hyb", "kowalevski_hybrid"),
+        (options.complete_top, "lagr", "lagrange/inertial"),
+        (options.complete_figure, "work", "work-precision"),
+        (options.complete_scheme, "hybrid-", "hybrid-xi"),
+    ],
+)
+def test_names_are_completed(complete, begin: str, found: str, in_tmp: Path) -> None:
+    assert found in complete(begin)
+    assert all(name.startswith(begin) for name in complete(begin))

@@ -69,7 +69,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the files of a run folder come from: what was run, by which scheme, when and in which environment."""
+    """Origin of the files of a run folder: the experiment, its scheme, the time and the environment."""
 
     identity: Identity
     scheme_origin: str

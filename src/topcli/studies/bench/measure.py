@@ -70,7 +70,7 @@ class Measurements:
     failed: list[tuple[float, str]] = field(default_factory=list)
     ended: str = "the ladder's end"
     broken: str = ""
-    """Why this competitor stopped; empty if it did not."""
+    """Reason why this competitor stopped; empty if it did not."""
 
     def points(self) -> list[Point]:
         """Points of the rungs in the plane of error and seconds."""
