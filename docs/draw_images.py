@@ -75,7 +75,7 @@ def _copy_small(source: Path, target: Path) -> None:
 
     with Image.open(source) as picture:
         half = picture.convert("RGB").resize((picture.width // 2, picture.height // 2), Image.Resampling.LANCZOS)
-    half.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(target, optimize=True)
+    half.quantize(256, method=Image.Quantize.MEDIANCUT).save(target, optimize=True)
 
 
 def _listing(known: dict[str, dict[str, Any]]) -> str:
