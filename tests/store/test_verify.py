@@ -198,3 +198,26 @@ def test_manifests_without_checksums_are_still_read(tmp_path: Path) -> None:
     assert check_run(run.folder).damaged, "its pages have checksums"
     (run.folder / "report.md").write_text("")
     assert stored_run(run.folder).damage() == {"report.md": f"0 bytes, not {old['files']['report.md']}"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda about: about["environment"].update(cpu="another"),
+        lambda about: about.update(message="completed 7 steps"),
+        lambda about: about.pop("manifest_sha256"),
+        lambda about: about.update(started=None),
+    ],
+)
+def test_a_changed_entry_of_the_manifest_is_damage(tmp_path: Path, change) -> None:
+    """Also of an entry that topcli does not read itself."""
+    experiment = small()
+    run = run_experiment(experiment, tmp_path).stored
+    path = run.folder / MANIFEST
+    assert not check_run(run.folder).damaged
+    about = json.loads(path.read_text())
+    change(about)
+    path.write_text(json.dumps(about))
+    assert [file.name for file in check_run(run.folder).files if file.damaged] == [MANIFEST]
+    assert run_experiment(experiment, tmp_path).status == "ran"
+    assert not check_run(run.folder).damaged

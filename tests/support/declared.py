@@ -7,13 +7,14 @@ import pytest
 from conftest import GEN
 from topcli.contracts import Top
 from topcli.schemes.registry import all_schemes
+from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 SCHEMES = all_schemes()
-TRIALS: dict[str, list[Top]] = {
+CHOSEN: dict[str, list[Top]] = {
     "kowalevski": [Kowalevski(), Kowalevski(c0=-1.5), Kowalevski(c0=0.0), Kowalevski(c0=2.0, A=5.0)],
     "euler": [Euler(), Euler(A=1.3, B=2.0, C=0.9), Euler(A=2.0, B=2.0, C=3.0)],
     "euler+gamma": [EulerGamma(), EulerGamma(A=1.3, B=2.0, C=0.9), EulerGamma(A=1.0, B=1.0, C=1.0)],
@@ -21,7 +22,8 @@ TRIALS: dict[str, list[Top]] = {
     "lagrange": [Lagrange(), Lagrange(A=1.4, C=2.1, mu=-0.8), Lagrange(mu=0.0), Lagrange(A=1.0, C=1.0)],
     "lagrange/inertial": [LagrangeInertial()],
 }
-"""Tops to try the schemes of each form on; the first two are generic."""
+TRIALS: dict[str, list[Top]] = {form: CHOSEN.get(form) or [top.new()] for form, top in TOPS.items()}
+"""Tops to try the schemes of each form on, the default one if none is chosen; the first two are generic."""
 
 
 def gen(top: Top) -> tuple[float, ...]:

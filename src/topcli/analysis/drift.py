@@ -18,12 +18,12 @@ in a run of length T leaks into the slope only as (P/T)^3. Its standard error de
 rest of the deviation, for which two models are compared:
 
 *linear trend*  noise or an oscillation that does not grow; its error allows for correlation (Newey, West 1987);
-*random walk*   independent increments, as from rounding errors: any single walk has a slope, without meaning.
+*random walk*   independent increments, as from rounding errors: every single walk shows some slope, without meaning.
 
-The trend is preferred only if ``EVIDENCE`` times as likely, judged by the ``LOW`` slowest components of the residuals:
-of white noise they are equally large, of a random walk the slower the larger (as in Mueller, Watson, Econometrica 76
-(2008) 979), or by all components. In 4,000 simulations each with 64 to 128 blocks, random walks without drift were
-taken for linear trends in 4 of 100 cases and exceeded ``SIGNIFICANCE`` standard errors in 2 of 100 (in 22 to 30 of 100
+The linear trend is chosen only if it is ``EVIDENCE`` times as likely. The test uses the ``LOW`` slowest components of
+the residuals, then all of them: in white noise all are equally large, in a random walk the slower ones are larger
+(Mueller, Watson, Econometrica 76 (2008) 979). In 4,000 simulations each with 64 to 128 blocks, random walks without
+drift were taken for linear trends in 4 of 100 cases and exceeded ``SIGNIFICANCE`` standard errors in 2 of 100 (in 22 to 30 of 100
 by the error of a linear trend); white noise was never taken for a random walk and exceeded them in 1 of 4,000.
 """
 

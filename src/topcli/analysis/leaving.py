@@ -3,7 +3,8 @@
 The energy of a top is the invariant that ``Top.energy`` names, or a multiple of it; a top without one is not judged.
 A trajectory has left the motion as soon as a recorded state's energy differs from the first one's by more than
 ``LEFT`` times its scale there, the sum of the magnitudes of its terms. Where these vanish or nearly do (at rest
-with the centre of gravity level), the limit is the largest scale of vectors of the same lengths.
+with the centre of gravity level), the limit uses the largest scale that vectors of the
+same lengths can have along the axes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Finished run folders: the manifest, validated before use, and the checksums of the files.
 
 ``manifest.json`` lists every file of the run with its size and SHA-256. A run counts as up to date only if all sizes
-agree, and the checksums of files up to ``CHECKED_AT_ONCE`` bytes, which takes some hundredths of a second.
+agree, and the checksums of files up to ``CHECKED_AT_ONCE`` bytes, which takes some hundredths of a second; so must the
+checksum that the manifest holds of its other entries.
 ``topcli verify`` compares all checksums.
 """
 
@@ -27,6 +28,7 @@ MANIFEST_VERSION = 2
 CHECKED_AT_ONCE = 1 << 24
 """Largest file, in bytes, whose checksum is compared before a run counts as up to date."""
 REPORT = "report.json"
+_SEAL = "manifest_sha256"
 _LARGEST_JSON = 1 << 26
 _BLOCK = 1 << 20
 
@@ -108,6 +110,19 @@ def _read_manifest(folder: str | Path) -> dict[str, Any]:
     return found
 
 
+def sealed(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """``manifest`` with the checksum of all its other entries as the last one."""
+    content = {name: value for name, value in manifest.items() if name != _SEAL}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return {**content, _SEAL: hashlib.sha256(text.encode()).hexdigest()}
+
+
+def check_seal(manifest: Mapping[str, Any]) -> None:
+    """Raise DamagedError if an entry of the manifest has changed; version 1 had no checksum of its own."""
+    if manifest["manifest_version"] > 1 and manifest.get(_SEAL) != sealed(manifest)[_SEAL]:
+        raise DamagedError("its SHA-256 differs from the one that it holds")
+
+
 def sha256_of(path: Path, length: int | None = None) -> str:
     """SHA-256 of a file, or of its first ``length`` bytes. Raises OSError."""
     digest = hashlib.sha256()
@@ -184,6 +199,10 @@ class StoredRun:
     def damage(self, largest: int | None = None) -> dict[str, str]:
         """Damaged files and their faults; checksums are compared for files of at most ``largest`` bytes."""
         found = {}
+        try:
+            check_seal(self.manifest)
+        except DamagedError as error:
+            found[MANIFEST] = str(error)
         for name, entry in self.manifest["files"].items():
             try:
                 check_file(self.folder / name, entry, largest)

@@ -26,6 +26,7 @@ from topcli.store.manifest import (
     StoredRun,
     check_file,
     look,
+    sealed,
     sha256_of,
     stored_run,
 )
@@ -273,11 +274,8 @@ class RunWriter:
         release_reserve(self.folder)
         kept = {CHECKPOINT} if manifest.get("outcome") == "interrupted" else set()
         files = sorted(name for name in os.listdir(self.folder) if is_result(name) or name in kept)
-        complete = {
-            "manifest_version": MANIFEST_VERSION,
-            **manifest,
-            "files": {name: self._entry(name) for name in files},
-        }
+        entries = {name: self._entry(name) for name in files}
+        complete = sealed({"manifest_version": MANIFEST_VERSION, **manifest, "files": entries})
         for name in files:
             sync(self.folder / name)
         write_whole(

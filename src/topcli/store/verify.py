@@ -8,7 +8,7 @@ from typing import Any
 
 from topcli.errors import RunError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, check_file, look, sha256_of
+from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, check_file, check_seal, look, sha256_of
 from topcli.store.parts import is_part, parts_of
 
 
@@ -55,7 +55,11 @@ def _readable(path: Path) -> str:
 
 
 def _finished(run: StoredRun) -> CheckedRun:
-    files = [CheckedFile(MANIFEST, False, "")]
+    try:
+        check_seal(run.manifest)
+        files = [CheckedFile(MANIFEST, False, "")]
+    except DamagedError as error:
+        files = [CheckedFile(MANIFEST, True, str(error))]
     for name, entry in run.manifest["files"].items():
         path = run.folder / name
         try:

@@ -35,7 +35,7 @@ def method_fingerprint(method: Method) -> str:
 
 @dataclass(frozen=True)
 class Identity:
-    """Experiment or ensemble resolved to the plain data ``config``, its ``digest``, and that of the ``code``.
+    """Resolved experiment or ensemble as plain data (``config``), the ``digest`` of it, and that of the ``code``.
 
     Computed once for a run. Two runs are the same if both digests are equal.
     """

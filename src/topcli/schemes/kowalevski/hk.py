@@ -5,8 +5,8 @@ dEulerPoisson with A = B = 2C, y0 = z0 = 0, last sign corrected) are linear in x
 Y = d**2 c y, G = d**2 c gamma, a = W3/2, q = 1 + a**2, s = W3 - G2, v = W1 + a W2. Then:
 
 1. the third equation gives X3 = -(G2 + Y2), the first X1 = W2 (s - Y2)/2 + a X2;
-2. the second, 2 q X2 = (G3 + Y3) - v (s - Y2), is solved for y3 rather than X2: with b, the part of X2 that depends on
-   y, as unknown instead of y3, the only divisor is q::
+2. the second, 2 q X2 = (G3 + Y3) - v (s - Y2), is solved for y3, not for X2. Let b be the part of X2 that depends on y,
+   scaled as below; with b as the unknown, q is the only divisor::
 
        X2 = (X2 at y = 0) + d**2 c b/2,    y3 = q b - v y2;
 
