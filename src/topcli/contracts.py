@@ -96,7 +96,8 @@ class Top(BaseModel):
     """Base class of the tops.
 
     A subclass declares the parameters of the top as pydantic fields, sets the class attributes below, and implements
-    ``constants``, ``invariants`` and ``euler_poisson``. See ``topcli.tops.heavy`` for a complete example.
+    ``constants``, ``invariants`` and, where the top is a case of the Euler-Poisson equations, ``euler_poisson``. See
+    ``topcli.tops.heavy`` for a complete example.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
