@@ -39,7 +39,7 @@ def _number(name: str, default: int) -> int:
 
 
 def arguments() -> argparse.Namespace:
-    """What the command line and the environment ask for."""
+    """Arguments of the command line, with defaults from the environment."""
     parser = argparse.ArgumentParser(prog="attack", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("parts", nargs="*", metavar="PART", help="fuzz, damage, kills; all by default")
     parser.add_argument("--seed", type=int, default=_number("ATTACK_SEED", random.SystemRandom().randrange(1, 10**6)))
@@ -63,8 +63,8 @@ def shared_out(work: Callable[[list[int]], Result], indices: list[int], workers:
 
     def one(number: int) -> int:
         counts, findings = work(indices[number::workers])
-        told = [[finding.kind, finding.case, finding.text] for finding in findings]
-        (folder / f"share-{number}.json").write_text(json.dumps([counts, told]), encoding="utf-8")
+        found = [[finding.kind, finding.case, finding.text] for finding in findings]
+        (folder / f"share-{number}.json").write_text(json.dumps([counts, found]), encoding="utf-8")
         return 0
 
     pids = [fork(lambda number=number: one(number)) for number in range(workers)]
@@ -74,8 +74,8 @@ def shared_out(work: Callable[[list[int]], Result], indices: list[int], workers:
         if code := wait(pid):
             findings.append(Finding("exception", f"share {number}", f"this process of the attack left with {code}"))
             continue
-        told, found = json.loads((folder / f"share-{number}.json").read_text(encoding="utf-8"))
-        counts.update(told)
+        counted, found = json.loads((folder / f"share-{number}.json").read_text(encoding="utf-8"))
+        counts.update(counted)
         findings += [Finding(*one) for one in found]
     return dict(counts), sorted(findings, key=lambda finding: int(finding.case.split()[1]))
 

@@ -159,7 +159,7 @@ def damage_run(scenes: Scenes, scene: Scene, draw: random.Random, box: Sandbox) 
         box.call("show", f"out/{scene.name}/config.yaml")
     if scene.finished and scene.config.parent.name == "parquet" and draw.random() < 0.3:
         plot(scene, box)
-    # a plain run would start afresh beside an unfinished one: --resume is what may be misled
+    # a plain run would start again beside an unfinished one: --resume is what may be misled
     calls = [[], ["--json"]] if scene.finished else [["--resume"], ["--resume", "--json"]]
     draw.shuffle(calls)
     for options in (*calls, ["--force"]):
@@ -171,7 +171,7 @@ def damage_run(scenes: Scenes, scene: Scene, draw: random.Random, box: Sandbox) 
 
 
 def plot(scene: Scene, box: Sandbox) -> None:
-    """What is drawn are the rows of a run that was never harmed."""
+    """Check that a picture shows the rows of a run that was never harmed."""
     words = ["--results", "out", "--configs", str(scene.config.parent), "--out", "out/figures", "--format", "png"]
     said = box.call("plot", "fig1", *words)
     if said.code == 0:
@@ -201,8 +201,8 @@ def meet(scene: Scene, box: Sandbox, options: list[str], resumable: bool) -> Non
     if said.code == 0:
         if wrong := wrong_content(scene.expected, box.out / scene.name):
             box.fault("wrong rows", f"run {' '.join(options)} leaves with 0, and then: {wrong}")
-        elif "--json" in options and (told := _reported(said, scene)):
-            box.fault("wrong rows", f"run {' '.join(options)} tells another {told}")
+        elif "--json" in options and (reported := _reported(said, scene)):
+            box.fault("wrong rows", f"run {' '.join(options)} tells another {reported}")
         elif "(up to date)" in said.out + said.err and box.case.path.endswith(("parquet", "csv")):
             name = Path(box.case.path).name
             if (box.out / scene.name / name).read_bytes() != scene.expected.files.get(name):

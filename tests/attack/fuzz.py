@@ -67,9 +67,9 @@ def _read_otherwise(file: str, text: bytes) -> Any:
 
 def misread(case: Mutant, experiment: Experiment | EnsembleExperiment) -> str:
     """A number of the config that the experiment has otherwise than another reader; empty when there is none."""
-    told = dict(_flat(_read_otherwise(case.file, case.content)))
+    read = dict(_flat(_read_otherwise(case.file, case.content)))
     for path, value in _flat(experiment.resolved()):
-        other = told.get(path, value)
+        other = read.get(path, value)
         numbers = all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in (value, other))
         if (
             path.startswith((".h", ".N", ".top", ".output", ".initial.omega"))
@@ -81,7 +81,7 @@ def misread(case: Mutant, experiment: Experiment | EnsembleExperiment) -> str:
 
 
 def read_back(experiment: Experiment | EnsembleExperiment, folder: Path) -> str:
-    """What is lost when the config is written out and read again; empty for nothing."""
+    """Difference after the config is written out and read again; empty if there is none."""
     path = folder / "again.yaml"
     path.write_text(experiment.to_yaml(), encoding="utf-8")
     again = load_any(path)

@@ -82,12 +82,12 @@ def main() -> None:
         "rename to outside": lambda: os.rename(folder / "out" / "x", outside),
         "folder outside": lambda: (folder / "new").mkdir(),
     }
-    told = {}
+    seen = {}
     for name, plant in plants.items():
         topcli.__main__.main = plant
         said = call(["run"], folder, [folder / "out"], limit=0.3 if name in ("hang", "slow") else 30.0)
-        told[name] = sorted({kind for kind, _ in judged(said)})
-    print(json.dumps(told))
+        seen[name] = sorted({kind for kind, _ in judged(said)})
+    print(json.dumps(seen))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import Any
 
 from topcli.errors import RunError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, check_file, check_seal, look, sha256_of
+from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, sha256_of
 from topcli.store.parts import is_part, parts_of
 
 
@@ -55,18 +55,16 @@ def _readable(path: Path) -> str:
 
 
 def _finished(run: StoredRun) -> CheckedRun:
-    try:
-        check_seal(run.manifest)
-        files = [CheckedFile(MANIFEST, False, "")]
-    except DamagedError as error:
-        files = [CheckedFile(MANIFEST, True, str(error))]
-    for name, entry in run.manifest["files"].items():
-        path = run.folder / name
-        try:
-            check_file(path, entry)
-            files.append(CheckedFile(name, False, "" if isinstance(entry, dict) else _readable(path)))
-        except DamagedError as error:
-            files.append(CheckedFile(name, True, str(error)))
+    damage, entries = run.damage(), run.manifest["files"]
+    files = []
+    for name in (MANIFEST, *entries):
+        reason, damaged = damage.get(name, ""), name in damage
+        if not damaged and isinstance(entries.get(name), int):
+            try:
+                reason = _readable(run.folder / name)
+            except DamagedError as error:
+                reason, damaged = str(error), True
+        files.append(CheckedFile(name, damaged, reason))
     return CheckedRun(run.folder, True, tuple(files))
 
 
