@@ -146,22 +146,7 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         new, _ = project_unless_worse(new, (reach * reach) * length_sq((z1, z2, z3, z4, z5, z6)), c, (i1, i2, i3, k))
     if short > 0.0:
         short_corrections += 1.0
-    return (
-        new[0],
-        new[1],
-        new[2],
-        new[3],
-        new[4],
-        new[5],
-        i1,
-        i2,
-        i3,
-        k,
-        status,
-        iterations,
-        midpoint_steps,
-        short_corrections,
-    )
+    return (*new, i1, i2, i3, k, status, iterations, midpoint_steps, short_corrections)
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:

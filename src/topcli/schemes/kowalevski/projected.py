@@ -17,6 +17,7 @@ from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     Floats4,
     Floats6,
+    Gram,
     combination,
     directional_derivatives,
     factorize,
@@ -115,6 +116,20 @@ def k_sq_column(y: Floats, c: float) -> Floats4:
     return fourth_column(y[0], y[1], x1, x2, c)
 
 
+def gram_sum(m: Gram, n: Gram) -> Gram:
+    """Return m + n."""
+    m11, m12, m13, m14, m22, m23, m24, m33, m34, m44 = m
+    n11, n12, n13, n14, n22, n23, n24, n33, n34, n44 = n
+    first = (m11 + n11, m12 + n12, m13 + n13, m14 + n14)
+    return (*first, m22 + n22, m23 + n23, m24 + n24, m33 + n33, m34 + n34, m44 + n44)
+
+
+def changes(old: Floats, new: Floats, c: float) -> Floats4:
+    """Changes of the integrals by discrete gradients, because round-off is magnified near degenerate tori."""
+    e: Floats = subtract(new, old)
+    return directional_derivatives(add(old, half(e)), c, mean_column(old, e, c), e)
+
+
 def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
     """One step on omega, gamma; the four target values; the counters.
 
@@ -128,29 +143,12 @@ def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
     o1, o2, o3, o4, _, _ = deviations(old, c, (t1, t2, t3, t4))
     four = t4 > VANISHING * size[2]
     column = k_sq_column(old, c)
-    m11, m12, m13, m14, m22, m23, m24, m33, m34, m44 = gram(old, c, column)
     reach = min(1.0, MAX_CORRECTION * (h * h) * size[2])
     x1, x2, x3, x4 = 0.0, 0.0, 0.0, 0.0
     z: Floats = hk_kowalevski(old, h, p)
     first: Floats = z
     limit = (reach * reach) * length_sq(subtract(z, old))
-    new_column = k_sq_column(z, c)
-    n11, n12, n13, n14, n22, n23, n24, n33, n34, n44 = gram(z, c, new_column)
-    factors = factorize(
-        (
-            m11 + n11,
-            m12 + n12,
-            m13 + n13,
-            m14 + n14,
-            m22 + n22,
-            m23 + n23,
-            m24 + n24,
-            m33 + n33,
-            m34 + n34,
-            m44 + n44,
-        ),
-        four,
-    )
+    factors = factorize(gram_sum(gram(old, c, column), gram(z, c, k_sq_column(z, c))), four)
     y: Floats = z
     new: Floats = z
     off = 2.0**1000
@@ -161,9 +159,7 @@ def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
             # gradients at the new state, by fixed-point iteration: each pass reduces the error by a factor x = O(h³)
             new = add(z, combination(new, c, k_sq_column(new, c), (x1, x2, x3, x4)))
             new = add(z, combination(new, c, k_sq_column(new, c), (x1, x2, x3, x4)))
-        # changes of the integrals by discrete gradients, because round-off is magnified near degenerate tori
-        e: Floats = subtract(new, old)
-        r1, r2, r3, r4 = directional_derivatives(add(old, half(e)), c, mean_column(old, e, c), e)
+        r1, r2, r3, r4 = changes(old, new, c)
         r1, r2, r3, r4 = r1 + o1, r2 + o2, r3 + o3, r4 + (t4 + 0.5 * o4) * o4
         now = largest_deviation(r1, r2, r3, r4 / t4 if four else 0.0, size)
         if not now < off:
