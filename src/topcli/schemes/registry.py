@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from dataclasses import dataclass
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -126,36 +126,29 @@ def scheme(
     origin = _origin
 
     def register(build: Build) -> Build:
-        doc = build.__doc__ or (title if sys.flags.optimize >= 2 else "")  # python -OO removes docstrings
-        if not doc:
-            raise ValueError(f"scheme {name!r} has no docstring")
-        if "+" in name or "compose" in options.model_fields:
-            raise ValueError(f"scheme {name!r}: '+' in a name and an option 'compose' are reserved for compositions")
-        doc = inspect.cleandoc(doc)
+        declared = partial(
+            Scheme,
+            name=name.lower(),
+            title=title,
+            order=order,
+            explicit=explicit,
+            self_adjoint=self_adjoint,
+            citation=citation,
+            equations=equations,
+            build=build if origin == "topcli" else _checked(build, name.lower()),
+            options=options,
+            modified=modified,
+            adaptive=adaptive,
+            doc=_description(name, title, build, options),
+            origin=origin,
+        )
 
         def register_for(form: str) -> None:
-            key = (name.lower(), form)
-            if key in _schemes:
-                raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {_schemes[key].origin}")
-            if form not in TOPS:
-                raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
-            _schemes[key] = Scheme(
-                name=name.lower(),
+            _require_free(name, form)
+            _schemes[name.lower(), form] = declared(
                 top=form,
-                title=title,
-                order=order,
-                explicit=explicit,
-                self_adjoint=self_adjoint,
                 conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
-                citation=citation,
-                equations=equations,
-                build=build if origin == "topcli" else _checked(build, name.lower()),
-                options=options,
-                modified=modified,
-                adaptive=adaptive,
                 limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
-                doc=doc,
-                origin=origin,
             )
 
         for form in forms:
@@ -165,6 +158,24 @@ def scheme(
         return build
 
     return register
+
+
+def _description(name: str, title: str, build: Build, options: type[BaseModel]) -> str:
+    """Description of a scheme: the docstring of ``build``. Raises ValueError for a declaration that cannot be used."""
+    doc = build.__doc__ or (title if sys.flags.optimize >= 2 else "")  # python -OO removes docstrings
+    if not doc:
+        raise ValueError(f"scheme {name!r} has no docstring")
+    if "+" in name or "compose" in options.model_fields:
+        raise ValueError(f"scheme {name!r}: '+' in a name and an option 'compose' are reserved for compositions")
+    return inspect.cleandoc(doc)
+
+
+def _require_free(name: str, form: str) -> None:
+    """Raise ValueError if there is no such top, or if it has a scheme of this name."""
+    if known := _schemes.get((name.lower(), form)):
+        raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {known.origin}")
+    if form not in TOPS:
+        raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
 
 
 @cache
