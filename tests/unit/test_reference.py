@@ -141,14 +141,14 @@ def start(y0, steps_to, order=ORDER):
         hi = [float(v) for v in y0]
         lo = [float(mp.mpf(v) - h) for v, h in zip(y0, hi, strict=True)]
     times = np.array(steps_to, dtype=float)
-    return np.array([*hi, *lo, 0.0, 0.0, 0.0]), times, np.zeros(6 * times.size), np.zeros(12 * (order + 1))
+    return np.array([*hi, *lo, 0.0, 0.0, 0.0, times.size]), times, np.zeros(6 * times.size), np.zeros(12 * (order + 1))
 
 
 def drive(top, y0, times, run=None, budget=10**6, order=ORDER):
     """``(code, state, out)`` of ``advance`` without any change of units."""
     state, times, out, work = start(y0, times, order)
     run = run or reference._compiled()
-    code = run(coefficients(top.euler_poisson()), state, times, out, work, times.size, order, REACH, budget)
+    code = run(coefficients(top.euler_poisson()), state, times, out, work, order, REACH, budget)
     return code, state, out.reshape(-1, 6)
 
 
@@ -233,7 +233,7 @@ def test_machine_code_does_what_plain_python_does():
     times = np.linspace(0.0, 4.0, 7)
     state, times, out, work = (buffer.tolist() for buffer in start(GEN, times))
     coef = coefficients(Kowalevski().euler_poisson()).tolist()
-    assert taylor.advance(coef, state, times, out, work, 7, ORDER, REACH, 10**6) == taylor.DONE
+    assert taylor.advance(coef, state, times, out, work, ORDER, REACH, 10**6) == taylor.DONE
     code, compiled, compiled_out = drive(Kowalevski(), GEN, times)
     assert code == taylor.DONE
     assert state[14] >= 10.0

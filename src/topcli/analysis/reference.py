@@ -40,7 +40,7 @@ MAX_STEPS = 20_000_000
 def _compiled() -> Native:
     from topcli.engine.native import native
 
-    return native(advance, "pppppqqdq")
+    return native(advance, "pppppqdq")
 
 
 def coefficients(equations: EulerPoisson) -> Array:
@@ -126,9 +126,10 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
     coef = coefficients(equations)
     k, m = _units(coef, y)
     unit = np.repeat((-k, m), 3)
-    state, out, work = np.zeros(15), np.zeros((t.size, 6)), np.zeros(12 * (ORDER + 1))
+    state, out, work = np.zeros(16), np.zeros((t.size, 6)), np.zeros(12 * (ORDER + 1))
     with np.errstate(all="ignore"):
         state[:6] = np.ldexp(y, -unit)
+        state[15] = t.size
         tau = np.ldexp(t, -k)
         quotients = coef.reshape(3, 6)
         quotients[:, 2:] = np.ldexp(quotients[:, 2:], 2 * k + m) if y[3:].any() else 0.0
@@ -150,7 +151,7 @@ def _follow(coef: Array, state: Array, tau: Array, out: Array, work: Array, phys
     """Call ``advance`` until all outputs are written, in parts so that it can be interrupted."""
     run = _compiled()
     while True:
-        code = run(coef, state, tau, out, work, tau.size, ORDER, REACH, BUDGET)
+        code = run(coef, state, tau, out, work, ORDER, REACH, BUDGET)
         if code == DONE:
             return
         at, steps = abs(state[12]), state[14]

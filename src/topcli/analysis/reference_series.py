@@ -9,7 +9,8 @@ g = mg(x0, y0, z0) and i, j, k cyclic, Sogo's eqs. (Euler) and (Poisson) read
 Buffers (one-dimensional, float64; pointers when compiled):
 
 ``coef``   18: for i = 1, 2, 3 the pairs hi, lo of alpha_i, g_k/I_i, g_j/I_i
-``state``  15: hi of omega and gamma (6), lo of them (6), the time they belong to, outputs written, steps taken
+``state``  16: hi of omega and gamma (6), lo of them (6), the time they belong to, outputs written, steps taken,
+           outputs wanted
 ``work``   12 (order + 1): for each of the six series the hi parts of its coefficients, then their lo parts
 
 The problem is expected in units in which the rates of change are of the order of one.
@@ -139,15 +140,7 @@ def shift(state: Array, work: Array, d: float, order: int) -> float:
 
 
 def advance(
-    coef: Array,
-    state: Array,
-    times: Array,
-    out: Array,
-    work: Array,
-    m: int,
-    order: int,
-    reach: float,
-    budget: int,
+    coef: Array, state: Array, times: Array, out: Array, work: Array, order: int, reach: float, budget: int
 ) -> int:
     """Follow the motion through ``times`` (m, monotone, all on one side of zero), at most ``budget`` steps.
 
@@ -157,6 +150,7 @@ def advance(
     """
     n = order + 1
     row = int(state[13])
+    m = int(state[15])
     sign = 1.0 if row < m and times[m - 1] >= 0.0 else -1.0
     for _ in range(budget):
         if row == m:
