@@ -37,7 +37,7 @@ from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine import native as compiler  # noqa: E402
 from topcli.engine.driver import loop_of  # noqa: E402
-from topcli.engine.ensemble import GROUP, TILE, EnsembleRun  # noqa: E402
+from topcli.engine.ensemble import GROUP, TILE, EnsembleRun, Execution  # noqa: E402
 from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
@@ -154,7 +154,16 @@ class Case:
 
     def threaded(self, threads: int, steps: int) -> float:
         """Seconds for two groups of tiles on this many threads, through the engine's front door."""
-        run = EnsembleRun(self.top, self.method, self.y0, H, steps, steps, made=lambda piece: None, threads=threads)
+        run = EnsembleRun(
+            self.top,
+            self.method,
+            self.y0,
+            H,
+            steps,
+            steps,
+            made=lambda piece: None,
+            execution=Execution(threads=threads),
+        )
         for _ in run:
             pass
         return run.run_seconds

@@ -11,7 +11,7 @@ from conftest import random_states
 from steppers import EXPLODE
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import ensemble
-from topcli.engine.ensemble import TILE, EnsembleRun, Piece
+from topcli.engine.ensemble import TILE, EnsembleRun, Execution, Piece
 from topcli.engine.lanes import plain_lanes
 from topcli.engine.loop import Run
 from topcli.schemes.registry import all_schemes, find_scheme
@@ -36,7 +36,7 @@ def together(
         kept = [(piece.n[:k].copy(), piece.states[i, :k].copy()) for i, k in enumerate(piece.kept)]
         return piece.first, kept
 
-    run = EnsembleRun(top, method, y0, h, N, every, made=made, **options)
+    run = EnsembleRun(top, method, y0, h, N, every, made=made, execution=Execution(**options))
     pieces: list[Rows] = [[] for _ in y0]
     for (first, rows), _ in run:
         for i, one in enumerate(rows):
@@ -191,7 +191,7 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         def made(piece: Piece) -> tuple[int, bytes, bytes]:
             return piece.first, piece.n.tobytes(), piece.states.tobytes()
 
-        run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, threads=threads)
+        run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, execution=Execution(threads=threads))
         return [(*one, done) for one, done in run]
 
     one = pieces(1)
@@ -217,7 +217,7 @@ def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeyp
         assert len(piece.states) == len(piece.kept)
         sizes.append(len(piece.kept))
 
-    for _ in EnsembleRun(Kowalevski(), method, y0, 0.01, 50, 5, made=made, **options):
+    for _ in EnsembleRun(Kowalevski(), method, y0, 0.01, 50, 5, made=made, execution=Execution(**options)):
         pass
     first = [7 * TILE - 59] if threads == 1 else [3 * TILE, 3 * TILE, 5]
     later = [2 * TILE, 3 * TILE + 5] if threads == 1 else [2 * TILE, 3 * TILE, 5]
@@ -239,7 +239,8 @@ def test_what_goes_wrong_with_a_piece_is_raised_once_and_ends_the_rest(
         return begun[-1]
 
     method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
-    run = EnsembleRun(Kowalevski(), method, random_states(4 * TILE, 2), 0.01, 50, made=made, threads=threads)
+    y0, execution = random_states(4 * TILE, 2), Execution(threads=threads)
+    run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, execution=execution)
     with pytest.raises(OSError, match=f"no room for tile {broken}"):
         list(run)
     assert len(begun) == len(set(begun)) <= 4  # no tile twice, and no second chunk

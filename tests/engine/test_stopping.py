@@ -13,7 +13,7 @@ from topcli.analysis.drift import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Stepper
 from topcli.engine import ensemble, loop, tile
-from topcli.engine.ensemble import EnsembleRun
+from topcli.engine.ensemble import EnsembleRun, Execution
 from topcli.engine.loop import Run
 from topcli.schemes.any_top import dop853
 from topcli.studies.run import run_experiment
@@ -90,7 +90,7 @@ def test_an_ensemble_of_long_steps_is_interrupted_within_a_chunk() -> None:
         0.1,
         10_000,
         made=lambda piece: int(piece.kept.max()),
-        stop=stop_after(0.5),
+        execution=Execution(stop_after(0.5)),
     )
     begin = time.perf_counter()
     rows = [made for made, _ in run]

@@ -114,7 +114,8 @@ class Loop:
 
     ``work`` has ``width`` slots, the last ones counting the events named in ``counters``; with ``iterative`` the one
     before them is nan after a step that did not converge. ``seconds`` is the time to compile or load; ``cached`` is
-    true if the machine code came from disk, ``compiled`` if there is machine code at all.
+    true if the machine code came from disk, ``compiled`` if there is machine code at all. A call of any length may be
+    interrupted if it ``returns_early``.
     """
 
     enter: Callable[..., int]
@@ -125,6 +126,7 @@ class Loop:
     cached: bool = True
     iterative: bool = False
     compiled: bool = True
+    returns_early: bool = False
 
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
@@ -163,10 +165,11 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     """
     if isinstance(method, Sampler):
         enter, sample = _sampled_loop(method, d)
-        return Loop(enter, sample, d + 1)
+        return Loop(enter, sample, d + 1, returns_early=True)  # it takes no steps
     if isinstance(method, Block):
         code = native_text(method.text(), "advance", SIGNATURE)
-        return Loop(method.enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)
+        loop = Loop(method.enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)
+        return replace(loop, returns_early=True)
     enter, drive = plain_loop(_checked_length(method) if method.plain else method, d, constants)
     if method.plain:
         return Loop(enter, drive, method.width, method.counters, iterative=method.iterative, compiled=False)

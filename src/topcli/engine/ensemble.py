@@ -24,6 +24,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -33,8 +34,8 @@ from topcli.engine.driver import Loop, loop_of, step_refused
 from topcli.engine.endings import Endings
 from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of
 from topcli.engine.loop import Run
-from topcli.engine.native import CompileError, Native, native
-from topcli.engine.tile import Piece, RowBuffer, Tile, TileContext, advance_together
+from topcli.engine.native import CompileError, native
+from topcli.engine.tile import Lanes, Piece, RowBuffer, Tile, TileContext, advance_together
 
 TILE = 64
 """Trajectories side by side: enough to hide the latency of a step's longest chain, few enough for the first cache."""
@@ -68,17 +69,31 @@ def tile_of(count: int) -> int:
     return TILE if count > TILE // 2 else SMALL_TILE
 
 
-class EnsembleRun(Generic[Made]):
+@dataclass(frozen=True)
+class Execution:
+    """How an ensemble is carried out; none of it changes the bits of a trajectory.
+
+    ``stop()`` is called between chunks and within long ones; once it returns true, the unfinished trajectories are
+    ``interrupted``, not all of them at the same step. ``threads`` is the number of threads, by default all CPUs.
+    ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with ``wide`` it may hold those
+    of several, if they are few.
+    """
+
+    stop: Callable[[], bool] = lambda: False
+    threads: int | None = None
+    tile: int | None = None
+    wide: bool = False
+
+
+class EnsembleRun(TileContext, Generic[Made]):
     """Trajectories of ``method`` from the states ``y0`` (m, d): iterate, then read ``endings``.
 
     ``begin(y0)`` replaces the trajectories and keeps the code and buffers, so that a large ensemble runs block by
-    block. ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with ``wide`` it may
-    hold those of several, if they are few.
+    block.
 
-    ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads. Iteration yields (its
-    result, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a trajectory
-    come in the order of time. ``stop()`` is called between chunks and within long ones; once it returns true, the
-    unfinished trajectories are ``interrupted``, not all of them at the same step.
+    ``made(piece)`` is called for every piece of recorded rows, in one of the threads of the ``execution``. Iteration
+    yields (its result, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a
+    trajectory come in the order of time.
 
     Afterwards ``endings`` holds an Ending for each trajectory, and ``last`` (m, d) with ``last_n`` (m,) the state at
     step N, or the last recorded one of a trajectory that ended before.
@@ -94,30 +109,26 @@ class EnsembleRun(Generic[Made]):
         every: int = 1,
         *,
         made: Callable[[Piece], Made],
-        stop: Callable[[], bool] = lambda: False,
-        threads: int | None = None,
-        tile: int | None = None,
-        wide: bool = False,
+        execution: Execution = Execution(),
     ) -> None:
         self.top, self.method, self.h, self.N, self.every = top, method, float(h), N, every
-        self.made, self.stop, self.wide = made, stop, wide
-        self.threads = threads or default_threads()
+        self.made, self.stop, self.wide = made, execution.stop, execution.wide
+        self.threads = execution.threads or default_threads()
         self.p = np.array(top.constants(), dtype=np.float64)
         self.begin(y0)
         m, d = self.y0.shape
         self.compile_seconds, self.cached, self.run_seconds = 0.0, True, 0.0
-        self.tile = tile or tile_of(m)
+        self.tile = execution.tile or tile_of(m)
+        self.buffer = RowBuffer()
         self._lock, self._loop = threading.Lock(), None
-        self._buffer = RowBuffer()
-        self.lanes: Native | None = None
-        self.params = self.p
+        self._lanes: Lanes | None = None
         if isinstance(method, Stepper) and not method.plain:
             try:
-                self.lanes = native(plain_lanes(method, d, len(self.p), self.tile), SIGNATURE)
+                code = native(plain_lanes(method, d, len(self.p), self.tile), SIGNATURE)
             except CompileError as error:
                 raise step_refused(method, d, error) from None
-            self.params = np.concatenate([self.p, stages_of(method)[1]])
-            self.compile_seconds, self.cached = self.lanes.seconds, self.lanes.cached
+            self._lanes = Lanes(method, code, np.concatenate([self.p, stages_of(method)[1]]), self.tile)
+            self.compile_seconds, self.cached = code.seconds, code.cached
 
     def begin(self, y0: Array) -> None:
         """Take the initial states ``y0`` (m, d), and forget the endings of earlier trajectories."""
@@ -138,7 +149,7 @@ class EnsembleRun(Generic[Made]):
     @property
     def side_by_side(self) -> bool:
         """True if pieces hold whole tiles, False if each holds rows of one trajectory."""
-        return self.lanes is not None
+        return self._lanes is not None
 
     @property
     def interrupted(self) -> bool:
@@ -147,37 +158,20 @@ class EnsembleRun(Generic[Made]):
 
     def __iter__(self) -> Iterator[tuple[Made, int]]:
         """Yield the result of ``made`` and the trajectory-steps done, piece by piece."""
-        if self.lanes is None or not isinstance(self.method, Stepper):
+        if self._lanes is None:
             yield from self._one_by_one()
             return
-        context = TileContext(
-            stepper=self.method,
-            lanes=self.lanes,
-            single_loop=self.single_loop,
-            width=self.tile,
-            p=self.p,
-            params=self.params,
-            h=self.h,
-            N=self.N,
-            every=self.every,
-            stop=self.stop,
-            buffer=self._buffer,
-            y0=self.y0,
-            endings=self.endings,
-            last=self.last,
-            last_n=self.last_n,
-            call_steps=FIRST_CALL,
-        )
+        self.call_steps = FIRST_CALL
         m, size = len(self.y0), GROUP * self.tile
         with ThreadPoolExecutor(max(1, self.threads - 1)) as pool:
             for start in range(0, m, size):
                 ends = range(start, min(start + size, m), self.tile)
-                group = [Tile(context, first, min(first + self.tile, m)) for first in ends]
+                group = [Tile(self, self._lanes, first, min(first + self.tile, m)) for first in ends]
                 yield from self._together(group, pool, start)
 
     def _together(self, group: Sequence[Tile], pool: ThreadPoolExecutor, before: int) -> Iterator[tuple[Made, int]]:
         """Advance the tiles of a group to the end, a chunk at a time."""
-        every, N, context = self.every, self.N, group[0].context
+        every, N = self.every, self.N
         count = sum(tile.count for tile in group)
         done = 0
         living = list(group)
@@ -188,7 +182,7 @@ class EnsembleRun(Generic[Made]):
             def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Made:
                 return self.made(advance_together(tiles, steps, until_record))
 
-            start = context.chunk_began = time.perf_counter()
+            start = self.chunk_began = time.perf_counter()
             pieces = self._shared_out(advance, self._neighbours(living, 1 + steps // every), pool)
             self.run_seconds += time.perf_counter() - start
             done += steps
@@ -249,7 +243,7 @@ class EnsembleRun(Generic[Made]):
         """Run trajectory after trajectory in the time loop of single runs."""
         stride = math.gcd(self.every, self.N)  # so that step N is among the rows
         for i, y0 in enumerate(self.y0):
-            run = Run(self.top, self.method, y0, self.h, self.N, stride, self.stop, loop=self.single_loop())
+            run = Run(self.top, self.single_loop(), y0, self.h, self.N, stride, self.stop)
             for chunk in run:
                 asked = chunk.n % self.every == 0
                 if len(chunk.n) and (asked[-1] or chunk.n[-1] == self.N):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Method, Outcome, Stepper, StopAsked, Top, stop_asked
+from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, stop_asked
 from topcli.engine.driver import Loop, loop_of
 
 CHUNK_ROWS = 8192
@@ -80,26 +80,25 @@ class Run:
     ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
     ``every``-th recorded. ``stop()`` is called between chunks, and within chunks that take long; once it returns true,
     the run ends as ``interrupted``. With ``start``, the ``position()`` of an earlier equal run, the run continues from
-    there, bit for bit. ``loop`` is the method's time loop, if the caller has it already.
+    there, bit for bit. ``method`` may be its time loop, if the caller has that already.
     """
 
     def __init__(
         self,
         top: Top,
-        method: Method,
+        method: Method | Loop,
         y0: Sequence[float],
         h: float,
         N: int,
         every: int = 1,
         stop: Callable[[], bool] = lambda: False,
         start: Position | None = None,
-        loop: Loop | None = None,
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
         self._y0 = np.array(y0, dtype=np.float64)
         self._p = np.array(top.constants(), dtype=np.float64)
-        self._loop = loop or loop_of(method, len(self._y0), len(self._p))
+        self._loop = method if isinstance(method, Loop) else loop_of(method, len(self._y0), len(self._p))
         self.compile_seconds = self._loop.seconds
         self.cached = self._loop.cached
         self.run_seconds = 0.0
@@ -109,8 +108,7 @@ class Run:
         if len(self._position.work) != self._loop.width:
             raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
         self._failed = False
-        # a Block returns early by itself, and a Sampler takes no steps
-        self._call_steps = N if not isinstance(method, Stepper) else FIRST_CALL if self._loop.compiled else 1
+        self._call_steps = N if self._loop.returns_early else FIRST_CALL if self._loop.compiled else 1
 
     def position(self) -> Position | None:
         """Copy of the current position; None after a failure and before the first row, where a run cannot continue."""

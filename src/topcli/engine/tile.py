@@ -50,21 +50,27 @@ class RowBuffer(threading.local):
         return self._numbers[:size].reshape(lanes, rows, d)
 
 
-@dataclass
-class TileContext:
-    """Problem, compiled loops and result arrays that the tiles of an ensemble share.
+@dataclass(frozen=True)
+class Lanes:
+    """Compiled loop over a tile of ``width`` lanes: ``code`` for the ``stepper``.
 
-    Trajectories start in ``y0`` (m, d); a tile has ``width`` lanes. ``lanes`` is the compiled loop over a tile, with
-    the constants ``p`` and the fractions of h in ``params``; ``single_loop()`` is the time loop of single runs.
-    ``endings``, ``last`` (m, d) and ``last_n`` (m,) are filled by the tiles, each its own part.
+    ``params`` holds the constants of the top and the fractions of h.
     """
 
     stepper: Stepper
-    lanes: Native
-    single_loop: Callable[[], Loop]
-    width: int
-    p: Array
+    code: Native
     params: Array
+    width: int
+
+
+class TileContext:
+    """Problem, buffers and results that the tiles of an ensemble share.
+
+    Trajectories start in ``y0`` (m, d); ``p`` are the constants of the top. ``endings``, ``last`` (m, d) and ``last_n``
+    (m,) are filled by the tiles, each its own part.
+    """
+
+    p: Array
     h: float
     N: int
     every: int
@@ -75,22 +81,26 @@ class TileContext:
     last: Array
     last_n: NDArray[np.int64]
     call_steps: int
-    """Steps of the next call of ``lanes``."""
-    chunk_began: float = 0.0
+    """Steps of the next call of the compiled loop."""
+    chunk_began: float
     """Clock reading at the start of the current chunk."""
+
+    def single_loop(self) -> Loop:
+        """Time loop of single runs."""
+        raise NotImplementedError
 
 
 class Tile:
     """Working states of the trajectories ``first`` to ``stop - 1`` of an ensemble."""
 
-    def __init__(self, context: TileContext, first: int, stop: int) -> None:
-        self.context, stepper = context, context.stepper
+    def __init__(self, context: TileContext, lanes: Lanes, first: int, stop: int) -> None:
+        self.context, self.lanes, stepper = context, lanes, lanes.stepper
         self.first, self.count = first, stop - first
-        self.alive = np.zeros(context.width, dtype=bool)
+        self.alive = np.zeros(lanes.width, dtype=bool)
         self.alive[: self.count] = True
         self.done = 0
         self.uncounted = stepper.width - len(stepper.counters)
-        self.work = np.zeros((stepper.width + 1, context.width))
+        self.work = np.zeros((stepper.width + 1, lanes.width))
         p = tuple(context.p.tolist())
         begun = context.y0[first:stop].tolist()
         if stepper.enter:
@@ -138,12 +148,12 @@ class Tile:
 
     def _advance(self, out: Array, steps: int, until_record: int, stride: int) -> int:
         """Take up to ``steps`` steps, in calls that grow while they are short; return the steps taken."""
-        context, d, taken = self.context, self.context.y0.shape[1], 0
+        context, lanes, d, taken = self.context, self.lanes, self.context.y0.shape[1], 0
         while True:
             rows = recorded_rows(taken, until_record, context.every)
             size, until = min(steps - taken, context.call_steps), until_record + rows * context.every - taken
             start = time.perf_counter()
-            context.lanes(self.work, out[rows * d :], context.params, context.h, size, context.every, until, stride)
+            lanes.code(self.work, out[rows * d :], lanes.params, context.h, size, context.every, until, stride)
             now = time.perf_counter()
             taken += size
             if taken == steps or (now - context.chunk_began > CALL_SECONDS and context.stop()):
@@ -168,7 +178,7 @@ class Tile:
 
     def end(self) -> None:
         """Store the endings and last states of the living trajectories."""
-        context, leave = self.context, self.context.stepper.leave
+        context, leave = self.context, self.lanes.stepper.leave
         living = np.flatnonzero(self.alive)
         completed = self.done >= context.N
         outcome = Outcome.COMPLETED if completed else Outcome.INTERRUPTED
@@ -188,7 +198,7 @@ def advance_together(tiles: Sequence[Tile], steps: int, until_record: int) -> Pi
     n = np.arange(done + until_record, done + steps + 1, context.every, dtype=np.int64)
     if done == 0:
         n = np.concatenate([np.zeros(1, dtype=np.int64), n])
-    width = context.width
+    width = first.lanes.width
     buffer = context.buffer.rows(len(tiles) * width, len(n), context.y0.shape[1])
     each = buffer.reshape(len(tiles), width, len(n), -1)
     kept = [tile.advance(n, steps, until_record, rows) for tile, rows in zip(tiles, each, strict=True)]

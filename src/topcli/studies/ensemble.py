@@ -16,7 +16,7 @@ from topcli.analysis.many import EnsembleSummary, EnsembleTally, Spool, measure_
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
-from topcli.engine.ensemble import BLOCK, EnsembleRun, Piece, tile_of
+from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter
@@ -73,10 +73,8 @@ class GroupRun(Generic[Made]):
             one.N,
             one.output.every,
             made=made,
-            stop=stop,
-            threads=threads,
-            tile=tile_of(group.count),
-            wide=experiment.store != "trajectories",  # there, row groups are tiles
+            # where all rows are stored, row groups are tiles
+            execution=Execution(stop, threads, tile_of(group.count), wide=experiment.store != "trajectories"),
         )
 
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:

@@ -122,7 +122,7 @@ class Trial:
     def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Floats | None = None) -> Motion:
         """Run the case, or with another step, another number of steps, or from another state."""
         h, N = h or self.h, N or self.N
-        run = Run(self.top, self.method, y0 or self.y0, h, N, every, loop=self._loop)
+        run = Run(self.top, self._loop, y0 or self.y0, h, N, every)
         with np.errstate(all="ignore"):
             n, states, ending = run.collect()
         if not self.counters:
