@@ -22,7 +22,7 @@ from topcli.config.models import Experiment
 from topcli.engine import loop
 from topcli.store import series
 from topcli.studies.ensemble import run_ensemble
-from topcli.studies.run import run_experiment
+from topcli.studies.run import Feedback, run_experiment
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 NAME = "kowalevski_hk"
@@ -73,7 +73,7 @@ def killed_run(out: Path, suffix: str, steps: int) -> None:
         if done >= steps:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    run_experiment(experiment(suffix), out, checkpoint_every=0.0, progress=progress)
+    run_experiment(experiment(suffix), out, checkpoint_every=0.0, feedback=Feedback(progress))
 
 
 @dataclass

@@ -22,7 +22,7 @@ from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import MANIFEST, DamagedRun, look, stored_run, stored_runs
 from topcli.store.parts import LOCK, new_part, owner, parts_of, remove_own
 from topcli.studies import run as run_study
-from topcli.studies.run import run_experiment
+from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -214,7 +214,7 @@ def test_linked_parts_are_ignored(tmp_path: Path) -> None:
     link = out / f".{NAME}.part-999999999-00000000"
     link.symlink_to(elsewhere)
     told: list[str] = []
-    assert run_experiment(small(), out, resume=True, tell=told.append).status == "ran"
+    assert run_experiment(small(), out, resume=True, feedback=Feedback(on_message=told.append)).status == "ran"
     assert "nothing to resume" in told[0]
     assert link.is_symlink()
     assert sorted(path.name for path in elsewhere.iterdir()) == before
@@ -277,7 +277,7 @@ def test_an_output_folder_deleted_meanwhile_is_not_said_to_hold_a_checkpoint(tmp
             shutil.rmtree(out)
 
     with pytest.raises(RunError) as caught:
-        run_experiment(small(), out, checkpoint_every=0.0, progress=progress)
+        run_experiment(small(), out, checkpoint_every=0.0, feedback=Feedback(progress))
     assert "nothing was kept of this run" in str(caught.value)
     assert "checkpoint" not in str(caught.value)
 

@@ -19,7 +19,7 @@ from topcli.schemes.registry import all_schemes
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.series import read_series
-from topcli.studies.run import run_experiment
+from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -84,11 +84,11 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene:
         assert (result.stored.folder / CHECKPOINT).exists()
         rows = len(next(iter(read_series(result.stored.series).values())))
         assert rows == result.report["step"] + 1
-        result = run_experiment(experiment, out, resume=True, stop=after(1), tell=told.append)
+        result = run_experiment(experiment, out, resume=True, stop=after(1), feedback=Feedback(on_message=told.append))
         assert result.status == "resumed"
         if result.outcome is Outcome.COMPLETED:
             break
-    result = run_experiment(experiment, out, resume=True, tell=told.append)
+    result = run_experiment(experiment, out, resume=True, feedback=Feedback(on_message=told.append))
     assert content(result.stored.folder) == expected
     assert f"continues from step {chunks * 16 if N > 70 else 32} of {N}" in told[0]
     assert [path.name for path in out.iterdir()] == [experiment.name]
@@ -139,7 +139,7 @@ def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
 def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> None:
     told: list[str] = []
     killed(tmp_path, small(), 5)
-    result = run_experiment(small(), tmp_path, tell=told.append)
+    result = run_experiment(small(), tmp_path, feedback=Feedback(on_message=told.append))
     assert (result.status, result.outcome) == ("ran", Outcome.COMPLETED)
     assert "--resume would continue" in told[0]
     assert [path.name for path in tmp_path.iterdir()] == [NAME], "superseded, and swept away"
@@ -147,7 +147,7 @@ def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> 
 
 def test_resume_without_a_checkpoint_starts_from_step_0(tmp_path: Path) -> None:
     told: list[str] = []
-    assert run_experiment(small(), tmp_path, resume=True, tell=told.append).status == "ran"
+    assert run_experiment(small(), tmp_path, resume=True, feedback=Feedback(on_message=told.append)).status == "ran"
     assert told == [f"{NAME}: nothing to resume; starting from step 0"]
 
 
@@ -180,7 +180,7 @@ def test_an_interrupted_run_never_takes_the_place_of_more(tmp_path: Path) -> Non
     assert less.set_aside is not None
     assert stored_run(less.set_aside).manifest["step"] == further.report["step"]
     told: list[str] = []
-    run_experiment(small(), tmp_path / "b", resume=True, tell=told.append)
+    run_experiment(small(), tmp_path / "b", resume=True, feedback=Feedback(on_message=told.append))
     assert f"step {further.report['step']} of" in told[0], "the one that got further goes on"
 
 

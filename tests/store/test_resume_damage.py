@@ -20,7 +20,7 @@ from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.parts import lock_left, lock_new, new_part, parts_of
 from topcli.store.series import SeriesWriter, read_metadata, read_series
-from topcli.studies.run import run_experiment
+from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -90,7 +90,7 @@ def test_a_failed_checkpoint_names_its_file(tmp_path: Path, monkeypatch: pytest.
         with pytest.raises(RunError, match="no space left"):
             run_experiment(small("output.every=50"), tmp_path, checkpoint_every=0.0)
     told: list[str] = []
-    run_experiment(small("output.every=50"), tmp_path, resume=True, tell=told.append)
+    run_experiment(small("output.every=50"), tmp_path, resume=True, feedback=Feedback(on_message=told.append))
     assert "continues from step" in told[0]
 
 
@@ -99,12 +99,12 @@ def test_a_living_process_keeps_others_off(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
         "import sys, time; from pathlib import Path; from topcli.config.load import load_experiment\n"
-        "from topcli.studies.run import run_experiment\n"
+        "from topcli.studies.run import Feedback, run_experiment\n"
         f"experiment = load_experiment({str(HK)!r}, ['N=300'])\n"
         "def wait(done, total):\n"
         "    if done > 200000 or done == total:\n"
         "        print('running', flush=True); time.sleep(60)\n"
-        "run_experiment(experiment, Path(sys.argv[1]), checkpoint_every=0.0, progress=wait)\n"
+        "run_experiment(experiment, Path(sys.argv[1]), checkpoint_every=0.0, feedback=Feedback(wait))\n"
     )
     other = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     try:
@@ -115,7 +115,7 @@ def test_a_living_process_keeps_others_off(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=f"process {other.pid} is running this experiment"):
             run_experiment(small(), tmp_path, resume=True)
         told: list[str] = []
-        assert run_experiment(small(), tmp_path, tell=told.append).status == "ran"
+        assert run_experiment(small(), tmp_path, feedback=Feedback(on_message=told.append)).status == "ran"
         assert told == [f"{NAME}: process {other.pid} is running this experiment too"]
         assert part.folder.is_dir(), "the other one's folder is left alone"
     finally:

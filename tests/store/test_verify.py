@@ -16,7 +16,7 @@ from topcli.store.footer import UNFINISHED
 from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.series import read_series
 from topcli.store.verify import check_run
-from topcli.studies.run import run_experiment
+from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -61,7 +61,7 @@ def test_a_damaged_finished_run_is_not_up_to_date(tmp_path: Path, suffix: str, n
     path = run.series if name == "series" else run.folder / name
     flip(path, path.stat().st_size // 2)
     told: list[str] = []
-    again = run_experiment(experiment, tmp_path, tell=told.append)
+    again = run_experiment(experiment, tmp_path, feedback=Feedback(on_message=told.append))
     assert again.status == "ran"
     assert f"{path.name} is damaged: its SHA-256 differs" in told[0]
     assert not again.stored.damage()

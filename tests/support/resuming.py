@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.studies.run import run_experiment
+from topcli.studies.run import Feedback, run_experiment
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 NAME = "kowalevski_hk"
@@ -58,6 +58,6 @@ def killed(out: Path, experiment: Experiment, chunks: int) -> Path:
             raise Killed
 
     with pytest.raises(Killed):
-        run_experiment(experiment, out, force=True, checkpoint_every=0.0, progress=progress)
+        run_experiment(experiment, out, force=True, checkpoint_every=0.0, feedback=Feedback(progress))
     (folder,) = out.glob(f".{experiment.name}.part-*")
     return folder

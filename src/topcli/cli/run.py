@@ -136,7 +136,7 @@ def _run(
     from topcli.config.models import Experiment
 
     if isinstance(experiment, Experiment):
-        from topcli.studies.run import run_experiment
+        from topcli.studies.run import Feedback, run_experiment
 
         return run_experiment(
             experiment,
@@ -145,9 +145,8 @@ def _run(
             resume=options.resume,
             retry_failed=options.retry_failed,
             checkpoint_every=options.checkpoint_every,
-            progress=display,
             stop=interruption,
-            tell=(lambda line: None) if options.quiet else say,
+            feedback=Feedback(display) if options.quiet else Feedback(display, say),
         )
     from topcli.studies.ensemble import run_ensemble
 

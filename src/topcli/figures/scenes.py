@@ -66,14 +66,14 @@ class SceneFigure(Figure):
     def _run(self, scene: str, columns: list[str], request: Request) -> tuple[RunResult, DrawnRun]:
         """Completed run of ``scene`` with the ``columns``. Raises UsageError and RunError."""
         from topcli.config.load import load_experiment
-        from topcli.studies.run import run_experiment
+        from topcli.studies.run import Feedback, run_experiment
 
         experiment = load_experiment(scene_config(scene, request.configs))
         recorded = experiment.output.columns
         missing = [name for name in columns if recorded and name not in recorded]
         if missing:
             raise UsageError(f"{self.name}: the config of {scene} does not record {', '.join(missing)}")
-        run = run_experiment(experiment, request.results, force=request.force, progress=request.on_progress)
+        run = run_experiment(experiment, request.results, force=request.force, feedback=Feedback(request.on_progress))
         if run.set_aside:
             request.on_message(f"renamed the earlier, different run to {run.set_aside}")
         if run.outcome is not Outcome.COMPLETED:

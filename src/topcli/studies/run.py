@@ -35,6 +35,14 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
+class Feedback:
+    """Callbacks of a run: ``on_progress(steps done, N)`` between chunks, and ``on_message(line)``."""
+
+    on_progress: Progress = lambda done, total: None
+    on_message: Callable[[str], None] = lambda line: None
+
+
+@dataclass(frozen=True)
 class RunResult:
     """A run folder, its report, and the ``status`` of the call: ``"ran"``, ``"resumed"`` or ``"up to date"``.
 
@@ -140,9 +148,8 @@ def run_experiment(
     resume: bool = False,
     retry_failed: bool = False,
     checkpoint_every: float = CHECKPOINT_SECONDS,
-    progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
-    tell: Callable[[str], None] = lambda line: None,
+    feedback: Feedback = Feedback(),
 ) -> RunResult:
     """Run ``experiment`` into the folder ``out/<name>``, unless it has been run before.
 
@@ -150,11 +157,11 @@ def run_experiment(
     A different experiment of that name is refused; with ``force`` it is renamed.
     ``stop`` is called between chunks; if it returns True, the run ends as ``interrupted`` and keeps its rows.
     With ``resume`` an interrupted or killed run continues from its last checkpoint and ends, bit for bit, as if it had
-    never been stopped. Checkpoints are written every ``checkpoint_every`` seconds. ``tell`` receives messages.
+    never been stopped. Checkpoints are written every ``checkpoint_every`` seconds.
 
     Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
     """
-    method = experiment.method()
+    method, tell = experiment.method(), feedback.on_message
     identity = Identity.of(experiment, [method])
     source = find_source(identity, out) if resume else None
     plan = plan_run(identity, out, force=force, retry_failed=retry_failed, source=source)
@@ -174,7 +181,7 @@ def run_experiment(
         origin = Origin(identity, experiment.scheme.origin, about["started"], about["environment"], commit)
         job = _Job(experiment, method, writer, checkpoints, origin)
         try:
-            stored, report = _carry_out(job, start, progress, stop)
+            stored, report = _carry_out(job, start, feedback.on_progress, stop)
         except OSError as error:
             raise _saved(job, error) from error
     return RunResult(stored, report, "ran" if start is None else "resumed", writer.set_aside)
