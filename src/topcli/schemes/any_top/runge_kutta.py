@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from topcli.arithmetic.six_vectors import axpy
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.schemes.limits import explicit_limits, rk2_limits
 from topcli.schemes.preserved import polynomial_invariants
@@ -17,18 +18,6 @@ WeightedSum = Callable[[Floats, Floats, Floats, Floats], Floats]
 def axpy3(s: Floats, a: float, k: Floats) -> Floats:
     """Return s + a k for vectors of length three."""
     return (s[0] + a * k[0], s[1] + a * k[1], s[2] + a * k[2])
-
-
-def axpy6(s: Floats, a: float, k: Floats) -> Floats:
-    """Return s + a k for vectors of length six."""
-    return (
-        s[0] + a * k[0],
-        s[1] + a * k[1],
-        s[2] + a * k[2],
-        s[3] + a * k[3],
-        s[4] + a * k[4],
-        s[5] + a * k[5],
-    )
 
 
 def weighted_sum(a: float, b: float, c: float, d: float) -> float:
@@ -57,7 +46,7 @@ def weighted_sum6(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
     )
 
 
-VECTOR_OPERATIONS: dict[int, tuple[Axpy, WeightedSum]] = {3: (axpy3, weighted_sum3), 6: (axpy6, weighted_sum6)}
+VECTOR_OPERATIONS: dict[int, tuple[Axpy, WeightedSum]] = {3: (axpy3, weighted_sum3), 6: (axpy, weighted_sum6)}
 
 
 def _vector_operations(top: Top) -> tuple[Axpy, WeightedSum]:

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 
+from topcli.arithmetic.six_vectors import Floats6
 from topcli.contracts import Floats
 
 EPS = 2.0**-52
 DEPENDENT = 2.0**-44
 """Squared sine of the angle between a gradient and the span of the previous ones, below which it is round-off."""
 Floats4 = tuple[float, float, float, float]
-Floats6 = tuple[float, float, float, float, float, float]
 Gram = tuple[float, float, float, float, float, float, float, float, float, float]
 Factors = tuple[float, float, float, float, float, float, float, float, float, float]
 
@@ -180,11 +180,6 @@ def solve(f: Factors, r: Floats4, limit: float) -> tuple[float, float, float, fl
     x2 = z2 - (l32 * x3 + l42 * z4)
     x1 = z1 - (l21 * x2 + (l31 * x3 + l41 * z4))
     return (x1, x2, x3, z4, (o1 + o2) + (o3 + o4))
-
-
-def length_sq(v: Floats) -> float:
-    """Squared Euclidean length."""
-    return (v[0] * v[0] + (v[1] * v[1] + v[2] * v[2])) + (v[3] * v[3] + (v[4] * v[4] + v[5] * v[5]))
 
 
 def target_values(y: Floats, p: Floats) -> Floats4:

@@ -16,8 +16,9 @@ their gradients at the mean of two states conserves them from one state to the o
 
 from __future__ import annotations
 
+from topcli.arithmetic.six_vectors import Floats6, axpy, dot, scaled
 from topcli.contracts import Floats
-from topcli.schemes.kowalevski.four_integrals import Floats4, Floats6
+from topcli.schemes.kowalevski.four_integrals import Floats4
 
 DEPENDENT = 2.0**-40
 """Squared sine of the angle between two vector fields, below which it is round-off."""
@@ -60,11 +61,6 @@ def hamiltonian_field(y: Floats, column: Floats4) -> Floats6:
     )
 
 
-def dot(u: Floats6, v: Floats6) -> float:
-    """Scalar product of two vectors."""
-    return (u[0] * v[0] + (u[1] * v[1] + u[2] * v[2])) + (u[3] * v[3] + (u[4] * v[4] + u[5] * v[5]))
-
-
 def bracket(y: Floats, v: Floats6) -> Floats6:
     """J v for v = (a, b), converted to a change of omega and gamma."""
     w1, w2, w3, g1, g2, g3 = y
@@ -86,14 +82,7 @@ def conserving_direction(y: Floats, f: Floats6, column: Floats4) -> Direction:
     """
     x = hamiltonian_field(y, column)
     ff, fx, xx = dot(f, f), dot(f, x), dot(x, x)
-    normal = (
-        ff * x[0] - fx * f[0],
-        ff * x[1] - fx * f[1],
-        ff * x[2] - fx * f[2],
-        ff * x[3] - fx * f[3],
-        ff * x[4] - fx * f[4],
-        ff * x[5] - fx * f[5],
-    )
+    normal = axpy(scaled(ff, x), -fx, f)
     return bracket(y, normal), ff * xx - fx * fx, ff * xx
 
 
@@ -103,11 +92,7 @@ def xi_fields(y: Floats, c: float) -> tuple[Floats6, Floats6]:
     w1, w2 = 2.0 * y[0], 2.0 * y[1]
     u, v = hamiltonian_field(y, (w1, -w2, -c, 0.0)), hamiltonian_field(y, (w2, w1, 0.0, -c))
     ff = dot(f, f) + TINY
-    su, sv = dot(f, u) / ff, dot(f, v) / ff
-    return (
-        (u[0] - su * f[0], u[1] - su * f[1], u[2] - su * f[2], u[3] - su * f[3], u[4] - su * f[4], u[5] - su * f[5]),
-        (v[0] - sv * f[0], v[1] - sv * f[1], v[2] - sv * f[2], v[3] - sv * f[3], v[4] - sv * f[4], v[5] - sv * f[5]),
-    )
+    return axpy(u, -dot(f, u) / ff, f), axpy(v, -dot(f, v) / ff, f)
 
 
 def xi_correction(y: Floats, r1: float, r2: float, c: float) -> tuple[Floats6, float]:
@@ -121,20 +106,7 @@ def xi_correction(y: Floats, r1: float, r2: float, c: float) -> tuple[Floats6, f
     if not det > DEPENDENT * (uu * vv):
         return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0
     a, b = (uv * r2 - vv * r1) / det, (uv * r1 - uu * r2) / det
-    return (
-        bracket(
-            y,
-            (
-                a * u[0] + b * v[0],
-                a * u[1] + b * v[1],
-                a * u[2] + b * v[2],
-                a * u[3] + b * v[3],
-                a * u[4] + b * v[4],
-                a * u[5] + b * v[5],
-            ),
-        ),
-        0.0,
-    )
+    return bracket(y, axpy(scaled(a, u), b, v)), 0.0
 
 
 def newton_matrix(m: Floats, d: float, c: float) -> NewtonMatrix:

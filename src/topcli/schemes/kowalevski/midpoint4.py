@@ -30,12 +30,12 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.complex_plane import rotation_increment
+from topcli.arithmetic.six_vectors import Floats6, add, axpy, norm1, scaled, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     Floats4,
-    Floats6,
     combination,
     first_three,
     fourth_column,
@@ -74,17 +74,7 @@ STEEP = 2.0**-4
 """Minimum derivative of k² along n relative to its leading term, so that the intended solution is found."""
 BAND = 2.0 * EPS
 """Deviation of k² relative to its terms, its rounding error, which is not corrected."""
-Solution = tuple[float, float, float, float, float, float, float, float]
-
-
-def norm1(v: Floats6) -> float:
-    """Sum of the magnitudes of the components."""
-    return ((abs(v[0]) + abs(v[1])) + abs(v[2])) + ((abs(v[3]) + abs(v[4])) + abs(v[5]))
-
-
-def axpy(v: Floats6, s: float, n: Floats6) -> Floats6:
-    """Return v + s n."""
-    return (v[0] + s * n[0], v[1] + s * n[1], v[2] + s * n[2], v[3] + s * n[3], v[4] + s * n[4], v[5] + s * n[5])
+Solution = tuple[Floats6, float, float]
 
 
 def restoring_change(y: Floats, t: Floats4, c: float) -> Floats6:
@@ -156,7 +146,7 @@ def solve_with_k(
         if shift > reach:
             break
         z = axpy(z, s, along)
-        e = axpy(e, 1.0, z)
+        e = add(e, z)
         before, off = off, norm1(z)
         way += off
         if CONTRACTION * off * (way + shift) * most <= (EPS * size * size) * rate or off <= SETTLED * size:
@@ -165,7 +155,7 @@ def solve_with_k(
         if 0.5 * before < off <= FLOOR * SETTLED * size:
             status = 0.0
             break
-    return (e[0], e[1], e[2], e[3], e[4], e[5], status, rounds)
+    return e, status, rounds
 
 
 def solve_with_xi(
@@ -199,14 +189,14 @@ def solve_with_xi(
             break
         su, sv = (m12 * r2 - m22 * r1) / det, (m21 * r1 - m11 * r2) / det
         z = axpy(axpy(z, su, au), sv, av)
-        e = axpy(e, 1.0, z)
+        e = add(e, z)
         before, off = off, norm1(z)
         if abs(su) * norm1(nu) + abs(sv) * norm1(nv) > reach:
             break
         if off <= SETTLED * size or 0.5 * before < off <= FLOOR * SETTLED * size:
             status = 0.0
             break
-    return (e[0], e[1], e[2], e[3], e[4], e[5], status, rounds)
+    return e, status, rounds
 
 
 def midpoint4_step(s: Floats, h: float, p: Floats) -> Floats:
@@ -219,55 +209,27 @@ def midpoint4_step(s: Floats, h: float, p: Floats) -> Floats:
     t = (s[6], s[7], s[8], s[9])
     c = p[0]
     z: Floats = hk_kowalevski(y, h, p)
-    hk = (z[0] - y[0], z[1] - y[1], z[2] - y[2], z[3] - y[3], z[4] - y[4], z[5] - y[5])
-    start = axpy((s[18], s[19], s[20], s[21], s[22], s[23]), 1.0, hk)
+    hk = subtract(z, y)
+    start = add((s[18], s[19], s[20], s[21], s[22], s[23]), hk)
     newton = newton_matrix(axpy(y, 0.5, start), 0.5 * h, c)
     b = restoring_change(y, t, c)
     reach = min(1.0, h * h * s[10]) * norm1(hk)
     if s[11] > 0.0:
-        e1, e2, e3, e4, e5, e6, status, rounds = solve_with_xi(y, b, start, newton, t[3], reach, h, c)
+        e, status, rounds = solve_with_xi(y, b, start, newton, t[3], reach, h, c)
     else:
-        e1, e2, e3, e4, e5, e6, status, rounds = solve_with_k(y, b, start, newton, t[3], reach, h, c)
+        e, status, rounds = solve_with_k(y, b, start, newton, t[3], reach, h, c)
     plain, unmet = s[26], s[27]
     if status != 0.0:
         v1, v2, v3, v4, v5, v6, status, more = midpoint(y, h, (2.0, 2.0, 1.0, c, 0.0, 0.0))
         v = (v1, v2, v3, v4, v5, v6)
         w, missed = project_unless_worse(v, reach * reach, c, t)
-        e1, e2, e3, e4, e5, e6 = w[0] - y[0], w[1] - y[1], w[2] - y[2], w[3] - y[3], w[4] - y[4], w[5] - y[5]
+        e = subtract(w, y)
         rounds += more
         plain += 1.0
         unmet += missed
-    x1, x2, x3, x4, x5, x6 = e1 - hk[0], e2 - hk[1], e3 - hk[2], e4 - hk[3], e5 - hk[4], e6 - hk[5]
-    return (
-        y[0] + e1,
-        y[1] + e2,
-        y[2] + e3,
-        y[3] + e4,
-        y[4] + e5,
-        y[5] + e6,
-        t[0],
-        t[1],
-        t[2],
-        t[3],
-        s[10],
-        s[11],
-        x1,
-        x2,
-        x3,
-        x4,
-        x5,
-        x6,
-        2.0 * x1 - s[12],
-        2.0 * x2 - s[13],
-        2.0 * x3 - s[14],
-        2.0 * x4 - s[15],
-        2.0 * x5 - s[16],
-        2.0 * x6 - s[17],
-        status,
-        s[25] + rounds,
-        plain,
-        unmet,
-    )
+    difference = subtract(e, hk)
+    extrapolated = subtract(scaled(2.0, difference), (s[12], s[13], s[14], s[15], s[16], s[17]))
+    return (*add(y, e), *t, s[10], s[11], *difference, *extrapolated, status, s[25] + rounds, plain, unmet)
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:

@@ -12,18 +12,17 @@ correction that does not reduce the deviations is discarded; the step is then HK
 
 from __future__ import annotations
 
+from topcli.arithmetic.six_vectors import add, axpy, dot, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     Floats4,
-    Floats6,
     Gram,
     combination,
     directional_derivatives,
     factorize,
     fourth_column,
     gram,
-    length_sq,
     mean_column,
     sizes,
     solve,
@@ -31,7 +30,7 @@ from topcli.schemes.kowalevski.four_integrals import (
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
-from topcli.schemes.kowalevski.projection import MET, deviations, largest_deviation, project, subtract
+from topcli.schemes.kowalevski.projection import MET, deviations, largest_deviation, project
 from topcli.schemes.registry import scheme
 
 SYMMETRIC_ROUNDS = 12
@@ -63,7 +62,8 @@ def projected_step(s: Floats, h: float, p: Floats) -> Floats:
     old = (w1, w2, w3, g1, g2, g3)
     z: Floats = hk_kowalevski(old, h, p)
     reach = min(1.0, MAX_CORRECTION * (h * h) * sizes(z, c)[2])
-    limit = (reach * reach) * length_sq(subtract(z, old))
+    change = subtract(z, old)
+    limit = (reach * reach) * dot(change, change)
     y, more, cut, missed = project(z, limit, c, (t1, t2, t3, t4))
     return (y[0], y[1], y[2], y[3], y[4], y[5], t1, t2, t3, t4, corrections + more, short + cut, unmet + missed)
 
@@ -100,16 +100,6 @@ def build(top: Top, options: NoOptions) -> Stepper:
     return Stepper(projected_step, 13, enter_projected, leave, COUNTERS)
 
 
-def add(y: Floats, v: Floats) -> Floats6:
-    """Return y + v."""
-    return (y[0] + v[0], y[1] + v[1], y[2] + v[2], y[3] + v[3], y[4] + v[4], y[5] + v[5])
-
-
-def half(v: Floats) -> Floats6:
-    """Return v/2."""
-    return (0.5 * v[0], 0.5 * v[1], 0.5 * v[2], 0.5 * v[3], 0.5 * v[4], 0.5 * v[5])
-
-
 def k_sq_column(y: Floats, c: float) -> Floats4:
     """Fourth column for k²/2, which unlike that for k is smooth everywhere."""
     x1, x2 = xi_of(y[0], y[1], y[3], y[4], c)
@@ -127,7 +117,7 @@ def gram_sum(m: Gram, n: Gram) -> Gram:
 def changes(old: Floats, new: Floats, c: float) -> Floats4:
     """Changes of the integrals by discrete gradients, because round-off is magnified near degenerate tori."""
     e: Floats = subtract(new, old)
-    return directional_derivatives(add(old, half(e)), c, mean_column(old, e, c), e)
+    return directional_derivatives(axpy(old, 0.5, e), c, mean_column(old, e, c), e)
 
 
 def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
@@ -147,7 +137,8 @@ def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
     x1, x2, x3, x4 = 0.0, 0.0, 0.0, 0.0
     z: Floats = hk_kowalevski(old, h, p)
     first: Floats = z
-    limit = (reach * reach) * length_sq(subtract(z, old))
+    change = subtract(z, old)
+    limit = (reach * reach) * dot(change, change)
     factors = factorize(gram_sum(gram(old, c, column), gram(z, c, k_sq_column(z, c))), four)
     y: Floats = z
     new: Floats = z

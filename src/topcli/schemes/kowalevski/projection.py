@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import math
 
+from topcli.arithmetic.six_vectors import dot, scaled, subtract
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     Floats4,
-    Floats6,
     combination,
     factorize,
     first_three,
     fourth_column,
     gram,
-    length_sq,
     sizes,
     solve,
     xi_of,
@@ -61,11 +60,6 @@ def largest_deviation(r1: float, r2: float, r3: float, r4: float, s: tuple[float
     return max(max(abs(r1) / (s[0] + TINY), abs(r2) / (s[1] + TINY)), max(abs(r3), abs(r4)) / (s[2] + TINY))
 
 
-def subtract(y: Floats, v: Floats) -> Floats6:
-    """Return y - v."""
-    return (y[0] - v[0], y[1] - v[1], y[2] - v[2], y[3] - v[3], y[4] - v[4], y[5] - v[5])
-
-
 def project_with_xi(start: Floats, limit: float, c: float, t: Floats4) -> tuple[Floats, float, float, float]:
     """``project`` for small k, where the direction of xi changes within the projection: onto both components of xi.
 
@@ -90,10 +84,9 @@ def project_with_xi(start: Floats, limit: float, c: float, t: Floats4) -> tuple[
         z: Floats = subtract(y, combination(y, c, nothing, (n1, n2, n3, 0.0)))
         x1, x2 = xi_of(z[0], z[1], z[3], z[4], c)
         e, dependent = xi_correction(z, x1 - p1, x2 - p2, c)
-        length = length_sq(e)
+        length = dot(e, e)
         if length > limit:
-            s = math.sqrt(limit / length)
-            e = (s * e[0], s * e[1], s * e[2], s * e[3], s * e[4], s * e[5])
+            e = scaled(math.sqrt(limit / length), e)
             dependent = 1.0
         z = subtract(z, e)
         x1, x2 = xi_of(z[0], z[1], z[3], z[4], c)
