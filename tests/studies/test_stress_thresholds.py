@@ -10,8 +10,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Ending, Invariant, Outcome
-from topcli.studies.stress.case import Motion, Trial, claim_violated
+from topcli.studies.stress.case import Trial, claim_violated
 from topcli.studies.stress.checks import Check, does_not_drift, flips, keeps_order, returns, stays_bounded, swings_at
 from topcli.tops.euler import Euler
 
@@ -42,10 +43,10 @@ class MadeUp:
     def experiment(self) -> Any:
         return SimpleNamespace(h=self.h)
 
-    def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Any = None) -> Motion:
+    def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Any = None) -> Trajectory:
         h, N = h or self.h, N or self.N
         n = np.arange(0, N + 1, every, dtype=np.int64)
-        return Motion(n, self.moves(n, h), Ending(Outcome.COMPLETED, N, N * h), h)
+        return Trajectory(self.top, "made up", h, n, self.moves(n, h), Ending(Outcome.COMPLETED, N, N * h), 0.0, 0.0)
 
     def reference(self, times: Array) -> Array:
         return self.exact(times)

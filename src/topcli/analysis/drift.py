@@ -180,8 +180,8 @@ NUMBERS = 7
 class _Tally:
     """Running sums of one invariant's deviation."""
 
-    def __init__(self, invariant: Invariant, first: float, limit: float = math.inf) -> None:
-        self.invariant, self.first, self.limit, self.left = invariant, first, limit, math.nan
+    def __init__(self, invariant: Invariant, first: float) -> None:
+        self.invariant, self.first, self.limit, self.left = invariant, first, math.inf, math.nan
         self.low = self.high = first
         self.scale = 0.0
         self.squares = 0.0

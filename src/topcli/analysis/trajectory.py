@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import invariant_report
+from topcli.analysis.leaving import step_of_leaving
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
+from topcli.engine.loop import Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +65,13 @@ class Trajectory:
     compile_seconds: float
     run_seconds: float
     modified: tuple[Invariant, ...] = ()
+
+    @classmethod
+    def of_run(cls, run: Run, scheme: str, modified: tuple[Invariant, ...] = ()) -> Trajectory:
+        """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface."""
+        n, states, ending = run.collect()
+        ending = ending.having_left(step_of_leaving(run.top, n, states), run.h)
+        return cls(run.top, scheme, run.h, n, states, ending, run.compile_seconds, run.run_seconds, modified)
 
     @property
     def t(self) -> Array:

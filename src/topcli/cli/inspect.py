@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -91,33 +92,17 @@ def list_schemes(
     Plugins that failed are reported on stderr.
     """
     from topcli.schemes.registry import all_schemes, plugin_failures
+    from topcli.studies.scheme_page import scheme_data, schemes_page
     from topcli.tops import forms
 
     load_scheme_files(scheme_files)
     wanted = [form.form for form in forms(top)] if top else None
     if as_markdown:
-        from topcli.studies.scheme_page import schemes_page
-
         emit_text(schemes_page())
         return
-    items = [
-        {
-            "name": scheme.name,
-            "top": scheme.top,
-            "title": scheme.title,
-            "order": scheme.order,
-            "explicit": scheme.explicit,
-            "self_adjoint": scheme.self_adjoint,
-            "conserves": list(scheme.conserves),
-            "options": {name: str(field.default) for name, field in scheme.options.model_fields.items()},
-            "equations": scheme.equations,
-            "citation": scheme.citation,
-            "limits": dict(scheme.limits),
-            "origin": scheme.origin,
-        }
-        for scheme in all_schemes()
-        if wanted is None or scheme.top in wanted
-    ]
+    items = [scheme_data(scheme) for scheme in all_schemes() if wanted is None or scheme.top in wanted]
+    for item in items:
+        item["options"] = {name: str(option["default"]) for name, option in item["options"].items()}
     for failure in plugin_failures():
         say(f"plugin {failure.name} failed: {failure.reason}")
     _print_list("schemes", items, ["name", "top", "order", "self_adjoint", "conserves", "origin"], as_json)
@@ -131,17 +116,7 @@ def list_compositions(as_json: Json = False) -> None:
     """
     from topcli.schemes.compose import COMPOSITIONS
 
-    items: list[dict[str, Any]] = [
-        {
-            "name": found.name,
-            "title": found.title,
-            "order": found.order,
-            "stages": found.stages,
-            "weights": list(found.weights),
-            "citation": found.citation,
-        }
-        for found in COMPOSITIONS.values()
-    ]
+    items = [asdict(found) | {"stages": found.stages} for found in COMPOSITIONS.values()]
     _print_list("compositions", items, ["name", "order", "stages", "title", "citation"], as_json)
 
 

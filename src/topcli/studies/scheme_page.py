@@ -7,7 +7,6 @@ from typing import Any
 
 from topcli.contracts import Scheme
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.stress import case_names
 from topcli.tops import TOPS
 
 HEAD = """# Schemes
@@ -70,6 +69,8 @@ def _traits(scheme: Scheme) -> list[tuple[str, str]]:
 
 def _limits(scheme: Scheme) -> list[tuple[str, str]]:
     """Limits of a scheme, those named after hard cases first and quoted."""
+    from topcli.studies.stress import case_names
+
     known = case_names()
     quoted = [(f"`{key}`", text) for key, text in scheme.limits.items() if key in known]
     return [*quoted, *((key, text) for key, text in scheme.limits.items() if key not in known)]
@@ -106,9 +107,9 @@ def _section(schemes: Sequence[Scheme]) -> list[str]:
     ]
 
 
-def schemes_page(schemes: Sequence[Scheme] | None = None) -> str:
-    """Content of ``docs/schemes.md``: by default, every scheme that comes with topcli, by name."""
-    shown = [scheme for scheme in all_schemes() if scheme.origin == "topcli"] if schemes is None else list(schemes)
+def schemes_page() -> str:
+    """Content of ``docs/schemes.md``: every scheme that comes with topcli, by name."""
+    shown = [scheme for scheme in all_schemes() if scheme.origin == "topcli"]
     groups: dict[tuple[str, str], list[Scheme]] = {}
     for scheme in sorted(shown, key=lambda scheme: scheme.name):
         groups.setdefault((scheme.name, scheme.doc), []).append(scheme)

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
@@ -16,19 +15,7 @@ from topcli.engine.loop import Run
 def trajectory_of(experiment: Experiment) -> Trajectory:
     """Run an experiment in memory."""
     run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, experiment.N, experiment.output.every)
-    n, states, ending = run.collect()
-    left = step_of_leaving(experiment.top, n, states)
-    return Trajectory(
-        top=experiment.top,
-        scheme=experiment.scheme.name,
-        h=experiment.h,
-        n=n,
-        states=states,
-        ending=ending.having_left(left, experiment.h),
-        compile_seconds=run.compile_seconds,
-        run_seconds=run.run_seconds,
-        modified=experiment.modified,
-    )
+    return Trajectory.of_run(run, experiment.scheme.name, experiment.modified)
 
 
 def simulate(

@@ -29,8 +29,8 @@ DECLARATIONS = """declare void @llvm.codeview.annotation(metadata)
 class IRWriter:
     """Implementation of ``Operations`` that appends IR instructions to ``lines`` and returns names of results."""
 
-    def __init__(self, lanes: int, names: Iterator[int], window: int = WINDOW) -> None:
-        self.lanes, self._names, self._window = lanes, names, window
+    def __init__(self, lanes: int, names: Iterator[int]) -> None:
+        self.lanes, self._names = lanes, names
         self.lines: list[str] = []
         self._in_registers: dict[str, dict[int, str]] = {}
         self.vector = f"<{lanes} x double>"
@@ -109,7 +109,7 @@ class IRWriter:
         pointer = self._slot(name, index)
         self.lines.append(f"  store {self.vector} {x}, ptr {pointer}, align {8 * self.lanes}")
         self._in_registers[name] = {
-            **{k: v for k, v in self._in_registers.get(name, {}).items() if k > index - self._window},
+            **{k: v for k, v in self._in_registers.get(name, {}).items() if k > index - WINDOW},
             index: x,
         }
 

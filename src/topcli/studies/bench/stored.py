@@ -164,14 +164,13 @@ def store_bench(
     return stored, writer.set_aside
 
 
-def stored_benches(out: Path, names: list[str] | None = None) -> list[tuple[StoredRun, dict[str, Any]]]:
+def stored_benches(out: Path) -> list[tuple[StoredRun, dict[str, Any]]]:
     """Return the finished results in ``out`` with their reports, without renamed ones.
 
     Raises RunError for a damaged result.
     """
     found = [run for run in stored_runs(out) if run.manifest.get("kind") == "bench"]
-    found = [run for run in found if run.folder.name == run.manifest.get("name")]
-    benches = [(run, run.report()) for run in found if names is None or run.folder.name in names]
+    benches = [(run, run.report()) for run in found if run.folder.name == run.manifest.get("name")]
     for run, report in benches:
         if report.get("schema_version") != SCHEMA_VERSION:
             raise RunError(f"{run.folder}: written by another version of topcli; run topcli bench again")

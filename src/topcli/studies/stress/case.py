@@ -15,13 +15,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.reference import reference_states
+from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Ending, Floats, Invariant, Method, Outcome, Stepper, Top
+from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
 
@@ -46,21 +45,6 @@ class Finding:
     why: str
     step: int | None = None
     figures: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Motion:
-    """A run in memory: step numbers (m,), states (m, d), and its ending."""
-
-    n: NDArray[np.int64]
-    states: Array
-    ending: Ending
-    h: float
-
-    @property
-    def t(self) -> Array:
-        """Times of the states, (m,)."""
-        return self.n * self.h
 
 
 @dataclass(frozen=True)
@@ -119,15 +103,14 @@ class Trial:
         self.h, self.N = experiment.h * factor, max(1, experiment.N // factor)
         self.counters: dict[str, int] = {}
 
-    def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Floats | None = None) -> Motion:
+    def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Floats | None = None) -> Trajectory:
         """Run the case, or with another step, another number of steps, or from another state."""
         h, N = h or self.h, N or self.N
-        run = Run(self.top, self._loop, y0 or self.y0, h, N, every)
         with np.errstate(all="ignore"):
-            n, states, ending = run.collect()
+            motion = Trajectory.of_run(Run(self.top, self._loop, y0 or self.y0, h, N, every), self.scheme.name)
         if not self.counters:
-            self.counters = dict(ending.counters)
-        return Motion(n, states, ending.having_left(step_of_leaving(self.top, n, states), h), h)
+            self.counters = dict(motion.ending.counters)
+        return motion
 
     def reference(self, times: Array) -> Array:
         """Return the reference motion of the case at ``times``, (m, d)."""
@@ -144,7 +127,7 @@ CLAIM_ULPS = 50.0
 """Allowed deviation of a claimed invariant, in ulp of its terms times sqrt(steps)."""
 
 
-def ended_badly(motion: Motion) -> Finding | None:
+def ended_badly(motion: Trajectory) -> Finding | None:
     """Return the finding on a run that did not complete; None if it did."""
     ending = motion.ending
     if ending.outcome is Outcome.COMPLETED:
@@ -157,7 +140,7 @@ def ended_badly(motion: Motion) -> Finding | None:
     return Finding(Result.BROKE, f"{what} at step {ending.step} (t = {ending.t:.4g})", ending.step)
 
 
-def claim_violated(trial: Trial, motion: Motion) -> Finding | None:
+def claim_violated(trial: Trial, motion: Trajectory) -> Finding | None:
     """Return the finding on a run that violates a claimed invariant; None if it keeps them all."""
     with np.errstate(all="ignore"):
         for invariant in trial.claimed(motion.h):
@@ -176,7 +159,7 @@ def claim_violated(trial: Trial, motion: Motion) -> Finding | None:
     return None
 
 
-def fault(trial: Trial, motion: Motion) -> Finding | None:
+def fault(trial: Trial, motion: Trajectory) -> Finding | None:
     """Return the finding on a run that did not complete or violates a claim; None if neither."""
     return ended_badly(motion) or claim_violated(trial, motion)
 

@@ -10,9 +10,10 @@ import numpy as np
 from topcli.analysis.drift import invariant_report
 from topcli.analysis.order import observed_order
 from topcli.analysis.swings import minima_times
+from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Sampler
 from topcli.schemes.registry import find_scheme
-from topcli.studies.stress.case import Finding, Motion, Result, Trial, ended_badly, fault
+from topcli.studies.stress.case import Finding, Result, Trial, ended_badly, fault
 
 EPS = float(np.finfo(float).eps)
 Check = Callable[[Trial], Finding]
@@ -36,7 +37,7 @@ def _every(N: int) -> int:
     return max(1, N // ROWS)
 
 
-def _errors(trial: Trial, motion: Motion) -> tuple[Array, float]:
+def _errors(trial: Trial, motion: Trajectory) -> tuple[Array, float]:
     """Return the largest error of each recorded state (m,) relative to the motion's size, and that size."""
     exact = trial.reference(motion.t)
     size = float(np.abs(exact).max()) or 1.0

@@ -34,17 +34,17 @@ STEP, STEPS = 0.02, 100
 """h and N of most cases: the hard place lies in the middle, on a step."""
 
 
-def separation(state: Floats, c0: float = 1.0) -> tuple[float, float, float]:
-    """``(S(e4), S(e5), g2³ - 27 g3²)`` of Kowalevski's curve for A = B = 2, C = 1: 0 on degenerate tori.
+def separation(state: Floats) -> tuple[float, float, float]:
+    """``(S(e4), S(e5), g2³ - 27 g3²)`` of Kowalevski's curve for A = B = 2, C = c0 = 1: 0 on degenerate tori.
 
     S(s) = 4 s³ - g2 s - g3; e4, e5 = (l1 ± k)/2 (Kowalevski 1889).
     """
     w1, w2, w3, g1, g2, g3 = state
-    l1 = (w1 * w1 + w2 * w2 + 0.5 * w3 * w3 + c0 * g1) / 3.0
+    l1 = (w1 * w1 + w2 * w2 + 0.5 * w3 * w3 + g1) / 3.0
     ell = w1 * g1 + w2 * g2 + 0.5 * w3 * g3
-    k = math.hypot(w1 * w1 - w2 * w2 - c0 * g1, 2.0 * w1 * w2 - c0 * g2)
-    q2 = k * k - c0 * c0 + 3.0 * l1 * l1
-    q3 = l1 * (k * k - c0 * c0 - l1 * l1) + (ell * c0) ** 2
+    k = math.hypot(w1 * w1 - w2 * w2 - g1, 2.0 * w1 * w2 - g2)
+    q2 = k * k - 1.0 + 3.0 * l1 * l1
+    q3 = l1 * (k * k - 1.0 - l1 * l1) + ell**2
 
     def cubic(s: float) -> float:
         return 4.0 * s**3 - q2 * s - q3
