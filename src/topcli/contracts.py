@@ -167,13 +167,13 @@ class Top(BaseModel):
             moments = checked_equations(self, "the check of the moments").moments
         except UsageError:
             return ()
-        small, middle, large = sorted(moments)
+        (small, _), (middle, _), (large, axis) = sorted(zip(moments, "ABC", strict=True))
         if large <= (small + middle) * (1.0 + 1e-12):  # decimals such as 0.3, 0.1, 0.2 are rounded
             return ()
         listed = ", ".join(f"{moment:g}" for moment in moments)
         return (
-            f"the moments ({listed}) violate the triangle inequality: {large:g} > {small:g} + {middle:g}; "
-            "no rigid body has such moments",
+            f"the moments ({listed}) violate the triangle inequality: {axis} = {large:g} > {small:g} + {middle:g}; "
+            "no rigid body has such moments, but the equations are integrated",
         )
 
     @classmethod

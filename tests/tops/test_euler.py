@@ -277,7 +277,7 @@ def test_moments_of_no_rigid_body_warn(in_tmp, command) -> None:
     """A warning on stderr, and the run goes on; a rigid body's moments are not warned about, nor a flat body's."""
     told = run_cli(*command, write(in_tmp / "odd.yaml", "A: 5, B: 1, C: 1.5"))
     assert told.exit_code == 0
-    assert "warning: odd: the moments (5, 1, 1.5) violate the triangle inequality: 5 > 1 + 1.5" in told.stderr
+    assert "warning: odd: the moments (5, 1, 1.5) violate the triangle inequality: A = 5 > 1 + 1.5" in told.stderr
     assert "warning" not in told.stdout
     for moments in ("A: 3, B: 2, C: 1.5", "A: 3, B: 2, C: 1", "A: 0.3, B: 0.1, C: 0.2"):
         assert "warning" not in run_cli(*command, write(in_tmp / "fine.yaml", moments), *_fresh(command)).stderr

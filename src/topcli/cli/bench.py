@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, complete_config, load_scheme_files
+from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, config_option, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, print_json, print_table, say, say_warnings
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ Scenes = Annotated[
 ]
 Configs = Annotated[
     list[str] | None,
-    typer.Option("--config", metavar="CONFIG", help="Use a config as a scene.", autocompletion=complete_config),
+    config_option("Use a config as a scene."),
 ]
 Against = Annotated[str, typer.Option("--against", metavar="PEER,...", help="Compare with all, none, or these peers.")]
 Budget = Annotated[

@@ -16,8 +16,8 @@ from topcli.cli.options import (
     Sets,
     complete_config,
     complete_scheme,
-    complete_top,
     load_scheme_files,
+    top_option,
 )
 from topcli.cli.talk import emit, emit_text, print_document, print_json, print_table, prose_width, say
 from topcli.errors import shortened
@@ -28,7 +28,7 @@ list_app = typer.Typer(
 
 OnlyTop = Annotated[
     str | None,
-    typer.Option("--top", metavar="TOP", help="List only entries for this top.", autocompletion=complete_top),
+    top_option("List only entries for this top."),
 ]
 
 
@@ -277,9 +277,7 @@ def init(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Path of the config, .yaml or .toml.")] = Path(
         "experiment.yaml"
     ),
-    top: Annotated[
-        str, typer.Option("--top", metavar="TOP", help="Choose the top.", autocompletion=complete_top)
-    ] = "kowalevski",
+    top: Annotated[str, top_option("Choose the top.")] = "kowalevski",
     scheme: Annotated[
         str | None,
         typer.Option(

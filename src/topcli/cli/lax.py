@@ -10,9 +10,9 @@ from topcli.cli.options import (
     Json,
     SchemeFiles,
     Sets,
-    complete_config,
     complete_scheme,
     complete_top,
+    config_option,
     load_scheme_files,
 )
 from topcli.cli.talk import emit, print_json, print_table, say
@@ -72,12 +72,7 @@ def lax(
     ] = None,
     config: Annotated[
         str | None,
-        typer.Option(
-            "--config",
-            metavar="CONFIG",
-            help="Read the experiment from a config; by default, a generic state.",
-            autocompletion=complete_config,
-        ),
+        config_option("Read the experiment from a config; by default, a generic state."),
     ] = None,
     sets: Sets = None,
     as_json: Json = False,

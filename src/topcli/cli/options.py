@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer.models import OptionInfo
 
 
 def complete_scheme(incomplete: str) -> list[str]:
@@ -49,6 +50,18 @@ Schemes = Annotated[
     list[str] | None,
     typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
 ]
+
+
+def config_option(text: str) -> OptionInfo:
+    """Option ``--config`` with the help ``text``."""
+    return typer.Option("--config", metavar="CONFIG", help=text, autocompletion=complete_config)
+
+
+def top_option(text: str) -> OptionInfo:
+    """Option ``--top`` with the help ``text``."""
+    return typer.Option("--top", metavar="TOP", help=text, autocompletion=complete_top)
+
+
 Sets = Annotated[
     list[str] | None,
     typer.Option(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
+from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_scheme, config_option, load_scheme_files
 from topcli.cli.talk import print_json, print_table, say, say_warnings
 
 if TYPE_CHECKING:
@@ -76,12 +76,7 @@ def _print_study(study: dict[str, Any], experiment: Experiment, files: list[str]
 
 Config = Annotated[
     str | None,
-    typer.Option(
-        "--config",
-        metavar="CONFIG",
-        help="Read the experiment from a config; by default, a packaged scene at h = 0.01.",
-        autocompletion=complete_config,
-    ),
+    config_option("Read the experiment from a config; by default, a packaged scene at h = 0.01."),
 ]
 Steps = Annotated[float, typer.Option("--steps", metavar="N", help="Take N steps in each copy, e.g. 1e8.")]
 Copies = Annotated[

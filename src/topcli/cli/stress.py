@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, Out, SchemeFiles, Schemes, complete_top, load_scheme_files
+from topcli.cli.options import Json, Out, SchemeFiles, Schemes, load_scheme_files, top_option
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, on_terminal, print_json, print_table, say
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ Cases = Annotated[
 ]
 Top = Annotated[
     str | None,
-    typer.Option("--top", metavar="TOP", help="Try only schemes and cases of this top.", autocompletion=complete_top),
+    top_option("Try only schemes and cases of this top."),
 ]
 SchemeSets = Annotated[
     list[str] | None,

@@ -11,7 +11,7 @@ from topcli.analysis.many import QUANTILES
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.contracts import Ending, Outcome
 from topcli.engine.endings import NO_FAILURE, Endings
-from topcli.studies.report import SCHEMA_VERSION, finite, markdown_table, number, report_head
+from topcli.studies.report import SCHEMA_VERSION, finite, heading, markdown_table, number, report_head
 
 SHOWN = 20
 """Failures listed in the report; the table of trajectories contains all of them."""
@@ -85,19 +85,11 @@ def ensemble_report(
     seconds: dict[str, Any],
 ) -> dict[str, Any]:
     """Content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
-    first = experiment.first
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
             "kind": "ensemble",
-            "name": experiment.name,
-            "digest": digest,
-            "top": first.top.kind,
-            "top_title": first.top.title,
-            "scheme": first.scheme.name,
-            "scheme_title": first.scheme.title,
-            "h": first.h,
-            "N": first.N,
+            **heading(experiment.first, experiment.name, digest),
             "trajectories": endings.total,
             "store": experiment.store,
             "outcome": endings.outcome.value,

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from topcli.analysis.drift import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 from topcli.contracts import Ending
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
 
 SCHEMA_VERSION = 1
 
@@ -88,6 +91,20 @@ def finite(data: Any) -> Any:
 def left_motion(ending: Ending) -> dict[str, Any] | None:
     """First recorded step and time at which a run was far off its energy surface; None if it never was."""
     return None if ending.left is None else {"step": ending.left, "t": ending.left_t}
+
+
+def heading(experiment: Experiment, name: str, digest: str) -> dict[str, Any]:
+    """First entries of ``report.json``, of a run or an ensemble."""
+    return {
+        "name": name,
+        "digest": digest,
+        "top": experiment.top.kind,
+        "top_title": experiment.top.title,
+        "scheme": experiment.scheme.name,
+        "scheme_title": experiment.scheme.title,
+        "h": experiment.h,
+        "N": experiment.N,
+    }
 
 
 def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from topcli.store.run_folder import RunWriter, io_failure
 from topcli.studies.identity import Identity, Origin, store_run
 from topcli.studies.plan import plan_run
 from topcli.studies.recorder import Recorder
-from topcli.studies.report import left_motion, report_data, report_markdown
+from topcli.studies.report import heading, left_motion, report_data, report_markdown
 from topcli.studies.resume import (
     CHECKPOINT_SECONDS,
     Checkpoints,
@@ -93,14 +93,7 @@ def _summary(job: _Job, run: Run) -> dict[str, Any]:
     experiment, ending = job.experiment, run.ending
     assert ending is not None
     return {
-        "name": experiment.name,
-        "digest": job.origin.identity.digest,
-        "top": experiment.top.kind,
-        "top_title": experiment.top.title,
-        "scheme": experiment.scheme.name,
-        "scheme_title": experiment.scheme.title,
-        "h": experiment.h,
-        "N": experiment.N,
+        **heading(experiment, experiment.name, job.origin.identity.digest),
         "outcome": ending.outcome.value,
         "message": ending.message,
         "step": ending.step,

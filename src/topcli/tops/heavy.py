@@ -57,17 +57,6 @@ class Heavy(Top):
         """Return the coefficients of this top in the general Euler-Poisson equations: its own parameters."""
         return EulerPoisson((self.A, self.B, self.C), (self.x0, self.y0, self.z0))
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return a warning if the moments violate the triangle inequality."""
-        moments = sorted(zip((self.A, self.B, self.C), "ABC", strict=True))
-        (small, first), (middle, second), (large, third) = moments
-        if large <= small + middle:
-            return ()
-        return (
-            f"top: no rigid body has moments with {third} = {large:g} > {first} + {second} = {small + middle:g} "
-            "(triangle inequality); the equations are integrated anyway",
-        )
-
     def invariants(self) -> tuple[Invariant, ...]:
         """Return gamma², m·gamma and E; Sogo, section 1.1, eq. (constant)."""
         moments = np.array((self.A, self.B, self.C))

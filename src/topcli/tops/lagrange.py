@@ -76,15 +76,6 @@ class Lagrange(Top):
         """Return the coefficients of this top in the general Euler-Poisson equations."""
         return EulerPoisson((self.A, self.A, self.C), (0.0, 0.0, self.mu))
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return a warning if the moments violate the triangle inequality."""
-        if self.C <= 2.0 * self.A:
-            return ()
-        return (
-            f"top: no rigid body has moments with C = {self.C:g} > A + B = {2.0 * self.A:g} (triangle inequality); "
-            "the equations are integrated anyway",
-        )
-
     def invariants(self) -> tuple[Invariant, ...]:
         """Return gamma², m·gamma, E (Sogo, constant) and Lagrange's integral m·e3 = C omega3."""
         A, C, mu = self.A, self.C, self.mu

@@ -14,7 +14,7 @@ from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter, require_real
 from topcli.store.table import write_table
 from topcli.studies.bench.front import ratio_text, setting
-from topcli.studies.report import number
+from topcli.studies.report import markdown_table, number
 
 POINTS = "points.parquet"
 REPORT = "report.json"
@@ -79,14 +79,9 @@ def microseconds(seconds: float) -> str:
     return f"{float(f'{1e6 * seconds:.3g}'):g}"
 
 
-def markdown(header: list[str], lines: list[list[str]]) -> list[str]:
-    """Return the lines of a table in Markdown."""
-    ruled = ["| " + " | ".join(line) + " |" for line in [header, *lines]]
-    return [ruled[0], "|" + " --- |" * len(header), *ruled[1:]]
-
-
 def report_text(result: dict[str, Any]) -> str:
     """Return the text of ``report.md``."""
+    (decade_header, decades), (point_header, points) = decade_lines(result), point_lines(result)
     not_measured = [*result["skipped_peers"], *result["failed_peers"], *result["left_out"]]
     lines = [
         f"# {result['name']}: speed against error",
@@ -95,7 +90,7 @@ def report_text(result: dict[str, Any]) -> str:
         f"{result['reference']}. CPU time in microseconds per unit of simulated time, warm; "
         f"{result['environment']['cpu']}.",
         "",
-        *markdown(*decade_lines(result)),
+        *markdown_table([decade_header, *decades]),
         "",
         *(f"- {row['words']}." for row in result["decades"]),
         *(
@@ -107,7 +102,7 @@ def report_text(result: dict[str, Any]) -> str:
         "",
         "## All points",
         "",
-        *markdown(*point_lines(result)),
+        *markdown_table([point_header, *points]),
         "",
         *(f"- {line}." for line in ladder_lines(result)),
         "",

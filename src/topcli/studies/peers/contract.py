@@ -47,14 +47,26 @@ def decades(first: int, last: int, step: int = 1) -> list[float]:
     return [float(f"1e{exponent}") for exponent in range(first, last - 1, -step)]
 
 
-def compiled_field(top: Top) -> Any:
-    """Return the top's right-hand side as an inlined numba function of the tuples of state and constants."""
+def compilable_rates(problem: Problem, template: str, **scope: Any) -> Callable[..., Any]:
+    """Return the function ``rates`` of a ``template`` of Python text, to be compiled by numba.
+
+    In the template {items} are the components of the state y, {p} the constants, {store} copies the result f of the
+    inlined right-hand side ``field`` to ``out``; ``scope`` holds further names that it uses.
+    """
     from numba import njit
 
     from topcli.engine.source import compilable_copy
 
-    jit = njit(forceinline=True, error_model="numpy")
-    return jit(compilable_copy(top.field, jit))
+    jit, d = njit(forceinline=True, error_model="numpy"), problem.d
+    text = template.format(
+        items="".join(f"y[{i}], " for i in range(d)),
+        p=repr(tuple(map(float, problem.top.constants()))),
+        d=d,
+        store="\n    ".join(f"out[{i}] = f[{i}]" for i in range(d)),
+    )
+    scope["field"] = jit(compilable_copy(problem.top.field, jit))
+    exec(compile(text, "<right-hand side>", "exec"), scope)
+    return scope["rates"]
 
 
 def checked(states: Array, problem: Problem) -> Array:

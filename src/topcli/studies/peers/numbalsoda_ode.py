@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from topcli.studies.peers.contract import Call, PeerError, Problem, Variant, checked, compiled_field, decades
+from topcli.studies.peers.contract import Call, PeerError, Problem, Variant, checked, compilable_rates, decades
 
 MAX_STEPS = 10_000_000
 _TEMPLATE = """
-def rates(t, y, dy, data):
+def rates(t, y, out, data):
     f = field(({items}), {p})
     {store}
 """
@@ -23,15 +23,7 @@ def _compiled(problem: Problem) -> Any:
     from numba import cfunc
     from numbalsoda import lsoda_sig  # pyright: ignore[reportMissingImports]
 
-    d = problem.d
-    text = _TEMPLATE.format(
-        items="".join(f"y[{i}], " for i in range(d)),
-        p=repr(tuple(map(float, problem.top.constants()))),
-        store="\n    ".join(f"dy[{i}] = f[{i}]" for i in range(d)),
-    )
-    scope: dict[str, Any] = {"field": compiled_field(problem.top)}
-    exec(compile(text, "<right-hand side>", "exec"), scope)
-    return cfunc(lsoda_sig, error_model="numpy")(scope["rates"])
+    return cfunc(lsoda_sig, error_model="numpy")(compilable_rates(problem, _TEMPLATE))
 
 
 def _prepare(problem: Problem, solve: Any, rates: Any, rtol: float) -> Call:

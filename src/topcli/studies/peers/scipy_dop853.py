@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from topcli.studies.peers.contract import Call, PeerError, Problem, Variant, checked, compiled_field, decades
+from topcli.studies.peers.contract import Call, PeerError, Problem, Variant, checked, compilable_rates, decades
 
 _TEMPLATE = """
 def rates(t, y):
@@ -29,16 +29,8 @@ def _compiled(problem: Problem) -> Callable[[float, Any], Any]:
     import numpy as np
     from numba import float64, njit
 
-    d = problem.d
-    text = _TEMPLATE.format(
-        items="".join(f"y[{i}], " for i in range(d)),
-        p=repr(tuple(map(float, problem.top.constants()))),
-        d=d,
-        store="\n    ".join(f"out[{i}] = f[{i}]" for i in range(d)),
-    )
-    scope: dict[str, Any] = {"field": compiled_field(problem.top), "empty": np.empty}
-    exec(compile(text, "<right-hand side>", "exec"), scope)
-    return njit(float64[::1](float64, float64[::1]), error_model="numpy")(scope["rates"])
+    rates = compilable_rates(problem, _TEMPLATE, empty=np.empty)
+    return njit(float64[::1](float64, float64[::1]), error_model="numpy")(rates)
 
 
 def _prepare(problem: Problem, rates: Callable[[float, Any], Any], rtol: float) -> Call:
