@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from importlib.metadata import entry_points
 from typing import Any
 
 from topcli.engine.code_cache import cache_folder, cache_state
+from topcli.engine.ensemble import default_threads
 from topcli.engine.native import native
 from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures
 from topcli.store.provenance import environment, installed
@@ -52,7 +52,7 @@ def diagnosis() -> dict[str, Any]:
             "bytes": state.size,
             "kept between processes": again.cached,
         },
-        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "threads": default_threads(),
         "plugins": plugins,
         "problems": problems,
     }

@@ -142,27 +142,9 @@ def with_root_counter(stepper: Stepper) -> Stepper:
     return with_counter(stepper, AMBIGUOUS, ambiguous_root(direct))
 
 
-def with_switch_counter(step: StepFunction) -> StepFunction:
-    """Add a seventh slot to ``step`` that counts switches of the chart, in either direction."""
-
-    def counted(s: Floats, h: float, p: Floats) -> Floats:
-        w1, w2, w3, g1, g2, g3, count = s
-        v1, v2, v3, n1, n2, n3 = step((w1, w2, w3, g1, g2, g3), h, p)
-        if (n3 < SWITCH_BELOW) != (g3 < SWITCH_BELOW):
-            count = count + 1.0
-        return (v1, v2, v3, n1, n2, n3, count)
-
-    return counted
-
-
-def enter_counted(s: Floats, h: float, p: Floats) -> Floats:
-    """Physical state with a count of zero."""
-    return (s[0], s[1], s[2], s[3], s[4], s[5], 0.0)
-
-
-def leave_counted(s: Floats, h: float, p: Floats) -> Floats:
-    """Physical state without the count."""
-    return (s[0], s[1], s[2], s[3], s[4], s[5])
+def switched(old: Floats, new: Floats, h: float, p: Floats) -> bool:
+    """Event: the next step uses another chart than this one, in either direction."""
+    return (new[5] < SWITCH_BELOW) != (old[5] < SWITCH_BELOW)
 
 
 @scheme(
@@ -213,8 +195,7 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     root = ROOTS[options.branch]
     if options.chart == "single":
         return with_root_counter(Stepper(bohlin_step(method_b_single, root), 6))
-    step = with_switch_counter(bohlin_step(method_b_switch, root))
-    return with_root_counter(Stepper(step, 7, enter_counted, leave_counted, counters=("chart_switches",)))
+    return with_root_counter(with_counter(Stepper(bohlin_step(method_b_switch, root), 6), "chart_switches", switched))
 
 
 @scheme(

@@ -25,8 +25,3 @@ def enter_carried(y: Floats, h: float, p: Floats) -> Floats:
     u1, u2 = (x1 / k, x2 / k) if k > 0.0 else (1.0, 0.0)
     g_sq = y[3] * y[3] + (y[4] * y[4] + y[5] * y[5])
     return (y[0], y[1], y[2], y[3], y[4], y[5], u1, u2, k, g_sq)
-
-
-def leave_carried(s: Floats, h: float, p: Floats) -> Floats:
-    """Physical state: omega and gamma."""
-    return (s[0], s[1], s[2], s[3], s[4], s[5])

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 
+from topcli.arithmetic.increments import first6
 from topcli.arithmetic.linear import Matrix, solve3
 from topcli.arithmetic.rotations import resolvent
 from topcli.arithmetic.six_vectors import Floats6, add, axpy, dot, scaled, subtract
@@ -39,7 +40,7 @@ from topcli.schemes.kowalevski.four_integrals import (
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
-from topcli.schemes.kowalevski.projected import MAX_CORRECTION, VANISHING, leave
+from topcli.schemes.kowalevski.projected import MAX_CORRECTION, VANISHING
 from topcli.schemes.kowalevski.projection import project_unless_worse
 from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.registry import scheme
@@ -169,4 +170,4 @@ def build(top: Top, options: NoOptions) -> Stepper:
     that of the midpoint rule, projected as in hk-projected; the number of such steps is reported. If the midpoint rule
     does not converge either, the run ends as `no_convergence`.
     """
-    return Stepper(dg4_step, 14, enter, leave, COUNTERS, iterative=True)
+    return Stepper(dg4_step, 14, enter, first6, COUNTERS, iterative=True)

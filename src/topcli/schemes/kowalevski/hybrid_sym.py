@@ -25,12 +25,12 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.complex_plane import rotation_increment
-from topcli.arithmetic.increments import compensated_sums
+from topcli.arithmetic.increments import compensated_sums, first6
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment, resolvent
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
-from topcli.schemes.kowalevski.carried_xi import enter_carried, leave_carried, length_correction
+from topcli.schemes.kowalevski.carried_xi import enter_carried, length_correction
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.limits import FAR_OVERFLOW, NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.registry import scheme
@@ -193,5 +193,5 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     conserve k² and have order 2.
     """
     if options.compensated:
-        return Stepper(compensated_step, 18, enter_compensated, leave_carried, ("iterations",), iterative=True)
-    return Stepper(hybrid_sym_step, 12, enter, leave_carried, ("iterations",), iterative=True)
+        return Stepper(compensated_step, 18, enter_compensated, first6, ("iterations",), iterative=True)
+    return Stepper(hybrid_sym_step, 12, enter, first6, ("iterations",), iterative=True)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from topcli.arithmetic.complex_plane import rotation_increment
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import compensated_sum
+from topcli.arithmetic.increments import compensated_sum, first6
 from topcli.arithmetic.rotations import cayley_increment
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
-from topcli.schemes.kowalevski.carried_xi import enter_carried, leave_carried, length_correction
+from topcli.schemes.kowalevski.carried_xi import enter_carried, length_correction
 from topcli.schemes.kowalevski.hk import hk_kowalevski, hk_kowalevski_change
 from topcli.schemes.kowalevski.hybrid import with_hk_counters
 from topcli.schemes.limits import OVERFLOW, SINGULAR
@@ -104,6 +104,6 @@ def build(top: Top, options: HybridOptions) -> Stepper:
     """
     if options.compensated:
         step = compensated_step(ROOTS[options.branch])
-        return with_hk_counters(Stepper(step, 16, enter_compensated, leave_carried, checked=6))
+        return with_hk_counters(Stepper(step, 16, enter_compensated, first6, checked=6))
     step = hybrid_xi_step(ROOTS[options.branch])
-    return with_hk_counters(Stepper(step, 10, enter_carried, leave_carried, checked=6))
+    return with_hk_counters(Stepper(step, 10, enter_carried, first6, checked=6))

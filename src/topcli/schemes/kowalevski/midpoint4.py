@@ -30,6 +30,7 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.complex_plane import rotation_increment
+from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import Floats6, add, axpy, norm1, scaled, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.midpoint import midpoint
@@ -54,7 +55,6 @@ from topcli.schemes.kowalevski.lie_poisson import (
     newton_solve,
     xi_fields,
 )
-from topcli.schemes.kowalevski.projected import leave
 from topcli.schemes.kowalevski.projection import project_unless_worse
 from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.registry import scheme
@@ -264,4 +264,4 @@ def build(top: Top, options: NoOptions) -> Stepper:
     steps that did not restore all four values are reported. If the midpoint rule does not converge either, the run ends
     as `no_convergence`.
     """
-    return Stepper(midpoint4_step, 28, enter, leave, ("iterations", "plain_projections", "unmet"), iterative=True)
+    return Stepper(midpoint4_step, 28, enter, first6, ("iterations", "plain_projections", "unmet"), iterative=True)

@@ -12,6 +12,7 @@ correction that does not reduce the deviations is discarded; the step is then HK
 
 from __future__ import annotations
 
+from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import add, axpy, dot, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.kowalevski.four_integrals import (
@@ -73,11 +74,6 @@ def enter_projected(y: Floats, h: float, p: Floats) -> Floats:
     return (y[0], y[1], y[2], y[3], y[4], y[5], *target_values(y, p), 0.0, 0.0, 0.0)
 
 
-def leave(s: Floats, h: float, p: Floats) -> Floats:
-    """Physical state: omega and gamma."""
-    return (s[0], s[1], s[2], s[3], s[4], s[5])
-
-
 @scheme(
     "hk-projected",
     top="kowalevski",
@@ -97,7 +93,7 @@ def build(top: Top, options: NoOptions) -> Stepper:
     independent integrals are used. A correction is never longer than HK's step. The numbers of corrections and of steps
     that did not restore all four values are reported.
     """
-    return Stepper(projected_step, 13, enter_projected, leave, COUNTERS)
+    return Stepper(projected_step, 13, enter_projected, first6, COUNTERS)
 
 
 def k_sq_column(y: Floats, c: float) -> Floats4:
@@ -195,4 +191,4 @@ def build_symmetric(top: Top, options: NoOptions) -> Stepper:
     step is that of hk-projected. The numbers of corrections, of steps that did not restore all four values, and of
     non-symmetric projections are reported.
     """
-    return Stepper(symmetric_step, 14, enter_symmetric, leave, (*COUNTERS, "plain_projections"))
+    return Stepper(symmetric_step, 14, enter_symmetric, first6, (*COUNTERS, "plain_projections"))
