@@ -8,6 +8,7 @@ With the axis D about which the motion circulates, the middle axis S and the thi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,8 +45,19 @@ class EllipticMotion:
     precession: Precession | None = None
 
 
-def omega_at(elliptic: EllipticMotion, n: Array) -> tuple[Array, Array, tuple[Array, Array, Array], Array]:
-    """Return ``(omega (m, 3), j, (r, sn r, cn r), dn)`` after ``n`` (m,) steps, with u = 2 K j + r."""
+class Evaluated(NamedTuple):
+    """omega (m, 3) and the functions of u = 2 K j + r that it is made of, (m,) each."""
+
+    omega: Array
+    j: Array
+    r: Array
+    sn: Array
+    cn: Array
+    dn: Array
+
+
+def omega_at(elliptic: EllipticMotion, n: Array) -> Evaluated:
+    """Return omega after ``n`` (m,) steps; ``sn`` and ``cn`` are those of r."""
     u = add(elliptic.start, multiple(elliptic.step, n))
     if elliptic.quarter is None:
         j, r = np.zeros_like(n), u
@@ -56,7 +68,7 @@ def omega_at(elliptic: EllipticMotion, n: Array) -> tuple[Array, Array, tuple[Ar
     omega = np.empty((len(n), 3))
     for axis, size, value in zip(elliptic.axes, elliptic.amplitudes, (dn, turn * sn, turn * cn), strict=True):
         omega[:, axis] = size * value
-    return omega, j, (r[0], sn, cn), dn
+    return Evaluated(omega, j, r[0], sn, cn, dn)
 
 
 def _frame(m: Array, axis: int) -> tuple[Array, Array, Array]:
@@ -71,21 +83,16 @@ def _frame(m: Array, axis: int) -> tuple[Array, Array, Array]:
     return along, np.cross(normal, along), normal
 
 
-def gamma_at(
-    elliptic: EllipticMotion,
-    precession: Precession,
-    n: Array,
-    omega: Array,
-    j: Array,
-    parts: tuple[Array, Array, Array],
-    dn: Array,
-    moments: Array,
-    y0: Array,
-) -> Array:
-    """gamma (m, 3): its component along m is constant, the rest rotates by -psi in the frame of m and axis D."""
+def gamma_at(elliptic: EllipticMotion, n: Array, at: Evaluated, moments: Array, y0: Array) -> Array:
+    """gamma (m, 3): its component along m is constant, the rest rotates by -psi in the frame of m and axis D.
+
+    ``at`` is ``omega_at(elliptic, n)``.
+    """
     from scipy.special import elliprj
 
-    r, s, c = parts
+    omega, j, r, s, c, dn = at
+    precession = elliptic.precession
+    assert precession is not None
     k = precession.n
     if elliptic.quarter is None:
         root = np.sqrt(-k)

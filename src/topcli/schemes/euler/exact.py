@@ -158,12 +158,10 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
             omega = np.tile(y0[:3], (len(n), 1))
             return np.hstack([omega, _steady_rotation(w, step, steps, y0[3:])]) if len(y0) == 6 else omega
         elliptic = free_motion(w, moments, step)
-    omega, j, parts, dn = omega_at(elliptic, steps)
+    at = omega_at(elliptic, steps)
     if len(y0) == 3:
-        return omega
-    assert elliptic.precession is not None
-    gamma = gamma_at(elliptic, elliptic.precession, steps, omega, j, parts, dn, np.array(p[:3]), y0)
-    return np.hstack([omega, gamma])
+        return at.omega
+    return np.hstack([at.omega, gamma_at(elliptic, steps, at, np.array(p[:3]), y0)])
 
 
 def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
@@ -173,7 +171,7 @@ def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
         if _at_rest(w, alpha):
             return np.tile(y0, (len(n), 1))
         elliptic = hk_motion(w, moments, alpha, Decimal(h))
-    return omega_at(elliptic, n.astype(np.float64))[0]
+    return omega_at(elliptic, n.astype(np.float64)).omega
 
 
 def _decimals(values: Iterable[float]) -> Vector:
