@@ -81,11 +81,7 @@ def _for_top(cls: type[Top]) -> Schema:
         "then": {
             "properties": {
                 "top": {"anyOf": [kind, _section(cls, "kind", kind | {"description": cls.title})]},
-                "initial": {
-                    "type": "object",
-                    "additionalProperties": False,
-                    "properties": {**initial, "normalize": normalize},
-                },
+                "initial": _closed({**initial, "normalize": normalize}),
                 "ensemble": ensemble_schema(cls, {**initial, "normalize": normalize}),
                 "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
                 "output": {"properties": {"columns": {"anyOf": [{"type": "array", "items": items}, {"type": "null"}]}}},
@@ -93,6 +89,11 @@ def _for_top(cls: type[Top]) -> Schema:
             **complete,
         },
     }
+
+
+def _closed(properties: Schema) -> Schema:
+    """Schema of a section that has no other keys than ``properties``."""
+    return {"type": "object", "additionalProperties": False, "properties": properties}
 
 
 def _is_top(name: Schema) -> Schema:
@@ -118,12 +119,7 @@ def _section(model: Any, key: str, value: Schema) -> Schema:
     schema = model.model_json_schema()
     properties = schema.get("properties", {})
     _drop_titles(properties)
-    section = {
-        "type": "object",
-        "required": [key, *schema.get("required", [])],
-        "additionalProperties": False,
-        "properties": {key: value, **properties},
-    }
+    section = _closed({key: value, **properties}) | {"required": [key, *schema.get("required", [])]}
     if "$defs" in schema:
         # "#/$defs/..." of an embedded schema resolves inside it only when it has an identity of its own
         named = value.get("const") or value["enum"][0]
@@ -185,13 +181,9 @@ def _ensemble_section(initial: Schema, draws: Schema, known: list[str]) -> Schem
     section["properties"]["states"] |= {
         "type": "array",
         "minItems": 1,
-        "items": {"type": "object", "additionalProperties": False, "properties": initial},
+        "items": _closed(initial),
     }
-    section["properties"]["grid"] |= {
-        "type": "object",
-        "additionalProperties": False,
-        "properties": dict.fromkeys(known, axis),
-    }
+    section["properties"]["grid"] |= _closed(dict.fromkeys(known, axis))
     section["properties"]["random"] |= random | {
         "properties": random["properties"] | draws,
         "anyOf": [{"required": [name]} for name in draws],
@@ -222,10 +214,7 @@ def _draw(cls: type[Top], name: str) -> Schema:
             "type": "number",
             "description": "a direction uniform on the sphere, scaled to this energy of the whole state",
         }
-    sections: list[Schema] = [
-        {"type": "object", "required": [kind], "additionalProperties": False, "properties": {kind: value}}
-        for kind, value in kinds.items()
-    ]
+    sections = [_closed({kind: value}) | {"required": [kind]} for kind, value in kinds.items()]
     if unit:
         sections.append({"const": "sphere", "description": "uniform on the unit sphere"})
     return {"anyOf": sections}

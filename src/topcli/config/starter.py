@@ -36,36 +36,26 @@ def starter_config(
     cls = top_class(top)
     names = names_for(cls.form)
     found = find_scheme(scheme or next((name for name in DEFAULT_SCHEMES if name in names), names[0]), cls.form)
-    write = _toml if toml else _yaml
-    return "\n".join(write(cls, found, schema)) + "\n"
+    return "\n".join(_lines(cls, found, schema, toml)) + "\n"
 
 
-def _yaml(cls: type[Top], scheme: Scheme, schema: str) -> list[str]:
-    lines = [f"# yaml-language-server: $schema={schema}", *_about(cls, scheme), ""]
-    for title, comment, section in _sections(cls, scheme):
-        lines += [f"# {comment}"] if comment else []
-        lines += [f"{title}:"] if title else []
-        for key, value, note in section:
-            text = f"{key}:" if value is None else f"{key}: {flow(value)}"
-            lines.append("  " * bool(title) + "# " * (value is None) + text + (f"  # {note}" if note else ""))
-        lines.append("")
-        if title == "initial":
-            lines += [*_ensemble(cls, toml=False), ""]
-    return lines[:-1]
-
-
-def _toml(cls: type[Top], scheme: Scheme, schema: str) -> list[str]:
-    lines = [f"#:schema {schema}", *_about(cls, scheme), ""]
+def _lines(cls: type[Top], scheme: Scheme, schema: str, toml: bool) -> list[str]:
+    modeline = f"#:schema {schema}" if toml else f"# yaml-language-server: $schema={schema}"
+    lines = [modeline, *_about(cls, scheme), ""]
+    sign, write = (" =", _toml_value) if toml else (":", flow)
     sections = _sections(cls, scheme)
-    for title, comment, section in sorted(sections, key=lambda one: bool(one[0])):  # a bare key cannot follow a table
+    if toml:  # a bare key cannot follow a table
+        sections = sorted(sections, key=lambda one: bool(one[0]))
+    for title, comment, section in sections:
         lines += [f"# {comment}"] if comment else []
-        lines += [f"[{title}]"] if title else []
+        lines += [f"[{title}]" if toml else f"{title}:"] if title else []
+        indent = "  " if title and not toml else ""
         for key, value, note in section:
-            text = f"{key} =" if value is None else f"{key} = {_toml_value(value)}"
-            lines.append("# " * (value is None) + text + (f"  # {note}" if note else ""))
+            text = f"# {key}{sign}" if value is None else f"{key}{sign} {write(value)}"
+            lines.append(indent + text + (f"  # {note}" if note else ""))
         lines.append("")
         if title == "initial":
-            lines += [*_ensemble(cls, toml=True), ""]
+            lines += [*_ensemble(cls, toml), ""]
     return lines[:-1]
 
 

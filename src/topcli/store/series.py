@@ -22,8 +22,6 @@ from topcli.store.growing import GrowingFile, damaged
 ROW_GROUP = 131_072
 """Rows of a Parquet row group, which are held in memory until written."""
 
-FORMATS = ("parquet", "csv")
-
 INTEGERS = ("n", "trajectory", "left_motion")
 """Names of integer columns."""
 WORDS = ("outcome",)

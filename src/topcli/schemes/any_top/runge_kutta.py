@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from topcli.arithmetic.six_vectors import axpy
+from topcli.arithmetic.six_vectors import add, axpy
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.schemes.limits import explicit_limits, rk2_limits
 from topcli.schemes.preserved import polynomial_invariants
@@ -12,7 +12,7 @@ from topcli.schemes.registry import scheme
 
 VectorField = Callable[[Floats, Floats], Floats]
 Axpy = Callable[[Floats, float, Floats], Floats]
-WeightedSum = Callable[[Floats, Floats, Floats, Floats], Floats]
+Add = Callable[[Floats, Floats], Floats]
 
 
 def axpy3(s: Floats, a: float, k: Floats) -> Floats:
@@ -20,36 +20,15 @@ def axpy3(s: Floats, a: float, k: Floats) -> Floats:
     return (s[0] + a * k[0], s[1] + a * k[1], s[2] + a * k[2])
 
 
-def weighted_sum(a: float, b: float, c: float, d: float) -> float:
-    """Weighted sum of the four slopes of the classical Runge-Kutta method, times six."""
-    return (a + d) + 2.0 * (b + c)
+def add3(v: Floats, w: Floats) -> Floats:
+    """Return v + w for vectors of length three."""
+    return (v[0] + w[0], v[1] + w[1], v[2] + w[2])
 
 
-def weighted_sum3(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """``weighted_sum`` of vectors of length three."""
-    return (
-        weighted_sum(a[0], b[0], c[0], d[0]),
-        weighted_sum(a[1], b[1], c[1], d[1]),
-        weighted_sum(a[2], b[2], c[2], d[2]),
-    )
+VECTOR_OPERATIONS: dict[int, tuple[Axpy, Add]] = {3: (axpy3, add3), 6: (axpy, add)}
 
 
-def weighted_sum6(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """``weighted_sum`` of vectors of length six."""
-    return (
-        weighted_sum(a[0], b[0], c[0], d[0]),
-        weighted_sum(a[1], b[1], c[1], d[1]),
-        weighted_sum(a[2], b[2], c[2], d[2]),
-        weighted_sum(a[3], b[3], c[3], d[3]),
-        weighted_sum(a[4], b[4], c[4], d[4]),
-        weighted_sum(a[5], b[5], c[5], d[5]),
-    )
-
-
-VECTOR_OPERATIONS: dict[int, tuple[Axpy, WeightedSum]] = {3: (axpy3, weighted_sum3), 6: (axpy, weighted_sum6)}
-
-
-def _vector_operations(top: Top) -> tuple[Axpy, WeightedSum]:
+def _vector_operations(top: Top) -> tuple[Axpy, Add]:
     """Vector operations for the state of ``top``."""
     d = len(top.components)
     if d not in VECTOR_OPERATIONS:
@@ -67,7 +46,7 @@ def rk2_step(field: VectorField, axpy: Axpy) -> StepFunction:
     return step
 
 
-def rk4_step(field: VectorField, axpy: Axpy, combine: WeightedSum) -> StepFunction:
+def rk4_step(field: VectorField, axpy: Axpy, add: Add) -> StepFunction:
     """Step of the classical Runge-Kutta method."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
@@ -75,7 +54,7 @@ def rk4_step(field: VectorField, axpy: Axpy, combine: WeightedSum) -> StepFuncti
         k2 = field(axpy(s, 0.5 * h, k1), p)
         k3 = field(axpy(s, 0.5 * h, k2), p)
         k4 = field(axpy(s, h, k3), p)
-        return axpy(s, h / 6.0, combine(k1, k2, k3, k4))
+        return axpy(s, h / 6.0, axpy(add(k1, k4), 2.0, add(k2, k3)))
 
     return step
 
