@@ -112,8 +112,11 @@ def reduce(u: tuple[Array, Array], period: DoubleDouble) -> tuple[Array, tuple[A
     return j, add(u, multiple(period, -j))
 
 
-def _by_landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
-    """Jacobi's sn, cn, dn for |u| <= K/2 and 0 < m1 <= 1, with errors of a few ulp each."""
+def landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
+    """Jacobi's sn, cn, dn at ``u`` (m,), |u| of the order of a period, for 0 < m1 <= 1.
+
+    Descending Landen transformation, accurate for k close to 1 too.
+    """
     a, root = 1.0, m1
     ladder = []
     while True:
@@ -124,18 +127,26 @@ def _by_landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
             break
         root *= a
         a = middle
+    sine, cosine, dn = np.sin(middle * u), np.cos(middle * u), np.ones_like(u)
+    zero = sine == 0.0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        b = cosine / sine
+        c = middle * b
+        for a, root in reversed(ladder):
+            b = c * b
+            c = c * dn
+            dn = (root + b) / (a + b)
+            b = c / a
+        sn = np.where(sine >= 0.0, 1.0, -1.0) / np.sqrt(c * c + 1.0)
+        cn = np.where(zero, np.where(cosine > 0.0, 1.0, -1.0), c * sn)
+    return np.where(zero, 0.0, sn), cn, np.where(zero, 1.0, dn)
+
+
+def _near_zero(u: Array, m1: float) -> tuple[Array, Array, Array]:
+    """``landen`` for |u| <= K/2, with errors of a few ulp each."""
     tiny = np.abs(u) < 1e-9
-    angle = np.where(tiny, 1.0, middle * u)
-    b = np.cos(angle) / np.sin(angle)
-    c = middle * b
-    dn = np.ones_like(u)
-    for a, root in reversed(ladder):
-        b = c * b
-        c = c * dn
-        dn = (root + b) / (a + b)
-        b = c / a
-    sn = np.copysign(1.0 / np.sqrt(c * c + 1.0), angle)
-    return np.where(tiny, u, sn), np.where(tiny, 1.0, c * sn), np.where(tiny, 1.0, dn)
+    sn, cn, dn = landen(np.where(tiny, 1.0, u), m1)
+    return np.where(tiny, u, sn), np.where(tiny, 1.0, cn), np.where(tiny, 1.0, dn)
 
 
 def jacobi(r: tuple[Array, Array], quarter: DoubleDouble | None, m1: float) -> tuple[Array, Array, Array]:
@@ -152,6 +163,6 @@ def jacobi(r: tuple[Array, Array], quarter: DoubleDouble | None, m1: float) -> t
     size = (sign * r[0], sign * r[1])
     far = size[0] > 0.5 * quarter[0]
     rest = add(quarter, (-size[0], -size[1]))
-    s, c, d = _by_landen(np.where(far, rest[0], size[0]), m1)
+    s, c, d = _near_zero(np.where(far, rest[0], size[0]), m1)
     k1 = math.sqrt(m1)
     return sign * np.where(far, c / d, s), np.where(far, k1 * s / d, c), np.where(far, k1 / d, d)

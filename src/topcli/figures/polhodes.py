@@ -15,6 +15,7 @@ import numpy as np
 from topcli.contracts import checked_equations
 from topcli.errors import RunError, UsageError
 from topcli.figures.picture import Runs, Styles
+from topcli.figures.sphere import projection
 
 Curve = np.ndarray
 """Points (m, 3)."""
@@ -59,7 +60,8 @@ class Polhodes:
                 "use a run of a top with these moments"
             )
         path = path / np.sqrt(energies[0])
-        camera = _camera(*self.view)
+        azimuth, elevation = self.view
+        camera = projection(elevation, azimuth)
         _shade(axes, moments, camera, self.pixels)
         for curve, steady in _curves(moments, self.levels):
             _trace(axes, curve, moments, camera, color="0.15", width=0.9 if steady else 0.6)
@@ -70,14 +72,6 @@ class Polhodes:
         reach = 1.06 * np.sqrt(camera[:2] ** 2 @ (1.0 / moments))
         axes.set(xlim=(-reach[0], reach[0]), ylim=(-reach[1], 1.3 * reach[1]), aspect="equal")
         axes.set_axis_off()
-
-
-def _camera(azimuth: float, elevation: float) -> np.ndarray:
-    """Matrix (3, 3) whose rows point right, up, and towards the viewer."""
-    a, e = np.radians([azimuth, elevation])
-    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    right = np.array([-np.sin(a), np.cos(a), 0.0])
-    return np.array([right, np.cross(eye, right), eye])
 
 
 def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> None:

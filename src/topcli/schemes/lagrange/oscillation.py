@@ -18,7 +18,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.elliptic import DIGITS, carlson_rf
+from topcli.arithmetic.elliptic import DIGITS, carlson_rf, landen
 from topcli.contracts import Array
 
 TURN = 1 << 64
@@ -61,42 +61,6 @@ def cubic_roots(g2: Decimal, g3: Decimal) -> tuple[Decimal, Decimal, Decimal]:
     return e1, -e1 - e3, e3
 
 
-def jacobi(u: Array, kc2: float) -> tuple[Array, Array, Array]:
-    """Jacobi's sn, cn, dn at real ``u`` (n,), |u| of the order of a period, from kc2 = 1 - k² in (0, 1].
-
-    Descending Landen transformation in terms of the complementary modulus (Bulirsch, Numer. Math. 7, 1965), which is
-    accurate for k close to 1.
-    """
-    emc, a, d = kc2, 1.0, np.ones_like(u)
-    ratios, moduli = [], []
-    while True:
-        ratios.append(a)
-        emc = emc**0.5
-        moduli.append(emc)
-        c = 0.5 * (a + emc)
-        if abs(a - emc) <= 1e-9 * a:
-            break
-        emc *= a
-        a = c
-    sn, cn = np.sin(c * u), np.cos(c * u)
-    zero = sn == 0.0
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        b = cn / sn
-        x = c * b
-        for a, m in zip(reversed(ratios), reversed(moduli), strict=True):
-            b = b * x
-            x = x * d
-            d = (m + b) / (a + b)
-            b = x / a
-        size = 1.0 / np.sqrt(x * x + 1.0)
-        s = np.where(sn >= 0.0, size, -size)
-        return (
-            np.where(zero, 0.0, s),
-            np.where(zero, np.where(cn > 0.0, 1.0, -1.0), x * s),
-            np.where(zero, 1.0, d),
-        )
-
-
 @dataclass(frozen=True)
 class Oscillation:
     """Periodic motion sampled at equal steps, the result of ``oscillation``; phases in units of 2^-64 periods of sn.
@@ -111,7 +75,7 @@ class Oscillation:
     bend: float
     """(e3 - Q''(r)/24)/(e1 - e3)."""
     kc2: float
-    """Complementary parameter (e1 - e2)/(e1 - e3)."""
+    """Complementary parameter m1 = (e1 - e2)/(e1 - e3)."""
     quarter: float
     """Quarter period K of sn."""
     period: float
@@ -128,7 +92,7 @@ class Oscillation:
         if self.gap == 0.0:
             still = np.zeros(len(phase))
             return still, still, still, still, still + 1.0
-        sn, cn, dn = jacobi(phase.view(np.int64) * (4.0 * self.quarter / TURN), self.kc2)
+        sn, cn, dn = landen(phase.view(np.int64) * (4.0 * self.quarter / TURN), self.kc2)
         below = 1.0 + self.bend * sn * sn
         rise = self.gap * (1.0 + self.bend) * sn * sn / below
         fall = self.gap * cn * cn / below
