@@ -8,7 +8,8 @@ import pytest
 from topcli.errors import RunError
 from topcli.figures.catalogue import find_figure
 from topcli.figures.picture import draw
-from topcli.figures.polhodes import Polhodes, _camera, _curves
+from topcli.figures.polhodes import Polhodes, _curves
+from topcli.figures.sphere import projection
 from topcli.tops.euler import Euler, field
 
 
@@ -31,7 +32,7 @@ def test_curves_are_polhodes_in_the_sense_of_the_motion(moments: tuple[float, fl
 
 
 def test_the_camera_is_a_rotation() -> None:
-    camera = _camera(52.0, 24.0)
+    camera = projection(elevation=24.0, azimuth=52.0)
     assert camera @ camera.T == pytest.approx(np.eye(3), abs=1e-15)
     assert np.linalg.det(camera) == pytest.approx(1.0)
 
