@@ -17,7 +17,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
 
-from topcli.studies.bench.stored import decade_lines, markdown, microseconds, stored_benches  # noqa: E402
+from topcli.studies.bench.stored import decade_lines, microseconds, stored_benches  # noqa: E402
+from topcli.studies.report import markdown_table  # noqa: E402
 from topcli.studies.report import number  # noqa: E402
 
 PAGE = ROOT / "docs" / "which-scheme.md"
@@ -48,8 +49,8 @@ def filled(page: str, results: dict[str, dict[str, Any]]) -> str:
         kind, scene, h = match["kind"], match["scene"], match["h"]
         if scene not in results:
             return match[0]
-        lines = decade_lines(results[scene]) if kind == "decades" else drift_lines(results[scene], float(h))
-        return "\n".join([match["head"], *markdown(*lines), "<!-- end -->"])
+        header, rows = decade_lines(results[scene]) if kind == "decades" else drift_lines(results[scene], float(h))
+        return "\n".join([match["head"], *markdown_table([header, *rows]), "<!-- end -->"])
 
     pattern = r"(?P<head><!-- (?P<kind>decades|drift) (?P<scene>\S+)(?: (?P<h>\S+))? -->)\n.*?<!-- end -->"
     return re.sub(pattern, table, page, flags=re.DOTALL)
