@@ -18,8 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
 
 from topcli.studies.bench.stored import decade_lines, microseconds, stored_benches  # noqa: E402
-from topcli.studies.report import markdown_table  # noqa: E402
-from topcli.studies.report import number  # noqa: E402
+from topcli.studies.report import markdown_table, number  # noqa: E402
 
 PAGE = ROOT / "docs" / "which-scheme.md"
 
