@@ -128,6 +128,18 @@ def test_dg4_counts_short_corrections() -> None:
     assert counters["short_corrections"] + counters["midpoint_steps"] >= 190
 
 
+def test_dg4_counts_steps_that_do_not_restore_the_integrals() -> None:
+    """omega = gamma = e3: k = 0, 2l = 1, E = 1/2 = 2 l², where the projected midpoint steps lose k² (1.4e-7)."""
+    top, start, h, N = Kowalevski(), (0.0, 0.0, 1.0, 0.0, 0.0, 1.0), 0.05, 400
+    states, ending = ran(top, "dg4", start, h, N)
+    w1, w2, _, g1, g2, _ = states.T
+    k_sq = (w1**2 - w2**2 - g1) ** 2 + (2 * w1 * w2 - g2) ** 2
+    assert ending.counters["midpoint_steps"] == N
+    assert N // 2 < ending.counters["unmet"] <= N
+    assert k_sq.max() == pytest.approx(1.4e-7, rel=0.05)
+    assert ran(top, "dg4", GEN, 0.02, 200)[1].counters["unmet"] == 0
+
+
 @pytest.mark.parametrize("top", [Euler(), EulerGamma()], ids=lambda top: top.form)
 def test_euler_s_implicit_steps_tell_that_they_did_not_converge(top: Top) -> None:
     for name in ("bs-implicit", "midpoint"):

@@ -23,11 +23,15 @@ from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
 CONSERVES = ("gamma_sq", "k_sq")
+FIXED_POINT = (
+    "Rest with gamma along the third axis, or rotation about it, where xi = 0, is a fixed point of the map: the state "
+    "never changes, and every step counts as an ambiguous root."
+)
 LIMITS = {
     "homoclinic-spacing": "Near a separatrix the error of a method of order 1 acts like a larger distance from the "
     "homoclinic orbit: the time between swings is 15.3 instead of 28.17 (the paper's Figure 2).",
-    "rest-on-axis": "Rest with gamma along the third axis, where xi = 0, is a fixed point of the map: the state never "
-    "changes, and every step counts as an ambiguous root.",
+    "rest-on-axis": FIXED_POINT,
+    "delone-sleeping": FIXED_POINT,
     "huge": OVERFLOW,
 }
 SWITCH_BELOW = -0.8

@@ -41,7 +41,7 @@ from topcli.schemes.kowalevski.four_integrals import (
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.kowalevski.projected import MAX_CORRECTION, VANISHING
-from topcli.schemes.kowalevski.projection import project_unless_worse
+from topcli.schemes.kowalevski.projection import TRIPLE_ROOT, project_unless_worse
 from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.kowalevski import field
@@ -50,9 +50,9 @@ DG_ITERATIONS = 16
 """Maximum number of iterations, after which the midpoint rule is used instead; three to five are typical."""
 MIDPOINT_ITERATIONS = 40
 """Maximum number of iterations for the midpoint rule, after which the step fails."""
-COUNTERS = ("iterations", "midpoint_steps", "short_corrections")
+COUNTERS = ("iterations", "midpoint_steps", "short_corrections", "unmet")
 """Number of iterations; of midpoint steps used instead; of steps in which an integral was omitted or its correction
-shortened, because the gradients were nearly dependent."""
+shortened, because the gradients were nearly dependent; of midpoint steps that did not restore all four values."""
 FLOOR = 2.0**10
 """Factor by which an iteration may stall above ``SETTLED``."""
 SETTLED = 4.0 * EPS
@@ -95,7 +95,7 @@ def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r:
 
 def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     """One step on omega, gamma; the four target values; the status of the iteration; the counters."""
-    w1, w2, w3, g1, g2, g3, i1, i2, i3, k, _, iterations, midpoint_steps, short_corrections = s
+    w1, w2, w3, g1, g2, g3, i1, i2, i3, k, _, iterations, midpoint_steps, short_corrections, unmet = s
     c = p[0]
     d = 0.5 * h
     y = (w1, w2, w3, g1, g2, g3)
@@ -134,15 +134,16 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     new: Floats = add(y, z)
     if not four:
         midpoint_steps += 1.0
-        new, _ = project_unless_worse(new, (reach * reach) * dot(z, z), c, (i1, i2, i3, k))
+        new, missed = project_unless_worse(new, (reach * reach) * dot(z, z), c, (i1, i2, i3, k))
+        unmet += missed
     if short > 0.0:
         short_corrections += 1.0
-    return (*new, i1, i2, i3, k, status, iterations, midpoint_steps, short_corrections)
+    return (*new, i1, i2, i3, k, status, iterations, midpoint_steps, short_corrections, unmet)
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:
     """Physical state, target values of the integrals, status and counters."""
-    return (y[0], y[1], y[2], y[3], y[4], y[5], *target_values(y, p), 0.0, 0.0, 0.0, 0.0)
+    return (y[0], y[1], y[2], y[3], y[4], y[5], *target_values(y, p), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @scheme(
@@ -157,6 +158,7 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     equations="y' = y + h (1 - D (D^T D)^-1 D^T) f((y + y')/2), D the discrete gradients of gamma², 2l, E, k²",
     limits={
         "singular-step": NEWTON_SINGULAR,
+        "delone-sleeping": TRIPLE_ROOT.format("The steps are those of the midpoint rule, and k² is"),
         "huge": "The iteration ends at the round-off of the whole state: if omega is larger than gamma by many powers "
         "of ten, the last digits of gamma are not converged, and gamma² changes by 1e-12. Beyond |omega| of about 1e77 "
         "|xi|² overflows, and the midpoint rule is used.",
@@ -167,7 +169,7 @@ def build(top: Top, options: NoOptions) -> Stepper:
 
     Self-adjoint; all four integrals are conserved. On degenerate tori, where the gradients are linearly dependent, only
     independent integrals are used. For k = 0 (Delone's motion), and if the iteration does not converge, the step is
-    that of the midpoint rule, projected as in hk-projected; the number of such steps is reported. If the midpoint rule
-    does not converge either, the run ends as `no_convergence`.
+    that of the midpoint rule, projected as in hk-projected; the numbers of such steps and of those that did not restore
+    all four values are reported. If the midpoint rule does not converge either, the run ends as `no_convergence`.
     """
-    return Stepper(dg4_step, 14, enter, first6, COUNTERS, iterative=True)
+    return Stepper(dg4_step, 15, enter, first6, COUNTERS, iterative=True)

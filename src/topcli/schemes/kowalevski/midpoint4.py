@@ -55,7 +55,7 @@ from topcli.schemes.kowalevski.lie_poisson import (
     newton_solve,
     xi_fields,
 )
-from topcli.schemes.kowalevski.projection import project_unless_worse
+from topcli.schemes.kowalevski.projection import TRIPLE_ROOT, project_unless_worse
 from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.registry import scheme
 
@@ -252,7 +252,10 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="after Dahlby, Owren, Yaguchi 2011 (several integrals) and Cooper 1987 (quadratic ones)",
     equations="y' = y + h f(m) + s J(|F|² X - (F·X) F), m = (y + y')/2, F = J grad E, X = J grad k² at m, k(y') = k(y)",
-    limits={"singular-step": LONG_NEWTON},
+    limits={
+        "singular-step": LONG_NEWTON,
+        "delone-sleeping": TRIPLE_ROOT.format("The steps are those of the midpoint rule, and k² is"),
+    },
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """Implicit midpoint rule plus a change that conserves gamma², 2l and E, with its length chosen to conserve k².

@@ -31,7 +31,7 @@ from topcli.schemes.kowalevski.four_integrals import (
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
-from topcli.schemes.kowalevski.projection import MET, deviations, largest_deviation, project
+from topcli.schemes.kowalevski.projection import MET, TRIPLE_ROOT, deviations, largest_deviation, project
 from topcli.schemes.registry import scheme
 
 SYMMETRIC_ROUNDS = 12
@@ -46,6 +46,7 @@ CONSERVES = ("gamma_sq", "two_l", "energy", "k_sq")
 LIMITS = {
     "resonance": "With steps of about one revolution HK jumps so far that no correction as short as its own step "
     "restores the integrals; counted as unmet.",
+    "delone-sleeping": TRIPLE_ROOT.format("All four may be"),
     "singular-step": "HK's step is singular for this h, and from a state of size 1e15 or more the integrals cannot be "
     "restored; counted as unmet.",
     "huge": "Beyond |omega| of about 1e77 k² overflows: no correction can be assessed, and the integrals are not "

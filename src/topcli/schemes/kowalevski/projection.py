@@ -41,6 +41,11 @@ MET = 8.0 * EPS
 WELL_CONSERVED = 64.0 * EPS
 """Deviation of gamma², 2l and E above which a projection is worse than a state that conserves these three."""
 TINY = 1e-300
+TRIPLE_ROOT = (
+    "For k = 0 and E = 2 l² at once, the gradients of gamma², 2l, E and of both components of xi are linearly "
+    "dependent on the whole orbit. {} off by more than round-off; counted as unmet."
+)
+"""Limit of the projections onto the four integrals in the case ``delone-sleeping``."""
 
 
 def deviations(y: Floats, c: float, t: Floats4) -> tuple[float, float, float, float, float, float]:

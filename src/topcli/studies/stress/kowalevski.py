@@ -119,6 +119,11 @@ KOWALEVSKI: tuple[Case, ...] = (
         (-0.8, 0.0, 0.5, 0.6, -0.48, -0.64),
     ),
     _from("delone", "k = 0, Delone's motion: k² has no gradient", DELONE),
+    _from(
+        "delone-sleeping",
+        "k = 0 and E = 2 l²: gamma = omega = e3 at the start, where all gradients are dependent",
+        (0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
+    ),
     _from("torus-e4", "S(e4) = 0: the torus is a closed orbit, the gradients are dependent", TORUS_E4),
     Case(
         "torus-e5",
