@@ -18,7 +18,7 @@ from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rf, carlson_rj, to_dd
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.euler.elliptic_motion import EllipticMotion, Precession, gamma_at, omega_at, rotated
-from topcli.schemes.euler.hk import hk_integrals
+from topcli.schemes.euler.hk_integrals import hk_integrals
 from topcli.schemes.euler.omega_gamma import FORMS
 from topcli.schemes.registry import scheme
 

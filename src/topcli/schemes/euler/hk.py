@@ -13,19 +13,15 @@ computation of gamma.
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import Vector
-from topcli.contracts import Array, Floats, Invariant, Stepper, Top
+from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption, increment_stepper, is_compensated
 from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
+from topcli.schemes.euler.hk_integrals import hk_integrals
 from topcli.schemes.euler.omega_gamma import CITATION, FORMS, omega_change
 from topcli.schemes.limits import SINGULAR
 from topcli.schemes.registry import scheme
-from topcli.tops.euler import Euler
 
 
 def hk_quotient(w1: float, w2: float, w3: float, c1: float, c2: float, c3: float) -> tuple[float, Vector]:
@@ -116,11 +112,10 @@ def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
     return (value, (1.0 + abs(a1 * w1)) + ((abs(b2) + abs(b3)) + abs(a1 * t1)))
 
 
-LONGEST = 2.0**511
-"""Steps from here on have squares that are no double."""
 GAMMA_GROWS = (
-    "omega stays bounded by the modified integrals, but no integral bounds the length of gamma: with steps of about "
-    "one revolution it grows without bound."
+    "omega stays bounded by the modified integrals. The modified gamma² is a quadratic form in gamma that bounds it "
+    "while K_i > 0 and R_i > 0 for all i (hk_integrals.py), as for short steps; with steps of about one revolution the "
+    "form may be indefinite, and gamma then grows without bound."
 )
 
 
@@ -136,54 +131,6 @@ def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:
     x1, x2, x3 = hk_change(w1, w2, w3, d, p)
     y1, y2, y3 = hk_gamma_increment(d * w1, d * w2, d * w3, d * x1, d * x2, d * x3, g1, g2, g3)
     return (x1, x2, x3, y1, y2, y3)
-
-
-def hk_integrals(top: Euler, h: float, options: CompensatedOption) -> tuple[Invariant, ...]:
-    """Exact integrals of the HK map (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011).
-
-    With K_i = 1 - (h/2)² alpha_j alpha_k omega_i², the quantities m²/K_i, m·omega/K_i and K_i/K_j are conserved. Here
-    m² and m·omega are divided by the mean of the three K_i. Instead of K_1/K_2 = 1 + (h/2)² alpha_3 q, the integral is
-    q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2: it loses no digits for small h and tends to an integral of the motion
-    as h -> 0.
-    """
-    alpha = np.array(top.constants()[3:])
-    square = (0.5 * h) ** 2 if abs(h) < LONGEST else math.inf
-    pairs = square * np.roll(alpha, -1) * np.roll(alpha, -2)
-
-    def k(y: Array) -> Array:
-        return 1.0 - pairs * y[:, :3] ** 2
-
-    def over_mean(invariant: Invariant, subject: str) -> Invariant:
-        def value(y: Array) -> Array:
-            return invariant.value(y) / k(y).mean(axis=1)
-
-        def scale(y: Array) -> Array:
-            return invariant.scale(y) / np.abs(k(y)).mean(axis=1)
-
-        meaning = f"{subject} over the mean of K1, K2, K3"
-        return Invariant(
-            f"modified_{invariant.name}", f"{invariant.symbol}/K", f"{invariant.tex}/K", meaning, value, scale
-        )
-
-    def ratio(i: int, j: int) -> Invariant:
-        def value(y: Array) -> Array:
-            return (alpha[i] * y[:, j] ** 2 - alpha[j] * y[:, i] ** 2) / k(y)[:, j]
-
-        def scale(y: Array) -> Array:
-            return (np.abs(alpha[i]) * y[:, j] ** 2 + np.abs(alpha[j]) * y[:, i] ** 2) / np.abs(k(y)[:, j])
-
-        a, b = i + 1, j + 1
-        meaning = f"(K{a}/K{b} - 1)/((h/2)² α{6 - a - b})"
-        return Invariant(f"modified_k{a}{b}", f"κ{a}{b}", rf"\kappa_{{{a}{b}}}", meaning, value, scale)
-
-    m_sq, m_omega = top.invariants()[:2]
-    return (
-        over_mean(m_sq, "m²"),
-        over_mean(m_omega, "m·ω"),
-        ratio(0, 1),
-        ratio(1, 2),
-        ratio(2, 0),
-    )
 
 
 @scheme(
@@ -203,7 +150,8 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     """Every product y z of two components becomes (y' z + y z')/2: linear in the new state, solved in closed form.
 
     m²/K and m·omega/K are conserved, with K = 1 + O(h²); m² and m·omega themselves are not, but their errors are of
-    size h² and return to zero. With gamma as part of the state, gamma² and m·gamma are not conserved either.
+    size h² and return to zero. With gamma as part of the state, the same holds for gamma² and m·gamma: modified forms
+    of both are conserved.
     """
     d = len(top.components)
     if is_compensated(options):
