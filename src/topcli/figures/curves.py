@@ -1,0 +1,102 @@
+"""Panels of curves over a step size or another key, with observed slopes and the plateau of round-off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.order import convergence
+from topcli.figures.picture import Styles
+
+MARKERS = "os^Dv<"
+"""Markers of successive curves; with seven colours, 42 curves look different."""
+NOTHING = "no value"
+PLATEAU = "round-off"
+
+
+def curve_column(label: str, kind: str) -> str:
+    """Name of a column of a curve: ``kind`` is x, y, low or high."""
+    return f"{label}:{kind}"
+
+
+@dataclass(frozen=True)
+class CurvePanel:
+    """Curves with markers, each over its own x, on linear or logarithmic axes.
+
+    The columns of a curve are its label with ``:x`` and ``:y``, and for a ``band`` with ``:low`` and ``:high``. If both
+    axes are logarithmic, the legend has the slope at the smallest x above the plateau of round-off; markers on the
+    plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value.
+    ``words`` are the names of the values 0, 1, ... of x if they are not numbers.
+    """
+
+    labels: tuple[str, ...]
+    xlabel: str
+    ylabel: str
+    xlog: bool = False
+    ylog: bool = False
+    band: bool = False
+    words: tuple[str, ...] = ()
+    title: str = ""
+    legend: str = ""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that the panel draws."""
+        kinds = ("x", "y", *(("low", "high") if self.band else ()))
+        return tuple(curve_column(label, kind) for label in self.labels for kind in kinds)
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the curves and a legend to their right into ``axes``."""
+        import matplotlib as mpl
+
+        cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
+        axes.set(xscale="log" if self.xlog else "linear", yscale="log" if self.ylog else "linear")
+        extra: dict[str, Any] = {}
+        for i, label in enumerate(self.labels):
+            self._curve(axes, data, label, cycle[i % len(cycle)], MARKERS[i % len(MARKERS)], extra)
+        axes.set_xlabel(self.xlabel)
+        axes.set_ylabel(self.ylabel)
+        axes.set_title(self.title, loc="left")
+        if self.words:
+            axes.set_xticks(range(len(self.words)), self.words, rotation=0 if len(self.words) < 6 else 90)
+        handles, texts = axes.get_legend_handles_labels()
+        handles, texts = [*handles, *extra.values()], [*texts, *extra]
+        axes.legend(
+            handles, texts, title=self.legend or None, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=9
+        )
+
+    def _curve(
+        self, axes: Any, data: Mapping[str, np.ndarray], label: str, colour: str, marker: str, extra: dict[str, Any]
+    ) -> None:
+        """Draw one curve; new entries of the legend are put into ``extra``."""
+        from matplotlib.lines import Line2D
+
+        x, y = data[curve_column(label, "x")], data[curve_column(label, "y")]
+        missing = np.isfinite(x) & np.isnan(y)
+        drawn = np.isfinite(x) & np.isfinite(y) & ((y > 0.0) | (not self.ylog))
+        found = convergence(x[drawn].tolist(), y[drawn].tolist()) if self.xlog and self.ylog else None
+        text = label if found is None or found.order is None else f"{label}: {found.order:.2f}"
+        hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
+        style = {"color": colour, "marker": marker, "markersize": 3.5}
+        line = "none" if self.words else "-"
+        axes.plot(x[drawn], y[drawn], label=text, linestyle=line, **style)
+        if self.band:
+            low, high = (data[curve_column(label, kind)][drawn] for kind in ("low", "high"))
+            low = np.maximum(low, np.finfo(float).tiny) if self.ylog else low
+            if self.words:
+                at, ends = y[drawn], np.array([y[drawn] - low, high - y[drawn]])
+                axes.errorbar(x[drawn], at, ends, color=colour, fmt="none", elinewidth=0.9, capsize=2.0)
+            else:
+                axes.fill_between(x[drawn], low, high, color=colour, alpha=0.18, linewidth=0.0)
+        if found and found.plateau is not None:
+            axes.plot(x[hollow], y[hollow], linestyle="none", **style, markerfacecolor="white", zorder=3)
+            span = [x[hollow].min(), x[hollow].max()]
+            axes.plot(span, [found.plateau] * 2, linestyle=":", color=colour, linewidth=1.0)
+            extra[PLATEAU] = Line2D([], [], linestyle=":", color="0.4", marker="o", mfc="white", markersize=3.5)
+        if missing.any():
+            at = {"transform": axes.get_xaxis_transform(), "clip_on": False, "zorder": 4}
+            axes.plot(x[missing], np.full(missing.sum(), 0.025), "x", color=colour, markersize=5.0, **at)
+            extra[NOTHING] = Line2D([], [], linestyle="none", marker="x", color="0.4", markersize=5.0)

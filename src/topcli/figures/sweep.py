@@ -1,0 +1,226 @@
+"""Figures of sweeps: a measure over a key, with a curve for each value of another, or as colours over two keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from topcli.contracts import Array, Outcome
+from topcli.errors import UsageError
+from topcli.figures.contract import Figure, Loaded, Request
+from topcli.figures.curves import CurvePanel, curve_column
+from topcli.figures.heat import Axis, HeatPanel
+from topcli.figures.picture import Grid
+from topcli.store.manifest import sha256_of
+from topcli.studies.rows import SweepRows, key_labels, key_values
+from topcli.studies.table import SPREADS, groups, require_aggregate, require_single, summary
+from topcli.studies.table_text import left_out
+
+DECADES = 2.0
+"""Positive values over more decades than this have a logarithmic axis."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What to draw of a sweep: the measure ``y`` over ``x`` for each value of ``by``; or ``colour`` over x and y."""
+
+    x: str
+    y: str
+    by: str | None = None
+    colour: str | None = None
+    aggregate: str | None = None
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys whose values are told apart."""
+        return (self.x, self.y) if self.colour else (self.x, self.by) if self.by else (self.x,)
+
+    @property
+    def measure(self) -> str:
+        """Measure that is drawn."""
+        return self.colour or self.y
+
+    def require(self, rows: SweepRows) -> None:
+        """Raise UsageError for names that the sweep does not have or that do not go together."""
+        require_aggregate(self.aggregate)
+        if self.colour and self.by:
+            raise UsageError("--colour and --by do not go together: a heat map has no curves")
+        rows.require_key(self.x, "--x")
+        if self.colour:
+            rows.require_key(self.y, "--y")
+            rows.require_measure(self.colour, "--colour")
+        else:
+            rows.require_measure(self.y, "--y")
+            if self.by:
+                rows.require_key(self.by, "--by")
+        if len(set(self.keys)) < len(self.keys):
+            raise UsageError(f"key {self.x!r} is used twice; choose two different keys")
+
+
+def _geometric(values: Array) -> bool:
+    """True for three or more positive numbers with a constant ratio."""
+    at = np.unique(values)
+    if len(at) < 3 or at[0] <= 0.0:
+        return False
+    ratios = np.diff(np.log(at))
+    return bool(np.ptp(ratios) < 1e-6 * ratios.mean())
+
+
+def _wide(values: Array) -> bool:
+    """True for values that are not negative and, but for zeros, span more than ``DECADES``."""
+    positive = values[np.isfinite(values) & (values > 0.0)]
+    negative = bool((values < 0.0).any())
+    return bool(len(positive)) and not negative and positive.max() > 10.0**DECADES * positive.min()
+
+
+def _axis(rows: SweepRows, key: str) -> tuple[Axis, dict[Any, float]]:
+    """Axis of a key, and the place of each of its values on it."""
+    column = rows.columns[key]
+    labels = key_labels(column)
+    if column.dtype.kind in "OU":
+        return Axis(key, words=tuple(labels.values())), {value: float(i) for i, value in enumerate(labels)}
+    numbers = np.array([value for value in labels if value is not None], dtype=float)
+    positive = bool(len(numbers)) and bool((numbers > 0.0).all())
+    log = positive and (key in rows.log or _geometric(numbers) or _wide(numbers))
+    return Axis(key, log), {value: np.nan if value is None else float(value) for value in labels}
+
+
+@dataclass(frozen=True)
+class Point:
+    """Value of one combination of keys: ``low`` and ``high`` are its spread; all are nan without a value."""
+
+    value: float
+    low: float
+    high: float
+
+
+def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], Point]:
+    """Value of each combination of the keys. Raises UsageError for several rows without an aggregate."""
+    found = groups(rows, choice.keys)
+    if choice.aggregate is None:
+        require_single(rows, found, "point", () if choice.colour else ("--by",))
+    points = {}
+    for keys, indices in found.items():
+        values = rows.columns[choice.measure][indices].astype(float)
+        values = values[~np.isnan(values)]
+        one = summary(values, choice.aggregate or "max") if len(values) else None
+        value = one.value if one else np.nan
+        spread = (one.low, one.high) if one else (np.nan, np.nan)
+        low, high = (value if end is None else end for end in spread)
+        points[keys] = Point(value, low, high)
+    return points
+
+
+def _measure_label(choice: Choice) -> str:
+    spread = {"quartiles": "; band: quartiles", "standard error": " ± standard error", "": ""}
+    note = f" ({choice.aggregate}{spread[SPREADS[choice.aggregate]]})" if choice.aggregate else ""
+    return choice.measure + (note if not choice.colour else f" ({choice.aggregate})" if choice.aggregate else "")
+
+
+def _title(rows: SweepRows) -> str:
+    return ", ".join([rows.name, *rows.chosen])
+
+
+def _labels(rows: SweepRows, choice: Choice) -> tuple[dict[Any, str], str]:
+    """Label of the curve of each value, and the title of the legend."""
+    if choice.by is None:
+        return {None: choice.y}, ""
+    labels = key_labels(rows.columns[choice.by])
+    if rows.columns[choice.by].dtype.kind in "OU":
+        return labels, choice.by
+    return {value: f"{choice.by} = {label}" for value, label in labels.items()}, ""
+
+
+def _curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.ndarray]]:
+    """Panel and columns of the curves."""
+    axis, place = _axis(rows, choice.x)
+    points = {keys: point for keys, point in _points(rows, choice).items() if not np.isnan(place[keys[0]])}
+    labels, legend = _labels(rows, choice)
+    data = {}
+    for i, (value, label) in enumerate(labels.items()):
+        beside = (i - 0.5 * (len(labels) - 1)) * min(0.12, 0.7 / len(labels)) if axis.words else 0.0
+        mine = [(place[keys[0]] + beside, point) for keys, point in points.items() if not choice.by or keys[1] == value]
+        mine.sort(key=lambda one: one[0])
+        data[curve_column(label, "x")] = np.array([x for x, _ in mine])
+        for kind, name in (("y", "value"), ("low", "low"), ("high", "high")):
+            data[curve_column(label, kind)] = np.array([getattr(point, name) for _, point in mine])
+    every = np.array([point.value for point in points.values()])
+    ylog = _wide(every)
+    panel = CurvePanel(
+        tuple(labels.values()),
+        axis.label,
+        _measure_label(choice),
+        axis.log,
+        ylog,
+        band=bool(choice.aggregate and SPREADS[choice.aggregate]),
+        words=axis.words,
+        title=_title(rows),
+        legend=": ".join([one for one in (legend, "slope" * (axis.log and ylog)) if one]),
+    )
+    return panel, {name: data[name] for name in panel.columns}
+
+
+def _heat(rows: SweepRows, choice: Choice) -> tuple[HeatPanel, dict[str, np.ndarray]]:
+    """Panel and columns of the heat map."""
+    (x, x_place), (y, y_place) = _axis(rows, choice.x), _axis(rows, choice.y)
+    points = {
+        keys: point
+        for keys, point in _points(rows, choice).items()
+        if not np.isnan([x_place[keys[0]], y_place[keys[1]]]).any()
+    }
+    data = {
+        "x": np.array([x_place[keys[0]] for keys in points]),
+        "y": np.array([y_place[keys[1]] for keys in points]),
+        "value": np.array([point.value for point in points.values()]),
+    }
+    return HeatPanel(x, y, _measure_label(choice), _wide(data["value"]), _title(rows)), data
+
+
+def sweep_notes(rows: SweepRows, choice: Choice) -> list[str]:
+    """Sentences about rows that did not complete, have no value, cannot be drawn or were left out."""
+    values = rows.columns[choice.measure].astype(float)
+    outcomes = [str(one) for one in rows.columns["outcome"] if one != Outcome.COMPLETED.value]
+    missing = int(np.isnan(values).sum())
+    said = []
+    if outcomes:
+        listed = ", ".join(f"{outcomes.count(name)} {name}" for name in dict.fromkeys(outcomes))
+        said.append(f"{len(outcomes)} of {len(rows)} rows did not complete: {listed}")
+    if missing:
+        said.append(f"{missing} of {len(rows)} values could not be computed (nan)")
+    if _wide(values) and (zeros := int((values == 0.0).sum())):
+        said.append(f"{zeros} of {len(rows)} values are zero and have no place on a logarithmic scale")
+    axes = choice.keys if choice.colour else (choice.x,)
+    if any(None in key_values(rows.columns[key]) for key in axes if rows.columns[key].dtype.kind == "f"):
+        said.append(f"rows without a number for {' or '.join(axes)} are not drawn")
+    return [*said, left_out(rows.left_out)] if rows.left_out else said
+
+
+def figure_name(rows: SweepRows, choice: Choice) -> str:
+    """Name of the files of the figure."""
+    parts = [rows.name, choice.measure, "over", choice.x]
+    parts += [choice.y] if choice.colour else ["by", choice.by] if choice.by else []
+    return "_".join(parts).replace("/", "-")
+
+
+@dataclass(frozen=True)
+class SweepFigure(Figure):
+    """What ``choice`` names of the ``rows`` of a sweep."""
+
+    rows: SweepRows
+    choice: Choice
+
+    def load(self, request: Request) -> Loaded:
+        """Return panel and data. Raises UsageError for a choice that the rows do not have."""
+        self.choice.require(self.rows)
+        panel, data = (_heat if self.choice.colour else _curves)(self.rows, self.choice)
+        source = {"rows": sha256_of(self.rows.path), "where": list(self.rows.chosen), "choice": repr(self.choice)}
+        for line in sweep_notes(self.rows, self.choice):
+            request.on_message(line)
+        return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, 3.8)))
+
+
+def sweep_figure(rows: SweepRows, choice: Choice) -> SweepFigure:
+    """The figure of ``topcli plot sweep``."""
+    return SweepFigure(figure_name(rows, choice), f"{choice.measure} of {rows.name}", "topcli sweep", rows, choice)
