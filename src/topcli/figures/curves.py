@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from topcli.analysis.order import convergence
 from topcli.figures.picture import Styles
 
+LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 MARKERS = "os^Dv<"
 """Markers of successive curves; with seven colours, 42 curves look different."""
 NOTHING = "no value"
@@ -22,13 +24,23 @@ def curve_column(label: str, kind: str) -> str:
     return f"{label}:{kind}"
 
 
+def symlog_ticks(threshold: float, low: float, high: float) -> list[float]:
+    """Zero and powers of ten from ``low`` to ``high`` beyond the ``threshold``, at most four on each side."""
+    bottom, top = math.floor(math.log10(threshold)) + 1, math.floor(math.log10(max(-low, high)))
+    step = max(1, -(-(top - bottom + 1) // 4))
+    sizes = [10.0**power for power in range(top, bottom - 1, -step)]
+    ticks = [*(-size for size in sizes), 0.0, *reversed(sizes)]
+    return [tick for tick in ticks if low <= tick <= high]
+
+
 @dataclass(frozen=True)
 class CurvePanel:
-    """Curves with markers, each over its own x, on linear or logarithmic axes.
+    """Curves with markers, each over its own x.
 
     The columns of a curve are its label with ``:x`` and ``:y``, and for a ``band`` with ``:low`` and ``:high``. If both
     axes are logarithmic, the legend has the slope at the smallest x above the plateau of round-off; markers on the
-    plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value.
+    plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value. The
+    vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond.
     ``words`` are the names of the values 0, 1, ... of x if they are not numbers.
     """
 
@@ -36,7 +48,8 @@ class CurvePanel:
     xlabel: str
     ylabel: str
     xlog: bool = False
-    ylog: bool = False
+    yscale: str = LINEAR
+    threshold: float = 0.0
     band: bool = False
     words: tuple[str, ...] = ()
     title: str = ""
@@ -53,10 +66,13 @@ class CurvePanel:
         import matplotlib as mpl
 
         cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
-        axes.set(xscale="log" if self.xlog else "linear", yscale="log" if self.ylog else "linear")
+        axes.set_xscale(LOG if self.xlog else LINEAR)
+        axes.set_yscale(self.yscale, **({"linthresh": self.threshold} if self.yscale == SYMLOG else {}))
         extra: dict[str, Any] = {}
         for i, label in enumerate(self.labels):
             self._curve(axes, data, label, cycle[i % len(cycle)], MARKERS[i % len(MARKERS)], extra)
+        if self.yscale == SYMLOG:
+            axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
         axes.set_xlabel(self.xlabel)
         axes.set_ylabel(self.ylabel)
         axes.set_title(self.title, loc="left")
@@ -76,8 +92,9 @@ class CurvePanel:
 
         x, y = data[curve_column(label, "x")], data[curve_column(label, "y")]
         missing = np.isfinite(x) & np.isnan(y)
-        drawn = np.isfinite(x) & np.isfinite(y) & ((y > 0.0) | (not self.ylog))
-        found = convergence(x[drawn].tolist(), y[drawn].tolist()) if self.xlog and self.ylog else None
+        ylog = self.yscale == LOG
+        drawn = np.isfinite(x) & np.isfinite(y) & ((y > 0.0) | (not ylog))
+        found = convergence(x[drawn].tolist(), y[drawn].tolist()) if self.xlog and ylog else None
         text = label if found is None or found.order is None else f"{label}: {found.order:.2f}"
         hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
         style = {"color": colour, "marker": marker, "markersize": 3.5}
@@ -85,7 +102,7 @@ class CurvePanel:
         axes.plot(x[drawn], y[drawn], label=text, linestyle=line, **style)
         if self.band:
             low, high = (data[curve_column(label, kind)][drawn] for kind in ("low", "high"))
-            low = np.maximum(low, np.finfo(float).tiny) if self.ylog else low
+            low = np.maximum(low, np.finfo(float).tiny) if ylog else low
             if self.words:
                 at, ends = y[drawn], np.array([y[drawn] - low, high - y[drawn]])
                 axes.errorbar(x[drawn], at, ends, color=colour, fmt="none", elinewidth=0.9, capsize=2.0)

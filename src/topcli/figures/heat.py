@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array
+from topcli.figures.curves import LINEAR, LOG, SYMLOG, symlog_ticks
 from topcli.figures.picture import Styles
 
 
@@ -37,14 +38,15 @@ def cell_edges(centres: Array, log: bool) -> Array:
 class HeatPanel:
     """Cells at the columns ``x`` and ``y`` coloured by the column ``value``.
 
-    Positive values over more than two decades have logarithmic colours, values of both signs have two hues. A cell
+    The colours are ``linear``, ``log``, or ``symlog`` beyond ``threshold``; values of both signs have two hues. A cell
     without a value has a cross; where there is no row, the ground stays white. Names along y run from top to bottom.
     """
 
     x: Axis
     y: Axis
     colour: str
-    log: bool = False
+    scale: str = LINEAR
+    threshold: float = 0.0
     title: str = ""
 
     @property
@@ -52,26 +54,35 @@ class HeatPanel:
         """Columns that the panel draws."""
         return ("x", "y", "value")
 
+    def _norm(self, cells: Any) -> Any:
+        """Map of the values to colours: symmetric for values of both signs."""
+        from matplotlib.colors import LogNorm, Normalize, SymLogNorm
+
+        low, high = (float(cells.min()), float(cells.max())) if cells.count() else (0.0, 1.0)
+        bound = max(-low, high)
+        if self.scale == SYMLOG:
+            return SymLogNorm(self.threshold, vmin=-bound, vmax=bound)
+        if self.scale == LOG:
+            return LogNorm(low, high)
+        return Normalize(-bound, bound) if low < 0.0 < high else Normalize(low, high)
+
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the cells and the scale of colours into ``axes``."""
-        from matplotlib.colors import LogNorm, Normalize
-
         x, y, value = (data[name] for name in self.columns)
         across, up = np.unique(x), np.unique(y)
         values = np.full((len(up), len(across)), np.nan)
         values[np.searchsorted(up, y), np.searchsorted(across, x)] = value
-        shown = values[np.isfinite(values) & ((values > 0.0) | (not self.log))]
-        low, high = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 1.0)
-        both = low < 0.0 < high
-        bound = max(-low, high)
-        norm = LogNorm(low, high) if self.log else Normalize(-bound, bound) if both else Normalize(low, high)
+        cells = np.ma.masked_where(~(np.isfinite(values) & ((values > 0.0) | (self.scale != LOG))), values)
+        norm = self._norm(cells)
         edges = cell_edges(across, self.x.log), cell_edges(up, self.y.log)
-        cells = np.ma.masked_invalid(values) if not self.log else np.ma.masked_where(~(values > 0.0), values)
         axes.set(xscale="log" if self.x.log else "linear", yscale="log" if self.y.log else "linear")
         axes.grid(False)
         axes.tick_params(which="both", direction="out", top=False, right=False)  # the cells would cover them
-        mesh = axes.pcolormesh(*edges, cells, norm=norm, cmap="RdBu_r" if both else "viridis", shading="flat")
-        axes.figure.colorbar(mesh, ax=axes, label=self.colour, pad=0.02)
+        mesh = axes.pcolormesh(
+            *edges, cells, norm=norm, cmap="RdBu_r" if norm.vmin == -norm.vmax else "viridis", shading="flat"
+        )
+        ticks = symlog_ticks(self.threshold, norm.vmin, norm.vmax) if self.scale == SYMLOG else None
+        axes.figure.colorbar(mesh, ax=axes, label=self.colour, pad=0.02, ticks=ticks)
         missing = np.isnan(value) & np.isfinite(x)
         if missing.any():
             axes.plot(x[missing], y[missing], "x", color="0.35", markersize=6.0, label="no value")

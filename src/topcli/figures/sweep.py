@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array, Outcome
+from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.curves import CurvePanel, curve_column
+from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, curve_column
 from topcli.figures.heat import Axis, HeatPanel
 from topcli.figures.picture import Grid
 from topcli.store.manifest import sha256_of
@@ -19,7 +20,9 @@ from topcli.studies.table import SPREADS, groups, require_aggregate, require_sin
 from topcli.studies.table_text import left_out
 
 DECADES = 2.0
-"""Positive values over more decades than this have a logarithmic axis."""
+"""Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""
+DEEPEST = 1e-10
+"""A scale with two signs is linear up to the smallest magnitude, or up to this part of the largest."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +73,17 @@ def _geometric(values: Array) -> bool:
 
 def _wide(values: Array) -> bool:
     """True for values that are not negative and, but for zeros, span more than ``DECADES``."""
-    positive = values[np.isfinite(values) & (values > 0.0)]
-    negative = bool((values < 0.0).any())
-    return bool(len(positive)) and not negative and positive.max() > 10.0**DECADES * positive.min()
+    return scale_of(values)[0] == LOG
+
+
+def scale_of(values: Array) -> tuple[str, float]:
+    """Scale that shows ``values`` (m,): linear, log or symlog, and the threshold of the last."""
+    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    if not len(sizes) or sizes.max() <= 10.0**DECADES * sizes.min():
+        return LINEAR, 0.0
+    if (values < 0.0).any():
+        return SYMLOG, max(float(sizes.min()), DEEPEST * float(sizes.max()))
+    return LOG, 0.0
 
 
 def _axis(rows: SweepRows, key: str) -> tuple[Axis, dict[Any, float]]:
@@ -114,7 +125,7 @@ def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], Point]:
 
 
 def _measure_label(choice: Choice) -> str:
-    spread = {"quartiles": "; band: quartiles", "standard error": " ± standard error", "": ""}
+    spread = {"quartiles": " and quartiles", "standard error": " ± standard error", "": ""}
     note = f" ({choice.aggregate}{spread[SPREADS[choice.aggregate]]})" if choice.aggregate else ""
     return choice.measure + (note if not choice.colour else f" ({choice.aggregate})" if choice.aggregate else "")
 
@@ -147,17 +158,18 @@ def _curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.n
         for kind, name in (("y", "value"), ("low", "low"), ("high", "high")):
             data[curve_column(label, kind)] = np.array([getattr(point, name) for _, point in mine])
     every = np.array([point.value for point in points.values()])
-    ylog = _wide(every)
+    scale, threshold = scale_of(every)
     panel = CurvePanel(
         tuple(labels.values()),
         axis.label,
         _measure_label(choice),
         axis.log,
-        ylog,
+        scale,
+        threshold,
         band=bool(choice.aggregate and SPREADS[choice.aggregate]),
         words=axis.words,
         title=_title(rows),
-        legend=": ".join([one for one in (legend, "slope" * (axis.log and ylog)) if one]),
+        legend=": ".join([one for one in (legend, "slope" * (axis.log and scale == LOG)) if one]),
     )
     return panel, {name: data[name] for name in panel.columns}
 
@@ -175,7 +187,7 @@ def _heat(rows: SweepRows, choice: Choice) -> tuple[HeatPanel, dict[str, np.ndar
         "y": np.array([y_place[keys[1]] for keys in points]),
         "value": np.array([point.value for point in points.values()]),
     }
-    return HeatPanel(x, y, _measure_label(choice), _wide(data["value"]), _title(rows)), data
+    return HeatPanel(x, y, _measure_label(choice), *scale_of(data["value"]), _title(rows)), data
 
 
 def sweep_notes(rows: SweepRows, choice: Choice) -> list[str]:
@@ -214,8 +226,14 @@ class SweepFigure(Figure):
     def load(self, request: Request) -> Loaded:
         """Return panel and data. Raises UsageError for a choice that the rows do not have."""
         self.choice.require(self.rows)
-        panel, data = (_heat if self.choice.colour else _curves)(self.rows, self.choice)
-        source = {"rows": sha256_of(self.rows.path), "where": list(self.rows.chosen), "choice": repr(self.choice)}
+        prepare = _heat if self.choice.colour else _curves
+        panel, data = prepare(self.rows, self.choice)
+        source = {
+            "rows": sha256_of(self.rows.path),
+            "where": list(self.rows.chosen),
+            "choice": repr(self.choice),
+            "code": fingerprint(prepare, compiled=False),
+        }
         for line in sweep_notes(self.rows, self.choice):
             request.on_message(line)
         return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, 3.8)))
