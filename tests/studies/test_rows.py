@@ -84,9 +84,9 @@ def test_keys_and_measures_are_told_apart(folder: Path) -> None:
         rows.require_key("shceme", "--x")
     with pytest.raises(UnknownNameError, match=r"--y: unknown measure 'error'; did you mean 'error.max'"):
         rows.require_measure("error", "--y")
-    with pytest.raises(UsageError, match="--x: 'error.max' is a measure; give a varied key: scheme, h"):
+    with pytest.raises(UsageError, match=r"--x: 'error.max' is a measure; give a varied key: scheme, h"):
         rows.require_key("error.max", "--x")
-    with pytest.raises(UsageError, match="--y: 'h' is a key; give a measure: error.max"):
+    with pytest.raises(UsageError, match=r"--y: 'h' is a key; give a measure: error.max"):
         rows.require_measure("h", "--y")
 
 

@@ -277,7 +277,7 @@ def test_convergence_finds_order_and_plateau(order: float) -> None:
     sizes, errors = ladder_errors(order, [])
     clean = convergence(sizes, errors)
     assert clean.order == pytest.approx(order, abs=1e-9)
-    assert clean.fitted == tuple(sorted(sizes)[:3])
+    assert clean.fitted == tuple(sorted(h for h in sizes if 3e4 * h**order > 1e-11)[:3])
     assert (clean.plateau, clean.onset) == (None, None)
     sizes, errors = ladder_errors(4.0, [2e-12, 5e-12, 1.5e-12, 8e-12])
     found = convergence(sizes[::-1], errors[::-1])
@@ -308,6 +308,14 @@ def test_errors_near_the_plateau_are_not_fitted(factor: float, fitted: tuple[flo
     sizes = [0.32, 0.16, 0.08, 0.04, 0.02, 0.01, 0.005, 0.0025]
     found = convergence(sizes, [1e-3, 1e-4, 1e-5, 1e-6, 32e-10 * factor, 1e-10, 1e-10, 1e-10])
     assert (found.plateau, found.onset, found.fitted) == (1e-10, 0.01, fitted)
+
+
+def test_errors_below_1e_11_are_fitted_only_if_there_are_too_few_others() -> None:
+    sizes = [0.4, 0.2, 0.1, 0.05, 0.025]
+    assert convergence(sizes, [1e-9, 2.5e-10, 6.3e-11, 1.1e-11, 9e-12]).fitted == (0.05, 0.1, 0.2)
+    few = convergence(sizes, [1.1e-11, 1.1e-11 / 4, 1.1e-11 / 16, 1.1e-11 / 64, 1e-14])
+    assert few.order == pytest.approx(2.0, abs=1e-9)
+    assert few.fitted == (0.05, 0.1, 0.2)
 
 
 def test_convergence_ignores_failed_sizes_and_needs_three() -> None:

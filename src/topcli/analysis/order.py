@@ -16,6 +16,8 @@ PLATEAU = 1e-6
 """Errors above this one are not taken for round-off."""
 ABOVE = 32.0
 """Errors within this factor of the plateau are not fitted."""
+SUSPECT = 1e-11
+"""Smaller errors may be close to a plateau not reached by any size; they are fitted only if others are too few."""
 _FITTED = 3
 """Number of sizes that are fitted."""
 
@@ -98,7 +100,7 @@ def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
 
     The errors are on the plateau from the largest size on that no smaller one improves on by a factor of two, if there
     are at least two smaller ones. Only errors above ``ABOVE`` times its level are fitted, where round-off changes the
-    slope by a few hundredths at most.
+    slope by a few hundredths at most; without a plateau, those above ``SUSPECT`` if there are three.
 
     Parameters
     ----------
@@ -124,9 +126,13 @@ def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
     first = _plateau(points)
     level = None if first is None else float(np.median([e for _, e in points[first:]]))
     above = points[:first] if first is not None else points
-    floor = ROUND_OFF if level is None else ABOVE * level
-    used = _asymptotic([s for s, _ in above], [e for _, e in above], floor)
-    order = observed_order([s for s, _ in used], [e for _, e in used], floor)
+    above_sizes, above_errors = [s for s, _ in above], [e for _, e in above]
+    floor = SUSPECT if level is None else ABOVE * level
+    order = observed_order(above_sizes, above_errors, floor)
+    if order is None and level is None:
+        floor = ROUND_OFF
+        order = observed_order(above_sizes, above_errors, floor)
+    used = _asymptotic(above_sizes, above_errors, floor)
     return Convergence(
         order=order,
         fitted=tuple(s for s, _ in used) if order is not None else (),

@@ -40,7 +40,8 @@ class CurvePanel:
     The columns of a curve are its label with ``:x`` and ``:y``, and for a ``band`` with ``:low`` and ``:high``. If both
     axes are logarithmic, the legend has the slope at the smallest x above the plateau of round-off; markers on the
     plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value. The
-    vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond.
+    vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond. On the scale
+    ``log`` a value above ``ceiling``, as of a run that explodes, is an arrowhead at the upper edge.
     ``words`` are the names of the values 0, 1, ... of x if they are not numbers.
     """
 
@@ -50,6 +51,7 @@ class CurvePanel:
     xlog: bool = False
     yscale: str = LINEAR
     threshold: float = 0.0
+    ceiling: float = np.inf
     band: bool = False
     words: tuple[str, ...] = ()
     title: str = ""
@@ -93,7 +95,7 @@ class CurvePanel:
         x, y = data[curve_column(label, "x")], data[curve_column(label, "y")]
         missing = np.isfinite(x) & np.isnan(y)
         ylog = self.yscale == LOG
-        drawn = np.isfinite(x) & np.isfinite(y) & ((y > 0.0) | (not ylog))
+        drawn = np.isfinite(x) & np.isfinite(y) & (((y > 0.0) & (y <= self.ceiling)) | (not ylog))
         found = convergence(x[drawn].tolist(), y[drawn].tolist()) if self.xlog and ylog else None
         text = label if found is None or found.order is None else f"{label}: {found.order:.2f}"
         hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
@@ -102,7 +104,8 @@ class CurvePanel:
         axes.plot(x[drawn], y[drawn], label=text, linestyle=line, **style)
         if self.band:
             low, high = (data[curve_column(label, kind)][drawn] for kind in ("low", "high"))
-            low = np.maximum(low, np.finfo(float).tiny) if ylog else low
+            if ylog:
+                low, high = np.maximum(low, np.finfo(float).tiny), np.minimum(high, self.ceiling)
             if self.words:
                 at, ends = y[drawn], np.array([y[drawn] - low, high - y[drawn]])
                 axes.errorbar(x[drawn], at, ends, color=colour, fmt="none", elinewidth=0.9, capsize=2.0)
@@ -113,7 +116,11 @@ class CurvePanel:
             span = [x[hollow].min(), x[hollow].max()]
             axes.plot(span, [found.plateau] * 2, linestyle=":", color=colour, linewidth=1.0)
             extra[PLATEAU] = Line2D([], [], linestyle=":", color="0.4", marker="o", mfc="white", markersize=3.5)
-        if missing.any():
-            at = {"transform": axes.get_xaxis_transform(), "clip_on": False, "zorder": 4}
-            axes.plot(x[missing], np.full(missing.sum(), 0.025), "x", color=colour, markersize=5.0, **at)
-            extra[NOTHING] = Line2D([], [], linestyle="none", marker="x", color="0.4", markersize=5.0)
+        edges = [(missing, 0.025, "x", NOTHING)]
+        if ylog:
+            edges.append((np.isfinite(x) & (y > self.ceiling), 0.975, "^", f"above {self.ceiling:g}"))
+        for points, height, sign, name in edges:
+            if points.any():
+                at = {"transform": axes.get_xaxis_transform(), "clip_on": False, "zorder": 4}
+                axes.plot(x[points], np.full(points.sum(), height), sign, color=colour, markersize=5.0, **at)
+                extra[name] = Line2D([], [], linestyle="none", marker=sign, color="0.4", markersize=5.0)

@@ -11,6 +11,9 @@ from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.curves import LOG, CurvePanel, curve_column
 from topcli.figures.picture import Grid
 
+CEILING = 1e3
+"""Errors above this one, of step sizes at which a scheme explodes, are drawn at the upper edge."""
+
 
 def order_data(study: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Columns of a study: step sizes and errors of each scheme; an error that is not finite is nan."""
@@ -26,7 +29,7 @@ def loaded_order(study: Mapping[str, Any], source: str) -> Loaded:
     """The figure of a study of orders."""
     labels = tuple(row["scheme"] for row in study["schemes"] if row["points"])
     span = rf"largest error, $0 \leq t \leq {study['duration']:g}$"
-    panel = CurvePanel(labels, "$h$", span, True, LOG, title=study["name"], legend="scheme: order")
+    panel = CurvePanel(labels, "$h$", span, True, LOG, ceiling=CEILING, title=study["name"], legend="scheme: order")
     return Loaded((panel,), lambda: order_data(study), {"study": source}, Grid(figsize=(6.4, 3.8)))
 
 

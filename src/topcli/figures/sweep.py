@@ -21,6 +21,8 @@ from topcli.studies.table_text import left_out
 
 DECADES = 2.0
 """Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""
+CEILING = 1e10
+"""Values above this one, of runs that explode, are drawn at the upper edge."""
 DEEPEST = 1e-10
 """A scale with two signs is linear up to the smallest magnitude, or up to this part of the largest."""
 
@@ -166,6 +168,7 @@ def _curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.n
         axis.log,
         scale,
         threshold,
+        CEILING,
         band=bool(choice.aggregate and SPREADS[choice.aggregate]),
         words=axis.words,
         title=_title(rows),
