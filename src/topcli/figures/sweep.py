@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Array, Outcome
+from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.contract import Figure, Loaded, Request
@@ -15,7 +15,7 @@ from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, curve_column
 from topcli.figures.heat import Axis, HeatPanel
 from topcli.figures.picture import Grid
 from topcli.store.manifest import sha256_of
-from topcli.studies.rows import SweepRows, key_labels, key_values
+from topcli.studies.rows import SweepRows, key_labels
 from topcli.studies.table import SPREADS, groups, require_aggregate, require_single, summary
 from topcli.studies.table_text import left_out
 
@@ -196,7 +196,7 @@ def _heat(rows: SweepRows, choice: Choice) -> tuple[HeatPanel, dict[str, np.ndar
 def sweep_notes(rows: SweepRows, choice: Choice) -> list[str]:
     """Sentences about rows that did not complete, have no value, cannot be drawn or were left out."""
     values = rows.columns[choice.measure].astype(float)
-    outcomes = [str(one) for one in rows.columns["outcome"] if one != Outcome.COMPLETED.value]
+    outcomes = [str(one) for one in rows.columns["outcome"][~rows.completed]]
     missing = int(np.isnan(values).sum())
     said = []
     if outcomes:
@@ -207,7 +207,7 @@ def sweep_notes(rows: SweepRows, choice: Choice) -> list[str]:
     if _wide(values) and (zeros := int((values == 0.0).sum())):
         said.append(f"{zeros} of {len(rows)} values are zero and have no place on a logarithmic scale")
     axes = choice.keys if choice.colour else (choice.x,)
-    if any(None in key_values(rows.columns[key]) for key in axes if rows.columns[key].dtype.kind == "f"):
+    if any(np.isnan(rows.columns[key]).any() for key in axes if rows.columns[key].dtype.kind == "f"):
         said.append(f"rows without a number for {' or '.join(axes)} are not drawn")
     return [*said, left_out(rows.left_out)] if rows.left_out else said
 

@@ -16,8 +16,8 @@ from topcli.errors import RunError, UnknownNameError, UsageError, nearest, quote
 
 ROWS = "rows.parquet"
 METADATA = "topcli.sweep"
-OWN = ("row", "outcome", "message", "digest", "cpu", "current")
-"""Columns besides keys and measures."""
+OWN = ("row", "outcome", "current")
+"""Columns that are read besides keys and measures."""
 _CLOSE = 1e-9
 """Relative difference within which a number given for a key is its value in the file."""
 
@@ -127,9 +127,12 @@ def _json_equal(one: str, other: str) -> bool:
         return False
 
 
-def key_values(values: NDArray[Any]) -> list[Any]:
-    """Values of a key as plain data; None for rows without it."""
-    return [None if value != value else value for value in values.tolist()]
+def encoded(values: NDArray[Any]) -> tuple[NDArray[np.int64], list[Any]]:
+    """Code of each value (m,), and the different values in the order of their first appearance; None for nan."""
+    import pyarrow as pa
+
+    found = pa.array(values, from_pandas=True).dictionary_encode(null_encoding="encode")
+    return found.indices.to_numpy().astype(np.int64), found.dictionary.to_pylist()
 
 
 def key_labels(values: NDArray[Any]) -> dict[Any, str]:
@@ -137,7 +140,7 @@ def key_labels(values: NDArray[Any]) -> dict[Any, str]:
 
     Numbers of up to six digits are written in full, longer ones with three digits, or as many as keep them apart.
     """
-    different = list(dict.fromkeys(key_values(values)))
+    _, different = encoded(values)
     labels: dict[Any, str] = {}
     for digits in range(3, 18):
         labels = {value: _label(value, digits) for value in different}
@@ -168,7 +171,6 @@ def read_rows(place: Path) -> SweepRows:
         hint = f"; {nearest(path.parent.name, beside)}" if beside else ""
         raise UsageError(f"{path.parent}: no sweep is stored here ({ROWS} is missing){hint}")
     about, columns = _read(path)
-    columns = {name: columns[name] for name in (*OWN, *about["keys"], *about["measures"])}
     current = columns["current"].astype(bool)
     order = np.flatnonzero(current)[np.argsort(columns["row"][current], kind="stable")]
     if not len(order):
@@ -190,14 +192,16 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
-        about = json.loads((table.schema.metadata or {}).get(METADATA.encode(), b"{}"))
-        columns = {name: table.column(name).to_numpy() for name in table.column_names}
+        schema = pq.read_schema(path)
+        about = json.loads((schema.metadata or {}).get(METADATA.encode(), b"{}"))
+        missing = [key for key in ("name", "keys", "measures") if not isinstance(about, dict) or key not in about]
+        names = [] if missing else list(dict.fromkeys([*OWN, *about["keys"], *about["measures"]]))
+        missing += [name for name in names if name not in schema.names]
+        if missing:
+            raise RunError(f"{path}: not the rows of a sweep ({missing[0]} is missing)")
+        table = pq.read_table(path, columns=names, page_checksum_verification=True)
+        columns = {name: table.column(name).to_numpy() for name in names}
     except (OSError, ValueError, pa.ArrowException) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise RunError(f"{path}: cannot be read ({reason[:120]}); run topcli sweep again") from None
-    missing = [key for key in ("name", "keys", "measures") if not isinstance(about, dict) or key not in about]
-    missing = missing or [name for name in (*OWN, *about["keys"], *about["measures"]) if name not in columns]
-    if missing:
-        raise RunError(f"{path}: not the rows of a sweep ({missing[0]} is missing)")
     return about, columns

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Outcome
+from topcli.contracts import Array
 from topcli.errors import UsageError, nearest, quoted
 from topcli.studies.report import finite
-from topcli.studies.rows import SweepRows, key_labels, key_values
+from topcli.studies.rows import SweepRows, encoded, key_labels
 
 SPREADS = {"median": "quartiles", "mean": "standard error", "max": ""}
 """Aggregates, each with the spread that is given beside it; the maximum has none."""
@@ -146,20 +146,23 @@ def require_aggregate(aggregate: str | None) -> None:
 
 def groups(rows: SweepRows, keys: Sequence[str]) -> dict[tuple[Any, ...], NDArray[np.int64]]:
     """Indices of the rows for each combination of values of ``keys``, in the order of their first appearance."""
-    found: dict[tuple[Any, ...], list[int]] = {}
-    columns = [key_values(rows.columns[key]) for key in keys]
-    for i in range(len(rows)):
-        found.setdefault(tuple(column[i] for column in columns), []).append(i)
-    return {values: np.array(indices) for values, indices in found.items()}
+    columns = [encoded(rows.columns[key]) for key in keys]
+    combined = np.zeros(len(rows), dtype=np.int64)
+    for codes, different in columns:
+        _, combined = np.unique(combined * len(different) + codes, return_inverse=True)
+    _, first, counts = np.unique(combined, return_index=True, return_counts=True)
+    members = np.split(np.argsort(combined, kind="stable"), np.cumsum(counts)[:-1])
+    return {
+        tuple(different[codes[first[group]]] for codes, different in columns): members[group]
+        for group in np.argsort(first)
+    }
 
 
 def varying(rows: SweepRows, found: Mapping[tuple[Any, ...], NDArray[np.int64]]) -> tuple[str, ...]:
     """Keys that have several values within one of the groups ``found``."""
     several = [indices for indices in found.values() if len(indices) > 1]
-    columns = {key: key_values(rows.columns[key]) for key in rows.keys}
-    return tuple(
-        key for key, column in columns.items() if any(len({column[i] for i in indices}) > 1 for indices in several)
-    )
+    columns = {key: encoded(rows.columns[key])[0] for key in rows.keys}
+    return tuple(key for key, codes in columns.items() if any(np.ptp(codes[indices]) > 0 for indices in several))
 
 
 def require_single(
@@ -183,10 +186,17 @@ def require_single(
     )
 
 
-def _cell(rows: SweepRows, indices: NDArray[np.int64], measure: str, aggregate: str | None) -> Cell:
+def _cell(
+    rows: SweepRows,
+    completed: NDArray[np.bool_],
+    indices: NDArray[np.int64],
+    measure: str,
+    aggregate: str | None,
+) -> Cell:
     values = rows.columns[measure][indices].astype(float)
     known = values[~np.isnan(values)]
-    outcomes = Counter(str(one) for one in rows.columns["outcome"][indices] if one != Outcome.COMPLETED.value)
+    failed = indices[~completed[indices]]
+    outcomes = Counter(map(str, rows.columns["outcome"][failed]))
     found = None
     if len(known):
         found = summary(known, aggregate) if aggregate else Summary(float(known[0]))
@@ -225,11 +235,11 @@ def sweep_table(
     labels = {key: key_labels(rows.columns[key]) for key in keys}
     lines = list(groups(rows, row_keys))
     across = list(labels[column_key]) if column_key else list(measures)
-    nothing = np.array([], dtype=np.int64)
+    nothing, completed = np.array([], dtype=np.int64), rows.completed
 
     def cell(line: tuple[Any, ...], column: Any) -> Cell:
         values, measure = ((*line, column), measures[0]) if column_key else (line, column)
-        return _cell(rows, found.get(values, nothing), measure, aggregate)
+        return _cell(rows, completed, found.get(values, nothing), measure, aggregate)
 
     return SweepTable(
         sweep=rows.name,
