@@ -150,3 +150,16 @@ def test_a_folder_without_a_sweep_is_named(cli: Callable[..., Any], sweep: Path)
     said = cli("table", "out/mien", "--rows", "scheme", "--value", "error.max")
     assert said.code == 2
     assert said.err == "error: out/mien: no sweep is stored here (rows.parquet is missing); did you mean 'mine'?\n"
+
+
+EVIL = "a\x1b[31m\n\u202e" + "x" * 300
+
+
+@pytest.mark.parametrize("option", ["--rows", "--columns", "--value", "--aggregate", "--format", "--where", "--out"])
+def test_no_argument_reaches_the_terminal_raw(cli: Callable[..., Any], sweep: Path, option: str) -> None:
+    options = {"--rows": "scheme", "--value": "error.max", "--aggregate": "max", option: EVIL}
+    said = cli("table", str(sweep), *itertools.chain(*options.items()))
+    assert (said.code, said.out) == (2, "")
+    assert said.err.startswith("error: ")
+    assert all(letter.isprintable() for letter in said.err.replace("\n", ""))
+    assert len(said.err) < 1000

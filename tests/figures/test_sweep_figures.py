@@ -185,6 +185,23 @@ def test_an_exploded_run_is_an_arrowhead_at_the_upper_edge(tmp_path: Path) -> No
     assert list(entries(axes)) == ["v", "above 1e+10"]
 
 
+def test_a_dollar_is_no_mathematics(tmp_path: Path) -> None:
+    keys = {"$x$": [1.0, 2.0, 1.0, 2.0], r"$\b": [r"$\nothing$", r"$\nothing$", "b", "b"]}
+    folder = write_rows(tmp_path / "$a$", keys, {r"$\v$": [1.0, 2.0, 3.0, 4.0]})
+    for choice in (
+        Choice("$x$", r"$\v$", r"$\b"),
+        Choice(r"$\b", r"$\v$", "$x$"),
+        Choice("$x$", r"$\b", colour=r"$\v$"),
+    ):
+        figure = drawn(folder, choice, ("$x$=1", "$x$=2"))
+        figure.canvas.draw()
+        axes = figure.axes[0]
+        assert (axes.get_title(loc="left"), axes.get_xlabel()) == (
+            r"\$a\$, \$x\$ = 1, \$x\$ = 2",
+            choice.x.replace("$", r"\$"),
+        )
+
+
 def test_many_curves_all_look_different(tmp_path: Path) -> None:
     keys = {"a": [i for i in range(20) for _ in range(2)], "x": [1.0, 2.0] * 20}
     folder = write_rows(tmp_path / "many", keys, {"v": [float(i) for i in range(40)]})

@@ -24,6 +24,11 @@ def curve_column(label: str, kind: str) -> str:
     return f"{label}:{kind}"
 
 
+def plain(text: str) -> str:
+    """Text that matplotlib shows as it is, without reading it as mathematics."""
+    return text.replace("$", r"\$")
+
+
 def symlog_ticks(threshold: float, low: float, high: float) -> list[float]:
     """Zero and powers of ten from ``low`` to ``high`` beyond the ``threshold``, at most four on each side."""
     bottom, top = math.floor(math.log10(threshold)) + 1, math.floor(math.log10(max(-low, high)))
@@ -97,7 +102,8 @@ class CurvePanel:
         ylog = self.yscale == LOG
         drawn = np.isfinite(x) & np.isfinite(y) & (((y > 0.0) & (y <= self.ceiling)) | (not ylog))
         found = convergence(x[drawn].tolist(), y[drawn].tolist()) if self.xlog and ylog else None
-        text = label if found is None or found.order is None else f"{label}: {found.order:.2f}"
+        shown = plain(label)
+        text = shown if found is None or found.order is None else f"{shown}: {found.order:.2f}"
         hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
         style = {"color": colour, "marker": marker, "markersize": 3.5}
         line = "none" if self.words else "-"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.curves import LOG, CurvePanel, curve_column
+from topcli.figures.curves import LOG, CurvePanel, curve_column, plain
 from topcli.figures.picture import Grid
 
 CEILING = 1e3
@@ -29,7 +29,9 @@ def loaded_order(study: Mapping[str, Any], source: str) -> Loaded:
     """The figure of a study of orders."""
     labels = tuple(row["scheme"] for row in study["schemes"] if row["points"])
     span = rf"largest error, $0 \leq t \leq {study['duration']:g}$"
-    panel = CurvePanel(labels, "$h$", span, True, LOG, ceiling=CEILING, title=study["name"], legend="scheme: order")
+    panel = CurvePanel(
+        labels, "$h$", span, True, LOG, ceiling=CEILING, title=plain(study["name"]), legend="scheme: order"
+    )
     return Loaded((panel,), lambda: order_data(study), {"study": source}, Grid(figsize=(6.4, 3.8)))
 
 

@@ -11,7 +11,7 @@ from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, curve_column
+from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, curve_column, plain
 from topcli.figures.heat import Axis, HeatPanel
 from topcli.figures.picture import Grid
 from topcli.store.manifest import sha256_of
@@ -93,11 +93,13 @@ def _axis(rows: SweepRows, key: str) -> tuple[Axis, dict[Any, float]]:
     column = rows.columns[key]
     labels = key_labels(column)
     if column.dtype.kind in "OU":
-        return Axis(key, words=tuple(labels.values())), {value: float(i) for i, value in enumerate(labels)}
+        return Axis(plain(key), words=tuple(map(plain, labels.values()))), {
+            value: float(i) for i, value in enumerate(labels)
+        }
     numbers = np.array([value for value in labels if value is not None], dtype=float)
     positive = bool(len(numbers)) and bool((numbers > 0.0).all())
     log = positive and (key in rows.log or _geometric(numbers) or _wide(numbers))
-    return Axis(key, log), {value: np.nan if value is None else float(value) for value in labels}
+    return Axis(plain(key), log), {value: np.nan if value is None else float(value) for value in labels}
 
 
 @dataclass(frozen=True)
@@ -129,11 +131,11 @@ def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], Point]:
 def _measure_label(choice: Choice) -> str:
     spread = {"quartiles": " and quartiles", "standard error": " ± standard error", "": ""}
     note = f" ({choice.aggregate}{spread[SPREADS[choice.aggregate]]})" if choice.aggregate else ""
-    return choice.measure + (note if not choice.colour else f" ({choice.aggregate})" if choice.aggregate else "")
+    return plain(choice.measure) + (note if not choice.colour else f" ({choice.aggregate})" if choice.aggregate else "")
 
 
 def _title(rows: SweepRows) -> str:
-    return ", ".join([rows.name, *rows.chosen])
+    return plain(", ".join([rows.name, *rows.chosen]))
 
 
 def _labels(rows: SweepRows, choice: Choice) -> tuple[dict[Any, str], str]:
@@ -142,7 +144,7 @@ def _labels(rows: SweepRows, choice: Choice) -> tuple[dict[Any, str], str]:
         return {None: choice.y}, ""
     labels = key_labels(rows.columns[choice.by])
     if rows.columns[choice.by].dtype.kind in "OU":
-        return labels, choice.by
+        return labels, plain(choice.by)
     return {value: f"{choice.by} = {label}" for value, label in labels.items()}, ""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -166,7 +167,7 @@ def read_rows(place: Path) -> SweepRows:
     Raises UsageError if there is no sweep or it has no rows, and RunError if the file is damaged.
     """
     path = place if place.name == ROWS else place / ROWS
-    if not path.is_file():
+    if not os.path.isfile(path):
         beside = [one.parent.name for one in sorted(path.parent.parent.glob(f"*/{ROWS}"))]
         hint = f"; {nearest(path.parent.name, beside)}" if beside else ""
         raise UsageError(f"{path.parent}: no sweep is stored here ({ROWS} is missing){hint}")
