@@ -125,7 +125,9 @@ def test_roundoff_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: p
 def test_order_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     def change(found: Any) -> Any:
         sizes = {one["h"] for row in found["schemes"] for one in row["points"]}
-        new = distinct(found, 5, keep=("declared_order", "duration", "h"))
+        first, *others = found["schemes"]
+        with_plateau = {**found, "schemes": [first, *(row | {"plateau": 1.0, "onset": 1.0} for row in others)]}
+        new = distinct(with_plateau, 5, keep=("declared_order", "duration", "h"))
         return {**new, "schemes": [row | {"fitted": [float(h) for h in row["fitted"]]} for row in new["schemes"]]} | (
             {"sizes": sorted(sizes)}
         )

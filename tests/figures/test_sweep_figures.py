@@ -292,6 +292,16 @@ def test_colours_of_both_signs_have_white_at_zero(folder: Path) -> None:
     assert (axes.get_xscale(), axes.get_yscale()) == ("linear", "log")
 
 
+def test_linear_colours_of_both_signs_are_symmetric(tmp_path: Path) -> None:
+    keys = {"a": [1.0, 2.0, 1.0, 2.0], "b": [1.0, 1.0, 2.0, 2.0]}
+    for values, limits in (([-1.0, 4.0, 2.0, 3.0], (-4.0, 4.0)), ([1.0, 4.0, 2.0, 3.0], (1.0, 4.0))):
+        folder = write_rows(tmp_path / f"x{values[0]}", keys, {"v": values})
+        axes, _ = drawn(folder, Choice("a", "b", colour="v")).axes
+        (mesh,) = axes.collections
+        assert (mesh.norm.vmin, mesh.norm.vmax) == limits
+        assert heat_cells(axes)[1].tolist() == [values[:2], values[2:]]
+
+
 def test_edges_of_cells_lie_between_their_centres() -> None:
     np.testing.assert_allclose(cell_edges(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
     np.testing.assert_allclose(cell_edges(np.array([0.01, 0.1, 1.0]), True), 10.0 ** np.array([-2.5, -1.5, -0.5, 0.5]))

@@ -235,7 +235,6 @@ class SweepFigure(Figure):
         panel, data = prepare(self.rows, self.choice)
         source = {
             "rows": sha256_of(self.rows.path),
-            "where": list(self.rows.chosen),
             "choice": repr(self.choice),
             "code": fingerprint(prepare, compiled=False),
         }
