@@ -132,7 +132,7 @@ def test_failures_are_counted_on_stderr(cli: Callable[..., Any], sweep: Path) ->
         ({"--value": "error"}, "--value: unknown measure 'error'; did you mean 'error.max'?"),
         ({"--rows": "schem"}, "--rows: unknown key 'schem'; did you mean 'scheme'?"),
         ({"--columns": "seeds"}, "--columns: unknown key 'seeds'; did you mean 'seed'?"),
-        ({"--aggregate": "avg"}, "--aggregate 'avg': unknown aggregate; known: max, mean, median"),
+        ({"--aggregate": "avg"}, "--aggregate 'avg': unknown aggregate; known: max, mean, median, order"),
         ({"--format": "latx"}, "--format 'latx': unknown format; did you mean 'latex'?"),
         ({"--where": "h=7"}, "--where 'h=7': no row has this value; h is one of: 0.1, 0.0316, 0.001"),
         ({"--columns": "h"}, "up to 4 values fall into one cell, because seed still varies"),

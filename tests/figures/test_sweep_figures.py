@@ -202,6 +202,13 @@ def test_a_dollar_is_no_mathematics(tmp_path: Path) -> None:
         )
 
 
+def test_orders_are_drawn_over_names(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("scheme", "error.max", "seed", aggregate="order")).axes
+    assert axes.get_ylabel() == "error.max (order)"
+    for line in curves(axes).values():
+        assert [y for _, y in points(line)] == pytest.approx(list(SCHEMES.values()), abs=1e-9)
+
+
 def test_many_curves_all_look_different(tmp_path: Path) -> None:
     keys = {"a": [i for i in range(20) for _ in range(2)], "x": [1.0, 2.0] * 20}
     folder = write_rows(tmp_path / "many", keys, {"v": [float(i) for i in range(40)]})

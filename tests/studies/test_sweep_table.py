@@ -115,6 +115,26 @@ def test_wrong_names_are_refused(tmp_path: Path, arguments: Any, message: str) -
         sweep_table(read_rows(made(tmp_path)), ["scheme"], "h", ["seconds"], "medain")
 
 
+def test_the_observed_order_is_an_aggregate_over_h(tmp_path: Path) -> None:
+    sizes = [0.1 * 2.0**-k for k in range(6)]
+    grid = [(scheme, seed, h) for scheme in ("hk", "rk4", "bs") for seed in (1, 2) for h in sizes]
+    errors = [(1.0 + seed) * h ** {"hk": 2, "rk4": 4, "bs": 1}[scheme] for scheme, seed, h in grid]
+    errors[-4:] = [NAN] * 4
+    keys = {name: [row[i] for row in grid] for i, name in enumerate(("scheme", "seed", "h"))}
+    rows = read_rows(write_rows(tmp_path / "x", keys, {"error": errors}))
+    found = sweep_table(rows, ["scheme"], "seed", ["error"], "order")
+    assert lines(found) == [["hk", "2.00", "2.00"], ["rk4", "4.00", "4.00"], ["bs", "1.00", "nan"]]
+    assert title(found) == "error of x: observed order over h"
+    assert found.as_dict()["table"][1]["cells"][0]["value"] == pytest.approx(4.0, abs=1e-9)
+    with pytest.raises(UsageError, match="up to 2 values fall into one cell at one h, because seed still varies"):
+        sweep_table(rows, ["scheme"], None, ["error"], "order")
+    with pytest.raises(UsageError, match="is fitted over h, which cannot tell one cell from another"):
+        sweep_table(rows, ["scheme"], "h", ["error"], "order")
+    other = read_rows(write_rows(tmp_path / "y", {"N": [1, 2]}, {"error": [1.0, 2.0]}))
+    with pytest.raises(UsageError, match="--aggregate order: h does not vary; the keys are N"):
+        sweep_table(other, ["N"], None, ["error"], "order")
+
+
 def test_failed_rows_are_marked_and_counted(tmp_path: Path) -> None:
     outcome = ["completed"] * len(ROWS)
     outcome[0], outcome[1] = "blew_up", "left_motion"

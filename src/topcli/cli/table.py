@@ -23,7 +23,10 @@ Where = Annotated[
 Aggregate = Annotated[
     str | None,
     typer.Option(
-        "--aggregate", metavar="NAME", help="Combine several values by median, max or mean.", show_default="none"
+        "--aggregate",
+        metavar="NAME",
+        help="Combine values by median, max, mean or order (over h).",
+        show_default="none",
     ),
 ]
 RowKeys = Annotated[list[str], typer.Option("--rows", metavar="KEY", help="Key that names a row; repeat for several.")]
@@ -82,8 +85,8 @@ def table(
 ) -> None:
     """Show a measure of a sweep as text, CSV, Markdown or LaTeX.
 
-    Each cell holds one value, or with --aggregate the median with its quartiles, the mean with its standard error, or
-    the maximum. Cells with failed rows are marked. CSV and JSON have all digits.
+    Each cell holds one value, or with --aggregate the median with its quartiles, the mean with its standard error, the
+    maximum, or the observed order in h. Cells with failed rows are marked. CSV and JSON have all digits.
     """
     from topcli.errors import UsageError, nearest, quoted
     from topcli.studies.rows import read_rows

@@ -16,7 +16,7 @@ from topcli.figures.heat import Axis, HeatPanel
 from topcli.figures.picture import Grid
 from topcli.store.manifest import sha256_of
 from topcli.studies.rows import SweepRows, key_labels
-from topcli.studies.table import SPREADS, groups, require_aggregate, require_single, summary
+from topcli.studies.table import SPREADS, aggregated, require_aggregate, require_groups
 from topcli.studies.table_text import left_out
 
 DECADES = 2.0
@@ -113,14 +113,10 @@ class Point:
 
 def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], Point]:
     """Value of each combination of the keys. Raises UsageError for several rows without an aggregate."""
-    found = groups(rows, choice.keys)
-    if choice.aggregate is None:
-        require_single(rows, found, "point", () if choice.colour else ("--by",))
+    found = require_groups(rows, choice.keys, "point", () if choice.colour else ("--by",), choice.aggregate)
     points = {}
     for keys, indices in found.items():
-        values = rows.columns[choice.measure][indices].astype(float)
-        values = values[~np.isnan(values)]
-        one = summary(values, choice.aggregate or "max") if len(values) else None
+        one = aggregated(rows, indices, choice.measure, choice.aggregate)
         value = one.value if one else np.nan
         spread = (one.low, one.high) if one else (np.nan, np.nan)
         low, high = (value if end is None else end for end in spread)

@@ -11,13 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.order import convergence
 from topcli.contracts import Array
 from topcli.errors import UsageError, nearest, quoted
 from topcli.studies.report import finite
 from topcli.studies.rows import SweepRows, encoded, key_labels
 
-SPREADS = {"median": "quartiles", "mean": "standard error", "max": ""}
-"""Aggregates, each with the spread that is given beside it; the maximum has none."""
+ORDER = "order"
+"""Aggregate over h: the observed order of a measure, the slope of its logarithm over that of h."""
+SPREADS = {"median": "quartiles", "mean": "standard error", "max": "", ORDER: ""}
+"""Aggregates, each with the spread that is given beside it, if there is one."""
+STEP = "h"
 
 
 @dataclass(frozen=True)
@@ -165,13 +169,42 @@ def varying(rows: SweepRows, found: Mapping[tuple[Any, ...], NDArray[np.int64]])
     return tuple(key for key, codes in columns.items() if any(np.ptp(codes[indices]) > 0 for indices in several))
 
 
-def require_single(
-    rows: SweepRows, found: Mapping[tuple[Any, ...], NDArray[np.int64]], place: str, options: Sequence[str]
-) -> None:
-    """Raise UsageError if a group has several rows; the message names the keys that vary within it.
+def aggregated(rows: SweepRows, indices: NDArray[np.int64], measure: str, aggregate: str | None) -> Summary | None:
+    """Aggregate of a measure over the rows with these ``indices``; None if they have no value, or no order."""
+    values = rows.columns[measure][indices].astype(float)
+    known = ~np.isnan(values)
+    if not known.any():
+        return None
+    if aggregate == ORDER:
+        order = convergence(rows.columns[STEP][indices][known].tolist(), values[known].tolist()).order
+        return None if order is None else Summary(order)
+    return summary(values[known], aggregate or "max")  # without an aggregate there is one value
 
+
+def require_groups(
+    rows: SweepRows, keys: Sequence[str], place: str, options: Sequence[str], aggregate: str | None
+) -> dict[tuple[Any, ...], NDArray[np.int64]]:
+    """Return the ``groups`` of ``keys``.
+
+    Raises UsageError if a group has several rows without an ``aggregate``, or several at one h for an order.
     ``place`` is what a group is called, ``options`` are those that could hold a key.
     """
+    found = groups(rows, keys)
+    if aggregate == ORDER:
+        if STEP not in rows.keys:
+            raise UsageError(f"--aggregate order: h does not vary; the keys are {', '.join(rows.keys)}")
+        if STEP in keys:
+            raise UsageError(f"--aggregate order: is fitted over h, which cannot tell one {place} from another")
+        _require_single(rows, groups(rows, (*keys, STEP)), f"{place} at one h", options)
+    elif aggregate is None:
+        _require_single(rows, found, place, options)
+    return found
+
+
+def _require_single(
+    rows: SweepRows, found: Mapping[tuple[Any, ...], NDArray[np.int64]], place: str, options: Sequence[str]
+) -> None:
+    """Raise UsageError if a group has several rows; the message names the keys that vary within it."""
     most = max(map(len, found.values()))
     if most < 2:
         return
@@ -193,14 +226,10 @@ def _cell(
     measure: str,
     aggregate: str | None,
 ) -> Cell:
-    values = rows.columns[measure][indices].astype(float)
-    known = values[~np.isnan(values)]
     failed = indices[~completed[indices]]
     outcomes = Counter(map(str, rows.columns["outcome"][failed]))
-    found = None
-    if len(known):
-        found = summary(known, aggregate) if aggregate else Summary(float(known[0]))
-    return Cell(found, len(known), len(indices), dict(outcomes))
+    count = int((~np.isnan(rows.columns[measure][indices].astype(float))).sum())
+    return Cell(aggregated(rows, indices, measure, aggregate), count, len(indices), dict(outcomes))
 
 
 def _checked(
@@ -229,9 +258,7 @@ def sweep_table(
     """
     _checked(rows, row_keys, column_key, measures, aggregate)
     keys = (*row_keys, column_key) if column_key else tuple(row_keys)
-    found = groups(rows, keys)
-    if aggregate is None:
-        require_single(rows, found, "cell", ("--rows",) if column_key else ("--rows", "--columns"))
+    found = require_groups(rows, keys, "cell", ("--rows",) if column_key else ("--rows", "--columns"), aggregate)
     labels = {key: key_labels(rows.columns[key]) for key in keys}
     lines = list(groups(rows, row_keys))
     across = list(labels[column_key]) if column_key else list(measures)

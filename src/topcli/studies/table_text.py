@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from topcli.studies.report import markdown_table
-from topcli.studies.table import SPREADS, Cell, Summary, SweepTable
+from topcli.studies.table import ORDER, SPREADS, Cell, Summary, SweepTable
 
 FORMATS = ("text", "csv", "markdown", "latex")
 NO_ROW = "–"
@@ -85,7 +85,7 @@ def _parts(cell: Cell, aggregate: str | None) -> tuple[str, ...]:
         return (reason[0][0] if reason else "nan",) if cell.rows else (NO_ROW,)
     if aggregate == "mean" and found.high is not None:
         return with_error(found.value, found.high - found.value)
-    return rounded(found)
+    return (f"{found.value:.2f}",) if aggregate == ORDER else rounded(found)
 
 
 def cell_text(cell: Cell, aggregate: str | None) -> str:
@@ -107,7 +107,7 @@ def title(table: SweepTable) -> str:
     if table.aggregate:
         spread = {"quartiles": " [quartiles]", "standard error": " ± standard error"}.get(SPREADS[table.aggregate], "")
         over = f" over {', '.join(table.over)}" if table.over else ""
-        words += f": {table.aggregate}{spread}{over}"
+        words += f": {'observed ' * (table.aggregate == ORDER)}{table.aggregate}{spread}{over}"
     return words + "".join(f", {one}" for one in table.chosen)
 
 
