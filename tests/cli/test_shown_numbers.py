@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from shown import cells_of, cells_under, changed_result, distinct, named_differently, shows, table_of
-from topcli.studies import compare, lax, roundoff
+from topcli.studies import compare, lax, order, roundoff
 from topcli.studies.bench import run as bench
 
 
@@ -120,6 +120,49 @@ def test_roundoff_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: p
             (form["cost"],),
         ]
         expect(row, one["symbol"], shown)
+
+
+def test_order_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def change(found: Any) -> Any:
+        sizes = {one["h"] for row in found["schemes"] for one in row["points"]}
+        first, *others = found["schemes"]
+        with_plateau = {**found, "schemes": [first, *(row | {"plateau": 1.0, "onset": 1.0} for row in others)]}
+        new = distinct(with_plateau, 5, keep=("declared_order", "duration", "h"))
+        return {**new, "schemes": [row | {"fitted": [float(h) for h in row["fitted"]]} for row in new["schemes"]]} | (
+            {"sizes": sorted(sizes)}
+        )
+
+    monkeypatch.setattr(order, "order_study", changed_result(change, order.order_study))
+    command = ("order", "hk", "rk4", "dg4", "--steps", "2000", "--duration", "4")
+    title, out = cli(*command).out.split("\n", 1)
+    found = cli(*command, "--json").json()
+    schemes = found["schemes"]
+    assert title == f"{found['name']}: {found['top']}, t from 0 to 4"
+    rows = table_of(out, "scheme")
+    assert rows.pop(0) == [
+        "scheme",
+        "order",
+        "observed",
+        "fitted over h",
+        "round-off",
+        "from h",
+        "smallest error",
+        "at h",
+    ]
+    for row, one in zip(rows, schemes, strict=True):
+        best = min(one["points"], key=lambda point: point["error"])
+        fitted = (one["fitted"][0], one["fitted"][-1]) if one["fitted"] else (None,)
+        values = [(one["declared_order"],), (one["order"],), fitted, (one["plateau"],), (one["onset"],)]
+        expect(row, one["scheme"], [*values, (best["error"],), (best["h"],)])
+    header, *lines = out.partition("largest error at each h\n")[2].splitlines()
+    assert cells_of(header) == ["h", "hk", "rk4", "dg4"]
+    assert len(lines) == len(found["sizes"])
+    for line, h in zip(lines, reversed(found["sizes"]), strict=True):
+        shown, *cells = cells_of(line)
+        assert shows(shown, h)
+        for cell, one in zip(cells, schemes, strict=True):
+            error = [point["error"] for point in one["points"] if point["h"] == h]
+            assert shows(cell, *error) if error else cell == "–"
 
 
 def test_lax_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,6 +28,7 @@ COMMANDS = [
     "run euler_hk --set N=40",
     "run euler_ensemble --set N=40",
     "roundoff hk --config euler_hk --steps 300 --copies 2",
+    "order hk rk4 bs --top euler --steps 600",
     "stress rk4 hk --top euler --case spherical --case one-step --case resonance",
 ]
 

@@ -16,7 +16,7 @@ from topcli.analysis import columns as columns_module
 from topcli.analysis import ensemble, order, trajectory
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantTally, Trend, trend
-from topcli.analysis.order import observed_order
+from topcli.analysis.order import convergence, observed_order
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.contracts import Invariant
 from topcli.errors import UsageError
@@ -263,6 +263,68 @@ def test_observed_order_ignores_the_round_off_plateau() -> None:
     errors = [size**3 + 1e-15 for size in sizes]
     assert observed_order(sizes, errors, 1e-11) == pytest.approx(3.0, abs=0.01)
     assert observed_order(sizes, [1e-16] * 12, 1e-14) is None
+
+
+def ladder_errors(order: float, plateau: list[float]) -> tuple[list[float], list[float]]:
+    """Sizes 0.1/2^k and errors of an exact order, the last ones replaced by a plateau."""
+    sizes = [0.1 * 2.0**-k for k in range(12)]
+    errors = [3e4 * h**order for h in sizes]
+    return sizes, errors[: len(errors) - len(plateau)] + plateau
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 4.0])
+def test_convergence_finds_order_and_plateau(order: float) -> None:
+    sizes, errors = ladder_errors(order, [])
+    clean = convergence(sizes, errors)
+    assert clean.order == pytest.approx(order, abs=1e-9)
+    assert clean.fitted == tuple(sorted(h for h in sizes if 3e4 * h**order > 1e-11)[:3])
+    assert (clean.plateau, clean.onset) == (None, None)
+    sizes, errors = ladder_errors(4.0, [2e-12, 5e-12, 1.5e-12, 8e-12])
+    found = convergence(sizes[::-1], errors[::-1])
+    assert (found.plateau, found.onset) == (3.5e-12, sizes[8])
+    assert found.order == pytest.approx(4.0, abs=1e-9)
+    assert found.fitted == (sizes[7], sizes[6], sizes[5])
+
+
+@pytest.mark.parametrize(
+    ("tail", "plateau"),
+    [
+        ([1e-9, 0.51e-9, 0.52e-9], 0.52e-9),
+        ([1e-9, 0.49e-9, 0.26e-9], None),
+        ([0.9e-6, 0.8e-6, 0.7e-6], 0.8e-6),
+        ([1.1e-6, 1.1e-6, 1.2e-6], None),
+        ([1e-9, 1e-9], None),
+    ],
+)
+def test_a_plateau_is_small_and_gains_less_than_a_factor_of_two(tail: list[float], plateau: float | None) -> None:
+    sizes = [1.0, 0.1, 0.01, 0.001, 1e-4, 1e-5, 1e-6]
+    errors = [1.0, 1e-2, 1e-4, *tail]
+    assert convergence(sizes[: len(errors)], errors).plateau == plateau
+
+
+@pytest.mark.parametrize(("factor", "fitted"), [(0.99, (0.04, 0.08, 0.16)), (1.01, (0.02, 0.04, 0.08))])
+def test_errors_near_the_plateau_are_not_fitted(factor: float, fitted: tuple[float, ...]) -> None:
+    """Between 2 and 32 times its level an error is neither on the plateau nor fitted."""
+    sizes = [0.32, 0.16, 0.08, 0.04, 0.02, 0.01, 0.005, 0.0025]
+    found = convergence(sizes, [1e-3, 1e-4, 1e-5, 1e-6, 32e-10 * factor, 1e-10, 1e-10, 1e-10])
+    assert (found.plateau, found.onset, found.fitted) == (1e-10, 0.01, fitted)
+
+
+def test_errors_below_1e_11_are_fitted_only_if_there_are_too_few_others() -> None:
+    sizes = [0.4, 0.2, 0.1, 0.05, 0.025]
+    assert convergence(sizes, [1e-9, 2.5e-10, 6.3e-11, 1.1e-11, 9e-12]).fitted == (0.05, 0.1, 0.2)
+    few = convergence(sizes, [1.1e-11, 1.1e-11 / 4, 1.1e-11 / 16, 1.1e-11 / 64, 1e-14])
+    assert few.order == pytest.approx(2.0, abs=1e-9)
+    assert few.fitted == (0.05, 0.1, 0.2)
+
+
+def test_convergence_ignores_failed_sizes_and_needs_three() -> None:
+    sizes, errors = ladder_errors(2.0, [])
+    errors[1], errors[3], errors[11] = math.inf, math.nan, 0.0
+    assert convergence(sizes, errors).order == pytest.approx(2.0, abs=1e-9)
+    few = convergence(sizes[:2], [1e-2, 1e-3])
+    assert (few.order, few.fitted, few.plateau) == (None, (), None)
+    assert convergence([], []).order is None
 
 
 def test_columns_by_name() -> None:

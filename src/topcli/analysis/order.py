@@ -12,6 +12,14 @@ from topcli.contracts import Array, Method, Stepper, Top
 from topcli.engine.driver import Loop, loop_of, plain_loop
 
 ROUND_OFF = 64.0 * float(np.finfo(np.float64).eps)
+PLATEAU = 1e-6
+"""Errors above this one are not taken for round-off."""
+ABOVE = 32.0
+"""Errors within this factor of the plateau are not fitted."""
+SUSPECT = 1e-11
+"""Smaller errors may be close to a plateau not reached by any size; they are fitted only if others are too few."""
+_FITTED = 3
+"""Number of sizes that are fitted."""
 
 
 def observed_order(sizes: Sequence[float], errors: Sequence[float], floor: float) -> float | None:
@@ -39,12 +47,98 @@ def observed_order(sizes: Sequence[float], errors: Sequence[float], floor: float
     >>> round(observed_order([0.1, 0.05, 0.025], [1e-2, 2.5e-3, 6.25e-4], 1e-12), 6)
     2.0
     """
-    usable = sorted((s, e) for s, e in zip(sizes, errors, strict=True) if math.isfinite(e) and e > floor)[:3]
-    if len(usable) < 3:
+    usable = _asymptotic(sizes, errors, floor)
+    if len(usable) < _FITTED:
         return None
     x = np.log([s for s, _ in usable])
     y = np.log([e for _, e in usable])
     return float(np.polyfit(x, y, 1)[0])
+
+
+def _asymptotic(sizes: Sequence[float], errors: Sequence[float], floor: float) -> list[tuple[float, float]]:
+    """Smallest sizes whose errors exceed ``floor``, as many as are fitted."""
+    finite = ((s, e) for s, e in zip(sizes, errors, strict=True) if math.isfinite(e) and e > floor)
+    return sorted(finite)[:_FITTED]
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """Errors over step sizes, described by a slope and a plateau.
+
+    Attributes
+    ----------
+    order : float or None
+        Slope of log(error) over log(h) at the smallest sizes above the plateau; None if there are fewer than three.
+    fitted : tuple of float
+        Sizes that were fitted, ascending; empty without an order.
+    plateau : float or None
+        Level of round-off: median error of the sizes up to ``onset``; None if the errors do not reach it.
+    onset : float or None
+        Largest size on the plateau.
+    """
+
+    order: float | None
+    fitted: tuple[float, ...]
+    plateau: float | None
+    onset: float | None
+
+
+def _plateau(points: Sequence[tuple[float, float]]) -> int | None:
+    """Index of the first of ``points``, by decreasing size, that no smaller size improves on by a factor of two.
+
+    None if it is not among the first but two, or if its error is too large to be round-off.
+    """
+    for i in range(len(points) - 2):
+        error = points[i][1]
+        if error < PLATEAU and min(e for _, e in points[i + 1 :]) > 0.5 * error:
+            return i
+    return None
+
+
+def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
+    """Observed order of convergence, and the plateau of round-off below which it is not looked for.
+
+    The errors are on the plateau from the largest size on that no smaller one improves on by a factor of two, if there
+    are at least two smaller ones. Only errors above ``ABOVE`` times its level are fitted, where round-off changes the
+    slope by a few hundredths at most; without a plateau, those above ``SUSPECT`` if there are three.
+
+    Parameters
+    ----------
+    sizes : sequence of float
+        Step sizes, in any order.
+    errors : sequence of float
+        Error at each step size; those that are not finite and positive are ignored.
+
+    Returns
+    -------
+    Convergence
+        Slope, fitted sizes, level and onset of the plateau.
+
+    Examples
+    --------
+    >>> errors = [1e-8, 2.5e-9, 6.25e-10, 2e-13, 3e-13, 1.5e-13]
+    >>> found = convergence([0.32, 0.16, 0.08, 0.04, 0.02, 0.01], errors)
+    >>> round(found.order, 6), found.plateau, found.onset
+    (2.0, 2e-13, 0.04)
+    """
+    pairs = zip(sizes, errors, strict=True)
+    points = sorted(((s, e) for s, e in pairs if math.isfinite(e) and e > 0.0), reverse=True)
+    first = _plateau(points)
+    level = None if first is None else float(np.median([e for _, e in points[first:]]))
+    above = points[:first] if first is not None else points
+    above_sizes, above_errors = [s for s, _ in above], [e for _, e in above]
+    floor = SUSPECT if level is None else ABOVE * level
+    order = observed_order(above_sizes, above_errors, floor)
+    if order is None and level is None:
+        floor = ROUND_OFF
+        order = observed_order(above_sizes, above_errors, floor)
+    used = _asymptotic(above_sizes, above_errors, floor)
+    return Convergence(
+        order=order,
+        fitted=tuple(s for s, _ in used) if order is not None else (),
+        plateau=level,
+        onset=None if first is None else points[first][0],
+    )
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from topcli.cli import bench, compare, inspect, lax, plot, roundoff, run, stress, verify
+from topcli.cli import bench, compare, inspect, lax, order, plot, roundoff, run, stress, table, verify
 from topcli.cli.command import Command
 from topcli.cli.talk import emit, say, say_error, say_text
 from topcli.errors import TopcliError, clipped
@@ -74,6 +74,8 @@ app.command("run", cls=Command)(run.run)
 app.command("verify", cls=Command)(verify.verify)
 app.command("compare", cls=Command)(compare.compare)
 app.command("bench", cls=Command)(bench.bench)
+app.command("table", cls=Command)(table.table)
+app.command("order", cls=Command)(order.order)
 app.command("plot", cls=Command)(plot.plot)
 app.command("lax", cls=Command)(lax.lax)
 app.command("roundoff", cls=Command)(roundoff.roundoff)

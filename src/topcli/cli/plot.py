@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from topcli.cli.options import FigureOut, Force, Json, complete_figure
+from topcli.cli.table import Aggregate, Where
 from topcli.cli.talk import ProgressDisplay, emit, print_json, say
+
+if TYPE_CHECKING:
+    from topcli.figures.contract import Figure
+
+SWEEP = "sweep"
+"""First argument of ``topcli plot sweep DIR/NAME``, whose figure is described by options."""
 
 Names = Annotated[
     list[str] | None,
-    typer.Argument(metavar="FIGURE", help="Names of figures; see topcli list figures.", autocompletion=complete_figure),
+    typer.Argument(
+        metavar="FIGURE",
+        help="Names of figures, see topcli list figures; or the word sweep and the folder DIR/NAME of a sweep.",
+        autocompletion=complete_figure,
+    ),
 ]
 Every = Annotated[bool, typer.Option("--all", help="Draw all; skip what takes minutes to measure.")]
 Formats = Annotated[
@@ -29,6 +40,50 @@ Configs = Annotated[
         show_default="configs",
     ),
 ]
+KeyX = Annotated[str | None, typer.Option("--x", metavar="KEY", help="Of a sweep: draw over this key.")]
+MeasureY = Annotated[
+    str | None,
+    typer.Option("--y", metavar="MEASURE", help="Of a sweep: draw this measure; with --colour, over this key."),
+]
+KeyBy = Annotated[
+    str | None, typer.Option("--by", metavar="KEY", help="Of a sweep: draw a curve for each value of this key.")
+]
+Colour = Annotated[
+    str | None, typer.Option("--colour", metavar="MEASURE", help="Of a sweep: draw a heat map of this measure.")
+]
+
+
+def _sweep_figure(names: list[str], options: dict[str, str | None], where: list[str]) -> Figure:
+    """The figure of a sweep that the arguments and options describe."""
+    from topcli.errors import UsageError
+    from topcli.figures.sweep import Choice, sweep_figure
+    from topcli.studies.rows import read_rows
+
+    if len(names) != 2:
+        raise UsageError(
+            "plot sweep: name one folder, as in: topcli plot sweep DIR/NAME --x h --y error.max --by scheme"
+        )
+    x, y = options.pop("x"), options.pop("y")
+    rows = read_rows(Path(names[1]))
+    if x is None or y is None:
+        known = f"keys: {', '.join(rows.keys)}; measures: {', '.join(rows.measures)}"
+        raise UsageError("plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE", known)
+    choice = Choice(x, y, **options)
+    choice.require(rows)
+    return sweep_figure(rows.where(where), choice)
+
+
+def _chosen(names: list[str], options: dict[str, str | None], where: list[str]) -> list[Figure]:
+    """Figures named in the command, all of the catalogue without names."""
+    from topcli.errors import UsageError
+    from topcli.figures.catalogue import FIGURES, find_figure
+
+    if names and names[0].lower() == SWEEP:
+        return [_sweep_figure(names, options, where)]
+    given = [f"--{name}" for name, value in {**options, "where": where}.items() if value]
+    if given:
+        raise UsageError(f"{given[0]} belongs to sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
+    return [find_figure(name) for name in names] if names else list(FIGURES.values())
 
 
 def plot(
@@ -38,12 +93,21 @@ def plot(
     out: FigureOut = Path("results/figures"),
     results: Results = Path("results"),
     configs: Configs = None,
+    x: KeyX = None,
+    y: MeasureY = None,
+    by: KeyBy = None,
+    colour: Colour = None,
+    aggregate: Aggregate = None,
+    where: Where = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Draw figures as PNG and PDF, with their data as Parquet."""
+    """Draw figures as PNG and PDF, with their data as Parquet.
+
+    For a sweep: topcli plot sweep DIR/NAME --x KEY --y MEASURE --by KEY.
+    """
     from topcli.errors import UsageError, shortened
-    from topcli.figures.catalogue import FIGURES, find_figure
+    from topcli.figures.catalogue import FIGURES
     from topcli.figures.contract import NothingMeasuredError, Request
     from topcli.figures.make import make_figure
     from topcli.figures.picture import IMAGE_FORMATS
@@ -56,7 +120,8 @@ def plot(
     if configs is not None and not os.path.isdir(configs):
         raise UsageError(f"--configs {configs}: no such folder")
     chosen = tuple(dict.fromkeys(formats or IMAGE_FORMATS))
-    figures = [find_figure(name) for name in names] if names else list(FIGURES.values())
+    options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
+    figures = _chosen(names or [], options, where or [])
     display = ProgressDisplay(len(figures), as_json)
     request = Request(results, configs or Path("configs"), force, every, display, say)
     made = []

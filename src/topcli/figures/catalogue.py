@@ -9,6 +9,7 @@ from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.comparison import ComparisonFigure
 from topcli.figures.contract import Figure
 from topcli.figures.growth import GrowthPanel
+from topcli.figures.order import OrderFigure
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.roundoff import GrowthFigure
@@ -121,6 +122,9 @@ FIGURES: dict[str, Figure] = {
             "Kowalevski top: errors and swings of five schemes",
             "kowalevski_hk",
             ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid"),
+        ),
+        OrderFigure(
+            "order", "Kowalevski top, generic: error over h, orders and the plateau of round-off", "topcli order"
         ),
         WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers", "topcli bench"),
         StressFigure("stress", "Every scheme in the hard cases of its top", "topcli stress"),

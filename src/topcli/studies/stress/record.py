@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from topcli.engine.fingerprint import fingerprint
-from topcli.errors import RunError
 from topcli.schemes.registry import all_schemes
-from topcli.store.provenance import Commit, environment, now
-from topcli.store.run_folder import io_failure, require_writable, write_whole
+from topcli.store.provenance import environment
+from topcli.store.study import stored_study, write_study
 from topcli.studies.identity import method_fingerprint
 from topcli.studies.stress import CASES
 from topcli.studies.stress.suite import Judged, tried
@@ -55,28 +54,9 @@ def write_stress(data: dict[str, Any], out: Path, source: str | None) -> Path:
 
     ``source`` is the digest of the whole suite; None for a part of it. Raises UsageError and RunError.
     """
-    folder = out / "stress"
-    require_writable(folder)
-    path = folder / FILE
-    with Commit() as commit:
-        complete = {**data, "source": source, "written": now(), **commit.read()}
-    text = json.dumps(complete, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    try:
-        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    except OSError as error:
-        raise io_failure(error, path, "nothing was written") from error
-    return path
+    return write_study(out / "stress" / FILE, data, source)
 
 
 def stored_stress(out: Path) -> dict[str, Any] | None:
     """Return the study stored in ``out/stress``; None if there is none. Raises RunError if it is damaged."""
-    path = out / "stress" / FILE
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if data["schema_version"] != SCHEMA_VERSION:
-            return None
-        return data
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{path}: cannot be read ({error}); run topcli stress again") from None
+    return stored_study(out / "stress" / FILE, SCHEMA_VERSION, "topcli stress")

@@ -1,0 +1,436 @@
+"""Figures of sweeps and of orders: the drawn artists equal the rows, and slopes those that the rows have."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from sweep_rows import write_rows
+from topcli.errors import UsageError
+from topcli.figures.contract import Request
+from topcli.figures.curves import symlog_ticks
+from topcli.figures.heat import cell_edges
+from topcli.figures.make import make_figure
+from topcli.figures.order import loaded_order
+from topcli.figures.picture import draw
+from topcli.figures.sweep import Choice, scale_of, sweep_figure
+from topcli.studies.rows import read_rows
+
+NAN = math.nan
+SCHEMES = {"hk": 2.0, "rk4": 4.0, "bohlin-a": 1.0}
+SIZES = [0.1 * 2.0**-k for k in range(9)]
+SEEDS = (1, 2, 3)
+FLOOR = 1e-9
+
+
+def error_of(scheme: str, h: float, seed: int) -> float:
+    """An error of the scheme's order with a plateau near ``FLOOR``, different for each row."""
+    return max(h ** SCHEMES[scheme] * (1.0 + 0.1 * seed), FLOOR * (1.0 + 0.01 * seed))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    rows = list(itertools.product(SCHEMES, SIZES, SEEDS))
+    errors = [error_of(*row) for row in rows]
+    for i, (scheme, h, _) in enumerate(rows):
+        if (scheme, h) == ("bohlin-a", SIZES[-1]):
+            errors[i] = NAN
+    drifts = [(-1.0) ** seed * h**3 for _, h, seed in rows]
+    keys = {name: [row[i] for row in rows] for i, name in enumerate(("scheme", "h", "seed"))}
+    outcome = ["no_convergence" if math.isnan(error) else "completed" for error in errors]
+    measures = {"error.max": errors, "drift.energy": drifts, "swing_spacing": [28.0 + h for _, h, _ in rows]}
+    return write_rows(tmp_path / "mine", keys, measures, outcome=outcome, log=["h"])
+
+
+def drawn(folder: Path, choice: Choice, where: tuple[str, ...] = ()) -> Figure:
+    loaded = sweep_figure(read_rows(folder).where(where), choice).load(Request())
+    assert list(loaded.data()) == [name for panel in loaded.panels for name in panel.columns]
+    return draw(loaded.panels, loaded.data(), loaded.layout)
+
+
+def curves(axes: Axes) -> dict[str, Line2D]:
+    """Lines with a label in the legend, by their label without the slope."""
+    return {str(line.get_label()).partition(":")[0]: line for line in axes.lines if line.get_label()[0] != "_"}
+
+
+def points(line: Line2D) -> list[tuple[float, float]]:
+    return list(zip(map(float, line.get_xdata()), map(float, line.get_ydata()), strict=True))  # type: ignore[arg-type]
+
+
+def entries(axes: Axes) -> dict[str, Any]:
+    legend = axes.get_legend()
+    assert legend
+    return {text.get_text(): line for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
+
+
+def test_curves_are_the_rows_with_their_slopes(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("h", "error.max", "scheme"), ("seed=2",)).axes
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("h", "error.max")
+    assert axes.get_title(loc="left") == "mine, seed = 2"
+    for scheme, line in curves(axes).items():
+        known = [(h, error_of(scheme, h, 2)) for h in sorted(SIZES) if (scheme, h) != ("bohlin-a", SIZES[-1])]
+        assert points(line) == known
+    looks = {(to_rgb(line.get_color()), line.get_marker()) for line in curves(axes).values()}
+    assert len(looks) == 3
+    shown = entries(axes)
+    assert {text: shown[text].get_color() for text in shown if ":" in text} == {
+        str(line.get_label()): line.get_color() for line in curves(axes).values()
+    }
+    assert set(shown) == {"hk: 2.00", "rk4: 4.00", "bohlin-a: 1.00", "round-off", "no value"}
+    legend = axes.get_legend()
+    assert legend
+    assert legend.get_title().get_text() == "scheme: slope"
+
+
+def test_the_plateau_is_dotted_and_its_markers_are_open(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("h", "error.max", "scheme"), ("seed=2",)).axes
+    (dotted,) = (line for line in axes.lines if line.get_linestyle() == ":")
+    line = curves(axes)["rk4"]
+    flat = sorted(h for h in SIZES if h**4 * 1.2 < 2.0 * FLOOR * 1.02)
+    assert len(flat) > 2
+    assert points(dotted) == [(flat[0], FLOOR * 1.02), (flat[-1], FLOOR * 1.02)]
+    (hollow,) = (one for one in axes.lines if to_rgb(one.get_markerfacecolor()) == (1.0, 1.0, 1.0))
+    assert [x for x, _ in points(hollow)] == flat
+    assert dotted.get_color() == hollow.get_color() == line.get_color()
+
+
+def test_a_point_without_a_value_is_a_cross_at_the_edge(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("h", "error.max", "scheme"), ("seed=2",)).axes
+    (cross,) = (line for line in axes.lines if line.get_marker() == "x")
+    ((x, height),) = points(cross)
+    assert x == SIZES[-1]
+    assert 0.0 < height < 0.1
+    assert cross.get_transform() == axes.get_xaxis_transform()
+    assert cross.get_color() == curves(axes)["bohlin-a"].get_color()
+
+
+def test_the_median_has_a_band_of_quartiles(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("h", "error.max", "scheme", aggregate="median")).axes
+    assert axes.get_ylabel() == "error.max (median and quartiles)"
+    bands = list(axes.collections)
+    assert len(bands) == 3
+    for band, (scheme, line) in zip(bands, curves(axes).items(), strict=True):
+        assert to_rgb(band.get_facecolor()[0]) == to_rgb(line.get_color())
+        drawn_points = {tuple(map(float, one)) for one in band.get_paths()[0].vertices}  # type: ignore[union-attr]
+        for h, middle in points(line):
+            values = [error_of(scheme, h, seed) for seed in SEEDS]
+            low, median, high = statistics.quantiles(values, n=4, method="inclusive")
+            assert middle == pytest.approx(median, rel=1e-14)
+            ends = sorted(y for x, y in drawn_points if x == h)
+            assert (ends[0], ends[-1]) == pytest.approx((low, high), rel=1e-12)
+
+
+def test_the_mean_has_its_standard_error_and_the_maximum_no_band(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("h", "swing_spacing", aggregate="mean")).axes
+    assert axes.get_ylabel() == "swing_spacing (mean ± standard error)"
+    assert axes.get_yscale() == "linear"
+    ((h, mean), *_) = points(curves(axes)["swing_spacing"])
+    assert mean == pytest.approx(28.0 + h, rel=1e-14)
+    assert list(entries(axes)) == ["swing_spacing"]
+    (axes,) = drawn(folder, Choice("h", "error.max", "scheme", aggregate="max")).axes
+    assert not axes.collections
+    assert dict(points(curves(axes)["hk"]))[0.1] == error_of("hk", 0.1, 3)
+
+
+def test_values_of_both_signs_have_a_scale_with_two_sides(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("h", "drift.energy", "seed"), ("scheme=hk",)).axes
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "symlog")
+    assert set(curves(axes)) == {"seed = 1", "seed = 2", "seed = 3"}
+    assert points(curves(axes)["seed = 1"]) == [(h, -(h**3)) for h in sorted(SIZES)]
+    assert axes.yaxis.get_transform().linthresh == SIZES[-1] ** 3  # type: ignore[attr-defined]
+    assert list(entries(axes)) == list(curves(axes))
+
+
+def test_names_along_x_have_their_points_side_by_side(folder: Path) -> None:
+    choice = Choice("scheme", "error.max", "h", aggregate="median")
+    (axes,) = drawn(folder, choice, (f"h={SIZES[0]}", f"h={SIZES[1]}")).axes
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == list(SCHEMES)
+    assert (axes.get_xscale(), list(curves(axes))) == ("linear", ["h = 0.1", "h = 0.05"])
+    for h, shift, line in zip(SIZES, (-0.06, 0.06), curves(axes).values(), strict=False):
+        assert line.get_linestyle() == "None"
+        medians = [(i + shift, error_of(scheme, h, 2)) for i, scheme in enumerate(SCHEMES)]
+        np.testing.assert_allclose(points(line), medians, rtol=1e-13)
+    bars = [segment for one in axes.collections for segment in one.get_segments()]  # type: ignore[attr-defined]
+    ends = {(round(float(x), 2), float(low), float(high)) for (x, low), (_, high) in bars}
+    for i, scheme in enumerate(SCHEMES):
+        values = [error_of(scheme, 0.1, seed) for seed in SEEDS]
+        low, _, high = statistics.quantiles(values, n=4, method="inclusive")
+        assert any(end == pytest.approx((i - 0.06, low, high), rel=1e-12) for end in ends)
+
+
+def test_an_exploded_run_is_an_arrowhead_at_the_upper_edge(tmp_path: Path) -> None:
+    values = [1e127, 9e9, 1.1e10, 1e-3, math.inf]
+    folder = write_rows(tmp_path / "x", {"h": [0.4, 0.2, 0.1, 0.05, 0.025]}, {"v": values}, log=["h"])
+    (axes,) = drawn(folder, Choice("h", "v")).axes
+    (line,) = (one for one in axes.lines if one.get_marker() == "o")
+    assert points(line) == [(0.05, 1e-3), (0.2, 9e9)]
+    (above,) = (one for one in axes.lines if one.get_marker() == "^")
+    assert points(above) == [(0.025, 0.975), (0.1, 0.975), (0.4, 0.975)]
+    assert above.get_transform() == axes.get_xaxis_transform()
+    assert axes.get_ylim()[1] < 1e12
+    assert list(entries(axes)) == ["v", "above 1e+10"]
+
+
+def test_a_dollar_is_no_mathematics(tmp_path: Path) -> None:
+    keys = {"$x$": [1.0, 2.0, 1.0, 2.0], r"$\b": [r"$\nothing$", r"$\nothing$", "b", "b"]}
+    folder = write_rows(tmp_path / "$a$", keys, {r"$\v$": [1.0, 2.0, 3.0, 4.0]})
+    for choice in (
+        Choice("$x$", r"$\v$", r"$\b"),
+        Choice(r"$\b", r"$\v$", "$x$"),
+        Choice("$x$", r"$\b", colour=r"$\v$"),
+    ):
+        figure = drawn(folder, choice, ("$x$=1", "$x$=2"))
+        figure.canvas.draw()
+        axes = figure.axes[0]
+        assert (axes.get_title(loc="left"), axes.get_xlabel()) == (
+            r"\$a\$, \$x\$ = 1, \$x\$ = 2",
+            choice.x.replace("$", r"\$"),
+        )
+
+
+def test_orders_are_drawn_over_names(folder: Path) -> None:
+    (axes,) = drawn(folder, Choice("scheme", "error.max", "seed", aggregate="order")).axes
+    assert axes.get_ylabel() == "error.max (order)"
+    for line in curves(axes).values():
+        assert [y for _, y in points(line)] == pytest.approx(list(SCHEMES.values()), abs=1e-9)
+
+
+def test_many_curves_all_look_different(tmp_path: Path) -> None:
+    keys = {"a": [i for i in range(20) for _ in range(2)], "x": [1.0, 2.0] * 20}
+    folder = write_rows(tmp_path / "many", keys, {"v": [float(i) for i in range(40)]})
+    (axes,) = drawn(folder, Choice("x", "v", "a")).axes
+    looks = {(to_rgb(line.get_color()), line.get_marker()) for line in curves(axes).values()}
+    assert len(looks) == len(curves(axes)) == 20
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        ([1.0, 99.0], ("linear", 0.0)),
+        ([1.0, 101.0], ("log", 0.0)),
+        ([0.0, 1.0, 101.0, NAN], ("log", 0.0)),
+        ([-1.0, 99.0], ("linear", 0.0)),
+        ([-1.0, 101.0], ("symlog", 1.0)),
+        ([-1e-20, 5.0], ("symlog", 5e-10)),
+        ([-1.0, -101.0], ("symlog", 1.0)),
+        ([0.0, NAN], ("linear", 0.0)),
+        ([1.0, math.inf], ("linear", 0.0)),
+    ],
+)
+def test_scales_follow_the_magnitudes(values: list[float], scale: tuple[str, float]) -> None:
+    assert scale_of(np.array(values)) == scale
+
+
+@pytest.mark.parametrize(
+    ("sizes", "log", "scale"),
+    [
+        ([0.1, 0.05, 0.025], [], "log"),
+        ([0.1, 0.05, 0.02], [], "linear"),
+        ([0.1, 0.05, 0.02], ["h"], "log"),
+        ([1.0, 3.0, 101.0], [], "log"),
+        ([1.0, 3.0, 99.0], [], "linear"),
+        ([0.0, 1.0, 1000.0], ["h"], "linear"),
+    ],
+)
+def test_a_key_is_logarithmic_if_its_range_was(tmp_path: Path, sizes: list[float], log: list[str], scale: str) -> None:
+    folder = write_rows(tmp_path / "x", {"h": sizes}, {"v": [1.0, 2.0, 3.0]}, log=log)
+    (axes,) = drawn(folder, Choice("h", "v")).axes
+    assert axes.get_xscale() == scale
+
+
+def test_ticks_of_two_sides_do_not_crowd() -> None:
+    assert symlog_ticks(2e-16, -3e-3, 1e-4) == [-1e-3, -1e-7, -1e-11, -1e-15, 0.0, 1e-15, 1e-11, 1e-7]
+    assert symlog_ticks(1e-3, -0.5, 20.0) == [-0.1, -0.01, 0.0, 0.01, 0.1, 1.0, 10.0]
+
+
+def heat_cells(axes: Axes) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (rows + 1, columns + 1, 2) and values (rows, columns) of the cells."""
+    (mesh,) = axes.collections
+    return mesh.get_coordinates(), np.ma.filled(mesh.get_array().astype(float), NAN)  # type: ignore[attr-defined, union-attr]
+
+
+def test_a_heat_map_has_the_rows_in_its_cells(folder: Path) -> None:
+    choice = Choice("h", "scheme", colour="error.max", aggregate="median")
+    axes, bar = drawn(folder, choice).axes
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("h", "scheme")
+    assert bar.get_ylabel() == "error.max (median)"
+    corners, values = heat_cells(axes)
+    for i, scheme in enumerate(SCHEMES):
+        for j, h in enumerate(sorted(SIZES)):
+            assert corners[i, j, 0] < h < corners[i, j + 1, 0]
+            assert corners[i, j, 1] < i < corners[i + 1, j, 1]
+            if (scheme, h) == ("bohlin-a", SIZES[-1]):
+                assert math.isnan(values[i, j])
+            else:
+                assert values[i, j] == pytest.approx(error_of(scheme, h, 2), rel=1e-14)
+    names = dict(zip(axes.get_yticks(), (tick.get_text() for tick in axes.get_yticklabels()), strict=True))
+    assert names == dict(enumerate(SCHEMES))
+    assert axes.get_ylim() == (2.5, -0.5)
+    (cross,) = axes.lines
+    assert points(cross) == [(SIZES[-1], 2.0)]
+    (mesh,) = axes.collections
+    assert type(mesh.norm).__name__ == "LogNorm"
+    assert (mesh.norm.vmin, mesh.norm.vmax) == pytest.approx((FLOOR * 1.02, 0.1 * 1.2), rel=1e-12)
+
+
+def test_colours_of_both_signs_have_white_at_zero(folder: Path) -> None:
+    axes, _ = drawn(folder, Choice("seed", "h", colour="drift.energy"), ("scheme=hk",)).axes
+    (mesh,) = axes.collections
+    _, values = heat_cells(axes)
+    assert values[-1].tolist() == [-(0.1**3), 0.1**3, -(0.1**3)]
+    assert mesh.norm.vmin == -mesh.norm.vmax
+    red, green, blue, _ = mesh.cmap(mesh.norm(0.0))
+    assert min(red, green, blue) > 0.95
+    assert (axes.get_xscale(), axes.get_yscale()) == ("linear", "log")
+
+
+def test_linear_colours_of_both_signs_are_symmetric(tmp_path: Path) -> None:
+    keys = {"a": [1.0, 2.0, 1.0, 2.0], "b": [1.0, 1.0, 2.0, 2.0]}
+    for values, limits in (([-1.0, 4.0, 2.0, 3.0], (-4.0, 4.0)), ([1.0, 4.0, 2.0, 3.0], (1.0, 4.0))):
+        folder = write_rows(tmp_path / f"x{values[0]}", keys, {"v": values})
+        axes, _ = drawn(folder, Choice("a", "b", colour="v")).axes
+        (mesh,) = axes.collections
+        assert (mesh.norm.vmin, mesh.norm.vmax) == limits
+        assert heat_cells(axes)[1].tolist() == [values[:2], values[2:]]
+
+
+def test_edges_of_cells_lie_between_their_centres() -> None:
+    np.testing.assert_allclose(cell_edges(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
+    np.testing.assert_allclose(cell_edges(np.array([0.01, 0.1, 1.0]), True), 10.0 ** np.array([-2.5, -1.5, -0.5, 0.5]))
+    np.testing.assert_allclose(cell_edges(np.array([3.0]), False), [2.5, 3.5])
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        (Choice("h", "error.max", "scheme"), "up to 3 values fall into one point, because seed still varies"),
+        (Choice("h", "scheme", colour="error.max"), "up to 3 values fall into one point"),
+        (Choice("hh", "error.max"), "--x: unknown key 'hh'; did you mean 'h'"),
+        (Choice("h", "error"), r"--y: unknown measure 'error'; did you mean 'error.max'"),
+        (Choice("h", "scheme"), "--y: 'scheme' is a key; give a measure"),
+        (Choice("h", "error.max", colour="drift.energy"), "--y: 'error.max' is a measure; give a varied key"),
+        (
+            Choice("h", "scheme", colour="drift.enrgy"),
+            r"--colour: unknown measure 'drift.enrgy'; did you mean 'drift.energy'",
+        ),
+        (Choice("h", "scheme", "seed", colour="error.max"), "--colour and --by do not go together"),
+        (Choice("h", "error.max", "h"), "key 'h' is used twice"),
+        (Choice("h", "error.max", "sceme"), "--by: unknown key 'sceme'; did you mean 'scheme'"),
+        (Choice("h", "error.max", aggregate="avg"), "--aggregate 'avg': unknown aggregate"),
+    ],
+)
+def test_wrong_choices_are_named(folder: Path, choice: Choice, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        sweep_figure(read_rows(folder), choice).load(Request())
+
+
+@pytest.mark.slow
+def test_the_command_draws_stores_and_repeats_nothing(cli: Callable[..., Any], folder: Path) -> None:
+    command = ("plot", "sweep", str(folder), "--x", "h", "--y", "error.max", "--by", "scheme", "--where", "seed=2")
+    said = cli(*command, "--format", "png")
+    name = "mine_error.max_over_h_by_scheme"
+    assert said.out == f"{name}: drawn: results/figures/{name}.png, results/figures/{name}.parquet\n"
+    assert said.err.splitlines() == [
+        "1 of 27 rows did not complete: 1 no_convergence",
+        "1 of 27 values could not be computed (nan)",
+    ]
+    data = pq.read_table(f"results/figures/{name}.parquet")
+    assert data.column("hk:y").to_pylist() == [error_of("hk", h, 2) for h in sorted(SIZES)]
+    assert cli(*command, "--format", "png", "--json").json()["figures"][0]["status"] == "up to date"
+    other = cli(*command[:-1], "seed=1", "--format", "png", "--json").json()
+    assert other["figures"][0]["status"] == "drawn"
+    path = folder / "rows.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.slice(0, 60), path)
+    assert cli(*command[:-1], "seed=1", "--format", "png", "--json").json()["figures"][0]["status"] == "drawn"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("sweep",), "name one folder"),
+        (("sweep", "a", "b"), "name one folder"),
+        (("sweep", "nowhere", "--x", "h"), "no sweep is stored here"),
+        (("fig1", "--x", "h"), "--x belongs to sweeps"),
+        (("order", "--where", "h=1"), "--where belongs to sweeps"),
+        (("--all", "--aggregate", "max"), "--aggregate belongs to sweeps"),
+    ],
+)
+def test_wrong_commands_are_named(cli: Callable[..., Any], arguments: tuple[str, ...], message: str) -> None:
+    said = cli("plot", *arguments)
+    assert (said.code, said.out) == (2, "")
+    assert message in said.err
+
+
+def test_keys_and_measures_are_listed_if_none_is_given(cli: Callable[..., Any], folder: Path) -> None:
+    said = cli("plot", "sweep", str(folder), "--x", "h")
+    assert said.code == 2
+    assert "keys: scheme, h, seed; measures: error.max, drift.energy, swing_spacing" in said.err
+
+
+def study() -> dict[str, Any]:
+    """A study of orders whose numbers all differ."""
+    rows = []
+    for scheme, order in SCHEMES.items():
+        found = [{"h": h, "error": error_of(scheme, h, 1), "end_error": 0.5} for h in SIZES]
+        rows.append({"scheme": scheme, "declared_order": order, "points": found})
+    rows[0]["points"][0]["error"] = None
+    rows[2]["points"][0]["error"] = 2e3
+    return {"name": "mine", "top": "A top", "duration": 7.5, "schemes": rows}
+
+
+def test_orders_are_drawn_from_the_study() -> None:
+    loaded = loaded_order(study(), "source")
+    (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
+    assert (axes.get_xscale(), axes.get_yscale(), axes.get_xlabel()) == ("log", "log", "$h$")
+    assert axes.get_ylabel() == r"largest error, $0 \leq t \leq 7.5$"
+    for scheme, line in curves(axes).items():
+        known = [(h, error_of(scheme, h, 1)) for h in SIZES if h < SIZES[0] or scheme == "rk4"]
+        assert points(line) == known
+    assert {text for text in entries(axes) if ":" in text} == {"hk: 2.00", "rk4: 4.00", "bohlin-a: 1.00"}
+    crosses = [points(line) for line in axes.lines if line.get_marker() == "x"]
+    assert crosses == [[(SIZES[0], 0.025)]]
+    assert [(SIZES[0], 0.975)] in [points(line) for line in axes.lines]
+    assert "above 1000" in entries(axes)
+
+
+@pytest.mark.slow
+def test_the_figure_of_orders_is_drawn_from_the_stored_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from topcli.figures.catalogue import FIGURES
+
+    runs = []
+
+    def measured(what: object, on_progress: object) -> dict[str, Any]:
+        runs.append(what)
+        return {"schema_version": 1, **study()}
+
+    monkeypatch.setattr("topcli.studies.order.order_study", measured)
+    monkeypatch.setattr("topcli.studies.order.order_source", lambda what: "code")
+    monkeypatch.setattr("topcli.figures.make.save", lambda figure, path: path.touch())
+    results = tmp_path / "results"
+    statuses = [make_figure(FIGURES["order"], Request(results), tmp_path, ["png"]).status for _ in range(2)]
+    assert statuses == ["drawn", "up to date"]
+    assert len(runs) == 1
+    stored = json.loads((results / "order" / "order.json").read_text())
+    assert stored["schemes"] == study()["schemes"]
+    assert stored["source"] == "code"
+    monkeypatch.setattr("topcli.studies.order.order_source", lambda what: "other code")
+    assert make_figure(FIGURES["order"], Request(results), tmp_path, ["png"]).status == "drawn"
+    assert len(runs) == 2
+    make_figure(FIGURES["order"], Request(results, force=True), tmp_path, ["png"])
+    assert len(runs) == 3

@@ -1,0 +1,334 @@
+"""Tables of sweeps: their cells, how numbers are rounded, and the formats."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+import shutil
+import statistics
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sweep_rows import write_rows
+from topcli.errors import UsageError
+from topcli.studies.rows import read_rows
+from topcli.studies.table import Cell, Summary, SweepTable, summary, sweep_table
+from topcli.studies.table_text import cell_text, csv_text, latex, lines, markdown, notes, significant, title
+
+NAN = math.nan
+SCHEMES, SIZES, SEEDS = ("hk", "a_b"), (0.1, 0.01, 1e-7), (1, 2, 3, 4)
+ROWS = [(scheme, h, seed) for scheme in SCHEMES for h in SIZES for seed in SEEDS]
+
+
+def value_of(scheme: str, h: float, seed: int) -> float:
+    """A number of its own for each row."""
+    return h ** (1.5 + SCHEMES.index(scheme)) * (1.0 + 0.37 * seed**2)
+
+
+def made(folder: Path, **options: Any) -> Path:
+    values = [value_of(*row) for row in ROWS]
+    for i, value in options.pop("spoilt", {}).items():
+        values[i] = value
+    keys = {name: list(column) for name, column in zip(("scheme", "h", "seed"), zip(*ROWS, strict=True), strict=True)}
+    return write_rows(folder / "mine", keys, {"error.max": values, "seconds": [1.0 + v for v in values]}, **options)
+
+
+def table(folder: Path, aggregate: str | None = "median", where: tuple[str, ...] = (), **options: Any) -> SweepTable:
+    rows = read_rows(made(folder, **options)).where(where)
+    return sweep_table(rows, ["scheme"], "h", ["error.max"], aggregate)
+
+
+def test_each_cell_is_the_value_of_its_row(tmp_path: Path) -> None:
+    found = table(tmp_path, None, ("seed=3",))
+    assert found.columns == ("0.1", "0.01", "1e-7")
+    assert found.row_labels == (("hk",), ("a_b",))
+    shown = [[cell.summary and cell.summary.value for cell in line] for line in found.cells]
+    assert shown == [[value_of(scheme, h, 3) for h in SIZES] for scheme in SCHEMES]
+    assert not any(cell.incomplete for line in found.cells for cell in line)
+    assert found.over == ()
+
+
+def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
+    by_aggregate = {name: table(tmp_path, name) for name in ("median", "mean", "max")}
+    for i, scheme in enumerate(SCHEMES):
+        for j, h in enumerate(SIZES):
+            values = [value_of(scheme, h, seed) for seed in SEEDS]
+            median, mean, largest = (by_aggregate[name].cells[i][j].summary for name in by_aggregate)
+            assert median
+            assert mean
+            assert largest
+            quartiles = statistics.quantiles(values, n=4, method="inclusive")
+            assert (median.low, median.value, median.high) == pytest.approx(quartiles, rel=1e-14)
+            error = statistics.stdev(values) / 2.0
+            assert mean.value == pytest.approx(statistics.fmean(values), rel=1e-14)
+            assert (mean.low, mean.high) == pytest.approx((mean.value - error, mean.value + error), rel=1e-13)
+            assert largest == Summary(max(values))
+    assert by_aggregate["max"].over == ("seed",)
+
+
+def test_without_a_column_key_measures_are_the_columns(tmp_path: Path) -> None:
+    rows = read_rows(made(tmp_path)).where(["seed=2"])
+    found = sweep_table(rows, ["h", "scheme"], None, ["seconds", "error.max"], None)
+    assert found.columns == ("seconds", "error.max")
+    assert found.row_values == tuple((h, scheme) for scheme in SCHEMES for h in SIZES)
+    for (h, scheme), (seconds, error) in zip(found.row_values, found.cells, strict=True):
+        assert error.summary == Summary(value_of(scheme, h, 2))
+        assert seconds.summary == Summary(1.0 + value_of(scheme, h, 2))
+
+
+def test_several_values_in_a_cell_are_refused_by_the_keys_that_vary(tmp_path: Path) -> None:
+    rows = read_rows(made(tmp_path))
+    with pytest.raises(UsageError) as caught:
+        sweep_table(rows, ["scheme"], "h", ["error.max"], None)
+    assert caught.value.lines == (
+        "up to 4 values fall into one cell, because seed still varies",
+        "choose with --where seed=VALUE, use --rows seed, or add --aggregate median",
+    )
+    with pytest.raises(UsageError, match=r"up to 12 values fall into one cell, because h, seed still vary"):
+        sweep_table(rows, ["scheme"], None, ["error.max"], None)
+    twice = write_rows(tmp_path / "twice", {"h": [0.1, 0.1]}, {"a": [1.0, 2.0]})
+    with pytest.raises(UsageError, match="2 rows fall into one cell although no key varies"):
+        sweep_table(read_rows(twice), ["h"], None, ["a"], None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((["shceme"], "h", ["error.max"]), "--rows: unknown key 'shceme'; did you mean 'scheme'"),
+        ((["scheme"], "H", ["error.max"]), "--columns: unknown key 'H'; did you mean 'h'"),
+        ((["scheme"], "h", ["error"]), r"--value: unknown measure 'error'; did you mean 'error.max'"),
+        ((["scheme"], "h", ["error.max", "seconds"]), "one --value fills the columns; 2 are given"),
+        ((["h"], "h", ["seconds"]), "key 'h' is named twice"),
+        ((["h"], None, ["seconds", "seconds"]), "a measure is named twice"),
+    ],
+)
+def test_wrong_names_are_refused(tmp_path: Path, arguments: Any, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        sweep_table(read_rows(made(tmp_path)), *arguments, "median")
+    with pytest.raises(UsageError, match="--aggregate 'medain': unknown aggregate; did you mean 'median'"):
+        sweep_table(read_rows(made(tmp_path)), ["scheme"], "h", ["seconds"], "medain")
+
+
+def test_the_observed_order_is_an_aggregate_over_h(tmp_path: Path) -> None:
+    sizes = [0.1 * 2.0**-k for k in range(6)]
+    grid = [(scheme, seed, h) for scheme in ("hk", "rk4", "bs") for seed in (1, 2) for h in sizes]
+    errors = [(1.0 + seed) * h ** {"hk": 2, "rk4": 4, "bs": 1}[scheme] for scheme, seed, h in grid]
+    errors[-4:] = [NAN] * 4
+    keys = {name: [row[i] for row in grid] for i, name in enumerate(("scheme", "seed", "h"))}
+    rows = read_rows(write_rows(tmp_path / "x", keys, {"error": errors}))
+    found = sweep_table(rows, ["scheme"], "seed", ["error"], "order")
+    assert lines(found) == [["hk", "2.00", "2.00"], ["rk4", "4.00", "4.00"], ["bs", "1.00", "nan"]]
+    assert title(found) == "error of x: observed order over h"
+    assert found.as_dict()["table"][1]["cells"][0]["value"] == pytest.approx(4.0, abs=1e-9)
+    with pytest.raises(UsageError, match="up to 2 values fall into one cell at one h, because seed still varies"):
+        sweep_table(rows, ["scheme"], None, ["error"], "order")
+    with pytest.raises(UsageError, match="is fitted over h, which cannot tell one cell from another"):
+        sweep_table(rows, ["scheme"], "h", ["error"], "order")
+    other = read_rows(write_rows(tmp_path / "y", {"N": [1, 2]}, {"error": [1.0, 2.0]}))
+    with pytest.raises(UsageError, match="--aggregate order: h does not vary; the keys are N"):
+        sweep_table(other, ["N"], None, ["error"], "order")
+
+
+def test_failed_rows_are_marked_and_counted(tmp_path: Path) -> None:
+    outcome = ["completed"] * len(ROWS)
+    outcome[0], outcome[1] = "blew_up", "left_motion"
+    outcome[4:8] = ["no_convergence"] * 3 + ["failed"]
+    spoilt = {0: NAN, **dict.fromkeys(range(4, 8), NAN), 20: NAN}
+    found = table(tmp_path, outcome=outcome, spoilt=spoilt, current=[True] * 23 + [False])
+    (first, none, last), (_, _, other) = found.cells
+    assert (first.count, first.rows, first.outcomes) == (3, 4, {"blew_up": 1, "left_motion": 1})
+    kept = [value_of("hk", 0.1, seed) for seed in (2, 3, 4)]
+    assert first.summary
+    assert first.summary.value == statistics.median(kept)
+    assert cell_text(first, "median").endswith("*")
+    assert (none.summary, none.count, cell_text(none, "median")) == (None, 0, "no_convergence")
+    assert not last.incomplete
+    assert (other.count, other.rows, other.outcomes, other.incomplete) == (2, 3, {}, True)
+    assert notes(found) == [
+        "3 to 4 rows in each cell",
+        "* 6 of 23 values are of runs that did not complete: 1 blew_up, 1 left_motion, 3 no_convergence, 1 failed",
+        "* 6 of 23 values could not be computed (nan) and are left out",
+        "1 stored row no longer belongs to the sweep and is left out",
+    ]
+
+
+def test_a_combination_without_rows_is_a_dash(tmp_path: Path) -> None:
+    folder = write_rows(tmp_path / "gap", {"a": ["x", "y", "y"], "b": [1, 1, 2]}, {"v": [1.5, NAN, 2.5]})
+    found = sweep_table(read_rows(folder), ["a"], "b", ["v"], None)
+    assert lines(found) == [["x", "1.5", "–"], ["y", "nan", "2.5"]]
+    assert "– the sweep has no such row" in notes(found)
+    assert csv_text(found) == "a,b=1,b=2\nx,1.5,\ny,nan,2.5\n"
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (28.1724, 3, "28.2"),
+        (0.0012345, 3, "0.00123"),
+        (0.00099949, 3, "9.99e-04"),
+        (0.00099951, 3, "0.00100"),
+        (99940.0, 3, "99940"),
+        (99999.0, 3, "1.00e+05"),
+        (100001.0, 3, "1.00e+05"),
+        (-3.14159e-9, 2, "-3.1e-09"),
+        (1234.56, 5, "1234.6"),
+        (0.0, 3, "0"),
+        (math.inf, 3, "inf"),
+    ],
+)
+def test_significant_digits(value: float, digits: int, text: str) -> None:
+    assert significant(value, digits) == text
+
+
+def cell(*numbers: float) -> Cell:
+    return Cell(Summary(*numbers), 5, 5, {})
+
+
+@pytest.mark.parametrize(
+    ("mean", "error", "text"),
+    [
+        (28.172345, 0.00123, "28.1723 ± 0.0012"),
+        (28.172345, 0.0996, "28.17 ± 0.10"),
+        (1.23456e-5, 1.23e-8, "1.2346e-05 ± 1.2e-08"),
+        (-1.23456e-5, 9.96e-8, "-1.235e-05 ± 1.0e-07"),
+        (3.0e-9, 1.2e-7, "0.0e-07 ± 1.2e-07"),
+        (-3.0e-9, 1.2e-7, "0.0e-07 ± 1.2e-07"),
+        (12345.6, 230.0, "12350 ± 230"),
+        (123456.0, 230.0, "1.2346e+05 ± 2.3e+02"),
+        (0.0, 0.5, "0.00 ± 0.50"),
+        (2.0, 0.0, "2 ± 0"),
+    ],
+)
+def test_a_mean_is_rounded_to_its_error(mean: float, error: float, text: str) -> None:
+    assert cell_text(cell(mean, mean - error, mean + error), "mean") == text
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"),
+    [
+        ((28.172345, 28.1711, 28.1741), "28.1723 [28.1711, 28.1741]"),
+        ((1.5e-6, 1.0e-8, 2.0e-3), "1.5e-06 [1.0e-08, 0.0020]"),
+        ((5.0, 5.0, 5.0), "5 [5, 5]"),
+        ((2.0e-5,), "2.00e-05"),
+    ],
+)
+def test_a_median_is_rounded_to_its_quartiles(numbers: tuple[float, ...], text: str) -> None:
+    assert cell_text(cell(*numbers), "median") == text
+
+
+def test_a_mean_without_an_error_has_none() -> None:
+    assert summary(np.array([2.5]), "mean") == Summary(2.5)
+    assert summary(np.array([2.5, math.inf]), "mean") == Summary(math.inf)
+    assert cell_text(cell(2.5), "mean") == "2.5"
+
+
+def test_csv_has_every_digit(tmp_path: Path) -> None:
+    outcome = ["completed"] * len(ROWS)
+    outcome[0], outcome[3] = "blew_up", "blew_up"
+    found = table(tmp_path, outcome=outcome, spoilt={0: NAN})
+    header, *rows = csv.reader(io.StringIO(csv_text(found)))
+    kinds = ("", ":low", ":high", ":count", ":rows", ":outcomes")
+    assert header == ["scheme", *(f"h={h!r}{kind}" for h in SIZES for kind in kinds)]
+    for scheme, row in zip(SCHEMES, rows, strict=True):
+        assert row[0] == scheme
+        for j, h in enumerate(SIZES):
+            spoilt = (scheme, h) == ("hk", 0.1)
+            values = [value_of(scheme, h, seed) for seed in SEEDS[spoilt:]]
+            low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
+            value, *spread, count, total, outcomes = row[1 + 6 * j : 7 + 6 * j]
+            assert [float(value), *map(float, spread)] == pytest.approx([middle, low, high], rel=1e-14)
+            assert (int(count), int(total)) == (4 - spoilt, 4)
+            assert outcomes == ("2 blew_up" if spoilt else "")
+    single = csv_text(table(tmp_path, None, ("seed=1",)))
+    for line in single.splitlines()[1:]:
+        scheme, *values = line.split(",")
+        assert [float(one) for one in values] == [value_of(scheme, h, 1) for h in SIZES]
+
+
+def test_markdown_states_what_it_shows(tmp_path: Path) -> None:
+    text = markdown(table(tmp_path, spoilt={0: NAN}, where=("scheme=hk",))).splitlines()
+    assert text[0] == "error.max of mine: median [quartiles] over seed, scheme = hk:"
+    assert text[2] == "| scheme | h = 0.1 | h = 0.01 | h = 1e-7 |"
+    assert text[3] == "| --- | --- | --- | --- |"
+    assert text[4].startswith("| hk | 0.1")
+    assert text[4].split(" | ")[1].endswith(r"]\*")
+    assert text[-1].startswith(r"\* 1 of 12 values could not be computed")
+
+
+NASTY = {"scheme": ["a_b", "x&y%", "{~^\\}", "#$<|>"], "h": [0.1, 1e-7, 0.1, 0.1]}
+NASTY_VALUES = {"seconds": [1.0, 2e-8, NAN, -4e20], "err.max_x": [math.inf, 1.0, 2.0, 3.0]}
+NASTY_OUTCOMES = ["completed", "blew_up", "no_convergence", "completed"]
+
+
+def documents(folder: Path) -> list[str]:
+    """LaTeX of tables of every kind, with special characters in names."""
+    nasty = read_rows(write_rows(folder / "na_sty", NASTY, NASTY_VALUES, outcome=NASTY_OUTCOMES))
+    return [
+        latex(sweep_table(nasty, ["scheme"], "h", ["seconds"], None)),
+        latex(sweep_table(nasty, ["scheme", "h"], None, ["seconds", "err.max_x"], None)),
+        *(latex(table(folder, aggregate, spoilt={3: NAN})) for aggregate in ("median", "mean", "max")),
+    ]
+
+
+def test_latex_has_equal_rows_and_no_bare_specials(tmp_path: Path) -> None:
+    for text in documents(tmp_path):
+        comment, *body = text.splitlines()
+        assert comment == r"% needs \usepackage{booktabs}"
+        inside = "\n".join(body)
+        plain = re.sub(r"\\[&%$#_{}]", "", inside)
+        assert plain.count("{") == plain.count("}")
+        assert "%" not in plain
+        assert "#" not in plain
+        outside = re.sub(r"\$[^$]*\$", "", plain)
+        assert "$" not in outside
+        assert not set("_^~<>|") & set(outside)
+        assert not re.search(r"\}\^", plain.replace("{}^", ""))  # a second superscript of one base
+        (columns,) = re.findall(r"\\begin\{tabular\}\{([lr]+)\}", inside)
+        middle = plain.partition(r"\midrule")[2].partition(r"\bottomrule")[0].strip().splitlines()
+        assert all(line.count("&") == len(columns) - 1 and line.endswith(r"\\") for line in middle)
+        assert [inside.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
+
+
+def test_latex_states_units_notes_and_numbers(tmp_path: Path) -> None:
+    by_h, by_measure, median, mean, _ = documents(tmp_path)
+    assert r"\multicolumn{2}{c}{h}" in by_h
+    assert r"\cmidrule(lr){2-3}" in by_h
+    assert r"scheme & $0.1$ & $1 \times 10^{-7}$ \\" in by_h
+    assert r"\texttt{seconds} is in s." in by_h
+    assert r"\texttt{seconds} is in s; all other quantities are dimensionless." in by_measure
+    assert r"x\&y\% & $1 \times 10^{-7}$ & $2.00 \times 10^{-8}{}^{*}$ & $1{}^{*}$ \\" in by_measure
+    assert (
+        r"\{\textasciitilde{}\textasciicircum{}\textbackslash{}\} & $0.1$ & no\_convergence & $2{}^{*}$ \\"
+        in by_measure
+    )
+    assert r"\#\$\textless{}\textbar{}\textgreater{} & $0.1$ & $-4.00 \times 10^{20}$ & $3$ \\" in by_measure
+    assert r"$\infty$" in by_measure
+    assert r"of na\_sty" in by_measure
+    assert "All quantities are dimensionless." in median
+    assert "* 1 of 24 values could not be computed (nan) and is left out." in median
+    assert re.search(r"hk & \$0\.\d+\\;\[0\.\d+,\\, 0\.\d+\]\{\}\^\{\*\}\$ &", median)
+    assert re.search(r"& \$[\d.]+ \\times 10\^\{-\d+\} \\pm [\d.]+ \\times 10\^\{-\d+\}\$", mean)
+    assert r"median [quartiles] over seed" in median
+    assert r"mean $\pm$ standard error over seed" in mean
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
+def test_latex_compiles(tmp_path: Path) -> None:
+    text = "\n".join(documents(tmp_path))
+    document = rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}{text}\end{{document}}"
+    (tmp_path / "a.tex").write_text(document, encoding="utf-8")
+    command = ["pdflatex", "-draftmode", "-halt-on-error", "-interaction=nonstopmode", "a.tex"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+
+
+def test_titles_name_measure_aggregate_and_conditions(tmp_path: Path) -> None:
+    assert title(table(tmp_path, None, ("seed=3",))) == "error.max of mine, seed = 3"
+    assert title(table(tmp_path, "max")) == "error.max of mine: max over seed"
