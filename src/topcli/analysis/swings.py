@@ -6,7 +6,6 @@ import numpy as np
 
 from topcli.contracts import Array
 
-
 QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1], [2, -16, 0, 16, -2]]) / 24.0
 """Coefficients of x⁴, x³, x², x of the quartic through five points at x = -2, ..., 2."""
 
