@@ -176,14 +176,17 @@ def test_errors_of_a_top_without_a_closed_form() -> None:
     experiment = experiment_from({**data, "scheme": "rk4", "h": 0.1, "N": 200})
     run = topcli.simulate(experiment.resolved())
     turned = (0.3 + 0.4j) * np.exp(-0.75j * run.t)
-    omega = np.stack([turned.real, turned.imag, np.full_like(run.t, 1.5)], axis=1)
-    momentum = np.array([2.0, 2.0, 1.0]) * np.array([0.3, 0.4, 1.5])
-    least = np.linalg.norm(run.states[:, :3] - omega, axis=1).max()  # gamma only adds to it
-    found = one(experiment, "error.max")
-    assert found >= least > 1e-7
-    # gamma keeps its angle with the fixed direction of the momentum, so its error is of the same order
-    assert found < 20.0 * least
-    assert float(run.states[0, 3:] @ momentum) == 1.5
+    # in a frame that turns with it, gamma turns about omega(0) - 0.75 e3 (Rodrigues' formula)
+    axis = np.array([0.3, 0.4, 0.75])
+    angle = -np.linalg.norm(axis) * run.t[:, None]
+    axis /= np.linalg.norm(axis)
+    start = np.array([0.0, 0.0, 1.0])
+    frame = start * np.cos(angle) + np.cross(axis, start) * np.sin(angle) + axis * axis[2] * (1.0 - np.cos(angle))
+    gamma = (frame[:, 0] + 1j * frame[:, 1]) * np.exp(-0.75j * run.t)
+    exact = np.stack([turned.real, turned.imag, np.full_like(run.t, 1.5), gamma.real, gamma.imag, frame[:, 2]], axis=1)
+    error = np.linalg.norm(run.states - exact, axis=1)
+    assert one(experiment, "error.max") == pytest.approx(error.max(), rel=1e-9)
+    assert error.max() > 1e-5
 
 
 def explicit_midpoint(y: Array, h: float) -> Array:
@@ -199,7 +202,7 @@ def test_the_reversal_is_the_defect_of_a_step_and_its_reverse() -> None:
     probes = run.states[:: (N + 1) // 16][:16]
     expected = max(np.abs(explicit_midpoint(explicit_midpoint(y, h), -h) - y).max() for y in probes)
     assert one(symmetric("rk2", h, N), "reversal") == pytest.approx(expected, rel=1e-9)
-    assert expected > 1e-4
+    assert expected > 1e-5
     assert one(symmetric("hk", h, N), "reversal") < 1e-15
     assert one(symmetric("rk2", -h, N), "reversal") == pytest.approx(expected, rel=0.1)
 
@@ -243,7 +246,7 @@ def test_failed_runs_have_no_numbers_and_disturb_no_others(together: int) -> Non
 
 def test_a_run_that_left_its_energy_surface_keeps_its_numbers() -> None:
     """It took all its steps: the error is that of a whole run, and the outcome says what it is worth."""
-    experiment = symmetric("rk2", 0.9, 40)
+    experiment = symmetric("rk2", 2.9, 40)
     states = np.array([(3.0, 4.0, 1.5)])
     measures = resolve_measures(["error.end", "deviation.m_omega", "swings"], experiment.top, experiment.scheme)
     batch = BatchRun(experiment, measures, threads=1).finished(states)
