@@ -12,7 +12,7 @@ import pytest
 import topcli
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array
+from topcli.contracts import Array, Outcome
 from topcli.engine.endings import Endings
 from topcli.engine.tile import Piece
 from topcli.studies.measures import BatchRun, evaluate, resolve_measures
@@ -99,15 +99,9 @@ def recorded(
             recorder.add(Piece(0, n, states[:, rows], np.full(count, len(rows))))
     endings = Endings(count, experiment.h, ())
     for i in range(count):
-        endings.put(i, topcli_completed(), experiment.N, [])
+        endings.put(i, Outcome.COMPLETED, experiment.N, [])
     batch = recorder.finish(endings, states[:, -1], np.zeros(count), lambda states, h: states)
     return evaluate(measures, batch)
-
-
-def topcli_completed() -> Any:
-    from topcli.contracts import Outcome
-
-    return Outcome.COMPLETED
 
 
 SLOPE = 3e-4
@@ -196,6 +190,7 @@ def explicit_midpoint(y: Array, h: float) -> Array:
     return y + h * field(y + 0.5 * h * field(y))
 
 
+@pytest.mark.slow
 def test_the_reversal_is_the_defect_of_a_step_and_its_reverse() -> None:
     h, N = 0.2, 320
     run = topcli.simulate(symmetric("rk2", h, N).resolved())
