@@ -31,23 +31,26 @@ from topcli.config.sweep import MISSING, Assignment, Sweep
 from topcli.config.sweep_draws import Drawer, read_drawer
 from topcli.contracts import Scheme, Top
 from topcli.errors import shortened
+from topcli.tops import TOPS
 
 KEPT = 1 << 14
 """Validated sections of one kind that are kept; beyond it, the cache starts again."""
-MAX_NUMBERS = 10**8
-"""Largest count of recorded numbers of a row, 0.8 GB."""
+MAX_RECORDED = 10**8
+"""Largest count of recorded states of a row."""
 Part = TypeVar("Part")
 
 
 class Row(NamedTuple):
     """What a row computes, as plain data that can be sent to another process.
 
-    ``top`` and ``scheme`` are canonical JSON of the resolved sections, ``initial`` is the state in the order of the
-    top's components; ``digest`` identifies all of it. ``keys`` are the values of the varied keys, for the results.
+    ``top`` and ``scheme`` are canonical JSON of the resolved sections, ``form`` is the form of the top, and ``initial``
+    the state in the order of its components; ``digest`` identifies all of it. ``keys`` are the values of the varied
+    keys, for the results.
     """
 
     number: int
     digest: str
+    form: str
     top: str
     scheme: str
     initial: tuple[float, ...]
@@ -63,14 +66,11 @@ class Row(NamedTuple):
 
     def config(self, name: str) -> dict[str, Any]:
         """Return the row as a complete config."""
-        from topcli.tops import top_class
-
-        top = json.loads(self.top)
-        cls = top_class(top["kind"], top.pop("vectors"))
+        vectors = TOPS[self.form].vectors
         return {
             "name": name,
-            "top": top,
-            "initial": {key: list(self.initial[start:stop]) for key, (start, stop) in cls.vectors.items()},
+            "top": json.loads(self.top),
+            "initial": {key: list(self.initial[start:stop]) for key, (start, stop) in vectors.items()},
             "scheme": json.loads(self.scheme),
             "h": self.h,
             "N": self.N,
@@ -171,8 +171,10 @@ class RowReader:
         if scheme is None or steps is None:
             return None
         h, N, every = steps
-        if (N // every + 1) * len(top.cls.components) > MAX_NUMBERS:
-            problems.add(("output", "every"), f"records {N // every + 1} states of a row; record fewer")
+        if N // every + 1 > MAX_RECORDED:
+            problems.add(
+                ("output", "every"), f"records {N // every + 1} states of a row (at most {MAX_RECORDED}); record fewer"
+            )
             return None
         drawn = self.sweep.document.data.get("random")
         if drawn is None:
@@ -188,7 +190,7 @@ class RowReader:
             f'{{"N":{N},"every":{every},"h":{h!r},"initial":{state.text},"scheme":{scheme.text},"top":{top.text}}}'
         )
         digest = hashlib.sha256(text.encode()).hexdigest()
-        row = Row(number, digest, top.text, scheme.text, state.state, h, N, every, ())
+        row = Row(number, digest, top.cls.form, top.text, scheme.text, state.state, h, N, every, ())
         return row._replace(keys=tuple([label(values, row, top, scheme) for label in self._label_of]))
 
     def _part(self, section: str, values: Assignment, given: Any, read: Callable[[], Part | None]) -> Part | None:
@@ -439,8 +441,8 @@ def _component(name: str, row: Row, cls: type[Top], given: Any) -> Any:
 
 
 def _top_text(cls: type[Top], top: Top) -> str:
-    """Canonical JSON of a top; its vectors tell forms of the same kind apart."""
-    return canonical({"kind": cls.kind, "vectors": list(cls.vectors), **top.model_dump(mode="json")})
+    """Canonical JSON of a top; forms of one kind differ in the vectors of the initial state."""
+    return canonical({"kind": cls.kind, **top.model_dump(mode="json")})
 
 
 def _state_text(cls: type[Top], state: tuple[float, ...]) -> str:
