@@ -103,15 +103,27 @@ class Trend:
     model: str
 
 
-def trend(t: Array, values: Array) -> Trend | None:
-    """Hann-weighted line through ``values`` (m,) at evenly spaced ``t`` (m,); None for fewer than 8 points."""
+def hann_line(t: Array) -> tuple[Array, Array] | None:
+    """Hann weights of points at evenly spaced ``t`` (m,), and the influence of each on the slope of the fitted line.
+
+    None for fewer than 8 points.
+    """
     m = len(t)
     if m < 8 or t[-1] == t[0]:
         return None
     weight = np.sin(np.pi * (np.arange(m) + 0.5) / m) ** 2
     weight /= weight.sum()
     s = t - weight @ t
-    influence = weight * s / (weight @ s**2)
+    return weight, weight * s / (weight @ s**2)
+
+
+def trend(t: Array, values: Array) -> Trend | None:
+    """Hann-weighted line through ``values`` (m,) at evenly spaced ``t`` (m,); None for fewer than 8 points."""
+    line = hann_line(t)
+    if line is None:
+        return None
+    m, (weight, influence) = len(t), line
+    s = t - weight @ t
     slope = float(influence @ values)
     residual = values - (weight @ values) - slope * s
     scatter = math.sqrt(float(weight @ residual**2))

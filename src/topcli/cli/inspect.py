@@ -22,7 +22,7 @@ from topcli.cli.talk import emit, emit_text, print_document, print_json, print_t
 from topcli.errors import shortened
 
 list_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, scenes, cases, figures or runs."
+    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, scenes, cases, figures, measures or runs."
 )
 
 OnlyTop = Annotated[
@@ -178,6 +178,34 @@ def list_cases(top: OnlyTop = None, as_json: Json = False) -> None:
         if wanted is None or case.form in wanted
     ]
     _print_list("cases", items, ["name", "top", "question"], as_json, f"no hard cases for {top}")
+
+
+@list_app.command(cls=Command, name="measures")
+def list_measures(top: OnlyTop = None, as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
+    """List the measures of topcli sweep.
+
+    With --top, families such as drift.NAME are listed measure by measure.
+    """
+    from topcli.schemes.registry import plugin_failures
+    from topcli.studies.measures import all_measures, measures_of_form
+    from topcli.tops import forms
+
+    load_scheme_files(scheme_files)
+    found = all_measures() if top is None else measures_of_form(forms(top)[0].form)
+    items: list[dict[str, Any]] = [
+        {
+            "name": one.name,
+            "unit": one.unit,
+            "summary": one.summary,
+            "of_failed": one.of_failed,
+            "reproducible": one.reproducible,
+            "origin": one.origin,
+        }
+        for one in found
+    ]
+    for failure in plugin_failures():
+        say(f"plugin {failure.name} failed: {failure.reason}")
+    _print_list("measures", items, ["name", "unit", "summary", "origin"], as_json)
 
 
 @list_app.command(cls=Command, name="figures")

@@ -73,7 +73,8 @@ class EnsembleRun(Generic[Made]):
 
     ``begin(y0)`` replaces the trajectories and keeps the code and buffers, so that a large ensemble runs block by
     block. ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with ``wide`` it may
-    hold those of several, if they are few.
+    hold those of several, if they are few. Without ``side_by_side`` every trajectory runs in the time loop of single
+    runs.
 
     ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads. Iteration yields (its
     result, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a trajectory
@@ -98,6 +99,7 @@ class EnsembleRun(Generic[Made]):
         threads: int | None = None,
         tile: int | None = None,
         wide: bool = False,
+        side_by_side: bool = True,
     ) -> None:
         self.top, self.method, self.h, self.N, self.every = top, method, float(h), N, every
         self.made, self.stop, self.wide = made, stop, wide
@@ -111,7 +113,7 @@ class EnsembleRun(Generic[Made]):
         self._buffer = RowBuffer()
         self.lanes: Native | None = None
         self.params = self.p
-        if isinstance(method, Stepper) and not method.plain:
+        if side_by_side and isinstance(method, Stepper) and not method.plain:
             try:
                 self.lanes = native(plain_lanes(method, d, len(self.p), self.tile), SIGNATURE)
             except CompileError as error:
