@@ -111,12 +111,18 @@ class _StatePart:
     text: str
 
 
-class RowReader:
-    """Reader of the rows of a sweep, with the validated sections in its caches."""
+_NO_STATE = _StatePart((), "")
 
-    def __init__(self, sweep: Sweep) -> None:
+
+class RowReader:
+    """Reader of the rows of a sweep, with the validated sections in its caches.
+
+    With ``labels_only`` the numbers and ``keys`` of the rows are right, and what else costs time is left empty.
+    """
+
+    def __init__(self, sweep: Sweep, labels_only: bool = False) -> None:
         self.sweep = sweep
-        self.problems: list[str] = []
+        self._whole = not labels_only or any(key.startswith(("initial.", "top.")) for key in sweep.keys)
         self._sections: dict[str, list[tuple[int, tuple[str, ...]]]] = {"top": [], "scheme": [], "initial": []}
         self._at = {key: index for index, key in enumerate(sweep.keys)}
         for index, key in enumerate(sweep.keys):
@@ -177,7 +183,9 @@ class RowReader:
             )
             return None
         drawn = self.sweep.document.data.get("random")
-        if drawn is None:
+        if not self._whole:
+            state = _NO_STATE
+        elif drawn is None:
             state = self._part("initial", values, top.cls, lambda: self._state(values, top, problems))
         else:
             made = self._drawn(values, top, problems)
@@ -189,7 +197,7 @@ class RowReader:
         text = (
             f'{{"N":{N},"every":{every},"h":{h!r},"initial":{state.text},"scheme":{scheme.text},"top":{top.text}}}'
         )
-        digest = hashlib.sha256(text.encode()).hexdigest()
+        digest = hashlib.sha256(text.encode()).hexdigest() if self._whole else ""
         row = Row(number, digest, top.cls.form, top.text, scheme.text, state.state, h, N, every, ())
         return row._replace(keys=tuple([label(values, row, top, scheme) for label in self._label_of]))
 

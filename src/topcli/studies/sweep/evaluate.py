@@ -31,8 +31,8 @@ from topcli.tops import TOPS
 
 FAILED = "failed"
 """Outcome of a row that an error ended before it became a run."""
-LANE_STEPS = 1 << 17
-"""Steps of rows that differ only in the initial state, all together, from which on it pays to step them side by side,
+LANE_STEPS, LANE_ROWS = 1 << 17, 32
+"""Steps, all together, or rows that differ only in the initial state, from which on it pays to step them side by side,
 which needs another piece of machine code."""
 KEPT_RUNS = 16
 """Runs ready to start that a thread keeps for later batches."""
@@ -184,7 +184,7 @@ class _Group:
 
     def run(self, rows: list[tuple[int, tuple[float, ...]]]) -> None:
         """Run the rows in pieces that fit into memory, and store their results."""
-        together = len(rows) * self.shared.N >= LANE_STEPS
+        together = len(rows) >= LANE_ROWS or len(rows) * self.shared.N >= LANE_STEPS
         try:
             ready = _kept.ready(self.shared, self.measures, len(rows) if together else 1)
         except Exception as error:

@@ -69,7 +69,7 @@ def _current(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
     """Yield the finished rows of the plan, in its order."""
     numbers: list[int] = []
     keys: list[tuple[Any, ...]] = []
-    for row in RowReader(plan.survey.sweep).rows():
+    for row in RowReader(plan.survey.sweep, labels_only=True).rows():
         if plan.status[row.number] in (DONE, REPEATED):
             numbers.append(row.number)
             keys.append(row.keys)
