@@ -55,7 +55,8 @@ class BlockSums:
         if line is not None:
             means = self._sums[:, :, filled] / counts[filled]
             for i, of_one in enumerate(means):
-                found[i] = [line[1] @ values for values in of_one]  # one by one: a larger product may round differently
+                # one by one and contiguous: other layouts are added in another order
+                found[i] = [line[1] @ np.ascontiguousarray(values) for values in of_one]
         return found
 
 

@@ -93,9 +93,7 @@ def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> N
     plan, changed = planned(sweep, out, options)
     data = _plan_data(sweep, plan, changed)
     limit = LISTED_ROWS if as_json else SHOWN_ROWS
-    rows = [
-        (row, REASONS[reason]) for (row, reason), _ in zip(rows_to_run(plan), range(limit), strict=False)
-    ]
+    rows = [(row, REASONS[reason]) for (row, reason), _ in zip(rows_to_run(plan), range(limit), strict=False)]
     if as_json:
         listed = [
             {"row": row.number, "reason": reason, "keys": dict(zip(sweep.keys, row.keys, strict=True))}
@@ -135,7 +133,9 @@ def _report(sweep: Sweep, result: SweepResult) -> None:
     total = result.plan.survey.count
     state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
     failed = f"; {result.failed} failed" if result.failed else ""
-    say(f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {result.folder / 'rows.parquet'} ({state})")
+    say(
+        f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {result.folder / 'rows.parquet'} ({state})"
+    )
     if result.plan.left:
         say(f"{sweep.name}: {result.plan.left} earlier rows no longer belong to the sweep; they are not current")
     rows = [[outcome, str(count)] for outcome, count in sorted(result.outcomes.items())]

@@ -214,7 +214,9 @@ class ProgressDisplay:
         elif now - self._reported > min(max(15.0, 0.2 * (now - self._began)), 600.0):
             self._reported = now
             pace = self._pace.text(now, done, total)
-            say(f"{label}: {_percent(done, total)}, {done} of {total} {self._unit}{', ' * bool(pace)}{pace}{self._note}")
+            say(
+                f"{label}: {_percent(done, total)}, {done} of {total} {self._unit}{', ' * bool(pace)}{pace}{self._note}"
+            )
 
     def _show_bar(self, label: str, now: float, done: int, total: int) -> None:
         if self._bar is None:

@@ -22,7 +22,7 @@ from topcli.config.problems import Problems, unknown_key
 from topcli.config.sweep_keys import known_keys, unknown_axis
 from topcli.config.sweep_values import MAX_ROWS, is_range, read_values
 from topcli.config.yaml_text import to_yaml
-from topcli.errors import quoted
+from topcli.errors import UnknownNameError, quoted
 
 SECTIONS = ("name", "base", "grid", "zip", "include", "exclude", "random", "measure", "store")
 BASE = ("top", "initial", "scheme", "h", "N", "T", "output")
@@ -154,7 +154,12 @@ def _expand_base(document: Document, folder: Path) -> None:
     source = document.data.get("base")
     if not isinstance(source, str):
         return
-    path = find_config(source)
+    try:
+        path = find_config(source)
+    except UnknownNameError as error:
+        raise UnknownNameError(
+            ": ".join(part for part in (document.place(("base",)), "base", str(error)) if part)
+        ) from None
     if not path.is_absolute():
         path = folder / path
     inner = read_document(path)
@@ -270,7 +275,9 @@ def _check_exclusions(exclude: Iterable[Mapping[str, Any]], reader: _AxisReader,
             values = reader.seen.get(key)
             if values is None:
                 varied = ", ".join(reader.seen) or "none"
-                problems.add(("exclude", index, key), f"is not varied by grid or zip, so nothing is excluded; varied: {varied}")
+                problems.add(
+                    ("exclude", index, key), f"is not varied by grid or zip, so nothing is excluded; varied: {varied}"
+                )
             elif value not in values:
                 shown = ", ".join(map(repr, list(values)[:5])) + (", ..." if len(values) > 5 else "")
                 problems.add(("exclude", index, key), f"no row has the value {value!r}; values: {shown}")
@@ -307,7 +314,7 @@ class _AxisReader:
         if key in self.seen:
             self.problems.add(path, "is varied twice; keep one of them")
             return None
-        found = read_values(raw, key, path, self.problems)
+        found = read_values(raw, key, path, self.problems, unique=path[0] == "grid")
         if found is None:
             return None
         values, log = found

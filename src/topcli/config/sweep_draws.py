@@ -41,9 +41,7 @@ class Drawer:
             for one in self.spreads
         }
 
-    def state(
-        self, top: Top, centre: Sequence[float], seed: int, sample: int, source: str
-    ) -> tuple[float, ...] | None:
+    def state(self, top: Top, centre: Sequence[float], seed: int, sample: int, source: str) -> tuple[float, ...] | None:
         """Initial state of a row that is described by ``source``; None if no state has the wanted energy."""
         found = first_drawn(top, np.array(centre), self.draws, row_seed(seed, sample, source))
         return None if found is None else tuple(found.tolist())

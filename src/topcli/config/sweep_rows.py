@@ -194,9 +194,7 @@ class RowReader:
             top, state = made
         if state is None:
             return None
-        text = (
-            f'{{"N":{N},"every":{every},"h":{h!r},"initial":{state.text},"scheme":{scheme.text},"top":{top.text}}}'
-        )
+        text = f'{{"N":{N},"every":{every},"h":{h!r},"initial":{state.text},"scheme":{scheme.text},"top":{top.text}}}'
         digest = hashlib.sha256(text.encode()).hexdigest() if self._whole else ""
         row = Row(number, digest, top.cls.form, top.text, scheme.text, state.state, h, N, every, ())
         return row._replace(keys=tuple([label(values, row, top, scheme) for label in self._label_of]))

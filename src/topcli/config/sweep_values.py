@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
 from topcli.config.document import KeyPath, describe
 from topcli.config.models import as_integer
 from topcli.config.problems import Problems, validate
+from topcli.tops import TOPS
 
 MAX_ROWS = 10**7
 INTEGER_KEYS = ("N", "output.every", "sample", "seed")
@@ -65,7 +66,9 @@ def bounds_fault(first: float, last: float, log: bool) -> str:
     return ""
 
 
-def read_values(raw: object, key: str, path: KeyPath, problems: Problems) -> tuple[Sequence[Any], bool] | None:
+def read_values(
+    raw: object, key: str, path: KeyPath, problems: Problems, unique: bool = True
+) -> tuple[Sequence[Any], bool] | None:
     """Return the values of a ``key`` and True for a logarithmic range; None if they are wrong."""
     if is_range(raw):
         assert isinstance(raw, dict)
@@ -77,13 +80,17 @@ def read_values(raw: object, key: str, path: KeyPath, problems: Problems) -> tup
     if not raw:
         problems.add(path, f"has no values, so the sweep would have no rows; for example {example}")
         return None
-    seen: list[str] = []
-    for value in raw:
+    vectors = {name for cls in TOPS.values() for name in cls.vectors}
+    if key.removeprefix("initial.") in vectors and not any(isinstance(value, list) for value in raw):
+        problems.add(path, f"must be a list of vectors, each a list of numbers; for a single one write [{raw}]")
+        return None
+    seen: set[str] = set()
+    for value in raw if unique else ():
         text = repr(value)
         if text in seen:
             problems.add(path, f"holds {describe(value) if not isinstance(value, list) else text} twice")
             return None
-        seen.append(text)
+        seen.add(text)
     return raw, False
 
 

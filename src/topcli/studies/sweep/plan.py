@@ -171,7 +171,9 @@ def plan_sweep(surveyed: Survey, index: Index, retry_failed: bool = False) -> Pl
     measured = np.array([set(surveyed.sweep.measures) <= names for names in index.measured], dtype=bool)
     enough = measured[index.measures[entry]] if len(measured) else np.zeros(len(entry), dtype=bool)
     completed = index.completed[entry]
-    status[there] = np.where(~same, CODE, np.where(~enough, MEASURE, np.where(completed | (not retry_failed), DONE, RETRY)))
+    status[there] = np.where(
+        ~same, CODE, np.where(~enough, MEASURE, np.where(completed | (not retry_failed), DONE, RETRY))
+    )
     failed = int((~completed & (status[there] == DONE)).sum())
     order = np.argsort(surveyed.digests, kind="stable")
     ordered = surveyed.digests[order]

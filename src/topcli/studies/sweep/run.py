@@ -8,6 +8,7 @@ table of finished rows), ``manifest.json`` (written last) and, with ``store: ser
 from __future__ import annotations
 
 import itertools
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -22,7 +23,7 @@ from topcli.contracts import Outcome
 from topcli.engine.ensemble import default_threads
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.manifest import MANIFEST
-from topcli.store.parts import lock_folder, owner
+from topcli.store.parts import LOCK, lock_folder, owner
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import io_failure, require_real, require_writable, write_whole
 from topcli.studies.sweep.batches import batches
@@ -39,6 +40,9 @@ IN_FLIGHT = 2
 """Batches in flight for each worker."""
 TABLE_SECONDS = 60.0
 """Shortest time between two tables written during a sweep."""
+
+_TEMPORARY = re.compile(r"\.(sweep|rows|manifest)\.\d+\.(yaml|parquet|json)")
+"""Names of files that are being written."""
 
 Evaluate = Callable[[Sequence[Row]], Results]
 Backend = Callable[[Iterable[list[Row]], Evaluate, Callable[[], bool]], Iterator[tuple[list[Row], Results]]]
@@ -105,13 +109,25 @@ def require_sweep_folder(folder: Path) -> None:
     """Raise UsageError if ``folder`` holds anything but a sweep."""
     try:
         require_real(folder)
-        if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not is_sweep(folder))):
+        if folder.exists() and not (folder.is_dir() and (is_sweep(folder) or not _others(folder))):
             raise UsageError(
                 f"{folder}: exists and is not a sweep; nothing was written",
                 "move it away, or choose another folder with --out, or another name with --set name=...",
             )
     except OSError as error:
         raise UsageError(f"{folder}: {(error.strerror or str(error)).lower()}; choose another with --out") from None
+
+
+def _others(folder: Path) -> list[Path]:
+    """Paths in ``folder`` that no sweep that was killed at its start can have left."""
+    return [path for path in folder.iterdir() if path.name != LOCK and not _TEMPORARY.fullmatch(path.name)]
+
+
+def _remove_temporary(folder: Path) -> None:
+    """Remove what a killed process has left half-written."""
+    for path in folder.iterdir():
+        if _TEMPORARY.fullmatch(path.name):
+            path.unlink(missing_ok=True)
 
 
 def is_sweep(folder: Path) -> bool:
@@ -207,6 +223,7 @@ def run_sweep(
             )
         stack.callback(lock.release)
         commit = stack.enter_context(Commit())
+        _remove_temporary(folder)
         journal = stack.enter_context(Journal(folder, write=True))
         if journal.damaged:
             watcher.message(f"warning: {journal.path}: {journal.damaged} damaged lines; their rows run again")
@@ -330,5 +347,3 @@ def find_row(folder: Path, number: int) -> tuple[Sweep, Row]:
         count = sum(1 for _ in sweep.assignments())
         raise UsageError(f"{folder}: has no row {number}; its rows are 0 to {count - 1}")
     return sweep, row
-
-
