@@ -6,6 +6,7 @@ import copy
 import hashlib
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +155,7 @@ def test_ranges_have_both_ends_and_even_spacing() -> None:
     assert linear == [0.1, 0.2, 0.3, 0.4]
     log = [row.h for row in rows(grid={"h": {"from": 1e-4, "to": 1e-1, "count": 7, "spacing": "log"}})]
     assert log[::2] == [1e-4, 1e-3, 1e-2, 1e-1]
-    assert all(math.isclose(b / a, 10.0**0.5, rel_tol=1e-13) for a, b in zip(log, log[1:], strict=False))
+    assert all(math.isclose(b / a, 10.0**0.5, rel_tol=1e-13) for a, b in pairwise(log))
     whole = [row.N for row in rows(grid={"N": {"from": 10, "to": 1000, "count": 5, "spacing": "log"}})]
     assert whole == [10, 32, 100, 316, 1000]
 

@@ -200,6 +200,7 @@ def test_a_row_that_cannot_become_a_run_is_failed(tmp_path: Path, monkeypatch: p
     ]
 
 
+@pytest.mark.slow
 def test_a_row_beyond_its_time_limit_is_stopped(tmp_path: Path) -> None:
     data = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9]}}
     began = time.perf_counter()
@@ -253,6 +254,7 @@ def test_a_row_has_the_bits_of_a_run_by_itself(tmp_path: Path) -> None:
         assert row["deviation.energy"] == deviation(row, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_row_does_not_depend_on_the_rest_of_the_sweep(tmp_path: Path) -> None:
     sweep(tmp_path / "all", MANY, threads=2)
     rows = table(tmp_path / "all")
@@ -274,6 +276,7 @@ def test_a_row_does_not_depend_on_the_rest_of_the_sweep(tmp_path: Path) -> None:
     assert repr(alone) == repr(wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 10**9])
 def test_lanes_do_not_change_a_bit(lanes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = list(RowReader(sweep_from(MANY)).rows())
@@ -336,6 +339,7 @@ def test_the_later_of_two_entries_of_a_row_counts(tmp_path: Path) -> None:
         assert journal.block(0).outcome == ["blew_up"]
 
 
+@pytest.mark.slow
 def test_a_second_sweep_in_the_folder_is_refused_while_the_first_lives(tmp_path: Path) -> None:
     data = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9]}}
     pid = fork(lambda: sweep(tmp_path, data).failed)
@@ -378,6 +382,7 @@ def test_very_many_rows_need_a_confirmation(tmp_path: Path) -> None:
     assert not (tmp_path / "study").exists()
 
 
+@pytest.mark.slow
 def test_series_are_stored_where_asked_for(tmp_path: Path) -> None:
     sweep(tmp_path, {**DATA, "store": "series"})
     rows = table(tmp_path)

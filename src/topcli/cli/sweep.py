@@ -133,9 +133,8 @@ def _report(sweep: Sweep, result: SweepResult) -> None:
     total = result.plan.survey.count
     state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
     failed = f"; {result.failed} failed" if result.failed else ""
-    say(
-        f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {result.folder / 'rows.parquet'} ({state})"
-    )
+    place = result.folder / "rows.parquet"
+    say(f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {place} ({state})")
     if result.plan.left:
         say(f"{sweep.name}: {result.plan.left} earlier rows no longer belong to the sweep; they are not current")
     rows = [[outcome, str(count)] for outcome, count in sorted(result.outcomes.items())]

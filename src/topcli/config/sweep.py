@@ -370,7 +370,8 @@ class _AxisReader:
         found = []
         for index, entry in enumerate(entries):
             flat = dict(_dotted(self._section(entry, (name, index), f"{name}: [{{scheme: hk, h: 0.1}}]")))
-            if all([self._known(key, (name, index, key)) for key in flat]) and flat:
+            known = [self._known(key, (name, index, key)) for key in flat]  # every one is reported
+            if flat and all(known):
                 found.append(flat)
         return tuple(found)
 

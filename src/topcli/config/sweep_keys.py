@@ -25,7 +25,9 @@ def known_keys(data: dict[str, Any], base: dict[str, Any]) -> list[str]:
     keys += ["initial.normalize", "scheme.compose"]
     for raw in _given(data, base, "scheme"):
         name = raw.get("name") if isinstance(raw, dict) else raw
-        for cls in classes if isinstance(name, str) else ():
+        if not isinstance(name, str):
+            continue
+        for cls in classes:
             try:
                 keys += [f"scheme.{option}" for option in find_scheme(name, cls.form).options.model_fields]
             except UsageError:

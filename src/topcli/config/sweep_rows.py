@@ -9,34 +9,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from topcli.config.document import Document, KeyPath, describe
-from topcli.config.duration import steps_of
-from topcli.config.models import (
-    MAX_STEPS,
-    Experiment,
-    as_integer,
-    duration_fault,
-    number_of,
-    read_initial,
-    read_scheme,
-    read_top,
-)
+from topcli.config.models import as_integer, read_initial, read_scheme, read_top
 from topcli.config.problems import Problems, validate
 from topcli.config.sweep import MISSING, Assignment, Sweep
 from topcli.config.sweep_draws import Drawer, read_drawer
+from topcli.config.sweep_steps import StepReader
 from topcli.contracts import Scheme, Top
-from topcli.errors import shortened
 from topcli.tops import TOPS
 
 KEPT = 1 << 14
 """Validated sections of one kind that are kept; beyond it, the cache starts again."""
-MAX_RECORDED = 10**8
-"""Largest count of recorded states of a row."""
 Part = TypeVar("Part")
 
 
@@ -135,6 +122,7 @@ class RowReader:
         self._vectors = [(index, path[1]) for index, path in self._sections["initial"] if len(path) == 2]
         self._label_of = [self._label(key) for key in sweep.keys]
         self._drawers: dict[type[Top], Drawer] = {}
+        self._steps = StepReader(sweep)
 
     def rows(self) -> Iterator[Row]:
         """Yield the rows in order. Raises ConfigError or UnknownNameError with up to three faults."""
@@ -172,16 +160,12 @@ class RowReader:
         top = self._part("top", values, tuple(self._named(values)), lambda: self._top(values, problems))
         if top is None:
             return None
-        scheme = self._part("scheme", values, top.cls, lambda: self._scheme(values, top, problems))
-        steps = self._steps(values, problems)
+        cls = top.cls
+        scheme = self._part("scheme", values, cls, lambda: self._scheme(values, cls, problems))
+        steps = self._steps.read(values, problems)
         if scheme is None or steps is None:
             return None
         h, N, every = steps
-        if N // every + 1 > MAX_RECORDED:
-            problems.add(
-                ("output", "every"), f"records {N // every + 1} states of a row (at most {MAX_RECORDED}); record fewer"
-            )
-            return None
         drawn = self.sweep.document.data.get("random")
         if not self._whole:
             state = _NO_STATE
@@ -248,12 +232,12 @@ class RowReader:
         plain = {"kind": cls.kind, **top.model_dump(mode="json")}
         return _TopPart(cls, top, _top_text(cls, top), plain)
 
-    def _scheme(self, values: Assignment, top: _TopPart, problems: Problems) -> _SchemePart | None:
+    def _scheme(self, values: Assignment, cls: type[Top], problems: Problems) -> _SchemePart | None:
         raw = self._raw("scheme", values)
         if raw is MISSING:
             problems.add(("scheme",), "missing; give it in base, or vary it")
             return None
-        found = read_scheme(raw, top.cls, problems)
+        found = read_scheme(raw, cls, problems)
         if found is None:
             return None
         scheme, options = found
@@ -305,7 +289,7 @@ class RowReader:
         centre = self._part("initial", values, top.cls, lambda: self._centre(values, top, drawer, problems))
         if centre is None:
             return None
-        sample, seed = self._value("sample", values, 1), self._value("seed", values, drawer.seed)
+        sample, seed = self._steps.value("sample", values, 1), self._steps.value("seed", values, drawer.seed)
         for key, value in (("sample", sample), ("seed", seed)):
             if not isinstance(as_integer(value), int) or isinstance(value, bool) or value < 0:
                 problems.add((key,), f"must be a whole number, at least 0, not {describe(value)}")
@@ -332,78 +316,6 @@ class RowReader:
             return None
         state = read_initial({**raw, **drawer.free}, top.cls, problems)
         return None if state is None else _StatePart(state, _state_text(top.cls, state))
-
-    def _value(self, key: str, values: Assignment, otherwise: Any) -> Any:
-        """Value of a plain key in a row: its own, or ``otherwise``."""
-        at = self._at.get(key)
-        return otherwise if at is None or values[at] is MISSING else values[at]
-
-    def _steps(self, values: Assignment, problems: Problems) -> tuple[float, int, int] | None:
-        """h, N and output.every of a row."""
-        base = self.sweep.base
-        output = base.get("output") or {}
-        if not isinstance(output, dict):
-            problems.add(("output",), f"must be a section with keys, not {describe(output)}")
-            return None
-        for key in output:
-            if key not in ("every", "format", "columns"):
-                problems.add(("output", key), "unknown key; only 'every' matters in a sweep")
-                return None
-        h = self._value("h", values, base.get("h"))
-        N, T = self._duration(values)
-        every = as_integer(self._value("output.every", values, output.get("every", 1)))
-        given = [name for name, value in (("h", h), ("N", N), ("T", T)) if value is not None]
-        if len(given) != 2:
-            found = " and ".join(given) or "none of them"
-            problems.add((given[-1],) if given else (), f"two of h, N and T are needed, and there is {found}")
-            return None
-        numbers = _Numbers(problems)
-        if h is not None:
-            h = numbers.step(h)
-        if N is not None:
-            N = numbers.count(N, "N", MAX_STEPS)
-        if T is not None:
-            T = numbers.step(T, "T")
-        every = numbers.count(every, "every", MAX_STEPS)
-        if numbers.wrong:
-            return None
-        if T is not None:
-            h, N = self._from_duration(h, N, T, problems)
-        if N is None or h is None or every is None:
-            return None
-        if fault := duration_fault(h, N):
-            problems.add(("N",), fault)
-        elif every > N:
-            problems.add(("output", "every"), f"must be at most N = {N}, not {every}")
-        else:
-            return h, N, every
-        return None
-
-    def _duration(self, values: Assignment) -> tuple[Any, Any]:
-        """N and T of a row; one that varies replaces the other of the base."""
-        base = self.sweep.base
-        N, T = self._value("N", values, None), self._value("T", values, None)
-        if N is None and T is None:
-            return base.get("N"), base.get("T")
-        if N is not None and T is None and self._value("h", values, base.get("h")) is None:
-            T = base.get("T")
-        return N, T
-
-    def _from_duration(
-        self, h: float | None, N: int | None, T: float, problems: Problems
-    ) -> tuple[float | None, int | None]:
-        """h and N of a row of duration ``T``. A step from a range becomes the nearest T/N."""
-        if h is None:
-            assert N is not None
-            return T / N, N
-        if "h" in self.sweep.ranged and math.isfinite(T / h) and T / h >= 0.5:
-            N = round(T / h)
-            return T / N, N
-        N, fault = steps_of(T, h)
-        if fault:
-            problems.add(("T",), fault)
-            return None, None
-        return h, N
 
     def _label(self, key: str) -> Callable[[Assignment, Row, _TopPart, _SchemePart], Any]:
         """Function that gives the value of a varied key as the results hold it."""
@@ -459,44 +371,6 @@ def _state_text(cls: type[Top], state: tuple[float, ...]) -> str:
     return "{" + ",".join(parts) + "}"
 
 
-@dataclass
-class _Numbers:
-    """Checks of the numbers of a row."""
-
-    problems: Problems
-    wrong: bool = False
-
-    def _refuse(self, key: str, text: str) -> None:
-        self.wrong = True
-        self.problems.add(("output", "every") if key == "every" else (key,), text)
-
-    def step(self, value: Any, key: str = "h") -> float:
-        """A finite number other than zero."""
-        number = number_of(value)
-        if number is None:
-            self._refuse(key, f"must be a number, not {describe(value)}")
-        elif not math.isfinite(number):
-            self._refuse(key, f"must be a finite number, not {describe(value)}")
-        elif number == 0.0:
-            self._refuse(key, "must not be zero (negative is allowed)")
-        else:
-            return number
-        return math.nan
-
-    def count(self, value: Any, key: str, most: int) -> int:
-        """A whole number from 1 to ``most``."""
-        number = as_integer(value)
-        if isinstance(number, bool) or not isinstance(number, int):
-            self._refuse(key, f"must be a whole number, not {describe(value)}")
-        elif number < 1:
-            self._refuse(key, f"must be at least 1, not {describe(value)}")
-        elif number > most:
-            self._refuse(key, f"must be at most {most}, not {describe(value)}")
-        else:
-            return number
-        return 1
-
-
 class _RowDocument(Document):
     """Places of the keys of one row: where the sweep file gives its values."""
 
@@ -520,10 +394,3 @@ class _RowDocument(Document):
                 if where[0] in ("zip", "include") and where[-1] == key:
                     return found
         return document.place(("base", *path))
-
-
-def experiment_of(row: Row, name: str) -> Experiment:
-    """Return a row as an experiment. Raises as ``load_experiment``."""
-    from topcli.config.load import experiment_from
-
-    return experiment_from(row.config(shortened(name, 100)))

@@ -17,11 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from topcli.config.load import experiment_from
 from topcli.config.sweep import Sweep, load_sweep
-from topcli.config.sweep_rows import Row, RowReader, experiment_of
-from topcli.contracts import Outcome
+from topcli.config.sweep_rows import Row, RowReader
 from topcli.engine.ensemble import default_threads
-from topcli.errors import RunError, TopcliError, UsageError
+from topcli.errors import TopcliError, UsageError
 from topcli.store.manifest import MANIFEST
 from topcli.store.parts import LOCK, lock_folder, owner
 from topcli.store.provenance import Commit, now
@@ -194,7 +194,7 @@ def in_threads(threads: int) -> Backend:
 def run_sweep(
     sweep: Sweep,
     out: Path,
-    options: SweepOptions = SweepOptions(),  # noqa: B008 (frozen)
+    options: SweepOptions = SweepOptions(),
     watcher: Watcher = Watcher(),  # noqa: B008 (never changed)
     backend: Backend | None = None,
 ) -> SweepResult:
@@ -303,7 +303,8 @@ class _Runner:
         from topcli.studies.run import run_experiment
 
         try:
-            run_experiment(experiment_of(row, row.digest[:16]), self.folder / SERIES, stop=self.watcher.stop)
+            experiment = experiment_from(row.config(row.digest[:16]))
+            run_experiment(experiment, self.folder / SERIES, stop=self.watcher.stop)
         except TopcliError as error:
             self.watcher.message(f"warning: row {row.number}: its series cannot be stored: {error}")
 
