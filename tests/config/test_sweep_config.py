@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from topcli.config.duration import steps_of
-from topcli.config.load import experiment_from
+from topcli.config.load import experiment_from, load_experiment
 from topcli.config.sweep import load_sweep, sweep_from
 from topcli.config.sweep_rows import Row, RowReader
 from topcli.errors import TopcliError
@@ -309,3 +309,12 @@ def test_a_row_is_a_config_that_loads_to_the_same_bits() -> None:
         assert (loaded.h, loaded.N, loaded.output.every) == (row.h, row.N, row.every)
         assert loaded.resolved()["top"] == json.loads(row.top)
         assert loaded.resolved()["scheme"] == json.loads(row.scheme)
+
+
+def test_a_sweep_and_an_experiment_are_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(TEXT + "grid:\n  h: [0.1]\n")
+    with pytest.raises(TopcliError, match=r"s\.yaml:1: base: this is a sweep, and an experiment is needed here"):
+        load_experiment(path)
+    with pytest.raises(TopcliError, match="this is an experiment; `topcli run` takes experiments"):
+        sweep_from(BASE)

@@ -195,6 +195,9 @@ def _flatten(document: Document) -> None:
 def _sweep(document: Document, default_name: str) -> Sweep:
     problems = Problems(document)
     data = document.data
+    if "base" not in data and "top" in data:
+        problems.add((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
+        problems.raise_any()
     for key in data:
         if key not in SECTIONS:
             problems.add((key,), unknown_key(key, SECTIONS))
