@@ -287,6 +287,7 @@ LISTS = {
     },
     "scenes": {"name": "name", "top": "top", "scheme": "scheme", "h": "h", "N": "N", "about": "about"},
     "cases": {"name": "name", "top": "top", "question": "question"},
+    "measures": {"name": "name", "unit": "unit", "summary": "summary", "origin": "origin"},
     "figures": {"name": "name", "scene": "scene", "title": "title"},
     "runs": {"name": "name", "outcome": "outcome", "scheme": "scheme", "h": "h", "N": "N", "digest": "digest"},
 }

@@ -53,10 +53,9 @@ class BlockSums:
         filled = counts > 0
         line = hann_line(np.bincount(n // self._width, weights=n, minlength=2 * BLOCKS)[filled] / counts[filled] * h)
         if line is not None:
-            means = self._sums[:, :, filled] / counts[filled]
-            for i, of_one in enumerate(means):
-                # one by one and contiguous: other layouts are added in another order
-                found[i] = [line[1] @ np.ascontiguousarray(values) for values in of_one]
+            # one by one, because a product of matrices rounds differently from one of vectors
+            for place in np.ndindex(*found.shape):
+                found[place] = line[1] @ (self._sums[place][filled] / counts[filled])
         return found
 
 

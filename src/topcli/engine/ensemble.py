@@ -68,13 +68,44 @@ def tile_of(count: int) -> int:
     return TILE if count > TILE // 2 else SMALL_TILE
 
 
+class EnsembleCode:
+    """Machine code of ``method`` for ``top``, which several runs may share: the loops over a tile and of single runs.
+
+    ``lanes`` is None without ``side_by_side`` and for a method that is no compiled step. ``seconds`` is the time to
+    compile or load, ``cached`` is true if all code came from disk.
+    """
+
+    def __init__(self, top: Top, method: Method, tile: int, side_by_side: bool = True) -> None:
+        self.method, self.tile = method, tile
+        self.p = np.array(top.constants(), dtype=np.float64)
+        self._d = len(top.components)
+        self._lock, self._loop = threading.Lock(), None
+        self.lanes: Native | None = None
+        self.params, self.seconds, self.cached = self.p, 0.0, True
+        if side_by_side and isinstance(method, Stepper) and not method.plain:
+            try:
+                self.lanes = native(plain_lanes(method, self._d, len(self.p), tile), SIGNATURE)
+            except CompileError as error:
+                raise step_refused(method, self._d, error) from None
+            self.params = np.concatenate([self.p, stages_of(method)[1]])
+            self.seconds, self.cached = self.lanes.seconds, self.lanes.cached
+
+    def single_loop(self) -> Loop:
+        """Time loop of single runs, compiled when the first trajectory needs it."""
+        with self._lock:
+            if self._loop is None:
+                self._loop = loop_of(self.method, self._d, len(self.p))
+                self.seconds += self._loop.seconds
+                self.cached &= self._loop.cached
+            return self._loop
+
+
 class EnsembleRun(Generic[Made]):
     """Trajectories of ``method`` from the states ``y0`` (m, d): iterate, then read ``endings``.
 
     ``begin(y0)`` replaces the trajectories and keeps the code and buffers, so that a large ensemble runs block by
     block. ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with ``wide`` it may
-    hold those of several, if they are few. Without ``side_by_side`` every trajectory runs in the time loop of single
-    runs.
+    hold those of several, if they are few. ``code`` is that of the method, if the caller has it already.
 
     ``made(piece)`` is called for every piece of recorded rows, in one of ``threads`` threads. Iteration yields (its
     result, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a trajectory
@@ -99,27 +130,15 @@ class EnsembleRun(Generic[Made]):
         threads: int | None = None,
         tile: int | None = None,
         wide: bool = False,
-        side_by_side: bool = True,
+        code: EnsembleCode | None = None,
     ) -> None:
         self.top, self.method, self.h, self.N, self.every = top, method, float(h), N, every
         self.made, self.stop, self.wide = made, stop, wide
         self.threads = threads or default_threads()
-        self.p = np.array(top.constants(), dtype=np.float64)
         self.begin(y0)
-        m, d = self.y0.shape
-        self.compile_seconds, self.cached, self.run_seconds = 0.0, True, 0.0
-        self.tile = tile or tile_of(m)
-        self._lock, self._loop = threading.Lock(), None
+        self.code = code or EnsembleCode(top, method, tile or tile_of(len(self.y0)))
+        self.tile, self.run_seconds = self.code.tile, 0.0
         self._buffer = RowBuffer()
-        self.lanes: Native | None = None
-        self.params = self.p
-        if side_by_side and isinstance(method, Stepper) and not method.plain:
-            try:
-                self.lanes = native(plain_lanes(method, d, len(self.p), self.tile), SIGNATURE)
-            except CompileError as error:
-                raise step_refused(method, d, error) from None
-            self.params = np.concatenate([self.p, stages_of(method)[1]])
-            self.compile_seconds, self.cached = self.lanes.seconds, self.lanes.cached
 
     def begin(self, y0: Array) -> None:
         """Take the initial states ``y0`` (m, d), and forget the endings of earlier trajectories."""
@@ -128,19 +147,20 @@ class EnsembleRun(Generic[Made]):
         self.endings = Endings(m, self.h, () if isinstance(self.method, Sampler) else self.method.counters)
         self.last, self.last_n = self.y0.copy(), np.zeros(m, dtype=np.int64)
 
-    def single_loop(self) -> Loop:
-        """Time loop of single runs, compiled when the first trajectory needs it."""
-        with self._lock:
-            if self._loop is None:
-                self._loop = loop_of(self.method, self.y0.shape[1], len(self.p))
-                self.compile_seconds += self._loop.seconds
-                self.cached &= self._loop.cached
-            return self._loop
+    @property
+    def compile_seconds(self) -> float:
+        """Time to compile or load the code."""
+        return self.code.seconds
+
+    @property
+    def cached(self) -> bool:
+        """True if all code came from disk."""
+        return self.code.cached
 
     @property
     def side_by_side(self) -> bool:
         """True if pieces hold whole tiles, False if each holds rows of one trajectory."""
-        return self.lanes is not None
+        return self.code.lanes is not None
 
     @property
     def interrupted(self) -> bool:
@@ -149,16 +169,16 @@ class EnsembleRun(Generic[Made]):
 
     def __iter__(self) -> Iterator[tuple[Made, int]]:
         """Yield the result of ``made`` and the trajectory-steps done, piece by piece."""
-        if self.lanes is None or not isinstance(self.method, Stepper):
+        if self.code.lanes is None or not isinstance(self.method, Stepper):
             yield from self._one_by_one()
             return
         context = TileContext(
             stepper=self.method,
-            lanes=self.lanes,
-            single_loop=self.single_loop,
+            lanes=self.code.lanes,
+            single_loop=self.code.single_loop,
             width=self.tile,
-            p=self.p,
-            params=self.params,
+            p=self.code.p,
+            params=self.code.params,
             h=self.h,
             N=self.N,
             every=self.every,
@@ -251,7 +271,7 @@ class EnsembleRun(Generic[Made]):
         """Run trajectory after trajectory in the time loop of single runs."""
         stride = math.gcd(self.every, self.N)  # so that step N is among the rows
         for i, y0 in enumerate(self.y0):
-            run = Run(self.top, self.method, y0, self.h, self.N, stride, self.stop, loop=self.single_loop())
+            run = Run(self.top, self.method, y0, self.h, self.N, stride, self.stop, loop=self.code.single_loop())
             for chunk in run:
                 asked = chunk.n % self.every == 0
                 if len(chunk.n) and (asked[-1] or chunk.n[-1] == self.N):

@@ -286,7 +286,7 @@ def load_scheme_file(path: Path) -> None:
         raise UsageError(f"scheme file {path}: {failure.reason}")
     if _registered() == known:
         raise UsageError(
-            f"scheme file {path}: registers no scheme; decorate a function with @topcli.scheme(...) "
+            f"scheme file {path}: registers no scheme or measure; decorate a function with @topcli.scheme(...) "
             "or @topcli.measure(...)"
         )
 

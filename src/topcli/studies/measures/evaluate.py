@@ -11,7 +11,7 @@ import numpy as np
 from topcli.analysis.order import PROBES
 from topcli.config.models import Experiment
 from topcli.contracts import Array
-from topcli.engine.ensemble import EnsembleRun, tile_of
+from topcli.engine.ensemble import EnsembleCode, EnsembleRun, tile_of
 from topcli.engine.tile import Piece
 from topcli.errors import TopcliError, UsageError
 from topcli.schemes.user_code import users_error
@@ -104,6 +104,22 @@ def batch_size(experiment: Experiment, measures: Sequence[Measure], budget: int 
     return max(1, min(MAX_RUNS, budget // bytes_per_run(experiment, measures)))
 
 
+MAX_CODES = 256
+_codes: dict[tuple[Any, ...], EnsembleCode] = {}
+
+
+def _code(experiment: Experiment, tile: int, side_by_side: bool) -> EnsembleCode:
+    """Code of the experiment's method, kept for other experiments with the same scheme, options and top."""
+    one = experiment
+    key = (one.scheme.build, type(one.top), one.top.model_dump_json(), one.options.model_dump_json())
+    found = _codes.get((*key, tile, side_by_side))
+    if found is None:
+        if len(_codes) >= MAX_CODES:
+            _codes.clear()
+        found = _codes.setdefault((*key, tile, side_by_side), EnsembleCode(one.top, one.method(), tile, side_by_side))
+    return found
+
+
 class BatchRun:
     """Runs of ``experiment`` from several initial states, recorded for ``measures``; the code is made ready once.
 
@@ -134,11 +150,12 @@ class BatchRun:
         self.experiment, self.measures = experiment, tuple(measures)
         self._recorder: BatchRecorder | None = None
         self._recording = 0.0
-        self._method = experiment.method()
+        self._code = _code(experiment, tile_of(count), count >= SIDE_BY_SIDE)
+        self._code.single_loop()  # so that no run has to wait for it
         self._stepping: dict[float, EnsembleRun[None]] = {}
         self._run = EnsembleRun(
             experiment.top,
-            self._method,
+            self._code.method,
             np.empty((0, len(experiment.top.components))),
             experiment.h,
             experiment.N,
@@ -146,11 +163,8 @@ class BatchRun:
             made=self._record,
             stop=stop,
             threads=threads,
-            tile=tile_of(count),
-            side_by_side=count >= SIDE_BY_SIDE,
+            code=self._code,
         )
-        if not self._run.side_by_side:
-            self._run.single_loop()
 
     def _record(self, piece: Piece) -> None:
         assert self._recorder is not None
@@ -179,9 +193,8 @@ class BatchRun:
         usable = np.flatnonzero(np.isfinite(states).all(axis=1))
         if h not in self._stepping:
             top, y0 = self.experiment.top, np.empty((0, states.shape[1]))
-            self._stepping[h] = EnsembleRun(
-                top, self._method, y0, h, 1, made=lambda piece: None, threads=1, tile=tile_of(PROBES)
-            )
+            code = _code(self.experiment, tile_of(PROBES), True)
+            self._stepping[h] = EnsembleRun(top, code.method, y0, h, 1, made=lambda piece: None, threads=1, code=code)
         run = self._stepping[h]
         run.begin(states[usable])
         for _ in run:

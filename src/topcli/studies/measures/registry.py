@@ -264,8 +264,8 @@ def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Mea
     whose = f"top {top.kind!r} under scheme {scheme.name!r}"
     if not known:
         raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {whose} has no {family.noun}")
-    if member == "NAME":
-        raise UnknownNameError(f"measure {quoted(name)}: put a {family.noun} for NAME: {', '.join(known)}")
+    if member in ("", "NAME"):
+        raise UnknownNameError(f"measure {quoted(name)}: give one of {', '.join(f'{base}.{one}' for one in known)}")
     raise UnknownNameError(
         f"measure {quoted(name)}: {whose} has no {family.noun} {quoted(member)}; {nearest(member, known)}"
     )
