@@ -302,13 +302,13 @@ def show(
         ),
     ],
     row: Annotated[
-        int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a sweep as a complete config.")
+        int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a sweep as a config.")
     ] = None,
     sets: Sets = None,
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Show a config with every default, describe a scheme, or show a row of a sweep."""
+    """Show a config with defaults, a scheme, or a row of a sweep."""
     from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
