@@ -62,8 +62,8 @@ def _varied(sweep: Sweep) -> list[str]:
     """Varied keys with the number of their values."""
     counts: dict[str, set[str]] = {key: set() for key in sweep.keys}
     for axis in sweep.axes:
-        for position, key in enumerate(axis.keys):
-            counts[key] |= {repr(values[position]) for values in axis.values}
+        for key, column in zip(axis.keys, axis.columns, strict=True):
+            counts[key] |= set(map(repr, column))
     for extra in sweep.include:
         for key, value in extra.items():
             counts[key].add(repr(value))

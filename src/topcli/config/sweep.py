@@ -6,7 +6,6 @@ A sweep is never held as a list of rows: ``Sweep.assignments`` yields the values
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,10 +43,13 @@ Assignment = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Axis:
-    """Values that vary together: ``values`` holds one tuple for each position, with a value for each of ``keys``."""
+    """Values that vary together: for each of ``keys`` a column of equal length."""
 
     keys: tuple[str, ...]
-    values: Sequence[tuple[Any, ...]]
+    columns: tuple[Sequence[Any], ...]
+
+    def __len__(self) -> int:
+        return len(self.columns[0])
 
 
 @dataclass(frozen=True)
@@ -86,15 +88,14 @@ class Sweep:
     @property
     def count(self) -> int:
         """Number of rows, without looking which ones are excluded."""
-        return math.prod(len(axis.values) for axis in self.axes) * bool(self.axes) + len(self.include)
+        return math.prod(map(len, self.axes)) * bool(self.axes) + len(self.include)
 
     def assignments(self) -> Iterator[Assignment]:
         """Yield the values of the varied keys row by row; the last axis varies fastest, included rows come last."""
         if self.axes:
             at = [self.keys.index(key) for axis in self.axes for key in axis.keys]
             straight = at == list(range(len(self.keys)))
-            for chosen in itertools.product(*(axis.values for axis in self.axes)):
-                values = tuple(itertools.chain.from_iterable(chosen))
+            for values in _product(self.axes):
                 if not straight:
                     row = [MISSING] * len(self.keys)
                     for place, value in zip(at, values, strict=True):
@@ -125,6 +126,15 @@ class Sweep:
     def to_yaml(self) -> str:
         """Return the resolved sweep file as YAML."""
         return to_yaml(self.resolved())
+
+
+def _product(axes: Sequence[Axis], before: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield every combination of the axes; unlike itertools.product, it copies no axis."""
+    for values in zip(*axes[0].columns, strict=True):
+        if len(axes) == 1:
+            yield before + values
+        else:
+            yield from _product(axes[1:], before + values)
 
 
 def load_sweep(path: Path, overrides: Sequence[str] = ()) -> Sweep:
@@ -339,10 +349,10 @@ class _AxisReader:
         for key, values in self._section(raw, ("grid",), "grid: {h: [0.1, 0.2]}").items():
             found = self._values(key, values, ("grid", key))
             if found is not None:
-                self.axes.append(Axis((key,), [(value,) for value in found]))
+                self.axes.append(Axis((key,), (found,)))
         if sampled is not None and "sample" not in self.seen:
             self.seen["sample"] = sampled
-            self.axes.append(Axis(("sample",), [(value,) for value in sampled]))
+            self.axes.append(Axis(("sample",), (sampled,)))
 
     def zip(self, raw: object) -> None:
         """Add one axis for each section of lists that go together."""
@@ -358,8 +368,7 @@ class _AxisReader:
                 listed = ", ".join(f"{key} has {length}" for key, length in lengths.items())
                 self.problems.add(path, f"its lists must have equal lengths: {listed}")
             elif lists and len(lengths) == len(lists):
-                columns = [values for values in lists.values() if values is not None]
-                self.axes.append(Axis(tuple(lists), list(zip(*columns, strict=True))))
+                self.axes.append(Axis(tuple(lists), tuple(values for values in lists.values() if values is not None)))
 
     def rows(self, raw: object, name: str) -> tuple[Mapping[str, Any], ...]:
         """Return the entries of ``include`` or ``exclude``, each a section of keys with one value."""

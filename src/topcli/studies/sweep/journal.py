@@ -26,7 +26,7 @@ from topcli.store.run_folder import io_failure
 JOURNAL = "journal.jsonl"
 SYNC_SECONDS = 2.0
 """Longest time between two flushes to the disk; what the process has written outlives the process at once."""
-KEPT_BLOCKS = 64
+KEPT_BLOCKS = 24
 """Parsed blocks that are kept while rows are read back."""
 DIGEST = "S16"
 """First 16 bytes of a digest."""
