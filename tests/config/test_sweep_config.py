@@ -266,6 +266,12 @@ def test_seed_sample_and_top_change_what_is_drawn() -> None:
     assert states({**RANDOM, "count": 1}, seed=[3, 4])[0] == states({**RANDOM, "count": 1})[0]
 
 
+def test_vectors_drawn_from_a_sphere_need_no_initial_vector_and_ignore_it() -> None:
+    bare = {"base": {key: value for key, value in BASE.items() if key != "initial"}, "random": RANDOM}
+    without = [row.digest for row in RowReader(sweep_from(bare)).rows()]
+    assert without == [row.digest for row in rows(random=RANDOM)]
+
+
 def test_drawn_values_have_the_asked_distribution() -> None:
     found = rows(random={**RANDOM, "count": 400})
     c0 = [json.loads(row.top)["c0"] for row in found]

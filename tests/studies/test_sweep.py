@@ -21,9 +21,9 @@ from topcli.errors import RunError, UsageError
 from topcli.studies.simulate import trajectory_of
 from topcli.studies.sweep import evaluate as seam
 from topcli.studies.sweep.batches import batches
-from topcli.studies.sweep.evaluate import evaluate_batch
+from topcli.studies.sweep.evaluate import Results, evaluate_batch
 from topcli.studies.sweep.journal import Block, Journal
-from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, find_row, planned, run_sweep
+from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, find_row, in_threads, planned, run_sweep
 
 BASE: dict[str, Any] = {
     "top": "kowalevski",
@@ -225,6 +225,27 @@ def test_an_interrupted_sweep_continues(tmp_path: Path) -> None:
     assert [row["row"] for row in table(tmp_path)] == list(range(20))
 
 
+def test_an_unfinished_sweep_has_no_manifest(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    manifest = tmp_path / "study" / "manifest.json"
+    assert manifest.exists()
+    assert not sweep(tmp_path, with_grid(h=[0.03]), Watcher(stop=lambda: True)).finished
+    assert not manifest.exists()
+
+
+def test_no_batch_begins_after_a_stop() -> None:
+    rows = list(RowReader(sweep_from(MANY)).rows())
+    begun: list[int] = []
+
+    def evaluate(batch: Any) -> Results:
+        begun.append(len(batch))
+        return Results()
+
+    made = ([row] for row in rows)
+    assert len(list(in_threads(1)(made, evaluate, lambda: len(begun) >= 3))) < 8
+    assert next(made)[0].number < 8
+
+
 def test_equal_rows_are_computed_once(tmp_path: Path) -> None:
     data = {**DATA, "include": [{"scheme": "hk", "h": 0.01}]}
     result = sweep(tmp_path, data)
@@ -310,12 +331,21 @@ def test_a_torn_line_of_the_journal_is_cut_off_and_its_rows_run_again(tmp_path: 
     assert path.read_bytes().startswith(b"".join(lines[:-1]))
 
 
+def test_a_torn_line_longer_than_what_follows_leaves_nothing(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    path = tmp_path / "study" / "journal.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole + b"0" * 100_000)
+    assert sweep(tmp_path).ran == 0
+    assert path.read_bytes() == whole
+
+
 def test_a_damaged_line_is_reported_and_its_rows_run_again(tmp_path: Path) -> None:
     sweep(tmp_path)
     path = tmp_path / "study" / "journal.jsonl"
     content = bytearray(path.read_bytes())
     lost = len(json.loads(content.splitlines()[0][9:])["digest"])
-    content[content.index(b'"outcome"') + 3] ^= 1
+    content[content.index(b'"deviation.energy":[') + 22] ^= 1  # a digit
     path.write_bytes(content)
     told: list[str] = []
     result = sweep(tmp_path, watcher=Watcher(message=told.append))
