@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -54,7 +55,7 @@ def write_rows(path: Path, plan: Plan, journal: Journal) -> dict[str, int]:
     outcomes: Counter[str] = Counter()
     index = journal.index()
     with pq.ParquetWriter(path, schema, write_page_checksum=True) as writer:
-        for columns in (*_current(plan, journal, index), *_left(plan, journal, index)):
+        for columns in itertools.chain(_current(plan, journal, index), _left(plan, journal, index)):
             for kind in schema:
                 if kind.type == pa.string() and kind.name in sweep.keys:
                     columns[kind.name] = [None if value is None else str(value) for value in columns[kind.name]]
