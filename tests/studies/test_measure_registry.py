@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import doctest
+import inspect
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+import topcli
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
@@ -139,6 +142,9 @@ def registered() -> Iterator[None]:
 def test_names_of_a_plugin_are_checked(registered: None) -> None:
     with pytest.raises(ValueError, match="'seconds' is already registered by topcli"):
         measure("seconds", summary="again")
+    for taken in ("row", "outcome", "cpu", "h", "T", "top.c0", "initial.NAME", "scheme.tol", "sample"):
+        with pytest.raises(ValueError, match="a column of the results has this name already"):
+            measure(taken, summary="clash")
     with pytest.raises(ValueError, match="no spaces"):
         measure("two words", summary="odd")
     with pytest.raises(ValueError, match="a family ends in"):
@@ -148,6 +154,18 @@ def test_names_of_a_plugin_are_checked(registered: None) -> None:
     measure("odd", summary="odd", needs=["gamma7"])(lambda batch: None)
     with pytest.raises(MeasureMisfitError, match="it needs 'gamma7', which top 'kowalevski' under scheme 'hk'"):
         resolve_measures(["odd"], Kowalevski(), HK)
+
+
+def test_the_decorator_s_example_works_and_every_parameter_is_documented(registered: None) -> None:
+    text = inspect.getdoc(topcli.measure) or ""
+    for parameter in inspect.signature(topcli.measure).parameters:
+        assert f"\n{parameter} : " in text
+    (example,) = doctest.DocTestFinder(recurse=False).find(topcli.measure, "measure", globs={})
+    assert not doctest.DocTestRunner(optionflags=doctest.FAIL_FAST).run(example).failed
+    experiment = load_experiment("kowalevski_rk4", ["N=500", "h=0.05"])
+    measures = resolve_measures(["gamma3.min"], experiment.top, experiment.scheme)
+    found = evaluate(measures, BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0])))
+    assert found["gamma3.min"][0] == topcli.simulate(experiment.resolved())["gamma3"].min()
 
 
 FILE = """

@@ -106,7 +106,8 @@ class Batch:
     @property
     def whole(self) -> NDArray[np.bool_]:
         """True for each run that took all its steps."""
-        return np.isin(self.endings.outcome, WHOLE)
+        completed, left = WHOLE
+        return (self.endings.outcome == completed) | (self.endings.outcome == left)
 
     def of(self, which: NDArray[np.int64]) -> Batch:
         """Batch of the runs numbered ``which`` (k,) alone."""

@@ -24,6 +24,24 @@ ERROR, END_ERROR = "error", "end_error"
 DEVIATION, DRIFT = "deviation", "drift"
 RECORDED = (STATES, SWING, PROBES, ERROR, END_ERROR)
 """Words that ``needs`` may hold beside the names of columns; a family may also need ``DEVIATION`` or ``DRIFT``."""
+TAKEN = (
+    "row",
+    "outcome",
+    "message",
+    "digest",
+    "cpu",
+    "current",
+    "top",
+    "initial",
+    "scheme",
+    "h",
+    "N",
+    "T",
+    "output",
+    "sample",
+    "seed",
+)
+"""Names of other columns of a table of rows; those of keys may be followed by a dot."""
 H_OF_NAMES = 2.0**-10
 """Step at which the integrals of a scheme are built when only their names are asked for."""
 
@@ -149,6 +167,8 @@ def measure(
     """
     if not name.isprintable() or not name.strip() or any(letter.isspace() for letter in name):
         raise ValueError(f"measure {name!r}: a name has no spaces or control characters")
+    if name.partition(".")[0] in TAKEN:
+        raise ValueError(f"measure {name!r}: a column of the results has this name already; choose another")
     if name in MEASURES:
         raise ValueError(f"measure {name!r} is already registered by {MEASURES[name].origin}")
     if name.endswith(FAMILY) != (names is not None):
