@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
+from attack.command import start
 from conftest import Said
 
 Cli = Callable[..., Said]
@@ -161,3 +165,33 @@ def test_failures_after_the_twentieth_are_only_counted(cli: Cli, study: Path) ->
 def test_a_time_limit_below_zero_is_refused(cli: Cli, study: Path) -> None:
     said = cli("sweep", "study.yaml", "--time-limit", "-1")
     assert (said.code, said.err) == (2, "error: --time-limit -1: must be a number of seconds, at least 0\n")
+
+
+def test_progress_in_a_log_has_rows_rate_time_left_and_failures(capsys: pytest.CaptureFixture[str]) -> None:
+    from topcli.cli.talk import ProgressDisplay
+
+    times = iter([0.0, 100.0, 100.0, 110.0, 120.0])
+    display = ProgressDisplay(1, False, lambda: next(times), unit="rows")
+    display.begin("study")
+    for done in (0, 50, 100):
+        display(done, 200, f"{done // 25} failed" if done else "")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["study: 50.0%, 100 of 200 rows, 5 rows/s, 20 s left, 4 failed"]
+
+
+@pytest.mark.slow
+def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli: Cli, study: Path, tmp_path: Path) -> None:
+    long = ["--set", "base.N=20000000", "--set", "base.output={every: 100000}", "--set", "grid.scheme=[hk]"]
+    steps = ["--set", "grid.h={from: 1e-9, to: 1e-8, count: 40}", "--threads", "1"]
+    running = start(["sweep", "study.yaml", *long, *steps], study.parent, [study.parent])
+    journal = study.parent / "results" / "study" / "journal.jsonl"
+    deadline = time.monotonic() + 30.0
+    while not (journal.exists() and journal.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(running.pid, signal.SIGTERM)
+    said = running.finish()
+    assert said.code == 130, said.err
+    assert "interrupted; run it again to continue" in said.err
+    assert 0 < len(rows()) < 40
+    plan = cli("sweep", "study.yaml", *long, *steps[:2], "--dry-run", "--json").json()
+    assert (plan["done"], plan["new"]) == (len(rows()), 40 - len(rows()))

@@ -324,3 +324,9 @@ def test_a_sweep_and_an_experiment_are_told_apart(tmp_path: Path) -> None:
         load_experiment(path)
     with pytest.raises(TopcliError, match="this is an experiment; `topcli run` takes experiments"):
         sweep_from(BASE)
+
+
+def test_a_packaged_sweep_needs_no_path() -> None:
+    assert load_sweep("Heavy-Drift").name == "heavy_drift"
+    with pytest.raises(TopcliError, match=r"no packaged sweep is called 'heavy_drif'.*did you mean 'heavy_drift'"):
+        load_sweep("heavy_drif")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import random
@@ -223,6 +224,27 @@ def test_an_interrupted_sweep_continues(tmp_path: Path) -> None:
     rest = sweep(tmp_path, data)
     assert (rest.ran, rest.finished, rest.interrupted) == (20 - result.finished, 20, False)
     assert [row["row"] for row in table(tmp_path)] == list(range(20))
+
+
+def test_a_full_disk_ends_the_sweep_and_keeps_finished_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = {**DATA, "grid": {"h": [0.001 * k for k in range(1, 21)]}}
+    real, calls = os.pwrite, [0]
+
+    def full(handle: int, content: bytes, offset: int) -> int:
+        calls[0] += 1
+        if calls[0] == 3:
+            real(handle, content[:10], offset)
+            raise OSError(errno.ENOSPC, "no space left on device")
+        return real(handle, content, offset)
+
+    with monkeypatch.context() as patch:
+        # the lock's entry is written in this way, too
+        patch.setattr(os, "pwrite", full)
+        with pytest.raises(RunError, match="no space left on the device; the rows finished before are kept"):
+            sweep(tmp_path, data, threads=1)
+    kept = len(finished_digests(tmp_path / "study"))
+    assert kept > 0
+    assert sweep(tmp_path, data).ran == 20 - kept
 
 
 def test_an_unfinished_sweep_has_no_manifest(tmp_path: Path) -> None:

@@ -23,7 +23,18 @@ SHOWN_ROWS = 20
 LISTED_ROWS = 1000
 """Rows that the JSON document of a dry run lists."""
 
-SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP", help="A sweep file, .yaml or .toml.")]
+
+def complete_sweep(incomplete: str) -> list[str]:
+    """Names of packaged sweeps that begin with ``incomplete``."""
+    from topcli.config.sweep import sweep_files
+
+    return [name for name in sweep_files() if name.startswith(incomplete)]
+
+
+SweepFile = Annotated[
+    str,
+    typer.Argument(metavar="SWEEP", help="A sweep file, or the name of a packaged one.", autocompletion=complete_sweep),
+]
 Sets = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the file, e.g. base.N=100 or name=other."),

@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from topcli.config.document import Document, KeyPath, describe, plain
-from topcli.config.load import find_config, read_document
+from topcli.config.load import find_config, read_document, scene_folder
 from topcli.config.models import digest_of, name_fault
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, unknown_key
 from topcli.config.sweep_keys import known_keys, unknown_axis
 from topcli.config.sweep_values import MAX_ROWS, is_range, read_values
 from topcli.config.yaml_text import to_yaml
-from topcli.errors import UnknownNameError, quoted
+from topcli.errors import UnknownNameError, nearest, quoted
 
 SECTIONS = ("name", "base", "grid", "zip", "include", "exclude", "random", "measure", "store")
 BASE = ("top", "initial", "scheme", "h", "N", "T", "output")
@@ -137,16 +137,41 @@ def _product(axes: Sequence[Axis], before: tuple[Any, ...] = ()) -> Iterator[tup
             yield from _product(axes[1:], before + values)
 
 
-def load_sweep(path: Path, overrides: Sequence[str] = ()) -> Sweep:
-    """Load a sweep file (.yaml, .yml or .toml). ``overrides`` are ``key=value`` texts such as ``base.N=100``.
+def sweep_files() -> dict[str, Path]:
+    """Files of the packaged sweeps by name."""
+    folder = scene_folder() / "sweeps"
+    return {path.stem: path for path in sorted(folder.iterdir())} if folder.is_dir() else {}
 
-    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right.
+
+def find_sweep(source: Path | str) -> Path:
+    """Return the file of ``source``: itself if it is named like one, otherwise the packaged sweep of that name.
+
+    Raises UnknownNameError with the nearest packaged sweeps.
     """
-    document = read_document(Path(path))
-    _expand_base(document, Path(path).parent)
+    path, text = Path(source), str(source)
+    if path.suffix or "/" in text:
+        return path  # reading it reports what is wrong with it
+    found = sweep_files()
+    name = text.lower().replace("-", "_")
+    if name not in found:
+        raise UnknownNameError(
+            f"no packaged sweep is called {quoted(text)} (files end in .yaml or .toml); {nearest(name, found)}"
+        )
+    return found[name]
+
+
+def load_sweep(source: Path | str, overrides: Sequence[str] = ()) -> Sweep:
+    """Load a sweep file (.yaml, .yml or .toml) or a packaged sweep such as ``heavy_drift``.
+
+    ``overrides`` are ``key=value`` texts such as ``base.N=100``. Raises ConfigError or UnknownNameError with
+    ``file:line``, the key, what is wrong and what would be right.
+    """
+    path = find_sweep(source)
+    document = read_document(path)
+    _expand_base(document, path.parent)
     apply_overrides(document, overrides)
     _flatten(document)
-    return _sweep(document, Path(path).stem)
+    return _sweep(document, path.stem)
 
 
 def sweep_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:

@@ -27,7 +27,7 @@ def sweep(
     Parameters
     ----------
     file : path, str or mapping
-        Sweep file (YAML or TOML), or its content as nested mappings.
+        Sweep file (YAML or TOML), name of a packaged sweep, or the content of a file as nested mappings.
     out : path or str
         Folder for the folder of the sweep, as ``--out`` on the command line. Finished rows found there do not run
         again.
@@ -68,7 +68,7 @@ def sweep(
     """
     import pandas as pd
 
-    loaded = sweep_from(file, overrides) if isinstance(file, Mapping) else load_sweep(Path(file), overrides)
+    loaded = sweep_from(file, overrides) if isinstance(file, Mapping) else load_sweep(file, overrides)
     options = SweepOptions(confirmed=True, retry_failed=retry_failed, threads=threads)
     result = run_sweep(loaded, Path(out), options)
     table = pd.read_parquet(result.folder / ROWS)

@@ -70,7 +70,7 @@ class Index:
     """
 
     digest: Names
-    block: NDArray[np.int64]
+    block: NDArray[np.int32]
     place: NDArray[np.int32]
     completed: NDArray[np.bool_]
     code: NDArray[np.int32]
@@ -172,24 +172,25 @@ class Journal:
     def index(self) -> Index:
         """Index of all rows in the journal."""
         sizes = [len(piece[0]) for piece in self._pieces]
-        total = sum(sizes)
         digest = np.concatenate([np.empty(0, dtype=DIGEST), *(piece[0] for piece in self._pieces)])
-        completed = np.concatenate([np.empty(0, dtype=bool), *(piece[1] for piece in self._pieces)])
-        code = np.concatenate([np.empty(0, dtype=np.int32), *(piece[2] for piece in self._pieces)])
-        block = np.repeat(np.arange(len(sizes)), sizes)
-        place = np.arange(total) - np.repeat(np.cumsum([0, *sizes])[:-1], sizes)
-        measures = np.repeat(np.array([piece[3] for piece in self._pieces], dtype=np.int32), sizes)
-        order = np.argsort(digest, kind="stable")
-        if total:
-            latest = np.append(digest[order][1:] != digest[order][:-1], True)
-            order = order[latest]
+        order = np.argsort(digest, kind="stable").astype(np.uint32)
+        digest = digest[order]
+        if len(digest):
+            latest = np.append(digest[1:] != digest[:-1], True)
+            digest, order = digest[latest], order[latest]
+        starts = np.cumsum([0, *sizes])
+        block = (np.searchsorted(starts, order, side="right") - 1).astype(np.int32)
+
+        def gathered(at: int, dtype: type) -> NDArray[Any]:
+            return np.concatenate([np.empty(0, dtype=dtype), *(piece[at] for piece in self._pieces)])[order]
+
         return Index(
-            digest[order],
-            block[order],
-            place[order].astype(np.int32),
-            completed[order],
-            code[order],
-            measures[order],
+            digest,
+            block,
+            (order - starts[block]).astype(np.int32),
+            gathered(1, np.bool_),
+            gathered(2, np.int32),
+            np.array([piece[3] for piece in self._pieces], dtype=np.int32)[block],
             list(self._codes),
             list(self._measured),
         )

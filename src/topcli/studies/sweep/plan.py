@@ -179,7 +179,9 @@ def plan_sweep(surveyed: Survey, index: Index, retry_failed: bool = False) -> Pl
     ordered = surveyed.digests[order]
     again = order[1:][ordered[1:] == ordered[:-1]]
     status[again] = np.where(status[again] == DONE, DONE, REPEATED)
-    left = int(len(index.digest) - len(np.unique(index.digest[entry])))
+    known = np.zeros(len(index.digest), dtype=bool)
+    known[entry] = True
+    left = int(len(known) - known.sum())
     return Plan(surveyed, status, failed, left)
 
 

@@ -110,7 +110,7 @@ def _results(sweep: Sweep, journal: Journal, index: Index, entries: Sequence[int
 def _left(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
     """Yield the finished rows that no longer belong to the sweep, with the values of those keys that they had."""
     sweep = plan.survey.sweep
-    others = np.flatnonzero(~np.isin(index.digest, plan.survey.digests))
+    others = np.flatnonzero(~np.isin(index.digest, plan.survey.digests)) if plan.left else np.empty(0, dtype=np.int64)
     others = others[np.lexsort((index.place[others], index.block[others]))]
     for start in range(0, len(others), ROW_GROUP):
         entries = others[start : start + ROW_GROUP].tolist()
