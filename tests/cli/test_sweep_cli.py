@@ -153,6 +153,21 @@ def test_a_sweep_is_no_run(cli: Cli, study: Path) -> None:
     assert len(rows()) == 4
 
 
+def test_verify_checks_the_files_of_a_sweep(cli: Cli, study: Path) -> None:
+    cli("sweep", "study.yaml")
+    said = cli("verify", "study")
+    assert (said.code, said.out) == (0, "results/study: finished, 3 files intact\n")
+    path = Path("results/study/rows.parquet")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    said = cli("verify", "study")
+    assert said.code == 1
+    assert "rows.parquet: damaged: its SHA-256 differs" in said.err
+    cli("sweep", "study.yaml")
+    assert cli("verify", "study").code == 0
+
+
 def test_failures_after_the_twentieth_are_only_counted(cli: Cli, study: Path) -> None:
     text = "grid.h={from: 9, to: 20, count: 30}"
     said = cli("sweep", "study.yaml", "--set", text, "--set", "grid.scheme=[rk4]", "--set", "base.N=500")

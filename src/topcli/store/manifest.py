@@ -72,6 +72,12 @@ SWEEP = "sweep"
 """Entry ``kind`` of the manifest of a sweep, which is no run."""
 
 
+class _SweepManifest(BaseModel):
+    kind: Literal["sweep"]
+    manifest_version: Literal[2]
+    files: Annotated[dict[_FileName, _File], Field(max_length=1000)]
+
+
 class _NoRunError(ValueError):
     """The manifest is that of a sweep."""
 
@@ -256,6 +262,16 @@ def look(folder: Path) -> StoredRun | DamagedRun | None:
         return DamagedRun(folder, f"{MANIFEST}: cannot be read ({error.strerror})")
     except DamagedError as error:
         return DamagedRun(folder, f"{MANIFEST}: {error}")
+
+
+def stored_sweep(folder: Path) -> StoredRun | None:
+    """Finished sweep in ``folder``, whose manifest lists its files as that of a run does; None if there is none."""
+    try:
+        found = read_json(folder / MANIFEST)
+        _SweepManifest.model_validate(found)
+    except (OSError, ValueError):
+        return None
+    return StoredRun(folder, found)
 
 
 def stored_run(folder: Path) -> StoredRun | None:
