@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import pickle
 import random
 import time
 from pathlib import Path
@@ -22,7 +23,7 @@ from topcli.errors import RunError, UsageError
 from topcli.studies.simulate import trajectory_of
 from topcli.studies.sweep import evaluate as seam
 from topcli.studies.sweep.batches import batches
-from topcli.studies.sweep.evaluate import Results, evaluate_batch
+from topcli.studies.sweep.evaluate import Results, Work, evaluate_batch
 from topcli.studies.sweep.journal import Block, Journal
 from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, find_row, in_threads, planned, run_sweep
 
@@ -259,12 +260,13 @@ def test_no_batch_begins_after_a_stop() -> None:
     rows = list(RowReader(sweep_from(MANY)).rows())
     begun: list[int] = []
 
-    def evaluate(batch: Any) -> Results:
-        begun.append(len(batch))
-        return Results()
+    class Counted(Work):
+        def __call__(self, rows: Any, stop: Any = None) -> Results:
+            begun.append(len(rows))
+            return Results()
 
     made = ([row] for row in rows)
-    assert len(list(in_threads(1)(made, evaluate, lambda: len(begun) >= 3))) < 8
+    assert len(list(in_threads(1)(made, Counted(()), lambda: len(begun) >= 3))) < 8
     assert next(made)[0].number < 8
 
 
@@ -338,6 +340,17 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
     assert sorted(row.number for batch in made for row in batch) == list(range(160))
     assert len(made) >= 8
     assert max(sum(row.N for row in batch) for batch in made) <= 160 * 60 // 8 + 1
+
+
+def test_work_can_be_done_in_another_process_in_any_order(tmp_path: Path) -> None:
+    def backend(made: Any, work: Work, stop: Any) -> Any:
+        for batch in reversed(list(made)):
+            sent = pickle.loads(pickle.dumps((work, batch)))
+            yield batch, pickle.loads(pickle.dumps(sent[0](sent[1])))
+
+    sweep(tmp_path / "here", MANY)
+    run_sweep(sweep_from(MANY), tmp_path / "there", backend=backend)
+    assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
 
 
 def test_a_torn_line_of_the_journal_is_cut_off_and_its_rows_run_again(tmp_path: Path) -> None:

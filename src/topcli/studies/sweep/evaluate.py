@@ -105,6 +105,21 @@ def evaluate_batch(
     return results
 
 
+@dataclass(frozen=True)
+class Work:
+    """``evaluate_batch`` with its options, as plain data that can be sent to another process; ``work(rows)`` calls it.
+
+    Schemes and measures of plugin files must have been loaded there before.
+    """
+
+    measures: tuple[str, ...]
+    time_limit: float = 0.0
+
+    def __call__(self, rows: Sequence[Row], stop: Callable[[], bool] = lambda: False) -> Results:
+        """Evaluate rows."""
+        return evaluate_batch(rows, self.measures, self.time_limit, stop)
+
+
 @cache
 def _cpu() -> str:
     return cpu_name()

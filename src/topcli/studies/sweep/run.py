@@ -27,7 +27,7 @@ from topcli.store.parts import LOCK, lock_folder, owner
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import io_failure, require_real, require_writable, write_whole
 from topcli.studies.sweep.batches import batches
-from topcli.studies.sweep.evaluate import Results, evaluate_batch
+from topcli.studies.sweep.evaluate import Results, Work
 from topcli.studies.sweep.journal import COMPLETED, JOURNAL, Block, Journal
 from topcli.studies.sweep.plan import CODE, MEASURE, NEW, RETRY, Plan, Survey, changes, plan_sweep, survey
 from topcli.studies.sweep.results import ROWS, write_manifest, write_rows
@@ -44,10 +44,9 @@ TABLE_SECONDS = 60.0
 _TEMPORARY = re.compile(r"\.(sweep|rows|manifest)\.\d+\.(yaml|parquet|json)")
 """Names of files that are being written."""
 
-Evaluate = Callable[[Sequence[Row]], Results]
-Backend = Callable[[Iterable[list[Row]], Evaluate, Callable[[], bool]], Iterator[tuple[list[Row], Results]]]
-"""``backend(batches, evaluate, stop)`` yields each batch and its results, in any order, with a bounded number in
-flight. ``stop()`` turns true when no further batch is to begin."""
+Backend = Callable[[Iterable[list[Row]], Work, Callable[[], bool]], Iterator[tuple[list[Row], Results]]]
+"""``backend(batches, work, stop)`` yields each batch and the results of ``work(batch)``, in any order, with a bounded
+number in flight. ``stop()`` turns true when no further batch is to begin; rows that are not done are left out."""
 
 
 @dataclass(frozen=True)
@@ -173,16 +172,14 @@ def rows_to_run(plan: Plan) -> Iterator[tuple[Row, int]]:
 def in_threads(threads: int) -> Backend:
     """Back end that evaluates batches in threads of this process."""
 
-    def results(
-        made: Iterable[list[Row]], evaluate: Evaluate, stop: Callable[[], bool]
-    ) -> Iterator[tuple[list[Row], Results]]:
+    def results(made: Iterable[list[Row]], work: Work, stop: Callable[[], bool]) -> Iterator[tuple[list[Row], Results]]:
         source = iter(made)
         flying: dict[Future[Results], list[Row]] = {}
         with ThreadPoolExecutor(threads) as pool:
             while True:
                 free = 0 if stop() else IN_FLIGHT * threads - len(flying)
                 for batch in itertools.islice(source, max(0, free)):
-                    flying[pool.submit(evaluate, batch)] = batch
+                    flying[pool.submit(work, batch, stop)] = batch
                 if not flying:
                     return
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
@@ -255,7 +252,8 @@ class _Runner:
         if self.plan.to_run:
             rows = (row for row, _ in rows_to_run(self.plan))
             made = batches(rows, threads)
-            for batch, results in (backend or in_threads(threads))(made, self._evaluate, self._stop):
+            work = Work(self.sweep.measures, self.options.time_limit)
+            for batch, results in (backend or in_threads(threads))(made, work, self._stop):
                 self._keep(batch, results)
         outcomes = self._table()
         interrupted = self.watcher.stop() and sum(outcomes.values()) < self.survey.count
@@ -263,9 +261,6 @@ class _Runner:
         if sum(outcomes.values()) == self.survey.count:
             write_manifest(self.folder, self.sweep, outcomes, self.started, seconds, commit)
         return SweepResult(self.folder, self.plan, outcomes, self.tally.ran, interrupted, seconds)
-
-    def _evaluate(self, rows: Sequence[Row]) -> Results:
-        return evaluate_batch(rows, self.sweep.measures, self.options.time_limit, self._stop)
 
     def _keep(self, batch: Sequence[Row], results: Results) -> None:
         """Store the results of a batch in the journal, report failures and progress."""
