@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from topcli.studies.measures import measure as measure
     from topcli.studies.simulate import simulate as simulate
     from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
+    from topcli.studies.sweep.frame import sweep as sweep
 
 __version__ = "0.1.0"
-__all__ = ["Ensemble", "Trajectory", "__version__", "measure", "scheme", "simulate", "simulate_ensemble"]
+__all__ = ["Ensemble", "Trajectory", "__version__", "measure", "scheme", "simulate", "simulate_ensemble", "sweep"]
 
 _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
@@ -31,6 +32,7 @@ _HOMES = {
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.studies.simulate",
     "simulate_ensemble": "topcli.studies.simulate_ensemble",
+    "sweep": "topcli.studies.sweep.frame",
 }
 
 

@@ -173,7 +173,7 @@ def run(command: str, cwd: Path) -> tuple[int, list[str]]:
 
 def without_progress(lines: list[str]) -> list[str]:
     """Lines but those that a slow machine adds, such as ``stress: 75.0%, 3 of 4 steps, 0.13 steps/s, 8 s left``."""
-    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ steps", line)]
+    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ (steps|rows)", line)]
 
 
 def prepare(page: Page, folder: Path) -> None:
@@ -221,7 +221,8 @@ def test_python_examples_run(block: Block, tmp_path: Path) -> None:
 def test_configs_are_valid(block: Block, tmp_path: Path) -> None:
     path = tmp_path / f"config.{block.language}"
     path.write_text(block.text, encoding="utf-8")
-    code, printed = run(f"topcli run {path} --dry-run", tmp_path)
+    command = "sweep" if re.search("^base:", block.text, re.MULTILINE) else "run"
+    code, printed = run(f"topcli {command} {path} --dry-run", tmp_path)
     assert code == 0, printed
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from topcli.cli import bench, compare, inspect, lax, order, plot, roundoff, run, stress, table, verify
+from topcli.cli import bench, compare, inspect, lax, order, plot, roundoff, run, stress, sweep, table, verify
 from topcli.cli.command import Command
 from topcli.cli.talk import emit, say, say_error, say_text
 from topcli.errors import TopcliError, clipped
@@ -71,6 +71,7 @@ def _topcli(
 
 
 app.command("run", cls=Command)(run.run)
+app.command("sweep", cls=Command)(sweep.sweep)
 app.command("verify", cls=Command)(verify.verify)
 app.command("compare", cls=Command)(compare.compare)
 app.command("bench", cls=Command)(bench.bench)

@@ -271,24 +271,43 @@ def show(
     config: Annotated[
         str,
         typer.Argument(
-            metavar="CONFIG|SCHEME",
-            help="A config file, a packaged scene, or a scheme.",
+            metavar="CONFIG|SCHEME|SWEEP",
+            help="A config file, a packaged scene, a scheme, or the folder of a sweep.",
             autocompletion=complete_config_or_scheme,
         ),
     ],
+    row: Annotated[
+        int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a sweep as a config.")
+    ] = None,
     sets: Sets = None,
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Show a config with every default, or describe a scheme."""
+    """Show a config with defaults, a scheme, or a row of a sweep."""
     from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
+    if row is not None:
+        _show_row(Path(config), row, sets or [], as_json)
+        return
     if not sets and not Path(config).suffix and _show_scheme(config, as_json):
         return
     experiment = load_any(config, sets or [])
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
+    else:
+        emit_text(experiment.to_yaml())
+
+
+def _show_row(folder: Path, number: int, sets: list[str], as_json: bool) -> None:
+    """Print the config of a row of the sweep in ``folder``."""
+    from topcli.config.load import experiment_from
+    from topcli.studies.sweep.run import find_row
+
+    sweep, row = find_row(folder, number)
+    experiment = experiment_from(row.config(f"{sweep.name[:80]}_{number}"), sets)
+    if as_json:
+        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "row_digest": row.digest})
     else:
         emit_text(experiment.to_yaml())
 

@@ -227,6 +227,9 @@ def _single(document: Document, default_name: str | None) -> Experiment:
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
     """Return the experiment or ensemble of a document. Raises as ``load_experiment``."""
     problems = Problems(document)
+    if "base" in document.data:
+        problems.add(("base",), "this is a sweep, and an experiment is needed here; `topcli sweep` takes sweeps")
+        problems.raise_any()
     optional = ("name", "output", "ensemble")
     data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
     if "name" not in data and default_name is not None:

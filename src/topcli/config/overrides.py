@@ -14,6 +14,8 @@ _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _POSITION = re.compile(r"^(:\d+)*: ")
 BARE = {"top": "kind", "scheme": "name"}
 """Sections that may be given as a bare name, each with the key whose value the name is."""
+_EXPERIMENTS = ((), ("base",))
+"""Where a document holds a config: as a whole, or in the section ``base`` of a sweep."""
 
 
 def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
@@ -70,7 +72,7 @@ def _set(document: Document, path: tuple[str, ...], value: Any, label: str) -> N
         inner: Any = section.get(key)
         if inner is None:
             inner = {}
-        elif depth == 0 and key in BARE and isinstance(inner, str):
+        elif path[:depth] in _EXPERIMENTS and key in BARE and isinstance(inner, str):
             inner = {BARE[key]: inner}
         elif not isinstance(inner, dict):
             whole = key_text(path[: depth + 1])
