@@ -390,6 +390,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         "compare",
         "stress",
         "order",  # in test_sweep_figures.py
+        *("swings", "errors", "heavy-drift"),  # in test_sweep_studies.py
     }
 
 
