@@ -58,7 +58,7 @@ def data_of(line: Line2D) -> np.ndarray:
 
 
 def look(line: Line2D) -> tuple[Any, ...]:
-    """What a reader can tell a line by."""
+    """Features by which a reader identifies a line."""
     return to_rgb(line.get_color()), line.get_linestyle()
 
 
@@ -139,7 +139,7 @@ SPHERES = {
 
 
 def arrows(axes: Axes) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Foot and head of every arrow that stands on the axes."""
+    """Foot and head of every arrow on the axes."""
     return [
         (np.asarray(text.xyann), np.asarray(text.xy))  # type: ignore[attr-defined]
         for text in axes.texts
@@ -393,7 +393,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
 
 
 def test_another_panel_is_drawn_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a figure depends on makes it redraw: its panels, the code of its study."""
+    """A change of its panels or of the code of its study redraws a figure."""
     from dataclasses import replace
 
     monkeypatch.setattr("topcli.figures.make.save", lambda figure, path: path.touch())

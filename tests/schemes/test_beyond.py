@@ -181,7 +181,7 @@ def test_degenerate_tori_are_no_worse_than_hk(name: str, c0: float, y0: Floats) 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_FOUR)
 @pytest.mark.parametrize("k", [0.0, 1e-12, 1e-9, 1e-6, 1e-4, 1e-3])
-def test_small_k_is_kept(name: str, k: float) -> None:
+def test_small_k_is_conserved(name: str, k: float) -> None:
     """Delone's motion, k = 0, where the gradient of k² vanishes, and close to it: kept, and no worse than HK."""
     g1, g2 = 0.72 - 0.6 * k, 0.54 + 0.8 * k
     y0 = (0.9, 0.3, 1.0, g1, g2, math.sqrt(1.0 - g1 * g1 - g2 * g2))
@@ -214,7 +214,7 @@ def test_counters_report_unmet_tolerances() -> None:
     assert ran(stepper("hk-projected"), GEN, 2.0, 1000)[1].counters["unmet"] > 10  # a step of no use
 
 
-def test_long_run_control() -> None:
+def test_rk2_control_drifts() -> None:
     states, _ = ran(RK2, GEN, 0.01, 10_000)
     assert min(deviations(states).values()) > 1e6
 

@@ -50,7 +50,7 @@ def test_order_conditions(name: str) -> None:
 
 
 def test_number_of_conditions() -> None:
-    """The conditions are those of the theory: so many products, and one stage alone has order 2."""
+    """The number of conditions is that of the theory, and one stage alone has order 2."""
     assert [len(words(n)) - len(words(n - 1)) for n in range(1, 9)] == [1, 1, 2, 3, 5, 8, 13, 21]
     assert residual((1.0,), 2) == 0.0
     assert residual((1.0,), 4) == 1.0

@@ -1,4 +1,4 @@
-"""What a scheme declares is tested because it is declared: order, self-adjointness, exact invariants.
+"""Declared traits of every scheme hold: order, self-adjointness, exact invariants.
 
 Every test comes with a positive control: a scheme without the trait that the same measure condemns.
 """
@@ -85,7 +85,7 @@ def test_declared_order_is_observed(scheme: Scheme) -> None:
 
 
 def test_order_control() -> None:
-    """The measure tells orders apart: Euler's rule is no order-2 scheme, and no rule is exact."""
+    """The measure distinguishes orders: Euler's rule is no order-2 scheme, and no rule is exact."""
     assert observed(Kowalevski(), EULER) == pytest.approx(1.0, abs=0.1)
     assert observed(Kowalevski(), RK2) == pytest.approx(2.0, abs=0.1)
     assert observed(Euler(), rk2(Euler())) == pytest.approx(2.0, abs=0.1)

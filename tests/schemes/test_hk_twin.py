@@ -54,7 +54,7 @@ def test_hk_is_the_general_solve_exactly(c: Fraction, h: Fraction) -> None:
     assert twins.exactly(hk_kowalevski, y, h, (c,)) == twins.hk_general(y, h, (c,))
 
 
-def test_the_misprinted_equations_are_others() -> None:
+def test_misprinted_equations_differ_from_hk() -> None:
     """Control: the paper's last line as printed is not solved by the HK step."""
     y = [Fraction(x).limit_denominator(100) for x in GEN]
     new = twins.hk_general(y, Fraction(1, 10), (Fraction(1),))

@@ -104,7 +104,7 @@ def test_equilibria_and_special_states_settle(y: Floats, h: float) -> None:
         assert midpoint(y, h, p)[6] == 0.0
 
 
-def test_hanging_top_stays() -> None:
+def test_hanging_top_stays_at_rest() -> None:
     """Gamma along g at rest is an equilibrium; the step leaves it where it is, to the last bit."""
     y = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
     assert midpoint(y, 0.1, (2.0, 1.5, 1.0, 0.0, 0.0, 3.0))[:6] == y
@@ -129,7 +129,7 @@ def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     assert math.isnan(work[made.width - 2])
 
 
-def test_blowing_up_is_not_mistaken_for_it() -> None:
+def test_blow_up_is_not_reported_as_no_convergence() -> None:
     run = Run(Kowalevski(), RK2, (1e200, 1e200, 0.0, 0.6, 0.48, 0.64), 1.0, 10)
     list(run)
     assert run.ending is not None

@@ -1,4 +1,4 @@
-"""Runs that are stopped, killed or out of disk, and resumed: equal, bit for bit, to the run that was left alone."""
+"""Runs that are stopped, killed or out of disk, and resumed: equal, bit for bit, to the uninterrupted run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("small_chunks")
 
 @pytest.mark.slow
 @by_name
-def test_every_scheme_goes_on_bit_for_bit(scheme: Scheme) -> None:
+def test_every_scheme_resumes_bit_for_bit(scheme: Scheme) -> None:
     """Working states of every scheme, carried quantities and counters included, and the sums of the report."""
     top = TRIALS[scheme.top][-1]
     method, N, every = scheme.build(top, scheme.options()), 120, 7
@@ -56,7 +56,7 @@ def test_every_scheme_goes_on_bit_for_bit(scheme: Scheme) -> None:
     assert resumed.rows() == whole_tally.rows()
 
 
-def test_physical_states_alone_would_not_do() -> None:
+def test_physical_states_alone_do_not_resume_bit_for_bit() -> None:
     """Positive control: started again from the recorded state, a scheme with carried quantities ends elsewhere."""
     (scheme,) = (s for s in all_schemes() if (s.name, s.top) == ("hybrid-xi", "kowalevski"))
     top = TRIALS["kowalevski"][1]
@@ -76,7 +76,7 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene:
     N = 70 if "dop853" in scene else 300
     experiment = load_experiment(ROOT / "configs" / f"{scene}.yaml", [f"N={N}", f"output.format={suffix}"])
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
-    out, told = tmp_path / "out", []
+    out, messages = tmp_path / "out", []
     chunks = 2
     result = run_experiment(experiment, out, stop=after(chunks))
     for _ in range(3):  # three times on, and stopped again
@@ -84,13 +84,13 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene:
         assert (result.stored.folder / CHECKPOINT).exists()
         rows = len(next(iter(read_series(result.stored.series).values())))
         assert rows == result.report["step"] + 1
-        result = run_experiment(experiment, out, resume=True, stop=after(1), tell=told.append)
+        result = run_experiment(experiment, out, resume=True, stop=after(1), tell=messages.append)
         assert result.status == "resumed"
         if result.outcome is Outcome.COMPLETED:
             break
-    result = run_experiment(experiment, out, resume=True, tell=told.append)
+    result = run_experiment(experiment, out, resume=True, tell=messages.append)
     assert content(result.stored.folder) == expected
-    assert f"continues from step {chunks * 16 if N > 70 else 32} of {N}" in told[0]
+    assert f"continues from step {chunks * 16 if N > 70 else 32} of {N}" in messages[0]
     assert [path.name for path in out.iterdir()] == [experiment.name]
     assert result.report["seconds"]["run"] > 0.0
     assert result.stored.manifest["resumed"][0]["step"] > 0
@@ -130,25 +130,25 @@ def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
         assert stored_runs(tmp_path) == []
     (left,) = tmp_path.iterdir()
     assert sorted(path.name for path in left.iterdir()) == sorted([*FILES, "series.parquet"])
-    left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that lives no more
+    left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that has ended
     monkeypatch.setattr("topcli.studies.run.Run", None)  # nothing is integrated
     assert run_experiment(small(), tmp_path, resume=True).outcome is Outcome.COMPLETED
     assert [path.name for path in tmp_path.iterdir()] == [NAME]
 
 
 def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> None:
-    told: list[str] = []
+    messages: list[str] = []
     killed(tmp_path, small(), 5)
-    result = run_experiment(small(), tmp_path, tell=told.append)
+    result = run_experiment(small(), tmp_path, tell=messages.append)
     assert (result.status, result.outcome) == ("ran", Outcome.COMPLETED)
-    assert "--resume would continue" in told[0]
+    assert "--resume would continue" in messages[0]
     assert [path.name for path in tmp_path.iterdir()] == [NAME], "superseded, and swept away"
 
 
 def test_resume_without_a_checkpoint_starts_from_step_0(tmp_path: Path) -> None:
-    told: list[str] = []
-    assert run_experiment(small(), tmp_path, resume=True, tell=told.append).status == "ran"
-    assert told == [f"{NAME}: nothing to resume; starting from step 0"]
+    messages: list[str] = []
+    assert run_experiment(small(), tmp_path, resume=True, tell=messages.append).status == "ran"
+    assert messages == [f"{NAME}: nothing to resume; starting from step 0"]
 
 
 @pytest.mark.slow
@@ -179,9 +179,9 @@ def test_an_interrupted_run_never_takes_the_place_of_more(tmp_path: Path) -> Non
     less = run_experiment(small(), tmp_path / "b", stop=after(2))
     assert less.set_aside is not None
     assert stored_run(less.set_aside).manifest["step"] == further.report["step"]
-    told: list[str] = []
-    run_experiment(small(), tmp_path / "b", resume=True, tell=told.append)
-    assert f"step {further.report['step']} of" in told[0], "the one that got further goes on"
+    messages: list[str] = []
+    run_experiment(small(), tmp_path / "b", resume=True, tell=messages.append)
+    assert f"step {further.report['step']} of" in messages[0], "the one that got further goes on"
 
 
 def test_a_forced_run_beside_a_different_one_is_resumed(tmp_path: Path) -> None:

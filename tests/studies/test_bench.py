@@ -185,7 +185,7 @@ def _worker_that_dies(command: list[str], **options: Any) -> Any:
 _popen = subprocess.Popen
 
 
-def test_names_of_peers() -> None:
+def test_wrong_names_of_peers_are_refused() -> None:
     assert [peer.name for peer in find_peers(["Heyoka", "scipy"])] == ["heyoka", "scipy"]
     with pytest.raises(UnknownNameError, match="did you mean 'heyoka'"):
         find_peers(["heyok"])

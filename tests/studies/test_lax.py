@@ -227,14 +227,14 @@ def test_study_of_kowalevski() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sets", [["N=1"], ["h=-0.01", "N=50"], ["top.x0=0", "top.y0=0", "top.z0=0", "N=50"]])
-def test_study_of_odd_experiments(sets: list[str]) -> None:
+def test_study_of_unusual_experiments(sets: list[str]) -> None:
     found = lax_study(lax_experiment("heavy", None, sets), ["midpoint"])
     for run in found["runs"]:
         assert all(form["drift"] < 1e-13 for form in run["forms"])
 
 
 @pytest.mark.slow
-def test_command(cli) -> None:
+def test_command_reports_each_form(cli) -> None:
     said = cli("lax", "kowalevski", "midpoint", "--config", "kowalevski_midpoint", "--set", "N=2000", "--json")
     assert said.code == 0
     assert [run["scheme"] for run in said.json()["runs"]] == ["exact flow", "midpoint"]
@@ -252,7 +252,7 @@ def test_command(cli) -> None:
         (("lax", "heavy", "--config", str(ROOT / "configs" / "kowalevski_hk.yaml")), ("kowalevski_hk", "not 'heavy'")),
     ],
 )
-def test_mistakes(cli, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_wrong_usage_of_lax_is_refused(cli, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     said = cli(*arguments)
     assert said.code == 2
     assert said.out == ""

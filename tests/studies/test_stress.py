@@ -1,4 +1,4 @@
-"""The hard cases: the states are what they say, every check tells good from bad, and limits meet what happens."""
+"""The hard cases: the states are as described, checks distinguish good from bad, and limits match the outcomes."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def finding(
     form: str = "kowalevski",
     N: int | None = None,
     options: dict[str, Any] | None = None,
-    **told: Any,
+    **traits: Any,
 ) -> Finding:
-    """What the case says of the scheme; ``told`` changes what the scheme declares, or how it is built."""
+    """Finding of the case for the scheme; ``traits`` changes the scheme's declaration or its build."""
     one = case_of(case, form)
     experiment = one.experiment(scheme, options)
-    changes: dict[str, Any] = {"scheme": replace(experiment.scheme, **told)} | ({"N": N} if N else {})
+    changes: dict[str, Any] = {"scheme": replace(experiment.scheme, **traits)} | ({"N": N} if N else {})
     return one.check(Trial(one, experiment.model_copy(update=changes), CaseCache()))
 
 
@@ -146,7 +146,7 @@ def test_the_theory_of_the_swings() -> None:
 # the checks, each on what holds and on what does not
 
 
-def test_order_is_kept_lost_and_left() -> None:
+def test_order_checks_distinguish_kept_lost_and_left() -> None:
     assert finding("pole", "bohlin-b").result is Result.HELD
     single = finding("pole", "bohlin-b", options={"chart": "single"})
     assert (single.result, single.step) == (Result.BROKE, 59)
@@ -170,7 +170,7 @@ def test_adaptive_and_exact_schemes_are_judged_by_their_error() -> None:
     assert finding("backwards", "midpoint", "euler", order=None).result is Result.DEGRADED
 
 
-def test_swings() -> None:
+def test_timing_of_swings_is_judged() -> None:
     assert finding("homoclinic-1e-9", "hk").result is Result.HELD
     held = finding("homoclinic-spacing", "hk")
     assert held.result is Result.HELD
@@ -182,7 +182,7 @@ def test_swings() -> None:
     assert "no swing" in none.why
 
 
-def test_flips() -> None:
+def test_timing_of_flips_is_judged() -> None:
     for offset in ("1e-3", "1e-12"):
         held = finding(f"racket-{offset}", "midpoint", "euler")
         assert held.result is Result.HELD
@@ -198,7 +198,7 @@ def test_flips() -> None:
     assert (still.result, "no flip" in still.why) == (Result.BROKE, True)
 
 
-def test_bounds() -> None:
+def test_growth_beyond_the_bounds_is_judged() -> None:
     assert finding("resonance", "midpoint").result is Result.HELD
     grown = finding("singular-step", "hk")
     assert (grown.result, grown.step) == (Result.BROKE, 1)
@@ -283,7 +283,7 @@ def test_limits_named_like_cases_are_cases_of_the_scheme() -> None:
             assert text.endswith(".")
 
 
-def test_verdicts() -> None:
+def test_verdicts_compare_outcomes_with_limits() -> None:
     hk = find_scheme("hk", "kowalevski")
     assert verdict_of(hk, "huge", Result.BROKE) == "unexplained"
     assert verdict_of(hk, "resonance", Result.BROKE) == "limit"

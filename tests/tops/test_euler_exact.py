@@ -89,8 +89,8 @@ def test_exact_beside_the_separatrix(offset: float) -> None:
     assert gamma < GAMMA_BAR
 
 
-def test_the_separatrix_comparison_can_fail() -> None:
-    """Control: offsets 1e-12 apart are told apart by t = 50."""
+def test_separatrix_comparison_detects_an_offset() -> None:
+    """Control: offsets 1e-12 apart are distinguished by t = 50."""
     top = EulerGamma()
     states = [
         sampled("exact", top, (0.7 * (1 + e), *SEPARATRIX[1:], *GEN[3:]), 0.5, [100])[0] for e in (1e-9, 1.001e-9)
@@ -283,7 +283,7 @@ def test_the_digits_of_the_small_are_lost_by_scipy() -> None:
         assert abs(ellipj(u, 1.0 - m1)[1] / float(exact) - 1.0) > error
 
 
-def test_the_decimal_pi() -> None:
+def test_decimal_pi_is_correct() -> None:
     from topcli.arithmetic.elliptic import PI
 
     with mp.workdps(110):

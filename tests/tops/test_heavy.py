@@ -193,7 +193,7 @@ def test_solve3_solves(m, r) -> None:
 )
 def test_impossible_moments_are_warned_of(moments, named: str) -> None:
     A, B, C = moments
-    told = Heavy(A=A, B=B, C=C).warnings()
-    assert bool(told) == bool(named)
-    for line in told:
+    found = Heavy(A=A, B=B, C=C).warnings()
+    assert bool(found) == bool(named)
+    for line in found:
         assert f"{named} = {max(moments):g} >" in line

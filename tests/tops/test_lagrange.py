@@ -285,7 +285,7 @@ def test_frames_convert_there_and_back() -> None:
 
 
 def test_the_same_motion_in_both_frames() -> None:
-    """What does not depend on the frame, u, agrees at all times, exactly and under both schemes to their order."""
+    """The frame-independent component u agrees at all times, exactly and under both schemes to their order."""
     top, n = Lagrange(A=1.3, C=0.9, mu=0.7), np.arange(0, 1001, 20)
     start = to_inertial(top, np.array([GEN]), np.zeros(1))[0][0]
     h, (_, time) = 0.01, units(top)
@@ -342,7 +342,7 @@ def precession_rates(scene: str) -> tuple[np.ndarray, np.ndarray]:
     return np.diff(np.unwrap(np.arctan2(y["a2"], y["a1"]))) / y.h, y["a3"]
 
 
-def test_scenes_of_nutation_do_what_their_names_say() -> None:
+def test_nutation_scenes_show_the_motion_in_their_names() -> None:
     rates = {name: precession_rates(f"lagrange_{name}") for name in ("cusps", "loops", "waves")}
     for rate, height in rates.values():
         assert height.max() <= 0.6 + 1e-15
@@ -358,7 +358,7 @@ def test_scenes_of_nutation_do_what_their_names_say() -> None:
     assert rates["waves"][0].min() > 0.15
 
 
-def test_the_sleeping_top_wakes_and_the_fast_top_trembles() -> None:
+def test_slow_sleeping_top_tilts_and_fast_top_nutates_slightly() -> None:
     tilt = np.degrees(np.arccos(simulate("lagrange_sleeping")["gamma3"]))
     assert tilt[0] < 0.06
     assert 11.0 < tilt.max() < 12.0
