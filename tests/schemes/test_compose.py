@@ -166,12 +166,12 @@ def test_modified_integrals_of_the_base_are_not_conserved(name: str) -> None:
     (integral,) = leapfrog_integral(top, h, None)
     kept, lost = (integral.value(states_of(Run(top, s.build(top, None), (0.6, 0.8), h, N))) for s in (base, scheme))
     assert deviation(kept, kept, N) < 1.0
-    assert deviation(lost, lost, N * COMPOSITIONS[name].stages) > 1e4
+    assert 2.4e9 < deviation(lost, lost, N * COMPOSITIONS[name].stages) < 2.5e10
     # nor does the same integral at the length of any one stage
     for c in COMPOSITIONS[name].weights:
         (integral,) = leapfrog_integral(top, c * h, None)
         lost = integral.value(states_of(Run(top, scheme.build(top, None), (0.6, 0.8), h, N)))
-        assert deviation(lost, lost, N * COMPOSITIONS[name].stages) > 1e4
+        assert 2.3e7 < deviation(lost, lost, N * COMPOSITIONS[name].stages) < 7e10
 
 
 # How stages are put together

@@ -59,7 +59,7 @@ def test_hybrid_does_not_satisfy_the_symmetric_relations() -> None:
     """Control: the paper's hybrid misses the relations by h times its prediction's error, O(h⁴)."""
     step = physical(stepper("hybrid"))
     defects = [max(map(abs, relations(GEN, step(GEN, h, (1.0,)), h, 1.0))) for h in (0.1, 0.05)]
-    assert defects[1] > 1e-7
+    assert defects[1] == pytest.approx(4.27e-07, rel=0.05)
     assert 12.0 < defects[0] / defects[1] < 20.0
 
 
@@ -76,8 +76,8 @@ def test_lengths_stay_within_ulps_over_a_million_steps(name: str, y0: Floats, h:
 
 def test_papers_hybrid_loses_its_lengths() -> None:
     found = deviations(ran(stepper("hybrid"), GEN, 0.05, 1_000_000, 100)[0])
-    assert found["gamma_sq"] > 50.0
-    assert found["k_sq"] > 50.0
+    assert found["gamma_sq"] == pytest.approx(323, rel=0.05)
+    assert found["k_sq"] == pytest.approx(248, rel=0.05)
 
 
 def test_hybrid_xi_is_the_hybrid() -> None:
@@ -115,7 +115,7 @@ def slope_over_error(made: Stepper, integral: str) -> float:
 @pytest.mark.parametrize("integral", ["two_l", "energy"])
 def test_the_other_integrals_do_not_drift(integral: str) -> None:
     assert slope_over_error(stepper("hybrid-sym"), integral) < 5.0
-    assert slope_over_error(stepper("hybrid"), integral) > 20.0
+    assert 900.0 < slope_over_error(stepper("hybrid"), integral) < 3900.0
 
 
 @pytest.mark.parametrize("y0", [GEN, *map(tuple, random_states(2, seed=34))])

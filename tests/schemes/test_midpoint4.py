@@ -139,8 +139,8 @@ def test_four_integrals_close_to_a_degenerate_torus(eps: float) -> None:
     if eps > 1e-4:
         assert ending.counters["plain_projections"] == 0
     if eps < 1e-6:
-        assert ending.counters["plain_projections"] > 100
-    assert deviations(ran(stepper("midpoint"), y0, 0.01, 10_000)[0])["k_sq"] > 1e6
+        assert 1300.0 < ending.counters["plain_projections"] < 20000.0
+    assert 1.7e6 < deviations(ran(stepper("midpoint"), y0, 0.01, 10_000)[0])["k_sq"] < 7.3e8
     swing = math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) / eps)
     first = states[: round(1.5 * swing / 0.01), 3]
     assert 0.01 * int(np.argmin(first)) == pytest.approx(swing, abs=0.011)
@@ -157,7 +157,7 @@ def test_four_integrals_on_random_orbits_with_a_large_step() -> None:
         control = min(control, *deviations(ran(stepper("hk"), y, 0.1, 200)[0]).values())
         assert one_step_back_and_forth(Kowalevski(), made, np.array(y), 0.2) < 5e-15
     assert worst < 15.0
-    assert control > 1e9
+    assert control == pytest.approx(4.95e11, rel=0.05)
 
 
 def test_from_rest_with_gamma_along_the_third_axis() -> None:

@@ -179,7 +179,7 @@ def test_taylor_follows_the_reference_to_round_off(top: Top, h: float, N: int) -
 def test_a_coarse_tolerance_fails_the_same_test() -> None:
     top = Kowalevski()
     exact = reference_states(top, GEN, np.array([20.0]))
-    assert np.abs(after(top, GEN, 20.0, 1, tol=1e-8) - exact).max() > 1e-10
+    assert np.abs(after(top, GEN, 20.0, 1, tol=1e-8) - exact).max() == pytest.approx(3e-09, rel=0.05)
 
 
 @pytest.mark.parametrize("top", [Euler(), EulerGamma(), LagrangeInertial(), Lagrange(A=1.4, C=2.1, mu=-0.8)], ids=repr)
@@ -197,7 +197,7 @@ def test_the_error_follows_the_tolerance(top: Top) -> None:
     exact = reference_states(top, y0, np.array([5.0]))[0]
     errors = np.array([np.abs(after(top, y0, 5.0, 1, tol=tol)[0] - exact).max() for tol in tolerances])
     assert (errors < 300.0 * tolerances + 1e-13).all()
-    assert errors[0] > 1e-8  # a loose one is made use of
+    assert 5e-5 < errors[0] < 0.0012  # a loose one is made use of
     counts = []
     for tol in tolerances:
         run = Run(top, taylor(top, tol), y0, 5.0, 1)
@@ -316,7 +316,7 @@ def test_coarse_tolerance_loses_the_integrals() -> None:
     top = Kowalevski()
     found = after(top, GEN, 0.5, 40_000, 10, tol=1e-12)
     values = top.invariants()[0].value(found)
-    assert np.abs(values - values[0]).max() > 2e-13
+    assert np.abs(values - values[0]).max() == pytest.approx(3.14e-11, rel=0.05)
 
 
 def test_equilibria_rest() -> None:

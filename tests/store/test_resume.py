@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes
-from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
+from topcli.store.checkpoint import CHECKPOINT, read_checkpoint, write_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.series import read_series
 from topcli.studies.run import run_experiment
@@ -199,3 +200,37 @@ def test_a_run_that_fails_has_no_checkpoint(tmp_path: Path) -> None:
     assert result.outcome is Outcome.BLEW_UP
     assert not (result.stored.folder / CHECKPOINT).exists()
     assert run_experiment(small(*overrides), tmp_path, resume=True).status == "up to date"
+
+
+def test_two_resumes_accumulate_history_seconds_and_start(tmp_path: Path) -> None:
+    left = killed(tmp_path, small(), 3)
+    first = read_checkpoint(left)
+    assert first is not None
+    began = "2001-02-03T04:05:06+00:00"
+    write_checkpoint(left, replace(first, about={**first.about, "run_seconds": 1000.0, "started": began}))
+    second = run_experiment(small(), tmp_path, resume=True, stop=after(2))
+    assert second.outcome is Outcome.INTERRUPTED
+    third = run_experiment(small(), tmp_path, resume=True)
+    assert third.outcome is Outcome.COMPLETED
+    steps = [first.done, second.report["step"]]
+    assert 0 < steps[0] < steps[1] < 300
+    for result, count in ((second, 1), (third, 2)):
+        manifest = result.stored.manifest
+        assert manifest["started"] == began
+        assert [one["step"] for one in manifest["resumed"]] == steps[:count]
+        assert manifest["seconds"] == result.report["seconds"]
+    assert 1000.0 < second.report["seconds"]["run"] < third.report["seconds"]["run"] < 1100.0
+
+
+def test_space_is_reserved_from_the_first_checkpoint_on(tmp_path: Path) -> None:
+    """A quarter of a megabyte from the first checkpoint until the run is complete."""
+    seen = []
+
+    def progress(done: int, total: int) -> None:
+        sizes = [path.stat().st_size for path in tmp_path.glob(".*/reserve")]
+        seen.append((bool(list(tmp_path.glob(".*/checkpoint.npz"))), sizes))
+
+    folder = run_experiment(small(), tmp_path, checkpoint_every=0.0, progress=progress).stored.folder
+    assert any(checkpoint for checkpoint, _ in seen)
+    assert all(sizes == [262144] for checkpoint, sizes in seen if checkpoint)
+    assert not (folder / "reserve").exists()

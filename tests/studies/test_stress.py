@@ -82,7 +82,7 @@ def test_degenerate_tori_are_degenerate() -> None:
         exact = exactly_separated(state)
         assert abs(exact[which]) < 2e-15
         assert exact == pytest.approx(separation(state), abs=1e-14)
-        assert abs(separation(GENERIC)[which]) > 1e-3
+        assert 0.047 < abs(separation(GENERIC)[which]) < 6.7
     assert math.hypot(*TORUS_E4[3:]) == pytest.approx(1.0, abs=1e-15)
 
 
@@ -126,7 +126,7 @@ def test_singular_steps_are_singular(top: Top) -> None:
         return float(np.linalg.svd(np.eye(len(state)) - 0.5 * h * np.array(columns).T, compute_uv=False)[-1])
 
     assert least(h) < 1e-14
-    assert least(0.9 * h) > 1e-3
+    assert 0.012 < least(0.9 * h) < 0.18
 
 
 def test_a_top_without_a_singular_step_is_reported() -> None:
@@ -202,7 +202,7 @@ def test_growth_beyond_the_bounds_is_judged() -> None:
     assert finding("resonance", "midpoint").result is Result.HELD
     grown = finding("singular-step", "hk")
     assert (grown.result, grown.step) == (Result.BROKE, 1)
-    assert grown.figures["largest"] > 1e10
+    assert 1e30 < grown.figures["largest"] < 1e60
     assert finding("resonance", "rk4").result is Result.BROKE
     assert finding("singular-step", "bohlin-a").result is Result.DEGRADED
 
@@ -219,7 +219,7 @@ def test_self_adjoint_schemes_return(scheme: Scheme) -> None:
 def test_the_papers_hybrid_does_not_return() -> None:
     missed = finding("there-and-back", "hybrid")
     assert missed.result is Result.DEGRADED
-    assert missed.figures["missed"] > 1e-2
+    assert missed.figures["missed"] == pytest.approx(0.232, rel=0.05)
     assert finding("there-and-back", "hybrid", self_adjoint=True).result is Result.BROKE
 
 
