@@ -248,6 +248,15 @@ def test_a_violated_claim_breaks_whatever_the_question() -> None:
     assert finding("backwards", "rk4").result is Result.HELD
 
 
+def test_interpreted_schemes_take_some_four_hundred_longer_steps() -> None:
+    one = case_of("drift")
+    plain = Trial(one, one.experiment("dop853"), CaseCache())
+    compiled = Trial(one, one.experiment("rk4"), CaseCache())
+    assert plain.plain
+    assert plain.N * plain.h == pytest.approx(compiled.N * compiled.h, rel=0.01)
+    assert plain.N == 400 < compiled.N
+
+
 # limits
 
 
