@@ -160,10 +160,10 @@ def main() -> None:
     for row in rows:
         ns = [row["ns"].get(name, float("nan")) for name in ("topcli", *FLAGS)]
         grown = row["round_off"]
-        told = f"N^{grown['exponent']:.2f} ± {grown['exponent_error']:.2f} ({grown['name']})" if grown else "–"
+        exponent = f"N^{grown['exponent']:.2f} ± {grown['exponent_error']:.2f} ({grown['name']})" if grown else "–"
         ratios = [row["over_faster_c"], row["over_same_rounding"]]
         over = "".join(f"{'–':>12}" if ratio is None else f"{ratio:>12.3f}" for ratio in ratios)
-        print(f"{row['case']:<24}" + "".join(f"{x:>9.2f}" for x in ns) + over + " " * 18 + told)
+        print(f"{row['case']:<24}" + "".join(f"{x:>9.2f}" for x in ns) + over + " " * 18 + exponent)
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ def test_version_and_help(cli) -> None:
         assert command in said.out
 
 
-def test_help_is_light(tmp_path: Path) -> None:
+def test_help_imports_no_heavy_package(tmp_path: Path) -> None:
     """``topcli --help`` imports none of the costly packages."""
     code = (
         "import sys; sys.argv = ['topcli', '--help']\n"
@@ -57,7 +57,7 @@ def test_help_is_light(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_warm_run_is_light(tmp_path: Path) -> None:
+def test_warm_run_imports_no_heavy_package(tmp_path: Path) -> None:
     """A run whose machine code is known imports neither the compiler nor pandas nor SciPy."""
     process("run", HYBRID, "--set", "N=10", cwd=tmp_path)
     code = (
@@ -128,7 +128,7 @@ def test_dry_run_writes_nothing(cli, in_tmp: Path) -> None:
     assert list(in_tmp.iterdir()) == []
 
 
-def test_one_failure_does_not_stop_the_rest(cli, in_tmp: Path) -> None:
+def test_one_failure_does_not_stop_the_other_runs(cli, in_tmp: Path) -> None:
     said = cli("run", "nonsense.yaml", HK, "--set", "N=50")
     assert said.code == 3
     assert (in_tmp / "results" / "kowalevski_hk").is_dir()
@@ -327,7 +327,7 @@ def test_init_does_not_overwrite_a_file_of_the_users(cli, in_tmp: Path) -> None:
     assert not (in_tmp / "first.yaml").exists()
 
 
-def test_several_tables_have_titles(cli) -> None:
+def test_tables_of_several_runs_have_titles(cli) -> None:
     out = cli("run", HK, HYBRID, "--set", "N=100").out
     assert out.splitlines()[0] == "kowalevski_hk"
     assert "kowalevski_hybrid" in out.splitlines()
@@ -335,7 +335,7 @@ def test_several_tables_have_titles(cli) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_or_foreign_stdout_is_no_bug_of_ours(tmp_path: Path) -> None:
+def test_unusable_stdout_is_not_reported_as_a_bug(tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "topcli", "show", HK], stdout=full, stderr=subprocess.PIPE, text=True, check=False
@@ -349,7 +349,7 @@ def test_a_full_or_foreign_stdout_is_no_bug_of_ours(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_broken_pipe_is_no_traceback(tmp_path: Path) -> None:
+def test_broken_pipe_gives_no_traceback(tmp_path: Path) -> None:
     done = subprocess.run(
         f"{sys.executable} -m topcli schema | head -n 1",
         shell=True,

@@ -1,6 +1,6 @@
 """Every command, config and example in README, CONTRIBUTING and the documentation is executed or says why not.
 
-A ```console block shows commands after ``$`` and what they print; a line ``...`` stands for any number of lines. Marks
+A ```console block shows commands after ``$`` and what they print; a line ``...`` matches any number of lines. Marks
 in front of a block:
 
 - ``<!-- not executed: reason -->``
@@ -200,7 +200,7 @@ def test_blocks_that_are_not_executed_give_a_reason() -> None:
 
 
 @pytest.mark.parametrize("page", [pytest.param(page, id=page.name) for page in READ])
-def test_commands_stand_in_console_blocks_only(page: Page) -> None:
+def test_commands_are_in_console_blocks_only(page: Page) -> None:
     assert {block.language for block in page.blocks} <= LANGUAGES
     for block in page.blocks:
         if block.language == "sh":
@@ -248,7 +248,7 @@ LINKS = [
 
 
 @pytest.mark.parametrize(("folder", "target"), LINKS)
-def test_links_lead_somewhere(folder: Path, target: str) -> None:
+def test_links_have_targets(folder: Path, target: str) -> None:
     assert (folder / target).is_file()
 
 

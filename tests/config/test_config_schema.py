@@ -36,7 +36,7 @@ def test_starter_config_refuses_unknown_names() -> None:
 
 
 def fits(schema: Any, value: Any, root: Any = None) -> bool:
-    """Whether ``value`` satisfies ``schema``, for the keywords that the config's schema uses."""
+    """True if ``value`` satisfies ``schema``, for the keywords that the config's schema uses."""
     root = root or schema
     checks = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
 

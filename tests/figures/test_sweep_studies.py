@@ -38,7 +38,7 @@ def figure(tmp_path: Path) -> SweepStudyFigure:
             law=lambda x: x**2,
             law_label="law",
         ),
-        View("lower", Choice("h", "deviation.m_sq", "scheme", aggregate="max"), ("scheme=hk",)),
+        View("lower", Choice("top.A", "deviation.m_sq", "scheme", aggregate="max"), ("scheme=hk",)),
     )
     return SweepStudyFigure("small", "a small sweep", str(path), views)
 
@@ -48,7 +48,7 @@ def test_views_draw_their_rows(figure: SweepStudyFigure, tmp_path: Path) -> None
     picture = draw(loaded.panels, loaded.data(), loaded.layout)
     rows = pq.read_table(tmp_path / "results" / "small" / "rows.parquet").to_pylist()
     left, right = picture.axes
-    assert (left.get_xlabel(), left.get_ylabel(), right.get_xlabel()) == ("$h$", "error", "h")
+    assert (left.get_xlabel(), left.get_ylabel(), right.get_xlabel()) == ("$h$", "error", "top.A")
     assert [axes.get_title(loc="left") for axes in (left, right)] == ["(a) upper", "(b) lower"]
     assert (left.get_xscale(), right.get_xscale()) == ("log", "linear")
     shown = {str(line.get_label()).partition(":")[0]: line for line in left.lines}
@@ -60,11 +60,11 @@ def test_views_draw_their_rows(figure: SweepStudyFigure, tmp_path: Path) -> None
     x, y = (np.asarray(values) for values in shown["law"].get_data())
     assert x.tolist() == [0.05, 0.1, 0.2]
     assert y.tolist() == (x * x).tolist()
-    (line,) = (line for line in right.lines if len(np.asarray(line.get_xdata())) == 3)
-    for h, value in zip(*line.get_data(), strict=True):
-        both = [row["deviation.m_sq"] for row in rows if row["scheme"] == "hk" and row["h"] == h]
-        assert len(both) == 2
-        assert value == max(both)
+    (line,) = (line for line in right.lines if len(np.asarray(line.get_xdata())) == 2)
+    for A, value in zip(*line.get_data(), strict=True):
+        over_h = [row["deviation.m_sq"] for row in rows if row["scheme"] == "hk" and row["top.A"] == A]
+        assert len(over_h) == 3
+        assert value == max(over_h)
 
 
 def test_a_second_request_runs_and_draws_nothing(figure: SweepStudyFigure, tmp_path: Path) -> None:

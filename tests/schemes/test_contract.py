@@ -1,4 +1,4 @@
-"""What a scheme declares is tested because it is declared: order, self-adjointness, exact invariants.
+"""Declared traits of every scheme hold: order, self-adjointness, exact invariants.
 
 Every test comes with a positive control: a scheme without the trait that the same measure condemns.
 """
@@ -85,11 +85,11 @@ def test_declared_order_is_observed(scheme: Scheme) -> None:
 
 
 def test_order_control() -> None:
-    """The measure tells orders apart: Euler's rule is no order-2 scheme, and no rule is exact."""
+    """The measure distinguishes orders: Euler's rule is no order-2 scheme, and no rule is exact."""
     assert observed(Kowalevski(), EULER) == pytest.approx(1.0, abs=0.1)
     assert observed(Kowalevski(), RK2) == pytest.approx(2.0, abs=0.1)
     assert observed(Euler(), rk2(Euler())) == pytest.approx(2.0, abs=0.1)
-    assert min(errors_after(Euler(), rk2(Euler()), 2.0, np.array([1, 7, 300]))) > 1e-8
+    assert min(errors_after(Euler(), rk2(Euler()), 2.0, np.array([1, 7, 300]))) == pytest.approx(3.51e-06, rel=0.05)
 
 
 def worst_defect(top: Top, stepper: Method, h: float) -> float:
@@ -107,7 +107,7 @@ def test_declared_self_adjointness(scheme: Scheme) -> None:
         if scheme.self_adjoint:
             assert max(defects) < 1e-14
         else:
-            assert min(defects) > 1e-9
+            assert 3.8e-8 < min(defects) < 0.13
             assert max(defects) < 10.0  # 3.3 at most; a step that fails has an infinite one
 
 
@@ -145,7 +145,7 @@ def test_declared_invariants_are_exact(scheme: Scheme, top: Top) -> None:
 def test_exactness_control(top: Top) -> None:
     """The explicit midpoint rule, at a small step, fails the same test by far."""
     for name in {"kowalevski": ("gamma_sq", "k_sq")}.get(top.form, [one.name for one in top.invariants()]):
-        assert deviation_over_bound(top, rk2(top), gen(top), 0.01, (name,)) > 100.0
+        assert 410000.0 < deviation_over_bound(top, rk2(top), gen(top), 0.01, (name,)) < 5.9e8
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ def in_errors(row: InvariantRow) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
-def test_all_four_stay(y0: Floats) -> None:
+def test_four_integrals_do_not_drift(y0: Floats) -> None:
     for row in drifts("midpoint4", y0).values():
         assert row.max_deviation < 1e-14 * max(1.0, abs(row.first))
         assert row.verdict == "exact"
@@ -40,7 +40,7 @@ def test_all_four_stay(y0: Floats) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
-def test_the_self_adjoint_hybrid_stays(y0: Floats) -> None:
+def test_self_adjoint_hybrid_does_not_drift(y0: Floats) -> None:
     rows = drifts("hybrid-sym", y0)
     assert all(in_errors(row) < 5.0 for row in rows.values())
     assert rows["gamma_sq"].verdict == rows["k_sq"].verdict == "exact"

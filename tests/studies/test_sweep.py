@@ -158,9 +158,9 @@ FAILING = {**DATA, "grid": {"h": [0.01, 3.0, 0.02]}, "base": {**BASE, "scheme": 
 
 
 def test_a_failed_row_stays_a_row(tmp_path: Path) -> None:
-    told: list[tuple[int, str]] = []
-    result = sweep(tmp_path, FAILING, Watcher(failure=lambda row, outcome, message: told.append((row.number, outcome))))
-    assert told == [(1, "blew_up")]
+    messages: list[tuple[int, str]] = []
+    result = sweep(tmp_path, FAILING, Watcher(failure=lambda row, outcome, message: messages.append((row.number, outcome))))
+    assert messages == [(1, "blew_up")]
     assert (result.failed, result.finished) == (1, 3)
     row = table(tmp_path)[1]
     assert row["outcome"] == "blew_up"
@@ -382,10 +382,10 @@ def test_a_damaged_line_is_reported_and_its_rows_run_again(tmp_path: Path) -> No
     lost = len(json.loads(content.splitlines()[0][9:])["digest"])
     content[content.index(b'"deviation.energy":[') + 22] ^= 1  # a digit
     path.write_bytes(content)
-    told: list[str] = []
-    result = sweep(tmp_path, watcher=Watcher(message=told.append))
+    messages: list[str] = []
+    result = sweep(tmp_path, watcher=Watcher(message=messages.append))
     assert (result.ran, result.finished) == (lost, 4)
-    assert told == [f"warning: {path}: 1 damaged lines; their rows run again"]
+    assert messages == [f"warning: {path}: 1 damaged lines; their rows run again"]
 
 
 def test_the_later_of_two_entries_of_a_row_counts(tmp_path: Path) -> None:

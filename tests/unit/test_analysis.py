@@ -151,7 +151,7 @@ def test_a_deviation_of_order_one_is_lost(depth: float, verdict: str) -> None:
 @pytest.mark.parametrize(("depth", "verdict"), [(0.024, "bounded"), (0.026, "lost")])
 @pytest.mark.parametrize("first", [0.0, 1e-4])
 def test_a_small_first_value_is_measured_by_its_terms(depth: float, verdict: str, first: float) -> None:
-    """Where large terms cancel: a quarter of a tenth of their size, which is 1 here."""
+    """If large terms cancel, the limit is a quarter of a tenth of their size, which is 1 here."""
     assert report(sinking(depth) - 1.0 + first).verdict == verdict
     assert report(first * (1.0 + 0.01 * np.sin(TIMES))).verdict in ("bounded", "exact")
 
@@ -194,7 +194,7 @@ def test_the_figures_are_those_of_the_series() -> None:
     assert row.max_deviation_relative == row.max_deviation / values[0]
 
 
-def test_pieces_give_the_same_report() -> None:
+def test_report_does_not_depend_on_the_pieces() -> None:
     values = 2.0 + 0.1 * np.sin(TIMES)
     whole, cut = report(values).as_dict(), report(values, pieces=37).as_dict()
     for key, value in whole.items():
@@ -208,7 +208,7 @@ def test_short_runs_have_no_slope_and_no_verdict(rows: int) -> None:
     assert row.verdict == "unjudged"
 
 
-def test_what_runs_away_or_is_not_finite_is_not_called_bounded() -> None:
+def test_runaway_or_non_finite_series_are_not_bounded() -> None:
     values = 1.0 + 1e9 * np.sin(TIMES)
     assert report(values).verdict == "lost"
     values[500] = math.inf
