@@ -9,7 +9,7 @@ import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, load_scheme_files
 from topcli.cli.run import Interruption
-from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say
+from topcli.cli.talk import ProgressDisplay, emit, emit_text, print_json, print_table, say
 from topcli.errors import UsageError, shortened
 
 if TYPE_CHECKING:
@@ -220,3 +220,16 @@ def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:
         "interrupted": result.interrupted,
         "seconds": result.seconds,
     }
+
+
+def show_row(folder: Path, number: int, sets: list[str], as_json: bool) -> None:
+    """Print the config of a row of the sweep in ``folder``."""
+    from topcli.config.load import experiment_from
+    from topcli.studies.sweep.run import find_row
+
+    sweep, row = find_row(folder, number)
+    experiment = experiment_from(row.config(f"{sweep.name[:80]}_{number}"), sets)
+    if as_json:
+        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "row_digest": row.digest})
+    else:
+        emit_text(experiment.to_yaml())
