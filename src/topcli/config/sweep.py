@@ -18,7 +18,7 @@ from topcli.config.load import find_config, read_document, scene_folder
 from topcli.config.models import digest_of, name_fault
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, unknown_key
-from topcli.config.sweep_axes import Axis, AxisReader, check_exclusions
+from topcli.config.sweep_axes import Axis, AxisReader, check_drawn, check_exclusions
 from topcli.config.sweep_keys import known_keys
 from topcli.config.sweep_values import MAX_ROWS, is_range
 from topcli.config.yaml_text import to_yaml
@@ -240,6 +240,7 @@ def _sweep(document: Document, default_name: str) -> Sweep:
     keys = tuple(dict.fromkeys([*reader.seen, *(key for row in include for key in row)]))
     exclude = reader.rows(data.get("exclude"), "exclude")
     check_exclusions(exclude, reader, problems)
+    check_drawn(data.get("random"), keys, problems)
     problems.raise_any()
     if not keys:
         problems.add((), "varies nothing: give grid, zip, include or random; for example grid: {h: [0.1, 0.2]}")

@@ -38,6 +38,18 @@ def check_exclusions(exclude: Iterable[Mapping[str, Any]], reader: AxisReader, p
                 problems.add(("exclude", index, key), f"no row has the value {value!r}; values: {shown}")
 
 
+def check_drawn(random: object, keys: Iterable[str], problems: Problems) -> None:
+    """Report vectors and parameters that are drawn and varied as well; the centre of ``near`` may vary."""
+    drawn = random if isinstance(random, dict) else {}
+    for name, rule in drawn.items():
+        if name in ("count", "seed") or (isinstance(rule, dict) and "near" in rule):
+            continue
+        for key in keys:
+            vector = key.removeprefix("initial.")
+            if key == name or (vector != key and name in (vector, vector.rstrip("0123456789"))):
+                problems.add(("random", name), f"is drawn in every row, and {key} is varied; keep one of them")
+
+
 class AxisReader:
     """The axes read so far, ``seen`` their keys with all values, and the mistakes."""
 
