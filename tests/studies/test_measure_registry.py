@@ -5,7 +5,9 @@ from __future__ import annotations
 import doctest
 import inspect
 import math
+import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -261,6 +263,25 @@ def test_another_top_state_or_direction_has_another_reference(monkeypatch: pytes
     }
     assert len(errors) == 4
     assert found.computed == 4
+
+
+def test_threads_wait_for_a_reference_that_another_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    inside: list[int] = []
+
+    def slow(top: Any, y0: Any, t: Any) -> Any:
+        inside.append(1)
+        time.sleep(0.1)
+        return np.zeros((len(t), 6))
+
+    monkeypatch.setattr(references, "reference_states", slow)
+    found = SharedReferences()
+    top, y0, n = Kowalevski(), np.ones(6), np.arange(9)
+    assert references.closed_form(top, HK) is None  # imports what the threads would wait for
+    with ThreadPoolExecutor(4) as pool:
+        states = [pool.submit(found.states, top, HK, y0, 0.5, n) for _ in range(4)]
+        assert all(one.result().shape == (9, 6) for one in states)
+    assert inside == [1]
+    assert found.computed == 1
 
 
 def test_the_references_that_are_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,10 @@ EXACT = "exact"
 """Name of the schemes that are the closed form of a top."""
 MAX_BYTES = 1 << 28
 """Memory of the references that are kept."""
+STRIPES = 64
+"""Number of references that may be computed at the same time."""
+Motion = tuple[str, str, float, bytes]
+"""Form and parameters of a top, h or 0, and the initial state, which determine a reference."""
 
 
 @cache
@@ -54,7 +58,8 @@ class SharedReferences:
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:
         self._max_bytes, self._bytes = max_bytes, 0
         self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[str, str, float, bytes], list[tuple[Array, Array]]] = OrderedDict()
+        self._computing = [threading.Lock() for _ in range(STRIPES)]
+        self._kept: OrderedDict[Motion, list[tuple[Array, Array]]] = OrderedDict()
         self.computed = 0
         """Number of references that were computed."""
 
@@ -67,20 +72,27 @@ class SharedReferences:
         t = n * h
         # a closed form is computed at the exact products n h, other references at their rounded values
         motion = (top.form, top.model_dump_json(), h if exact else 0.0, np.ascontiguousarray(y0).tobytes())
+        with self._computing[hash(motion) % STRIPES]:  # others that need it wait instead of computing it too
+            found = self._found(motion, t)
+            if found is None:
+                start = np.asarray(y0, dtype=np.float64)
+                found = (
+                    exact.states(start, h, n, top.constants()) if exact else reference_states(top, start.tolist(), t)
+                )
+                self._keep(motion, t, found)
+            return found
+
+    def _found(self, motion: Motion, t: Array) -> Array | None:
+        """States at the times ``t`` from a reference that holds all of them; None if there is none."""
         with self._lock:
             for times, states in self._kept.get(motion, ()):
                 at = np.minimum(np.searchsorted(np.abs(times), np.abs(t)), len(times) - 1)
                 if np.array_equal(times[at], t):
                     self._kept.move_to_end(motion)
                     return states if len(at) == len(states) else states[at]
-        if exact:
-            states = exact.states(np.asarray(y0, dtype=np.float64), h, n, top.constants())
-        else:
-            states = reference_states(top, np.asarray(y0).tolist(), t)
-        self._keep(motion, t, states)
-        return states
+        return None
 
-    def _keep(self, motion: tuple[str, str, float, bytes], times: Array, states: Array) -> None:
+    def _keep(self, motion: Motion, times: Array, states: Array) -> None:
         with self._lock:
             self.computed += 1
             if times.nbytes + states.nbytes > self._max_bytes:
