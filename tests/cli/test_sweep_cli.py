@@ -114,9 +114,19 @@ def test_a_row_that_is_shown_runs_to_the_same_numbers(cli: Cli, study: Path) -> 
     assert as_json["row_digest"] == rows()[3]["digest"]
 
 
+def test_the_file_of_a_sweep_can_be_shown(cli: Cli, study: Path) -> None:
+    cli("sweep", "study.yaml", "--set", "base.N=7")
+    shown = cli("show", "results/study")
+    assert shown.code == 0
+    assert "  N: 7\n" in shown.out
+    study.write_text(shown.out)
+    assert "(0 ran)" in cli("sweep", "study.yaml").err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["results"], "results: holds no sweep"),
         (["results/study", "--row", "4"], "has no row 4; its rows are 0 to 3"),
         (["results/study", "--row", "-1"], "has no row -1; its rows are 0 to 3"),
         (["results", "--row", "0"], "results: holds no sweep"),

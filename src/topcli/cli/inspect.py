@@ -312,10 +312,10 @@ def show(
     from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
-    if row is not None:
-        from topcli.cli.sweep import show_row
+    if row is not None or os.path.isdir(config):
+        from topcli.cli.sweep import show_sweep
 
-        show_row(Path(config), row, sets or [], as_json)
+        show_sweep(Path(config), row, sets or [], as_json)
         return
     if not sets and not Path(config).suffix and _show_scheme(config, as_json):
         return

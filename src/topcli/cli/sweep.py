@@ -222,11 +222,18 @@ def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:
     }
 
 
-def show_row(folder: Path, number: int, sets: list[str], as_json: bool) -> None:
-    """Print the config of a row of the sweep in ``folder``."""
+def show_sweep(folder: Path, number: int | None, sets: list[str], as_json: bool) -> None:
+    """Print the config of a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
     from topcli.config.load import experiment_from
-    from topcli.studies.sweep.run import find_row
+    from topcli.studies.sweep.run import find_row, stored_sweep_file
 
+    if number is None:
+        sweep = stored_sweep_file(folder, sets)
+        if as_json:
+            print_json("show", {"sweep": sweep.resolved(), "digest": sweep.digest})
+        else:
+            emit_text(sweep.to_yaml())
+        return
     sweep, row = find_row(folder, number)
     experiment = experiment_from(row.config(f"{sweep.name[:80]}_{number}"), sets)
     if as_json:

@@ -330,14 +330,19 @@ class _Runner:
             raise io_failure(error, path, "finished rows are kept") from None
 
 
+def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
+    """Return the sweep in ``folder``. Raises UsageError for a folder without one."""
+    if not is_sweep(folder):
+        raise UsageError(f"{folder}: holds no sweep; give the folder that topcli sweep wrote, such as results/NAME")
+    return load_sweep(folder / SWEEP_FILE, overrides)
+
+
 def find_row(folder: Path, number: int) -> tuple[Sweep, Row]:
     """Return the sweep in ``folder`` and row ``number`` of its plan.
 
     Raises UsageError for a folder without a sweep and for a number that no row has.
     """
-    if not is_sweep(folder):
-        raise UsageError(f"{folder}: holds no sweep; give the folder that topcli sweep wrote, such as results/NAME")
-    sweep = load_sweep(folder / SWEEP_FILE)
+    sweep = stored_sweep_file(folder)
     row = RowReader(sweep).row(number) if number >= 0 else None
     if row is None:
         count = sum(1 for _ in sweep.assignments())
