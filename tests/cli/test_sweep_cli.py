@@ -178,6 +178,14 @@ def test_verify_checks_the_files_of_a_sweep(cli: Cli, study: Path) -> None:
     assert cli("verify", "study").code == 0
 
 
+def test_a_warning_about_a_top_is_printed_once(cli: Cli, study: Path) -> None:
+    study.write_text(FILE.replace("kowalevski", "{kind: heavy, A: 5.0}"))
+    said = cli("sweep", "study.yaml")
+    assert said.code == 0
+    assert said.err.count("warning: study: top: no rigid body has moments with A = 5") == 1
+    assert "warning" not in cli("sweep", "study.yaml", "--quiet").err
+
+
 def test_failures_after_the_twentieth_are_only_counted(cli: Cli, study: Path) -> None:
     text = "grid.h={from: 9, to: 20, count: 30}"
     said = cli("sweep", "study.yaml", "--set", text, "--set", "grid.scheme=[rk4]", "--set", "base.N=500")

@@ -188,7 +188,7 @@ def sweep(
         watcher = Watcher(
             progress=lambda done, total, failed: display(done, total, f"{failed} failed" if failed else ""),
             failure=_Failures(loaded),
-            message=say,
+            message=(lambda line: None) if quiet else say,
             stop=interruption,
         )
         try:

@@ -36,6 +36,7 @@ SWEEP_FILE = "sweep.yaml"
 SERIES = "series"
 MANY_ROWS = 10**5
 """Rows above which a sweep runs only if it is confirmed."""
+SHOWN_WARNINGS = 3
 IN_FLIGHT = 2
 """Batches in flight for each worker."""
 TABLE_SECONDS = 60.0
@@ -203,6 +204,8 @@ def run_sweep(
     began = time.perf_counter()
     require_confirmed(sweep, options)
     surveyed = survey(sweep)
+    for line in surveyed.warnings[:SHOWN_WARNINGS]:
+        watcher.message(f"warning: {sweep.name}: {line}")
     folder = out / sweep.name
     require_sweep_folder(folder)
     require_writable(out)
