@@ -114,9 +114,19 @@ def test_a_row_that_is_shown_runs_to_the_same_numbers(cli: Cli, study: Path) -> 
     assert as_json["row_digest"] == rows()[3]["digest"]
 
 
+def test_the_file_of_a_sweep_can_be_shown(cli: Cli, study: Path) -> None:
+    cli("sweep", "study.yaml", "--set", "base.N=7")
+    shown = cli("show", "results/study")
+    assert shown.code == 0
+    assert "  N: 7\n" in shown.out
+    study.write_text(shown.out)
+    assert "(0 ran)" in cli("sweep", "study.yaml").err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["results"], "results: holds no sweep"),
         (["results/study", "--row", "4"], "has no row 4; its rows are 0 to 3"),
         (["results/study", "--row", "-1"], "has no row -1; its rows are 0 to 3"),
         (["results", "--row", "0"], "results: holds no sweep"),
@@ -166,6 +176,14 @@ def test_verify_checks_the_files_of_a_sweep(cli: Cli, study: Path) -> None:
     assert "rows.parquet: damaged: its SHA-256 differs" in said.err
     cli("sweep", "study.yaml")
     assert cli("verify", "study").code == 0
+
+
+def test_a_warning_about_a_top_is_printed_once(cli: Cli, study: Path) -> None:
+    study.write_text(FILE.replace("kowalevski", "{kind: heavy, A: 5.0}"))
+    said = cli("sweep", "study.yaml")
+    assert said.code == 0
+    assert said.err.count("warning: study: top: no rigid body has moments with A = 5") == 1
+    assert "warning" not in cli("sweep", "study.yaml", "--quiet").err
 
 
 def test_failures_after_the_twentieth_are_only_counted(cli: Cli, study: Path) -> None:

@@ -87,6 +87,16 @@ BAD = {
         7,
         "random.omga: unknown key; did you mean 'omega'?",
     ),
+    "a vector drawn and varied": (
+        "random: {gamma: sphere}\ngrid:\n  initial.gamma3: [0.1]",
+        7,
+        "random.gamma: is drawn in every row, and initial.gamma3 is varied",
+    ),
+    "a parameter drawn and varied": (
+        "random: {top.c0: {from: 1, to: 2}}\ngrid:\n  top.c0: [1]",
+        7,
+        "is drawn in every row, and top.c0 is varied",
+    ),
     "nothing random": ("random: {count: 3}", 7, "nothing is random"),
     "another store": ("grid:\n  h: [0.1]\nstore: all", 9, "store: must be none or series"),
     "an included unknown key": ("include:\n  - {h: 0.1, top.c9: 3}", 8, "include[0].top.c9: unknown key"),
@@ -270,6 +280,12 @@ def test_vectors_drawn_from_a_sphere_need_no_initial_vector_and_ignore_it() -> N
     bare = {"base": {key: value for key, value in BASE.items() if key != "initial"}, "random": RANDOM}
     without = [row.digest for row in RowReader(sweep_from(bare)).rows()]
     assert without == [row.digest for row in rows(random=RANDOM)]
+
+
+def test_the_centre_of_a_drawn_vector_may_vary() -> None:
+    found = rows(random={"count": 2, "omega": {"near": 0.1}}, grid={"initial.omega": [[2, 0, 0], [0, 2, 0]]})
+    for row, centre in zip(found, [(2, 0, 0)] * 2 + [(0, 2, 0)] * 2, strict=True):
+        assert 0.0 < math.dist(row.initial[:3], centre) < 0.1
 
 
 def test_drawn_values_have_the_asked_distribution() -> None:

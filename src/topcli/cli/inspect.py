@@ -287,27 +287,16 @@ def show(
     from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
-    if row is not None:
-        _show_row(Path(config), row, sets or [], as_json)
+    if row is not None or os.path.isdir(config):
+        from topcli.cli.sweep import show_sweep
+
+        show_sweep(Path(config), row, sets or [], as_json)
         return
     if not sets and not Path(config).suffix and _show_scheme(config, as_json):
         return
     experiment = load_any(config, sets or [])
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
-    else:
-        emit_text(experiment.to_yaml())
-
-
-def _show_row(folder: Path, number: int, sets: list[str], as_json: bool) -> None:
-    """Print the config of a row of the sweep in ``folder``."""
-    from topcli.config.load import experiment_from
-    from topcli.studies.sweep.run import find_row
-
-    sweep, row = find_row(folder, number)
-    experiment = experiment_from(row.config(f"{sweep.name[:80]}_{number}"), sets)
-    if as_json:
-        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "row_digest": row.digest})
     else:
         emit_text(experiment.to_yaml())
 

@@ -9,7 +9,7 @@ import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, load_scheme_files
 from topcli.cli.run import Interruption
-from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say
+from topcli.cli.talk import ProgressDisplay, emit, emit_text, print_json, print_table, say
 from topcli.errors import UsageError, shortened
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def sweep(
         watcher = Watcher(
             progress=lambda done, total, failed: display(done, total, f"{failed} failed" if failed else ""),
             failure=_Failures(loaded),
-            message=say,
+            message=(lambda line: None) if quiet else say,
             stop=interruption,
         )
         try:
@@ -220,3 +220,23 @@ def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:
         "interrupted": result.interrupted,
         "seconds": result.seconds,
     }
+
+
+def show_sweep(folder: Path, number: int | None, sets: list[str], as_json: bool) -> None:
+    """Print the config of a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
+    from topcli.config.load import experiment_from
+    from topcli.studies.sweep.run import find_row, stored_sweep_file
+
+    if number is None:
+        sweep = stored_sweep_file(folder, sets)
+        if as_json:
+            print_json("show", {"sweep": sweep.resolved(), "digest": sweep.digest})
+        else:
+            emit_text(sweep.to_yaml())
+        return
+    sweep, row = find_row(folder, number)
+    experiment = experiment_from(row.config(f"{sweep.name[:80]}_{number}"), sets)
+    if as_json:
+        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "row_digest": row.digest})
+    else:
+        emit_text(experiment.to_yaml())

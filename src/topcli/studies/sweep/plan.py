@@ -33,6 +33,8 @@ REASONS = {
 }
 """Why a row has to run."""
 GROWTH = 1 << 14
+WARNED_TOPS = 64
+"""Tops of a sweep whose parameters are looked at for warnings."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class Survey:
     codes: NDArray[np.int16]
     code_names: list[str]
     types: Mapping[str, str]
+    warnings: tuple[str, ...]
+    """Warnings about unusual parameters of the first tops, each once."""
 
     @property
     def count(self) -> int:
@@ -115,19 +119,23 @@ def survey(sweep: Sweep) -> Survey:
     known: dict[tuple[str, str], int] = {}
     names: dict[str, int] = {}
     types: dict[str, set[type]] = {key: set() for key in sweep.keys}
+    tops: dict[str, tuple[str, ...]] = {}
     problems = Problems(sweep.document)
     for row in RowReader(sweep).rows():
         pair = (row.form, row.scheme)
         if pair not in known:
             _check_measures(row, sweep, problems)
             known[pair] = names.setdefault(_code_of(row), len(names))
+        if row.top not in tops and len(tops) < WARNED_TOPS:
+            tops[row.top] = shared_experiment(Shared.of(row)).top.warnings()
         digests.add(short_digest(row.digest))
         codes.add(known[pair])
         for found, value in zip(types.values(), row.keys, strict=True):
             found.add(type(value))
     problems.raise_any()
     kinds = {key: _column_type(found) for key, found in types.items()}
-    return Survey(sweep, digests.array(), codes.array(), list(names), kinds)
+    warnings = tuple(dict.fromkeys(line for lines in tops.values() for line in lines))
+    return Survey(sweep, digests.array(), codes.array(), list(names), kinds, warnings)
 
 
 def _column_type(found: set[type]) -> str:

@@ -36,6 +36,7 @@ SWEEP_FILE = "sweep.yaml"
 SERIES = "series"
 MANY_ROWS = 10**5
 """Rows above which a sweep runs only if it is confirmed."""
+SHOWN_WARNINGS = 3
 IN_FLIGHT = 2
 """Batches in flight for each worker."""
 TABLE_SECONDS = 60.0
@@ -203,6 +204,8 @@ def run_sweep(
     began = time.perf_counter()
     require_confirmed(sweep, options)
     surveyed = survey(sweep)
+    for line in surveyed.warnings[:SHOWN_WARNINGS]:
+        watcher.message(f"warning: {sweep.name}: {line}")
     folder = out / sweep.name
     require_sweep_folder(folder)
     require_writable(out)
@@ -330,14 +333,19 @@ class _Runner:
             raise io_failure(error, path, "finished rows are kept") from None
 
 
+def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
+    """Return the sweep in ``folder``. Raises UsageError for a folder without one."""
+    if not is_sweep(folder):
+        raise UsageError(f"{folder}: holds no sweep; give the folder that topcli sweep wrote, such as results/NAME")
+    return load_sweep(folder / SWEEP_FILE, overrides)
+
+
 def find_row(folder: Path, number: int) -> tuple[Sweep, Row]:
     """Return the sweep in ``folder`` and row ``number`` of its plan.
 
     Raises UsageError for a folder without a sweep and for a number that no row has.
     """
-    if not is_sweep(folder):
-        raise UsageError(f"{folder}: holds no sweep; give the folder that topcli sweep wrote, such as results/NAME")
-    sweep = load_sweep(folder / SWEEP_FILE)
+    sweep = stored_sweep_file(folder)
     row = RowReader(sweep).row(number) if number >= 0 else None
     if row is None:
         count = sum(1 for _ in sweep.assignments())
