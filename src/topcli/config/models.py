@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from topcli.analysis.columns import spellings
 from topcli.config.document import KeyPath, describe
+from topcli.config.duration import MAX_STEPS
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.config.yaml_text import to_yaml
 from topcli.contracts import Invariant, Method, Scheme, Top
@@ -29,7 +30,6 @@ UNIT_TOLERANCE = 1e-12
 """Deviation of the square of a unit vector from 1 that is accepted."""
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 """Texts for a component that completes a unit vector, with the component's sign."""
-MAX_STEPS = 10**12
 MAX_NAME = 100
 MAX_NAME_BYTES = 200
 
@@ -119,7 +119,8 @@ class Config(BaseModel):
     )
     scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
-    N: Count = Field(description="the number of steps, a whole number from 1 to 1e12")
+    N: Count = Field(description="the number of steps, a whole number from 1 to 1e12; or T in its place")
+    T: StepSize | None = Field(default=None, description="the time N*h to run, in the place of N: N = T/h is whole")
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
 
