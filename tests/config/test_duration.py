@@ -66,8 +66,8 @@ def test_a_config_with_a_time_resolves_to_the_number_of_steps(tmp_path: Path) ->
     assert load_experiment(path, ["N=7"]).N == 7
     assert load_experiment(counted, ["T=3"]).N == 300
     assert topcli.simulate(path, h=0.05, output={"every": 1000}).t[-1] == 1000 * 0.05
+    path.write_text(text + "N: 5000\n")
     with pytest.raises(ConfigError, match=re.escape(f"{path}:5: T: N is given too ({path}:6); keep one of them")):
-        path.write_text(text + "N: 5000\n")
         load_experiment(path)
 
 

@@ -10,7 +10,7 @@ from topcli.errors import UsageError
 
 MAX_STEPS = 10**12
 ROUND_OFF = 4.0 * 2.0**-52
-"""Deviation of T/h from a whole number, relative to it, that is accepted: that of two rounded numbers and a quotient."""
+"""Relative deviation of T/h from a whole number that is accepted, for the rounding of T, h and their quotient."""
 PARTNER = {"T": "N", "N": "T"}
 """Keys of which a config has one, each with the one whose place it takes."""
 

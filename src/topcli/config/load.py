@@ -43,7 +43,7 @@ Changes = Mapping[str, Any] | None
 def load_experiment(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> Experiment:
     """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
-    ``overrides`` are ``key=value`` texts, applied before the config is validated; then the ``changes`` replace whole keys.
+    ``overrides`` are ``key=value`` texts, applied before the config is validated; ``changes`` then replace whole keys.
     Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
     an ensemble, which ``load_any`` loads.
     """

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
@@ -124,9 +124,19 @@ class Config(BaseModel):
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
 
-def digest_of(resolved: dict[str, Any]) -> str:
-    """SHA-256 of a resolved config as canonical JSON, 64 hexadecimal digits."""
-    text = json.dumps(resolved, sort_keys=True, separators=(",", ":"), allow_nan=False)
+def identity_of(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a run computes and records: a resolved config without its ``name`` and ``output.format``.
+
+    It holds the top with its parameters, the initial state (or the section ``ensemble``), the scheme with all options,
+    h, N, and the recorded rows and columns. Runs that differ in name or format only have the same bits.
+    """
+    kept = {key: value for key, value in resolved.items() if key != "name"}
+    return kept | {"output": {key: value for key, value in resolved["output"].items() if key != "format"}}
+
+
+def digest_of(resolved: Mapping[str, Any]) -> str:
+    """SHA-256 of ``identity_of`` a resolved config as canonical JSON, 64 hexadecimal digits."""
+    text = json.dumps(identity_of(resolved), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -182,7 +192,7 @@ class Experiment(BaseModel):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the resolved config, 64 hexadecimal digits."""
+        """SHA-256 of what the run computes and records, without name and format (``identity_of``)."""
         return digest_of(self.resolved())
 
     def to_yaml(self) -> str:

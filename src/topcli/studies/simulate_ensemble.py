@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.ensemble import Ensemble
-from topcli.config.ensemble import EnsembleExperiment, Group, Listed, Members
 from topcli.config.duration import changed
+from topcli.config.ensemble import EnsembleExperiment, Group, Listed, Members
 from topcli.config.load import any_from, config_data, load_any
 from topcli.config.members import SOURCES
 from topcli.config.models import UNIT_TOLERANCE, Experiment
