@@ -124,6 +124,10 @@ class Config(BaseModel):
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
 
+OUTSIDE_IDENTITY = ("name", "output.format")
+"""Keys of a resolved config that do not change what a run computes."""
+
+
 def identity_of(resolved: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a run computes and records: a resolved config without its ``name`` and ``output.format``.
 

@@ -50,7 +50,8 @@ def override_label(text: str) -> str:
 def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
     """Set the overridden keys in ``document``; whole sections before keys inside them, in whichever order given.
 
-    T takes the place of N, and N that of T. A bare name of a top or a scheme becomes a section if a key inside it is set.
+    T takes the place of N, and N that of T. A bare name of a top or a scheme becomes a section if a key inside it is
+    set.
     Raises ConfigError for a malformed or repeated override, and for a key inside a value that is not a section.
     """
     parsed: dict[tuple[str, ...], tuple[str, Any]] = {}

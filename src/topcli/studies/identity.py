@@ -72,6 +72,15 @@ class Identity:
         return about.get("digest") == self.digest and about.get("code") == self.code
 
 
+def table_metadata(identity: Identity, environment: Mapping[str, Any]) -> dict[str, str]:
+    """Metadata of the tables of a run that was made in ``environment``."""
+    return {
+        "topcli.config": json.dumps(identity.config),
+        "topcli.digest": identity.digest,
+        "topcli.environment": json.dumps(environment),
+    }
+
+
 @dataclass(frozen=True)
 class Origin:
     """Origin of the files of a run folder: the experiment, its scheme, the time and the environment."""
@@ -84,11 +93,7 @@ class Origin:
 
     def metadata(self) -> dict[str, str]:
         """Metadata of the tables."""
-        return {
-            "topcli.config": json.dumps(self.identity.config),
-            "topcli.digest": self.identity.digest,
-            "topcli.environment": json.dumps(self.environment),
-        }
+        return table_metadata(self.identity, self.environment)
 
 
 def store_run(
