@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from topcli.config.duration import steps_of
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.sweep import load_sweep, sweep_from
 from topcli.config.sweep_rows import Row, RowReader
@@ -124,7 +123,10 @@ def test_a_mistake_is_named_with_file_line_and_key(name: str, tmp_path: Path) ->
         ({"M": 1}, "base.M: unknown key"),
         ({"N": None, "T": None}, "two of h, N and T are needed, and there is h"),
         ({"T": 1.0}, "two of h, N and T are needed, and there is h and N and T"),
-        ({"N": None, "T": 0.015}, "T/h = 1.5 is not a whole number; the nearest N is 2 (T = 0.02)"),
+        (
+            {"N": None, "T": 0.015},
+            "T/h = 0.015/0.01 = 1.5 is not a whole number of steps; nearest: T = 0.01 (N = 1) or T = 0.02 (N = 2)",
+        ),
     ],
 )
 def test_a_wrong_base_is_refused(change: dict[str, Any], message: str) -> None:
@@ -183,21 +185,6 @@ def test_h_follows_from_the_duration_and_the_number_of_steps() -> None:
     base = {key: value for key, value in BASE.items() if key not in ("h", "N")} | {"T": 5.0}
     found = list(RowReader(sweep_from({"base": base, "grid": {"N": [10, 40]}})).rows())
     assert [(row.h, row.N) for row in found] == [(0.5, 10), (0.125, 40)]
-
-
-@pytest.mark.parametrize(("T", "h", "N"), [(50.0, 0.001, 50000), (-1.0, -0.25, 4), (0.3, 0.1, 3)])
-def test_a_whole_quotient_gives_the_number_of_steps(T: float, h: float, N: int) -> None:
-    assert steps_of(T, h) == (N, "")
-
-
-@pytest.mark.parametrize(("T", "h"), [(1.0, 0.3), (1.0, -0.1), (0.0, 0.1), (1.0, 1.5), (1.0, math.inf), (1e-9, 1.0)])
-def test_any_other_quotient_has_a_fault(T: float, h: float) -> None:
-    assert steps_of(T, h)[1]
-
-
-def test_both_sides_of_the_tolerance_of_the_quotient() -> None:
-    assert steps_of(100.0 * (1 + 0.9e-9), 1.0)[1] == ""
-    assert steps_of(100.0 * (1 + 1.1e-9), 1.0)[1] != ""
 
 
 def test_a_component_is_set_within_its_vector() -> None:

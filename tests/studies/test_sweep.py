@@ -130,7 +130,7 @@ FAILING = {**DATA, "grid": {"h": [0.01, 3.0, 0.02]}, "base": {**BASE, "scheme": 
 
 def test_a_failed_row_stays_a_row(tmp_path: Path) -> None:
     messages: list[tuple[int, str]] = []
-    result = sweep(tmp_path, FAILING, Watcher(failure=lambda row, outcome, message: messages.append((row.number, outcome))))
+    result = sweep(tmp_path, FAILING, Watcher(failure=lambda row, outcome, _: messages.append((row.number, outcome))))
     assert messages == [(1, "blew_up")]
     assert (result.failed, result.finished) == (1, 3)
     row = table(tmp_path)[1]

@@ -361,7 +361,7 @@ class EnsembleExperiment:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the resolved config, 64 hexadecimal digits."""
+        """SHA-256 of what the ensemble computes and records, without name and format (``identity_of``)."""
         return digest_of(self.resolved())
 
     def to_yaml(self) -> str:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from topcli.config.document import describe
-from topcli.config.duration import steps_of
-from topcli.config.models import MAX_STEPS, as_integer, duration_fault, number_of
+from topcli.config.duration import MAX_STEPS, steps_of
+from topcli.config.models import as_integer, duration_fault, number_of
 from topcli.config.problems import Problems
 from topcli.config.sweep import MISSING, Assignment, Sweep
+from topcli.errors import UsageError
 
 MAX_RECORDED = 10**8
 """Largest count of recorded states of a row."""
@@ -92,11 +93,11 @@ class StepReader:
         if "h" in self._sweep.ranged and math.isfinite(T / h) and T / h >= 0.5:
             N = round(T / h)
             return T / N, N
-        N, fault = steps_of(T, h)
-        if fault:
-            problems.add(("T",), fault)
+        try:
+            return h, steps_of(T, h)
+        except UsageError as fault:
+            problems.add(("T",), str(fault))
             return None, None
-        return h, N
 
 
 @dataclass
