@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from topcli.config.load import experiment_from, load_experiment
-from topcli.config.sweep import load_sweep, sweep_from
-from topcli.config.sweep_rows import Row, RowReader
+from topcli.config.sweep.document import load_sweep, sweep_from
+from topcli.config.sweep.rows import Row, RowReader
 from topcli.errors import TopcliError
 from topcli.studies.sweep.plan import survey
 

@@ -18,7 +18,7 @@ from topcli.store.manifest import sealed, stored_run
 from topcli.store.series import copy_series, read_series, write_parquet
 from topcli.studies import ensemble, run
 from topcli.studies.ensemble import run_ensemble
-from topcli.studies.run import run_experiment
+from topcli.studies.run import Feedback, run_experiment
 
 BASE = ["h=0.01", "N=300"]
 CSV = "output.format=csv"
@@ -184,7 +184,7 @@ def test_damaged_tables_are_computed_again_whatever_their_size(tmp_path: Path, m
     text = series.read_bytes()
     series.write_bytes(text[:-3] + bytes([text[-3] ^ 1]) + text[-2:])
     said: list[str] = []
-    made = run_experiment(experiment(), tmp_path, tell=said.append)
+    made = run_experiment(experiment(), tmp_path, feedback=Feedback(on_message=said.append))
     assert made.status == "ran"
     assert "series.csv is damaged" in said[0]
     assert made.stored.damage() == {}

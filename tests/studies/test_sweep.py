@@ -15,8 +15,8 @@ import pytest
 
 from sweeping import BASE, DATA, MANY, sweep, table, with_grid, without_origin
 from topcli.config.load import experiment_from
-from topcli.config.sweep import sweep_from
-from topcli.config.sweep_rows import RowReader
+from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep.rows import RowReader
 from topcli.errors import RunError, UsageError
 from topcli.studies.simulate import trajectory_of
 from topcli.studies.sweep import evaluate as seam

@@ -13,7 +13,7 @@ import pytest
 
 from attack.command import fork, start
 from sweeping import BASE, DATA, MANY, sweep, table, without_origin
-from topcli.config.sweep import sweep_from
+from topcli.config.sweep.document import sweep_from
 from topcli.errors import RunError, UsageError
 from topcli.studies.sweep.journal import Block, Journal
 from topcli.studies.sweep.run import Watcher

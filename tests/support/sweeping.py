@@ -7,7 +7,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from topcli.config.sweep import sweep_from
+from topcli.config.sweep.document import sweep_from
 from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, run_sweep
 
 BASE: dict[str, Any] = {

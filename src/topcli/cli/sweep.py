@@ -13,8 +13,8 @@ from topcli.cli.talk import ProgressDisplay, emit, emit_text, print_json, print_
 from topcli.errors import UsageError, shortened
 
 if TYPE_CHECKING:
-    from topcli.config.sweep import Sweep
-    from topcli.config.sweep_rows import Row
+    from topcli.config.sweep.document import Sweep
+    from topcli.config.sweep.rows import Row
     from topcli.studies.sweep.plan import Plan
     from topcli.studies.sweep.run import SweepOptions, SweepResult
 
@@ -26,7 +26,7 @@ LISTED_ROWS = 1000
 
 def complete_sweep(incomplete: str) -> list[str]:
     """Names of packaged sweeps that begin with ``incomplete``."""
-    from topcli.config.sweep import sweep_files
+    from topcli.config.sweep.document import sweep_files
 
     return [name for name in sweep_files() if name.startswith(incomplete)]
 
@@ -171,7 +171,7 @@ def sweep(
     The results are a table with a row for each run, DIR/NAME/rows.parquet. Finished rows never run again: a sweep that
     was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
     """
-    from topcli.config.sweep import load_sweep
+    from topcli.config.sweep.document import load_sweep
     from topcli.studies.sweep.run import SweepOptions, Watcher, run_sweep
 
     if not time_limit >= 0.0:

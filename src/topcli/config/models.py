@@ -140,8 +140,12 @@ def identity_of(resolved: Mapping[str, Any]) -> dict[str, Any]:
 
 def digest_of(resolved: Mapping[str, Any]) -> str:
     """SHA-256 of ``identity_of`` a resolved config as canonical JSON, 64 hexadecimal digits."""
-    text = json.dumps(identity_of(resolved), sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(canonical(identity_of(resolved)).encode()).hexdigest()
+
+
+def canonical(data: object) -> str:
+    """JSON with sorted keys and without spaces: equal plain data, equal text."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 class Experiment(BaseModel):

@@ -45,7 +45,7 @@ class SweepStudyFigure(Figure):
 
     def load(self, request: Request) -> Loaded:
         """Return panels and data. Raises UsageError and RunError."""
-        from topcli.config.sweep import load_sweep
+        from topcli.config.sweep.document import load_sweep
         from topcli.studies.sweep.run import Watcher, run_sweep
 
         def progress(done: int, total: int, failed: int) -> None:

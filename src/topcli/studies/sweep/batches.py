@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 
-from topcli.config.sweep_rows import Row
+from topcli.config.sweep.rows import Row
 from topcli.studies.sweep.evaluate import Shared
 
 WINDOW = 1 << 14

@@ -21,7 +21,7 @@ import numpy as np
 from topcli.config.document import Document
 from topcli.config.models import Experiment, Output, read_scheme
 from topcli.config.problems import Problems
-from topcli.config.sweep_rows import Row
+from topcli.config.sweep.rows import Row
 from topcli.contracts import Outcome, Scheme
 from topcli.errors import TopcliError
 from topcli.schemes.user_code import users_error

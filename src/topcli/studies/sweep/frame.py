@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from topcli.config.sweep import load_sweep, sweep_from
+from topcli.config.sweep.document import load_sweep, sweep_from
 from topcli.studies.sweep.results import ROWS
 from topcli.studies.sweep.run import SweepOptions, run_sweep
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.config.problems import Problems
-from topcli.config.sweep import Sweep
-from topcli.config.sweep_rows import Row, RowReader
+from topcli.config.sweep.document import Sweep
+from topcli.config.sweep.rows import Row, RowReader
 from topcli.errors import TopcliError, UnknownNameError
 from topcli.studies.identity import method_fingerprint
 from topcli.studies.measures import resolve_measures

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from topcli.config.sweep import Sweep
-from topcli.config.sweep_rows import RowReader
+from topcli.config.sweep.document import Sweep
+from topcli.config.sweep.rows import RowReader
 from topcli.store.manifest import MANIFEST, SWEEP, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import write_whole

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from topcli.config.load import experiment_from
-from topcli.config.sweep import Sweep, load_sweep
-from topcli.config.sweep_rows import Row, RowReader
+from topcli.config.sweep.document import Sweep, load_sweep
+from topcli.config.sweep.rows import Row, RowReader
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
 from topcli.store.manifest import MANIFEST

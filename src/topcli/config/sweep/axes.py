@@ -8,8 +8,8 @@ from typing import Any
 
 from topcli.config.document import KeyPath, describe
 from topcli.config.problems import Problems
-from topcli.config.sweep_keys import unknown_axis
-from topcli.config.sweep_values import MAX_ROWS, is_range, read_values
+from topcli.config.sweep.keys import unknown_axis
+from topcli.config.sweep.values import MAX_ROWS, is_range, read_values
 
 
 @dataclass(frozen=True)

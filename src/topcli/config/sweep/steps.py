@@ -10,7 +10,7 @@ from topcli.config.document import describe
 from topcli.config.duration import MAX_STEPS, steps_of
 from topcli.config.models import as_integer, duration_fault, number_of
 from topcli.config.problems import Problems
-from topcli.config.sweep import MISSING, Assignment, Sweep
+from topcli.config.sweep.document import MISSING, Assignment, Sweep
 from topcli.errors import UsageError
 
 MAX_RECORDED = 10**8

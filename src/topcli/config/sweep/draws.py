@@ -18,7 +18,7 @@ from topcli.config.document import describe
 from topcli.config.ensemble import Draw, Random, first_drawn
 from topcli.config.members import ABSOLUTE, read_draw
 from topcli.config.problems import Problems, unknown_key, validate
-from topcli.config.sweep_values import Spread, read_spread
+from topcli.config.sweep.values import Spread, read_spread
 from topcli.contracts import Top
 
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from topcli.config.document import Document, KeyPath, describe
-from topcli.config.models import as_integer, read_initial, read_scheme, read_top
+from topcli.config.models import as_integer, canonical, read_initial, read_scheme, read_top
 from topcli.config.problems import Problems, validate
-from topcli.config.sweep import MISSING, Assignment, Sweep
-from topcli.config.sweep_draws import Drawer, read_drawer
-from topcli.config.sweep_steps import StepReader
+from topcli.config.sweep.document import MISSING, Assignment, Sweep
+from topcli.config.sweep.draws import Drawer, read_drawer
+from topcli.config.sweep.steps import StepReader
 from topcli.contracts import Scheme, Top
 from topcli.tops import TOPS
 
@@ -63,11 +63,6 @@ class Row(NamedTuple):
             "N": self.N,
             "output": {"format": "parquet", "every": self.every, "columns": None},
         }
-
-
-def canonical(data: object) -> str:
-    """JSON with sorted keys and without spaces."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def scheme_label(section: dict[str, Any]) -> str:

@@ -1,11 +1,12 @@
 """From a sweep file to a validated ``Sweep``: its base experiment, the varied keys and their values.
 
 A sweep is never held as a list of rows: ``Sweep.assignments`` yields the values of the varied keys row by row, and
-``config.sweep_rows`` turns each into what the row computes.
+``config.sweep.rows`` turns each into what the row computes.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,12 +16,12 @@ from typing import Any
 
 from topcli.config.document import Document, describe, plain
 from topcli.config.load import find_config, read_document, scene_folder
-from topcli.config.models import digest_of, name_fault
+from topcli.config.models import canonical, name_fault
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, unknown_key
-from topcli.config.sweep_axes import Axis, AxisReader, check_drawn, check_exclusions
-from topcli.config.sweep_keys import known_keys
-from topcli.config.sweep_values import MAX_ROWS, is_range
+from topcli.config.sweep.axes import Axis, AxisReader, check_drawn, check_exclusions
+from topcli.config.sweep.keys import known_keys
+from topcli.config.sweep.values import MAX_ROWS, is_range
 from topcli.config.yaml_text import to_yaml
 from topcli.errors import UnknownNameError, nearest, quoted
 
@@ -44,7 +45,7 @@ Assignment = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Sweep:
-    """A validated sweep file; the values of its rows are validated when ``config.sweep_rows`` reads them.
+    """A validated sweep file; the values of its rows are validated when ``config.sweep.rows`` reads them.
 
     ``data`` is the file as plain data, complete and with overrides applied; ``places`` of its keys are in ``document``.
     """
@@ -111,7 +112,7 @@ class Sweep:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the sweep file as plain data, 64 hexadecimal digits."""
-        return digest_of(self.resolved())
+        return hashlib.sha256(canonical(self.resolved()).encode()).hexdigest()
 
     def to_yaml(self) -> str:
         """Return the resolved sweep file as YAML."""
