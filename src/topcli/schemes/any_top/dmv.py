@@ -1,0 +1,335 @@
+"""Discrete Moser-Veselov step of the free body, between kicks by gravity (RATTLE).
+
+The rotation of a step is that of the quaternion (e0, e) with h m_i = 2 (I_i e0 e_i + (I_k - I_j) e_j e_k), (i, j, k)
+cyclic. Divided by 2 e0² this is a quadratic equation for the Cayley vector c = e/e0, without a square root::
+
+    c_i = k_i (1 + |c|²) - r_i c_j c_k,    k_i = h m_i/(2 I_i),    r_i = (I_k - I_j)/I_i
+
+and the step is the Cayley rotation of m and gamma by c. With d_i = (A + B + C)/2 - I_i > 0 it has a solution where the
+matrix diag(d²) - (h/2)² (|m|² - m m^T) is positive definite (Cardoso, Leite 2003), thus in every direction of m if
+h |m| < 2 min d_i; the solution near 0 often exists for longer steps. For equal moments the limit is h |omega| = 1.
+
+For a free body the map conserves m² and the energy and is integrable (Moser, Veselov 1991). It moves on the exact orbit
+of m, with an error in time alone. Hairer and Vilmart replace the moments by modified ones that depend on the constants
+of the motion C = m²/2 and H (``preprocessed``), which makes time and attitude accurate to order 4::
+
+    1/I_i -> (1/I_i)(1 + h² s) + h² d,    s = sigma C/6 - tau H/3,    d = sigma H/6 - C/(3 ABC)
+
+with tau the sum of 1/I_i and sigma = (A + B + C)/(ABC).
+
+Performance: two fixed-point iterations, one Newton correction and two with the same matrix are enough for h |omega| up
+to about 0.3; they need no loop and one division, so that ensembles are vectorised. A loop of Newton corrections goes on
+where they do not suffice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from pydantic import Field
+
+from topcli.arithmetic.branches import unlikely
+from topcli.arithmetic.fused import fma
+from topcli.arithmetic.increments import compensated_sum, compensated_sums
+from topcli.arithmetic.linear import Matrix, solve3
+from topcli.arithmetic.rotations import VECTOR_VARIANTS, Vector, cayley_increment
+from topcli.contracts import EulerPoisson, Floats, Stepper, Top, checked_equations
+from topcli.errors import UsageError
+from topcli.schemes.any_top.momentum import KEPT, entering, inverse_moments, kick, leaving, state_length
+from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.limits import NO_LONG_STEP
+from topcli.schemes.registry import scheme
+
+NEEDED_BY = "scheme 'dmv'"
+CORRECTIONS = 3.0
+"""Corrections of every step."""
+NEWTON_LIMIT = 30
+"""Maximum number of Newton corrections beyond them; four to six are typical."""
+LAST_BIT = 2.0**-50
+"""Correction relative to c that is round-off."""
+Solution = tuple[float, float, float, float, float]
+Rotation = Callable[[Vector, Floats, float], Solution]
+
+
+class DmvOptions(CompensatedOption):
+    """Options: modified moments, compensated sums."""
+
+    moments: Literal["plain", "preprocessed"] = Field(
+        default="plain",
+        description="moments of inertia of the step: those of the top, or modified ones that make the motion of a free "
+        "body accurate to order 4",
+    )
+
+
+def residual(c: Vector, k: Vector, r: Vector) -> Vector:
+    """Residual of the quadratic equation for c."""
+    c1, c2, c3 = c
+    q = fma(c1, c1, 1.0) + fma(c2, c2, c3 * c3)
+    return (
+        fma(r[0], c2 * c3, fma(-k[0], q, c1)),
+        fma(r[1], c3 * c1, fma(-k[1], q, c2)),
+        fma(r[2], c1 * c2, fma(-k[2], q, c3)),
+    )
+
+
+def fixed_point(c: Vector, k: Vector, r: Vector) -> Vector:
+    """Right-hand side of the equation for c."""
+    c1, c2, c3 = c
+    q = fma(c1, c1, 1.0) + fma(c2, c2, c3 * c3)
+    return (
+        fma(k[0], q, -(r[0] * (c2 * c3))),
+        fma(k[1], q, -(r[1] * (c3 * c1))),
+        fma(k[2], q, -(r[2] * (c1 * c2))),
+    )
+
+
+def jacobian(c: Vector, k: Vector, r: Vector) -> Matrix:
+    """Derivative of ``residual``, in row-major order."""
+    c1, c2, c3 = c
+    t1, t2, t3 = 2.0 * c1, 2.0 * c2, 2.0 * c3
+    return (
+        fma(-k[0], t1, 1.0),
+        fma(-k[0], t2, r[0] * c3),
+        fma(-k[0], t3, r[0] * c2),
+        fma(-k[1], t1, r[1] * c3),
+        fma(-k[1], t2, 1.0),
+        fma(-k[1], t3, r[1] * c1),
+        fma(-k[2], t1, r[2] * c2),
+        fma(-k[2], t2, r[2] * c1),
+        fma(-k[2], t3, 1.0),
+    )
+
+
+def size(x: Vector) -> float:
+    """Sum of the magnitudes of three components."""
+    return abs(x[0]) + (abs(x[1]) + abs(x[2]))
+
+
+def determinant(m: Matrix) -> float:
+    """Determinant of a 3x3 matrix."""
+    m11, m12, m13, m21, m22, m23, m31, m32, m33 = m
+    return m11 * (m22 * m33 - m23 * m32) + m12 * (m23 * m31 - m21 * m33) + m13 * (m21 * m32 - m22 * m31)
+
+
+def newton_from_zero(k: Vector, r: Vector) -> Solution:
+    """Cayley vector on the branch through 0, by Newton's method; its status, and the number of corrections.
+
+    The Jacobian at 0 is 1; where its determinant is no longer positive, the iteration has left the branch. Without a
+    solution c is 0, so that the step fails with the old state.
+    """
+    c: Vector = k
+    count = 0.0
+    for _ in range(NEWTON_LIMIT):
+        count += 1.0
+        matrix = jacobian(c, k, r)
+        f1, f2, f3 = residual(c, k, r)
+        e1, e2, e3 = solve3(matrix, f1, f2, f3)
+        c = (c[0] - e1, c[1] - e2, c[2] - e3)
+        if size((e1, e2, e3)) <= LAST_BIT * size(c):
+            if determinant(matrix) > 0.0:
+                return (c[0], c[1], c[2], 0.0, count)
+            break
+    return (0.0, 0.0, 0.0, math.nan, count)
+
+
+def given_up(k: Vector, r: Vector) -> Solution:
+    """Not a number: the trajectory needs a scalar step."""
+    return (math.nan, math.nan, math.nan, math.nan, 0.0)
+
+
+VECTOR_VARIANTS[newton_from_zero] = given_up
+
+
+def cayley_vector(k: Vector, r: Vector) -> Solution:
+    """Cayley vector c of the step, the status of the iteration (0.0 or nan), and the number of corrections."""
+    c = fixed_point(fixed_point(k, k, r), k, r)
+    matrix = jacobian(c, k, r)
+    f1, f2, f3 = residual(c, k, r)
+    a1, a2, a3 = solve3(matrix, f1, f2, f3)
+    c = (c[0] - a1, c[1] - a2, c[2] - a3)
+    f1, f2, f3 = residual(c, k, r)
+    a1, a2, a3 = solve3(matrix, f1, f2, f3)
+    c = (c[0] - a1, c[1] - a2, c[2] - a3)
+    f1, f2, f3 = residual(c, k, r)
+    b1, b2, b3 = solve3(matrix, f1, f2, f3)
+    c1, c2, c3 = c[0] - b1, c[1] - b2, c[2] - b3
+    # the next correction would be last**2/before
+    before, last, bits = size((a1, a2, a3)), size((b1, b2, b3)), LAST_BIT * size((c1, c2, c3))
+    status, count = 0.0, CORRECTIONS
+    if unlikely(not (last <= bits or 16.0 * last * last <= before * bits)):
+        c1, c2, c3, status, more = newton_from_zero(k, r)
+        count += more
+    return (c1, c2, c3, status, count)
+
+
+def momentum_change(c: Vector, m: Vector, r: Vector) -> Vector:
+    """Change of m in the rotation by c; exactly zero along an axis of symmetry, for which r_i = 0."""
+    x1, x2, x3 = cayley_increment(c[0], c[1], c[2], m[0], m[1], m[2])
+    return (x1 if r[0] != 0.0 else 0.0, x2 if r[1] != 0.0 else 0.0, x3 if r[2] != 0.0 else 0.0)
+
+
+def plain_rotation(m: Vector, c: Floats, h: float) -> Solution:
+    """Cayley vector of a step; ``c`` are the inverse moments and the r_i."""
+    d = 0.5 * h
+    return cayley_vector(((d * c[0]) * m[0], (d * c[1]) * m[1], (d * c[2]) * m[2]), (c[3], c[4], c[5]))
+
+
+def preprocessed_rotation(m: Vector, c: Floats, h: float) -> Solution:
+    """Cayley vector of a step with modified moments; ``c`` are the inverse moments and their differences."""
+    i1, i2, i3, d1, d2, d3 = c
+    t1, t2, t3 = m[0] * m[0], m[1] * m[1], m[2] * m[2]
+    C, H = 0.5 * (t1 + (t2 + t3)), 0.5 * (t1 * i1 + (t2 * i2 + t3 * i3))
+    tau, sigma, product = i1 + (i2 + i3), i2 * i3 + (i3 * i1 + i1 * i2), i1 * (i2 * i3)
+    hh = h * h
+    s = 1.0 + hh * (sigma * C / 6.0 - tau * H / 3.0)
+    e = hh * (sigma * H / 6.0 - product * C / 3.0)
+    j1, j2, j3 = fma(i1, s, e), fma(i2, s, e), fma(i3, s, e)
+    d = 0.5 * h
+    r = ((j1 * (s * d1)) / (j2 * j3), (j2 * (s * d2)) / (j3 * j1), (j3 * (s * d3)) / (j1 * j2))
+    return cayley_vector(((d * j1) * m[0], (d * j2) * m[1], (d * j3) * m[2]), r)
+
+
+ROTATIONS = {"plain": plain_rotation, "preprocessed": preprocessed_rotation}
+
+
+def coefficients(equations: EulerPoisson, moments: str) -> Floats:
+    """The r_i, or for ``preprocessed`` the differences 1/I_j - 1/I_k."""
+    i1, i2, i3 = inverse_moments(equations)
+    A, B, C = equations.moments
+    if moments == "plain":
+        return ((C - B) / A, (A - C) / B, (B - A) / C)
+    return ((C - B) * (i2 * i3), (A - C) * (i3 * i1), (B - A) * (i1 * i2))
+
+
+def longest_step(rotation: Rotation, m: Vector, c: Floats, h: float) -> float:
+    """Largest step, in size, of the sign of ``h`` that has a solution for m, to three digits; 0.0 if none is found."""
+    low, high = 0.0, h
+    while high and math.isnan(rotation(m, c, high)[3]):
+        low, high = high, 0.5 * high
+    if low == 0.0 or not high:
+        return 0.0
+    good, bad = high, low
+    while abs(bad - good) > 1e-3 * abs(good):
+        middle = 0.5 * (good + bad)
+        good, bad = (good, middle) if math.isnan(rotation(m, c, middle)[3]) else (middle, bad)
+    return good
+
+
+def advice_with(rotation: Rotation, d: int) -> Callable[[Sequence[float], float], str]:
+    """Return the hint of a run that did not converge, from its working state of (m, gamma) or m."""
+
+    def advice(work: Sequence[float], h: float) -> str:
+        m, c = (work[0], work[1], work[2]), tuple(work[d : d + 6])
+        longest = longest_step(rotation, m, c, h)
+        return f"the largest h that works from there is about {longest:.3g}" if longest else ""
+
+    return advice
+
+
+def free_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
+    """Stepper of m alone."""
+    rotation = ROTATIONS[options.moments]
+
+    def step(s: Floats, h: float, p: Floats) -> Floats:
+        m1, m2, m3, i1, i2, i3, r1, r2, r3, _, iterations = s
+        c1, c2, c3, status, more = rotation((m1, m2, m3), (i1, i2, i3, r1, r2, r3), h)
+        x1, x2, x3 = momentum_change((c1, c2, c3), (m1, m2, m3), (r1, r2, r3))
+        return (m1 + x1, m2 + x2, m3 + x3, i1, i2, i3, r1, r2, r3, status, iterations + more)
+
+    def compensated(s: Floats, h: float, p: Floats) -> Floats:
+        m1, m2, m3, i1, i2, i3, r1, r2, r3, e1, e2, e3, _, iterations = s
+        c1, c2, c3, status, more = rotation((m1, m2, m3), (i1, i2, i3, r1, r2, r3), h)
+        x1, x2, x3 = momentum_change((c1, c2, c3), (m1, m2, m3), (r1, r2, r3))
+        m1, e1 = compensated_sum(m1, e1, x1)
+        m2, e2 = compensated_sum(m2, e2, x2)
+        m3, e3 = compensated_sum(m3, e3, x3)
+        return (m1, m2, m3, i1, i2, i3, r1, r2, r3, e1, e2, e3, status, iterations + more)
+
+    ratios, lost = coefficients(equations, options.moments), (0.0,) * (3 * options.compensated)
+    return Stepper(
+        compensated if options.compensated else step,
+        11 + len(lost),
+        entering(equations, 3, (*ratios, *lost, 0.0, 0.0)),
+        leaving(equations, 3),
+        ("iterations",),
+        iterative=True,
+        advice=advice_with(rotation, 3),
+    )
+
+
+def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
+    """Stepper of m and gamma: half a kick, the rotation, half a kick."""
+    rotation = ROTATIONS[options.moments]
+
+    def change(y: Floats, c: Floats, h: float) -> Floats:
+        m1, m2, m3, g1, g2, g3 = y
+        i1, i2, i3, r1, r2, r3, x, y0, z = c
+        d = 0.5 * h
+        u1, u2, u3 = kick(d, g1, g2, g3, x, y0, z)
+        m1, m2, m3 = m1 + u1, m2 + u2, m3 + u3
+        c1, c2, c3, status, more = rotation((m1, m2, m3), (i1, i2, i3, r1, r2, r3), h)
+        a1, a2, a3 = momentum_change((c1, c2, c3), (m1, m2, m3), (r1, r2, r3))
+        b1, b2, b3 = cayley_increment(c1, c2, c3, g1, g2, g3)
+        v1, v2, v3 = kick(d, g1 + b1, g2 + b2, g3 + b3, x, y0, z)
+        return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, b1, b2, b3, status, more)
+
+    def step(s: Floats, h: float, p: Floats) -> Floats:
+        m1, m2, m3, g1, g2, g3, i1, i2, i3, r1, r2, r3, x, y, z, _, iterations = s
+        c = (i1, i2, i3, r1, r2, r3, x, y, z)
+        x1, x2, x3, y1, y2, y3, status, more = change((m1, m2, m3, g1, g2, g3), c, h)
+        return (m1 + x1, m2 + x2, m3 + x3, g1 + y1, g2 + y2, g3 + y3, *c, status, iterations + more)
+
+    def compensated(s: Floats, h: float, p: Floats) -> Floats:
+        m1, m2, m3, g1, g2, g3, i1, i2, i3, r1, r2, r3, x, y, z, e1, e2, e3, e4, e5, e6, _, iterations = s
+        old, c = (m1, m2, m3, g1, g2, g3), (i1, i2, i3, r1, r2, r3, x, y, z)
+        x1, x2, x3, y1, y2, y3, status, more = change(old, c, h)
+        new, lost = compensated_sums(old, (e1, e2, e3, e4, e5, e6), (x1, x2, x3, y1, y2, y3))
+        return (*new, *c, *lost, status, iterations + more)
+
+    ratios, lost = coefficients(equations, options.moments), (0.0,) * (6 * options.compensated)
+    return Stepper(
+        compensated if options.compensated else step,
+        17 + len(lost),
+        entering(equations, 6, (*ratios, *equations.gravity, *lost, 0.0, 0.0)),
+        leaving(equations, 6),
+        ("iterations",),
+        iterative=True,
+        advice=advice_with(rotation, 6),
+    )
+
+
+@scheme(
+    "dmv",
+    top=None,
+    title="Discrete Moser-Veselov scheme (RATTLE)",
+    order=2,
+    explicit=False,
+    self_adjoint=True,
+    conserves=lambda top: (
+        tuple(one.name for one in top.invariants()) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ())
+    ),
+    citation="Moser, Veselov 1991; McLachlan, Scovel 1995; Hairer, Vilmart 2006 (preprocessed)",
+    equations="kick h/2 by gamma x g, rotation of m and gamma by the quaternion (e0, e) with "
+    "h m_i = 2 (I_i e0 e_i + (I_k - I_j) e_j e_k), kick h/2",
+    options=DmvOptions,
+    limits={"resonance": NO_LONG_STEP, "singular-step": NO_LONG_STEP},
+    order_with=lambda options: 4 if options.moments == "preprocessed" else 2,
+)
+def build(top: Top, options: DmvOptions) -> Stepper:
+    """Discrete Moser-Veselov rotation of m and gamma between two half kicks by gravity.
+
+    Implicit, self-adjoint and canonical: gamma² and m·gamma are exact, the energy oscillates by h² and does not drift.
+    For a free body it is the integrable Moser-Veselov map, which keeps m² and the energy as well; with
+    `moments: preprocessed` it has order 4 in m and in gamma. If |h| |omega| is too large, of the order of 1, a step has
+    no solution and the run ends as `no_convergence`.
+    """
+    equations = checked_equations(top, NEEDED_BY)
+    d = state_length(top, NEEDED_BY)
+    if options.moments == "preprocessed" and any(equations.gravity):
+        raise UsageError(
+            "moments: preprocessed needs a free body, and this top has weight; use moments: plain, "
+            "and a composition such as dmv+kahan-li6 for a higher order"
+        )
+    return free_stepper(equations, options) if d == 3 else heavy_stepper(equations, options)
