@@ -31,8 +31,8 @@ NO_LONG_STEP = (
     "the run ends as `no_convergence` and names the largest h that works."
 )
 LONG_SPLITTING = (
-    "With steps of several radians the kicks and rotations are no longer close to any motion: the energy wanders off by "
-    "several times its size."
+    "With steps of several radians the kicks and rotations are no longer close to any motion: the energy wanders off "
+    "by several times its size."
 )
 NEWTON_SINGULAR = (
     "The iteration starts from HK's step, which is singular for this h, and does not converge; the run ends as "
