@@ -11,11 +11,7 @@ h |m| < 2 min d_i; the solution near 0 often exists for longer steps. For equal 
 
 For a free body the map conserves m² and the energy and is integrable (Moser, Veselov 1991). It moves on the exact orbit
 of m, with an error in time alone. Hairer and Vilmart replace the moments by modified ones that depend on the constants
-of the motion C = m²/2 and H (``preprocessed``), which makes time and attitude accurate to order 4::
-
-    1/I_i -> (1/I_i)(1 + h² s) + h² d,    s = sigma C/6 - tau H/3,    d = sigma H/6 - C/(3 ABC)
-
-with tau the sum of 1/I_i and sigma = (A + B + C)/(ABC).
+of the motion, which makes time and attitude accurate to order 4, 6, 8 or 10 (``preprocessed``).
 
 Performance: two fixed-point iterations, one Newton correction and two with the same matrix are enough for h |omega| up
 to about 0.3; they need no loop and one division, so that ensembles are vectorised. A loop of Newton corrections goes on
@@ -38,6 +34,7 @@ from topcli.arithmetic.rotations import VECTOR_VARIANTS, Vector, cayley_incremen
 from topcli.contracts import EulerPoisson, Floats, Stepper, Top, checked_equations
 from topcli.errors import UsageError
 from topcli.schemes.any_top.momentum import KEPT, entering, inverse_moments, kick, leaving, state_length
+from topcli.schemes.any_top.preprocessed import ORDERS, SERIES, modified_inverse_moments
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.limits import NO_LONG_STEP
 from topcli.schemes.registry import scheme
@@ -59,8 +56,9 @@ class DmvOptions(CompensatedOption):
     moments: Literal["plain", "preprocessed"] = Field(
         default="plain",
         description="moments of inertia of the step: those of the top, or modified ones that make the motion of a free "
-        "body accurate to order 4",
+        "body accurate to the given order",
     )
+    order: Literal[4, 6, 8, 10] = Field(default=4, description="order of a step with preprocessed moments")
 
 
 def residual(c: Vector, k: Vector, r: Vector) -> Vector:
@@ -176,29 +174,34 @@ def plain_rotation(m: Vector, c: Floats, h: float) -> Solution:
     return cayley_vector(((d * c[0]) * m[0], (d * c[1]) * m[1], (d * c[2]) * m[2]), (c[3], c[4], c[5]))
 
 
-def preprocessed_rotation(m: Vector, c: Floats, h: float) -> Solution:
-    """Cayley vector of a step with modified moments; ``c`` are the inverse moments and their differences."""
-    i1, i2, i3, d1, d2, d3 = c
-    t1, t2, t3 = m[0] * m[0], m[1] * m[1], m[2] * m[2]
-    C, H = 0.5 * (t1 + (t2 + t3)), 0.5 * (t1 * i1 + (t2 * i2 + t3 * i3))
-    tau, sigma, product = i1 + (i2 + i3), i2 * i3 + (i3 * i1 + i1 * i2), i1 * (i2 * i3)
-    hh = h * h
-    s = 1.0 + hh * (sigma * C / 6.0 - tau * H / 3.0)
-    e = hh * (sigma * H / 6.0 - product * C / 3.0)
-    j1, j2, j3 = fma(i1, s, e), fma(i2, s, e), fma(i3, s, e)
-    d = 0.5 * h
-    r = ((j1 * (s * d1)) / (j2 * j3), (j2 * (s * d2)) / (j3 * j1), (j3 * (s * d3)) / (j1 * j2))
-    return cayley_vector(((d * j1) * m[0], (d * j2) * m[1], (d * j3) * m[2]), r)
+def preprocessed_rotation(order: int) -> Rotation:
+    """Return the rotation of a step of the given order; its coefficients are the inverse moments and differences."""
+    series = SERIES[order]
+
+    def rotation(m: Vector, c: Floats, h: float) -> Solution:
+        i1, i2, i3, d1, d2, d3 = c
+        t1, t2, t3 = m[0] * m[0], m[1] * m[1], m[2] * m[2]
+        half = 0.5 * (h * h)
+        a, b = half * (t1 + (t2 + t3)), half * (t1 * i1 + (t2 * i2 + t3 * i3))
+        s, e = modified_inverse_moments(series, (i1, i2, i3), a, b)
+        j1, j2, j3 = fma(i1, s, e), fma(i2, s, e), fma(i3, s, e)
+        d = 0.5 * h
+        r = ((j1 * (s * d1)) / (j2 * j3), (j2 * (s * d2)) / (j3 * j1), (j3 * (s * d3)) / (j1 * j2))
+        return cayley_vector(((d * j1) * m[0], (d * j2) * m[1], (d * j3) * m[2]), r)
+
+    return rotation
 
 
-ROTATIONS = {"plain": plain_rotation, "preprocessed": preprocessed_rotation}
+def rotation_with(options: DmvOptions) -> Rotation:
+    """Return the rotation that the options choose."""
+    return plain_rotation if options.moments == "plain" else preprocessed_rotation(options.order)
 
 
-def coefficients(equations: EulerPoisson, moments: str) -> Floats:
-    """The r_i, or for ``preprocessed`` the differences 1/I_j - 1/I_k."""
+def coefficients(equations: EulerPoisson, options: DmvOptions) -> Floats:
+    """Coefficients of the rotation after the inverse moments."""
     i1, i2, i3 = inverse_moments(equations)
     A, B, C = equations.moments
-    if moments == "plain":
+    if options.moments == "plain":
         return ((C - B) / A, (A - C) / B, (B - A) / C)
     return ((C - B) * (i2 * i3), (A - C) * (i3 * i1), (B - A) * (i1 * i2))
 
@@ -230,28 +233,29 @@ def advice_with(rotation: Rotation, d: int) -> Callable[[Sequence[float], float]
 
 def free_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
     """Stepper of m alone."""
-    rotation = ROTATIONS[options.moments]
+    rotation = rotation_with(options)
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, i1, i2, i3, r1, r2, r3, _, iterations = s
-        c1, c2, c3, status, more = rotation((m1, m2, m3), (i1, i2, i3, r1, r2, r3), h)
-        x1, x2, x3 = momentum_change((c1, c2, c3), (m1, m2, m3), (r1, r2, r3))
-        return (m1 + x1, m2 + x2, m3 + x3, i1, i2, i3, r1, r2, r3, status, iterations + more)
+        c = s[3:9]
+        c1, c2, c3, status, more = rotation((s[0], s[1], s[2]), c, h)
+        x1, x2, x3 = momentum_change((c1, c2, c3), (s[0], s[1], s[2]), (c[3], c[4], c[5]))
+        return (s[0] + x1, s[1] + x2, s[2] + x3, *c, status, s[-1] + more)
 
     def compensated(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, i1, i2, i3, r1, r2, r3, e1, e2, e3, _, iterations = s
-        c1, c2, c3, status, more = rotation((m1, m2, m3), (i1, i2, i3, r1, r2, r3), h)
-        x1, x2, x3 = momentum_change((c1, c2, c3), (m1, m2, m3), (r1, r2, r3))
-        m1, e1 = compensated_sum(m1, e1, x1)
-        m2, e2 = compensated_sum(m2, e2, x2)
-        m3, e3 = compensated_sum(m3, e3, x3)
-        return (m1, m2, m3, i1, i2, i3, r1, r2, r3, e1, e2, e3, status, iterations + more)
+        c = s[3:9]
+        c1, c2, c3, status, more = rotation((s[0], s[1], s[2]), c, h)
+        x1, x2, x3 = momentum_change((c1, c2, c3), (s[0], s[1], s[2]), (c[3], c[4], c[5]))
+        e1, e2, e3 = s[9:12]
+        m1, e1 = compensated_sum(s[0], e1, x1)
+        m2, e2 = compensated_sum(s[1], e2, x2)
+        m3, e3 = compensated_sum(s[2], e3, x3)
+        return (m1, m2, m3, *c, e1, e2, e3, status, s[-1] + more)
 
-    ratios, lost = coefficients(equations, options.moments), (0.0,) * (3 * options.compensated)
+    lost = (0.0,) * (3 * options.compensated)
     return Stepper(
         compensated if options.compensated else step,
         11 + len(lost),
-        entering(equations, 3, (*ratios, *lost, 0.0, 0.0)),
+        entering(equations, 3, (*coefficients(equations, options), *lost, 0.0, 0.0)),
         leaving(equations, 3),
         ("iterations",),
         iterative=True,
@@ -261,38 +265,35 @@ def free_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
 
 def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
     """Stepper of m and gamma: half a kick, the rotation, half a kick."""
-    rotation = ROTATIONS[options.moments]
+    rotation = rotation_with(options)
 
-    def change(y: Floats, c: Floats, h: float) -> Floats:
-        m1, m2, m3, g1, g2, g3 = y
-        i1, i2, i3, r1, r2, r3, x, y0, z = c
+    def change(s: Floats, h: float) -> Floats:
+        g1, g2, g3, c = s[3], s[4], s[5], s[6:12]
+        x, y, z = s[12:15]
         d = 0.5 * h
-        u1, u2, u3 = kick(d, g1, g2, g3, x, y0, z)
-        m1, m2, m3 = m1 + u1, m2 + u2, m3 + u3
-        c1, c2, c3, status, more = rotation((m1, m2, m3), (i1, i2, i3, r1, r2, r3), h)
-        a1, a2, a3 = momentum_change((c1, c2, c3), (m1, m2, m3), (r1, r2, r3))
+        u1, u2, u3 = kick(d, g1, g2, g3, x, y, z)
+        m: Vector = (s[0] + u1, s[1] + u2, s[2] + u3)
+        c1, c2, c3, status, more = rotation(m, c, h)
+        a1, a2, a3 = momentum_change((c1, c2, c3), m, (c[3], c[4], c[5]))
         b1, b2, b3 = cayley_increment(c1, c2, c3, g1, g2, g3)
-        v1, v2, v3 = kick(d, g1 + b1, g2 + b2, g3 + b3, x, y0, z)
+        v1, v2, v3 = kick(d, g1 + b1, g2 + b2, g3 + b3, x, y, z)
         return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, b1, b2, b3, status, more)
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, g1, g2, g3, i1, i2, i3, r1, r2, r3, x, y, z, _, iterations = s
-        c = (i1, i2, i3, r1, r2, r3, x, y, z)
-        x1, x2, x3, y1, y2, y3, status, more = change((m1, m2, m3, g1, g2, g3), c, h)
-        return (m1 + x1, m2 + x2, m3 + x3, g1 + y1, g2 + y2, g3 + y3, *c, status, iterations + more)
+        x1, x2, x3, y1, y2, y3, status, more = change(s, h)
+        new = (s[0] + x1, s[1] + x2, s[2] + x3, s[3] + y1, s[4] + y2, s[5] + y3)
+        return (*new, *s[6:15], status, s[-1] + more)
 
     def compensated(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, g1, g2, g3, i1, i2, i3, r1, r2, r3, x, y, z, e1, e2, e3, e4, e5, e6, _, iterations = s
-        old, c = (m1, m2, m3, g1, g2, g3), (i1, i2, i3, r1, r2, r3, x, y, z)
-        x1, x2, x3, y1, y2, y3, status, more = change(old, c, h)
-        new, lost = compensated_sums(old, (e1, e2, e3, e4, e5, e6), (x1, x2, x3, y1, y2, y3))
-        return (*new, *c, *lost, status, iterations + more)
+        x1, x2, x3, y1, y2, y3, status, more = change(s, h)
+        new, lost = compensated_sums(s[:6], s[15:21], (x1, x2, x3, y1, y2, y3))
+        return (*new, *s[6:15], *lost, status, s[-1] + more)
 
-    ratios, lost = coefficients(equations, options.moments), (0.0,) * (6 * options.compensated)
+    lost = (0.0,) * (6 * options.compensated)
     return Stepper(
         compensated if options.compensated else step,
         17 + len(lost),
-        entering(equations, 6, (*ratios, *equations.gravity, *lost, 0.0, 0.0)),
+        entering(equations, 6, (*coefficients(equations, options), *equations.gravity, *lost, 0.0, 0.0)),
         leaving(equations, 6),
         ("iterations",),
         iterative=True,
@@ -315,15 +316,15 @@ def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
     "h m_i = 2 (I_i e0 e_i + (I_k - I_j) e_j e_k), kick h/2",
     options=DmvOptions,
     limits={"resonance": NO_LONG_STEP, "singular-step": NO_LONG_STEP},
-    order_with=lambda options: 4 if options.moments == "preprocessed" else 2,
+    order_with=lambda options: options.order if options.moments == "preprocessed" else 2,
 )
 def build(top: Top, options: DmvOptions) -> Stepper:
     """Discrete Moser-Veselov rotation of m and gamma between two half kicks by gravity.
 
     Implicit, self-adjoint and canonical: gamma² and m·gamma are exact, the energy oscillates by h² and does not drift.
     For a free body it is the integrable Moser-Veselov map, which keeps m² and the energy as well; with
-    `moments: preprocessed` it has order 4 in m and in gamma. If |h| |omega| is too large, of the order of 1, a step has
-    no solution and the run ends as `no_convergence`.
+    `moments: preprocessed` it has order 4, or 6, 8 or 10 with `order`, in m and in gamma, at nearly the same cost. If
+    |h| |omega| is too large, of the order of 1, a step has no solution and the run ends as `no_convergence`.
     """
     equations = checked_equations(top, NEEDED_BY)
     d = state_length(top, NEEDED_BY)
@@ -332,4 +333,6 @@ def build(top: Top, options: DmvOptions) -> Stepper:
             "moments: preprocessed needs a free body, and this top has weight; use moments: plain, "
             "and a composition such as dmv+kahan-li6 for a higher order"
         )
+    if options.moments == "plain" and options.order != ORDERS[0]:
+        raise UsageError(f"order: {options.order} needs moments: preprocessed; with plain moments the order is 2")
     return free_stepper(equations, options) if d == 3 else heavy_stepper(equations, options)
