@@ -13,12 +13,14 @@ from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from topcli.analysis.reference import reference_states
 from topcli.arithmetic.complex_plane import rotation_coefficients, turned_increment
 from topcli.arithmetic.rotations import orthogonal_rodrigues_increment
+from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Stepper, Top
 from topcli.engine.driver import loop_of
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.any_top.preprocessed import scale_coefficients, shift_coefficients
 from topcli.schemes.registry import find_scheme
+from topcli.studies.compare import compare_schemes
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -301,6 +303,13 @@ def test_free_symmetric_top_is_exact() -> None:
             assert np.abs(Steps(top, "splitting")(y, h, N) - truth).max() < 2e-13
 
 
+def test_moser_veselov_keeps_a_small_momentum_along_an_axis_of_symmetry() -> None:
+    """Bit for bit, also if it is far below the round-off of the other components."""
+    y = (1.0, -0.7, 1e-18, 0.6, 0.0, 0.8)
+    assert Steps(Lagrange(), "dmv")(y, 0.05, 1000)[2] == 1e-18
+    assert Steps(EulerGamma(A=1.0, B=2.0, C=2.0), "dmv")((1e-18, 1.0, -0.7, 0.6, 0.0, 0.8), 0.05, 1000)[0] == 1e-18
+
+
 def test_error_of_closed_splitting_follows_the_torque() -> None:
     """A top of ten times the spin and the same step errs less; rotations about axes and dmv err by far more."""
     found = {}
@@ -342,6 +351,57 @@ def test_spherical_top_steps_up_to_one_radian() -> None:
         run.collect()
         assert run.ending is not None
         assert run.ending.outcome is outcome
+
+
+@pytest.mark.slow
+def test_ensemble_has_the_bits_of_single_runs_where_the_iteration_goes_on() -> None:
+    """The vectorised loop leaves the longer iteration, and steps without a solution, to the loop of single runs."""
+    from topcli.engine.ensemble import EnsembleRun
+
+    top, method, y0, h = EulerGamma(), made(EulerGamma(), "dmv"), random_states(40, 28), 0.45
+    ensemble = EnsembleRun(top, method, y0, h, 50, 50, made=lambda piece: None)
+    for _ in ensemble:
+        pass
+    outcomes = set()
+    for i, y in enumerate(y0):
+        single = Run(top, method, y, h, 50, 50)
+        states = single.collect().states
+        found = ensemble.endings[i]
+        assert single.ending is not None
+        assert (found.outcome, found.step, found.counters) == (
+            single.ending.outcome,
+            single.ending.step,
+            single.ending.counters,
+        )
+        if found.outcome is Outcome.COMPLETED:
+            assert (ensemble.last[i] == states[-1]).all()
+        outcomes.add(found.outcome)
+    assert outcomes == {Outcome.COMPLETED, Outcome.NO_CONVERGENCE}
+
+
+@pytest.mark.slow
+def test_comparison_finds_exact_and_bounded_integrals() -> None:
+    """On a scene of each top: what a scheme declares is exact, the energy of splitting is bounded, and so is HK's."""
+    scenes = {
+        "kowalevski_generic_hk": {"gamma_sq", "two_l"},
+        "lagrange_hk": {"gamma_sq", "m_gamma", "m_axis"},
+        "heavy_hk": {"gamma_sq", "m_gamma"},
+        "euler_gamma": {"m_sq", "gamma_sq", "m_gamma"},
+    }
+    for scene, exact in scenes.items():
+        experiment = load_experiment(scene, ["h=0.05", "N=4000"])
+        figures = compare_schemes(experiment, ("hk", "splitting", "dmv", "midpoint")).figures
+        verdicts = {
+            one["scheme"]: {row["name"]: row["verdict"] for row in one["invariants"]} for one in figures["schemes"]
+        }
+        energy = experiment.top.energy
+        free = scene == "euler_gamma"
+        assert {name for name, verdict in verdicts["splitting"].items() if verdict == "exact"} == exact
+        assert {name for name, verdict in verdicts["dmv"].items() if verdict == "exact"} == exact | (
+            {energy} & {"m_omega"}
+        )
+        assert (verdicts["splitting"][energy], verdicts["hk"][energy]) == ("bounded", "bounded")
+        assert verdicts["dmv"][energy] == ("exact" if free else "bounded")
 
 
 def test_iterations_are_counted() -> None:
