@@ -39,10 +39,10 @@ LONG = {"singular-step": LONG_SPLITTING}
 class SplittingOptions(CompensatedOption):
     """Options: the flow between the kicks, compensated sums."""
 
-    free: Literal["closed", "axes"] | None = Field(
-        default=None,
-        description="motion between the kicks: the free body in closed form (needs A = B), or rotations about the "
-        "three axes; by default closed where it exists",
+    free: Literal["auto", "closed", "axes"] = Field(
+        default="auto",
+        description="motion between the kicks: the free body in closed form (needs A = B), rotations about the three "
+        "axes, or auto: closed where it exists",
     )
 
 
