@@ -44,6 +44,8 @@ CORRECTIONS = 3.0
 """Corrections of every step."""
 NEWTON_LIMIT = 30
 """Maximum number of Newton corrections beyond them; four to six are typical."""
+LONG_STEPS = dict.fromkeys(KEPT, ("resonance", "singular-step")) | {"lagrange/inertial": ("resonance",)}
+"""Hard cases of each built-in top in which the steps are too long."""
 LAST_BIT = 2.0**-50
 """Correction relative to c that is round-off."""
 Solution = tuple[float, float, float, float, float]
@@ -306,7 +308,7 @@ def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
     equations="kick h/2 by gamma x g, rotation of m and gamma by the quaternion (e0, e) with "
     "h m_i = 2 (I_i e0 e_i + (I_k - I_j) e_j e_k), kick h/2",
     options=DmvOptions,
-    limits={"resonance": NO_LONG_STEP, "singular-step": NO_LONG_STEP},
+    limits=lambda top: dict.fromkeys(LONG_STEPS.get(top.form, ("long steps",)), NO_LONG_STEP),
     order_with=lambda options: options.order if options.moments == "preprocessed" else 2,
 )
 def build(top: Top, options: DmvOptions) -> Stepper:
