@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,19 +97,20 @@ def test_coefficients_of_the_modified_moments_are_exact(order: int) -> None:
     random = np.random.default_rng(27)
     length = order + 1
     for _ in range(5):
-        i = [Fraction(int(n), int(d)) for n, d in zip((3, 5, 8), random.integers(1, 9, 3), strict=True)]
+        i: list[Any] = [Fraction(int(n), int(d)) for n, d in zip((3, 5, 8), random.integers(1, 9, 3), strict=True)]
         m = [Fraction(int(n), 3) for n in random.integers(1, 9, 3)]
         c = exact_cayley_vector(i, m, length)
-        square = sum(x * x for x in m) / 2
-        energy = sum(x * x * y for x, y in zip(m, i, strict=True)) / 2
-        scale, shift = [Fraction(0)] * (length + 1), [Fraction(0)] * (length + 1)
+        square: Any = sum(x * x for x in m) / 2
+        energy: Any = sum(x * x * y for x, y in zip(m, i, strict=True)) / 2
+        scale: list[Any] = [Fraction(0)] * (length + 1)
+        shift = list(scale)
         scale[0] = Fraction(1)
         e1, e2, e3 = sum(i), i[0] * i[1] + i[1] * i[2] + i[2] * i[0], i[0] * i[1] * i[2]
         powers = [(p - q, q) for p in range(1, order // 2) for q in range(p + 1)]
         terms = zip(powers, scale_coefficients(e1, e2, e3), shift_coefficients(e1, e2, e3), strict=False)
-        for (p, q), s, d in terms:  # type: ignore[assignment]
-            scale[2 * (p + q)] += s * square**p * energy**q  # type: ignore[operator]
-            shift[2 * (p + q)] += d * square**p * energy**q  # type: ignore[operator]
+        for (p, q), s, d in terms:
+            scale[2 * (p + q)] += s * square**p * energy**q
+            shift[2 * (p + q)] += d * square**p * energy**q
         inverse = [[one * x + y for x, y in zip(scale, shift, strict=True)] for one in i]
         norm = [Fraction(n == 0) + sum(series_product(x, x)[n] for x in c) for n in range(length + 1)]
         # times 2 J_j J_k: h m_i j_i (1 + |c|²) j_j j_k - 2 c_i j_j j_k - 2 (j_j - j_k) j_i c_j c_k
