@@ -57,6 +57,9 @@ CASES = (
     ("bs", "lagrange/inertial"),
     ("hk", "lagrange"),
     ("hk", "heavy"),
+    ("splitting", "kowalevski"),
+    ("splitting", "heavy"),
+    ("dmv", "heavy"),
 )
 
 

@@ -51,8 +51,14 @@ CASES: dict[str, tuple[str, str, dict[str, bool]]] = {
     "midpoint": ("midpoint", "heavy_midpoint", {}),
     "hk_lagrange": ("hk", "lagrange_hk", {}),
     "hk_euler_gamma": ("hk", "euler_gamma", {}),
+    "splitting_closed": ("splitting", GENERIC, {}),
+    "splitting_axes": ("splitting", "heavy_hk", {}),
+    "dmv": ("dmv", "heavy_hk", {}),
 }
 """The C functions by name: scheme, scene, options."""
+
+SPLIT = ("splitting_closed", "splitting_axes", "dmv")
+SOURCES = {"steps_more.c": [name for name in CASES if name not in SPLIT], "steps_splitting.c": list(SPLIT)}
 
 Run = Callable[[np.ndarray, int], None]
 """Advances a working state in place by a number of steps."""
@@ -147,7 +153,12 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["NUMBA_CACHE_DIR"] = folder  # compiled again; the user's cache is not touched
-        c_calls, reason = compiled("steps_more.c", list(CASES), "ppdq", Path(folder))
+        c_calls: dict[Any, Any] = {}
+        reason = None
+        for source, names in SOURCES.items():
+            calls, missing = compiled(source, names, "ppdq", Path(folder))
+            c_calls |= calls
+            reason = reason or missing
         rows = [
             measured(case, c_calls, arguments.repetitions, int(arguments.steps)) for case in arguments.cases or CASES
         ]

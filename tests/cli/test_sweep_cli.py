@@ -182,7 +182,9 @@ def test_a_warning_about_a_top_is_printed_once(cli: Cli, study: Path) -> None:
     study.write_text(FILE.replace("kowalevski", "{kind: heavy, A: 5.0}"))
     said = cli("sweep", "study.yaml")
     assert said.code == 0
-    assert said.err.count("warning: study: the moments (5, 1.5, 1) violate the triangle inequality: A = 5 > 1 + 1.5") == 1
+    assert (
+        said.err.count("warning: study: the moments (5, 1.5, 1) violate the triangle inequality: A = 5 > 1 + 1.5") == 1
+    )
     assert "warning" not in cli("sweep", "study.yaml", "--quiet").err
 
 

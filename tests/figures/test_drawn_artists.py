@@ -250,6 +250,26 @@ def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
         np.testing.assert_allclose(linear[:, 1], root[0, 1] * steps / steps[0], rtol=1e-12)
 
 
+def test_energies_are_drawn_logarithmically_against_time(tmp_path: Path) -> None:
+    loaded = FIGURES["integrable"].load(Request(tmp_path, tmp_path))
+    times = 0.1 * 2.0 ** np.arange(20)
+    names = [column for panel in loaded.panels for column in panel.columns]
+    data = {name: times if name.startswith("t:") else 1e-9 * (i + 1.0) * times for i, name in enumerate(names)}
+    figure = draw(loaded.panels, data, loaded.layout)
+    scenes = ("kowalevski_generic_hk", "euler_hk")
+    drawn = {"kowalevski_generic_hk": ["splitting", "dmv", "hk", "midpoint4", "rk4"]}
+    drawn["euler_hk"] = ["splitting", "dmv", "hk", "midpoint", "rk4"]
+    colours: dict[str, Any] = {}
+    for axes, scene in zip(figure.axes, scenes, strict=True):
+        assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+        assert [line.get_label() for line in axes.lines] == drawn[scene]
+        for line in axes.lines:
+            np.testing.assert_array_equal(data_of(line), np.column_stack([times, data[f"{scene}:{line.get_label()}"]]))
+            assert in_sight(axes, line)
+            assert same_color(colours.setdefault(str(line.get_label()), line.get_color()), line.get_color())
+    assert len({to_rgb(colour) for colour in colours.values()}) == len(colours)
+
+
 def bench_report(name: str, errors: dict[str, list[float]]) -> dict[str, Any]:
     """A result of ``topcli bench``: time 2e-6/error^(1/4) for the first competitor, 3e-6 for the next, ...
 
@@ -385,6 +405,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         *SPHERES,
         "modified",
         "polhodes",
+        "integrable",
         "roundoff",
         "work-precision",
         "compare",

@@ -12,6 +12,7 @@ from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.comparison import ComparisonFigure
 from topcli.figures.contract import Figure
 from topcli.figures.growth import GrowthPanel
+from topcli.figures.long_energy import LongEnergyFigure
 from topcli.figures.order import OrderFigure
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.polhodes import Polhodes
@@ -196,6 +197,13 @@ FIGURES: dict[str, Figure] = {
                 ),
             ),
             Grid(figsize=(8.6, 3.4)),
+        ),
+        LongEnergyFigure(
+            "integrable",
+            "Energy over a long time: integrable and canonical maps, exact conservation, drift",
+            "euler_hk",
+            (("kowalevski_generic_hk", "(a) Kowalevski top, $h = 0.05$"), ("euler_hk", "(b) Euler top, $h = 0.05$")),
+            Grid(figsize=(8.2, 3.4)),
         ),
         WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers", "topcli bench"),
         StressFigure("stress", "Every scheme in the hard cases of its top", "topcli stress"),

@@ -69,6 +69,7 @@ def scheme(
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
     limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
+    order_with: Callable[[Any], int | None] | None = None,
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
@@ -106,6 +107,8 @@ def scheme(
     limits : mapping of str to str or callable, optional
         Conditions under which the scheme fails, each with the reason in a sentence, or a function ``limits(top)``
         returning them. A key that names a hard case (``topcli stress``) is checked against the result of that case.
+    order_with : callable, optional
+        ``order_with(options)`` returns the order if it depends on the options; ``order`` is that of the defaults.
 
     Returns
     -------
@@ -153,6 +156,7 @@ def scheme(
             adaptive=adaptive,
             doc=_description(name, title, build, options),
             origin=origin,
+            order_with=order_with,
         )
 
         def register_for(form: str) -> None:

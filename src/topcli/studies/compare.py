@@ -62,7 +62,7 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
     plain = {f"modified_{invariant.name}": invariant for invariant in experiment.top.invariants()}
     modified = experiment.modified
     rows = invariant_report(modified, trajectory.n, trajectory.h, trajectory.states)
-    power = experiment.scheme.order or 0
+    power = experiment.scheme.order_for(experiment.options) or 0
     figures = []
     for invariant, row in zip(modified, rows, strict=True):
         own = plain.get(invariant.name)
@@ -97,7 +97,7 @@ def _figures(
         "message": trajectory.ending.message,
         "left_motion": left_motion(trajectory.ending),
         "counters": dict(trajectory.ending.counters),
-        "declared_order": experiment.scheme.order,
+        "declared_order": experiment.scheme.order_for(experiment.options),
         "max_error": float(error.max()),
         "end_error": float(error[-1]) if reached_end else None,
         "invariants": [
