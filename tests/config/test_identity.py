@@ -31,6 +31,8 @@ def leaves(data: Any, path: PLACES = ()) -> Iterator[tuple[PLACES, Any]]:
 def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
     """Another valid value for a key, close to this one."""
     match value:
+        case _ if "enum" in schema:
+            return next(one for one in schema["enum"] if one != value)
         case bool():
             return not value
         case int():
@@ -40,8 +42,6 @@ def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
         case list():
             rest = math.hypot(value[0], value[1])
             return [rest, 0.0, *value[2:]] if value[0] != rest else [0.6 * rest, 0.8 * rest, *value[2:]]
-        case str() if "enum" in schema:
-            return next(one for one in schema["enum"] if one != value)
     return {("name",): "other", ("output", "format"): "csv", ("output", "columns"): ["t"]}[path]
 
 

@@ -26,7 +26,7 @@ class Steps:
         self.loop = loop_of(self.method, len(top.components), len(top.constants()))
 
     def run(self, y, h: float, N: int) -> Run:
-        return Run(self.top, self.method, y, h, N, N, loop=self.loop)
+        return Run(self.top, self.loop, y, h, N, N)
 
     def __call__(self, y, h: float, N: int = 1) -> np.ndarray:
         run = self.run(y, h, N)
