@@ -57,20 +57,30 @@ def test_help_imports_no_heavy_package(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_warm_run_imports_no_heavy_package(tmp_path: Path) -> None:
-    """A run whose machine code is known imports neither the compiler nor pandas nor SciPy."""
+def test_warm_run_is_light(tmp_path: Path) -> None:
+    """A run whose machine code is known imports neither the compiler nor pandas nor SciPy, nor another command.
+
+    It starts one process, which asks for the commit, and looks for no plugins of pydantic.
+    """
     process("run", HYBRID, "--set", "N=10", cwd=tmp_path)
     code = (
-        "import sys; sys.argv = ['topcli', 'run', '--force', '-q', '--set', 'N=10', sys.argv[1]]\n"
+        "import subprocess, sys; sys.argv = ['topcli', 'run', '--force', '-q', '--set', 'N=10', sys.argv[1]]\n"
+        "started, init = [], subprocess.Popen.__init__\n"
+        "def noted(self, args, *more, **options): started.append(args[0]); init(self, args, *more, **options)\n"
+        "subprocess.Popen.__init__ = noted\n"
         "from topcli.__main__ import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
-        "print(sorted({'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)), file=sys.stderr)"
+        "heavy = {'numba', 'scipy', 'pandas', 'matplotlib', 'numpy.polynomial', 'rich'}\n"
+        "others = {f'topcli.cli.{name}' for name in ('bench', 'compare', 'inspect', 'plot', 'stress', 'verify')}\n"
+        "print(sorted((heavy | others) & set(sys.modules)), file=sys.stderr)\n"
+        "from pydantic.plugin import _loader\n"
+        "print(set(started) <= {'git'}, _loader._plugins, file=sys.stderr)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, HYBRID], capture_output=True, text=True, cwd=tmp_path, check=True
     )
-    assert done.stderr.strip() == "[]"
+    assert done.stderr.splitlines() == ["[]", "True None"]
 
 
 def test_run_writes_and_reports(cli, in_tmp: Path) -> None:

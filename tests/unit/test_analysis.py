@@ -15,7 +15,7 @@ from conftest import GEN
 from topcli.analysis import columns as columns_module
 from topcli.analysis import ensemble, order, trajectory
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.drift import InvariantTally, Trend, trend
+from topcli.analysis.drift import InvariantTally, Trend, _sizes_in_all, trend
 from topcli.analysis.order import convergence, observed_order
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.contracts import Invariant
@@ -118,6 +118,18 @@ def test_a_walk_has_the_error_of_its_increments(kind: str, steps: int) -> None:
     errors = [fit.error for fit in fits if fit.model == "random walk"]
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(expected, rel=0.1)  # 0.06 off for means
     assert np.std([fit.slope for fit in fits]) == pytest.approx(expected, rel=0.15)  # 4 standard errors
+
+
+@pytest.mark.parametrize("m", [8, 9, 128])
+def test_all_components_of_a_residual_are_weighed_as_by_their_covariance(m: int) -> None:
+    """White noise and a walk in an orthonormal basis of what is no line, with the covariance min(i, j) written out."""
+    lines = np.stack([np.ones(m), np.arange(m)], axis=1)
+    basis = np.linalg.svd(lines)[0][:, 2:]
+    covariance = basis.T @ (np.minimum.outer(np.arange(m), np.arange(m)) + 1.0) @ basis
+    residual = np.random.default_rng(m).normal(size=m)
+    z = basis.T @ residual
+    expected = z @ z, z @ np.linalg.solve(covariance, z), 0.5 * np.linalg.slogdet(covariance)[1]
+    assert _sizes_in_all(residual) == pytest.approx(expected, rel=1e-12)  # 4e-15 typically
 
 
 def test_a_walk_with_a_drift_of_its_own_is_drifting() -> None:

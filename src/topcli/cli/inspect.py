@@ -23,7 +23,10 @@ from topcli.cli.talk import emit, emit_text, print_document, print_json, print_t
 from topcli.errors import shortened
 
 list_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, measures, scenes, cases, figures, runs."
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="List tops, schemes, measures, scenes, cases, figures, runs.",
 )
 
 OnlyTop = Annotated[
