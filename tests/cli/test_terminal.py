@@ -140,7 +140,8 @@ def test_no_argument_reaches_the_terminal_raw(cli, in_tmp: Path, arguments: tupl
 
 
 PATHS = {("run", NAME + ".yaml"), ("run", f"{NAME}/x.yaml"), ("init", NAME), ("list", "runs", "--out", NAME)}
-PATHS |= {("plot", "fig1", "--configs", NAME), ("run", HK, "--scheme-file", NAME)}
+PATHS |= {("plot", "fig1", "--configs", NAME), ("run", HK, "--scheme-file", NAME), ("plot", "sweep", NAME)}
+PATHS |= {("table", NAME, "--rows", "h", "--value", "seconds")}
 
 
 @pytest.mark.slow
