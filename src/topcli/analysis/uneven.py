@@ -1,7 +1,7 @@
 """The invariant report of a series whose times need not be even: recorded by an adaptive method, or thinned.
 
-The rows are joined into bins of equal length in time, and the line is fitted to the bins' means. A row weighs as much as
-the time that it represents, half of each gap to its neighbours, so that the fit approximates the integrals over
+The rows are joined into bins of equal length in time, and the line is fitted to the means of the bins. A row weighs as
+much as the time that it represents, half of each gap to its neighbours, so that the fit approximates the integrals over
 time of an even series, and an oscillation leaks into the slope as little as there. A gap without rows counts for at
 most one bin, so that the rows at its ends do not decide the slope.
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from topcli.cli import bench, compare, inspect, lax, plot, roundoff, run, stress, verify
+from topcli.cli import analyse, bench, compare, inspect, lax, plot, roundoff, run, stress, verify
 from topcli.cli.command import Command
 from topcli.cli.talk import emit, say, say_error, say_text
 from topcli.errors import TopcliError, clipped
@@ -73,6 +73,7 @@ def _topcli(
 app.command("run", cls=Command)(run.run)
 app.command("verify", cls=Command)(verify.verify)
 app.command("compare", cls=Command)(compare.compare)
+app.command("analyse", cls=Command)(analyse.analyse)
 app.command("bench", cls=Command)(bench.bench)
 app.command("plot", cls=Command)(plot.plot)
 app.command("lax", cls=Command)(lax.lax)
