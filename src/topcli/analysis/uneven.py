@@ -57,9 +57,9 @@ def uneven_report(
     lengths = represented_times(t)
     bins = np.minimum(np.abs(t - t[0]) * (BINS / abs(t[-1] - t[0])), BINS - 1).astype(np.int64)
     numbers, values = np.arange(len(t)), invariant_values(invariants, states)
-    total = np.bincount(bins, weights=lengths, minlength=BINS)
-    filled = total > 0.0
-    total = total[filled]
+    by_bin = np.bincount(bins, weights=lengths, minlength=BINS).astype(np.float64)
+    filled = by_bin > 0.0
+    total = by_bin[filled]
 
     def means(of_rows: Array) -> Array:
         return np.bincount(bins, weights=lengths * of_rows, minlength=BINS)[filled] / total

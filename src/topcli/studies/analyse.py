@@ -200,9 +200,9 @@ def _reference(experiment: Experiment, rows: Rows) -> tuple[dict[str, Any], Arra
     It starts from the config's initial state if the first row agrees with that, so that rounding in the file is not
     taken for the motion, and otherwise from the first row.
     """
-    initial = np.array(experiment.y0)
-    difference = float(np.abs(rows.states[0] - initial).max())
-    agrees = difference <= AGREEMENT * float(np.abs(initial).max())
+    initial, first = experiment.y0, tuple(rows.states[0].tolist())
+    difference = max(abs(one - other) for one, other in zip(first, initial, strict=True))
+    agrees = difference <= AGREEMENT * max(map(abs, initial))
     about = {
         "method": "Taylor series in double-double arithmetic",
         "start": "config" if agrees else "first row",
@@ -210,7 +210,7 @@ def _reference(experiment: Experiment, rows: Rows) -> tuple[dict[str, Any], Arra
         "message": "",
     }
     try:
-        return about, reference_states(experiment.top, initial if agrees else rows.states[0], rows.t - rows.t[0])
+        return about, reference_states(experiment.top, initial if agrees else first, rows.t - rows.t[0])
     except TopcliError as error:
         return about | {"message": error.lines[0]}, None
 
@@ -227,7 +227,7 @@ def _swings(top: Top, t: Array, values: Array, reference: Array | None) -> dict[
 
 
 def analyse_series(
-    experiment: Experiment, file: ForeignSeries, given: Mapping[str, str], steps: int | None
+    experiment: Experiment, file: ForeignSeries, given: Mapping[str, str], steps: int | None = None
 ) -> Analysis:
     """Judge the series in ``file`` as the motion of the experiment's top.
 
