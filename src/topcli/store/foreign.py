@@ -69,7 +69,7 @@ class ForeignSeries:
             raise self._neither(f"byte 0x{error.object[error.start]:02x} is not UTF-8 text") from None
         self._separator = max(_SEPARATORS, key=line.count)
         try:
-            names = [name.strip() for name in next(csv.reader([line], delimiter=self._separator), [])]
+            names = [name.strip() for name in next(csv.reader([line], delimiter=self._separator, skipinitialspace=True), [])]
         except csv.Error as error:
             raise self._neither(str(error)) from None
         if names and names[0].startswith("#"):  # as numpy.savetxt writes it
@@ -146,7 +146,7 @@ class ForeignSeries:
         """Rows of a CSV file without the header and without empty lines."""
         try:
             with self.path.open(encoding="utf-8-sig", newline="") as file:
-                reader = csv.reader(file, delimiter=self._separator)
+                reader = csv.reader(file, delimiter=self._separator, skipinitialspace=True)
                 next(reader, None)
                 yield from (cells for cells in reader if cells)
         except UnicodeDecodeError as error:
