@@ -92,9 +92,9 @@ def test_even_rows_give_nearly_the_report_on_even_times(shape: str) -> None:
 
 
 def test_oscillations_hardly_leak_into_the_slope_when_steps_follow_them() -> None:
-    """An adaptive method takes short steps where the deviation is large; a plain line would see a slope of 3e-6.
+    """An adaptive method takes short steps where the deviation is large; a plain line sees a slope of -1.5e-7.
 
-    The slope here is 4e-9: by the time that rows represent, not by their number.
+    The slope here is 6e-10; if all rows weighed the same it would be -6e-8.
     """
     s = np.linspace(0.0, 200.0, 4001)
     t = s + 0.9 * np.sin(s)

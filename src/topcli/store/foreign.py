@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,7 @@ class ForeignSeries:
             raise self._neither(f"byte 0x{error.object[error.start]:02x} is not UTF-8 text") from None
         self._separator = max(_SEPARATORS, key=line.count)
         try:
-            names = [name.strip() for name in next(csv.reader([line], delimiter=self._separator, skipinitialspace=True), [])]
+            names = [name.strip() for name in next(self._cells([line]), [])]
         except csv.Error as error:
             raise self._neither(str(error)) from None
         if names and names[0].startswith("#"):  # as numpy.savetxt writes it
@@ -80,6 +80,10 @@ class ForeignSeries:
         if all(_number(name) is not None for name in names):
             raise UsageError(f"{self.path}: its first line holds numbers; expected the names of the columns")
         return names
+
+    def _cells(self, lines: Iterable[str]) -> Iterator[list[str]]:
+        """Cells of each of the lines of a CSV file."""
+        return csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
 
     def read(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Columns ``names`` as float64, each (m,). Raises UsageError for values that are not finite numbers."""
@@ -146,7 +150,7 @@ class ForeignSeries:
         """Rows of a CSV file without the header and without empty lines."""
         try:
             with self.path.open(encoding="utf-8-sig", newline="") as file:
-                reader = csv.reader(file, delimiter=self._separator, skipinitialspace=True)
+                reader = self._cells(file)
                 next(reader, None)
                 yield from (cells for cells in reader if cells)
         except UnicodeDecodeError as error:
