@@ -177,6 +177,17 @@ def test_wrong_times_are_named(tmp_path: Path, place: int, value: float, message
     assert refusal(tmp_path, motion(sign * t)) == message
 
 
+def test_too_many_rows_and_endless_times_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.array([-1.7e308, 0.0, 1.7e308])
+    assert refusal(tmp_path, motion(EVEN[:3]) | {"t": t}) == (
+        "t from -1.7e+308 to 1.7e+308 is a time beyond double precision"
+    )
+    monkeypatch.setattr("topcli.studies.analyse.MAX_ROWS", 2000)
+    assert refusal(tmp_path, motion(EVEN)) == "2001 rows; at most 2000 fit in memory, so write fewer rows"
+    monkeypatch.setattr("topcli.studies.analyse.MAX_ROWS", 2001)
+    assert analysed(tmp_path, motion(EVEN)).report["rows"] == 2001
+
+
 def test_wrong_columns_and_rows_are_named(tmp_path: Path) -> None:
     data = motion(EVEN)
     assert refusal(tmp_path, {name: values[:1] for name, values in data.items()}) == (

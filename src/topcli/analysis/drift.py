@@ -120,7 +120,7 @@ def trend(t: Array, values: Array, lengths: Array | None = None) -> Trend | None
         weight, gaps = _uneven_weights(t, lengths)
     weight /= weight.sum()
     count = m if lengths is None else min(1.5 / float(weight @ weight), float(m))  # Hann weights: the sum is 1.5 / m
-    if count < 8:
+    if not count >= 8:  # nan included
         return None
     s = t - weight @ t
     influence = weight * s / (weight @ s**2)

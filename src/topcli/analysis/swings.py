@@ -6,9 +6,30 @@ import numpy as np
 
 from topcli.contracts import Array
 
+UNEVEN = 0.1
+"""Ratio of the smallest to the largest of four spacings below which the quartic through five points is not used."""
+
+
+def _lowest(x: Array, y: Array) -> float:
+    """Position of the minimum of the parabola through three points, the second at (0, 0); within the points."""
+    before, after = float(y[0] / x[0]), float(y[2] / x[2])
+    bend = (after - before) / float(x[2] - x[0])
+    if not 0.0 < bend < np.inf:
+        return 0.0
+    low, high = sorted((float(x[0]), float(x[2])))
+    return min(max(0.5 * (float(x[0]) - before / bend), low), high)
+
 
 def _vertex(x: Array, y: Array) -> float:
-    """Position of the minimum near 0 of the quartic through five points; x is centred."""
+    """Position of the minimum near 0 of the quartic through five points; x is centred.
+
+    Where the points are too uneven for a quartic, or its coefficients would overflow, the parabola through the middle
+    three.
+    """
+    gaps = np.abs(np.diff(x))
+    if gaps.min() < UNEVEN * gaps.max() or not 1e-60 < gaps.max() < 1e60:
+        with np.errstate(all="ignore"):
+            return _lowest(x[1:4], y[1:4])
     polynomial = np.polynomial.Polynomial.fit(x, y, 4, domain=[x[0], x[-1]], window=[-1.0, 1.0])
     slope = polynomial.deriv()
     roots = slope.roots()
@@ -18,11 +39,12 @@ def _vertex(x: Array, y: Array) -> float:
 
 
 def minima_times(t: Array, values: Array) -> Array:
-    """Times of the deep minima of ``values`` (m,) sampled at even times ``t`` (m,).
+    """Times of the deep minima of ``values`` (m,) sampled at times ``t`` (m,), rising or falling, even or not.
 
     A deep minimum is the lowest point of a stretch below mid-range that begins and ends within the record.
     Its time is that of the minimum of the quartic through the five samples around it, with an error of fourth
-    order in the sampling interval.
+    order in the sampling interval. Where the intervals between these differ by more than a factor of ten, it is that
+    of the parabola through three samples.
     """
     if len(values) < 5 or not np.isfinite(values).all():
         return np.empty(0)

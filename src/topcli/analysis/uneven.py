@@ -55,7 +55,7 @@ def uneven_report(
         Index of the first row that has left the energy surface of the first one; None for none or without ``top``.
     """
     lengths = represented_times(t)
-    bins = np.minimum(np.abs(t - t[0]) * (BINS / abs(t[-1] - t[0])), BINS - 1).astype(np.int64)
+    bins = np.minimum(np.abs(t - t[0]) / abs(t[-1] - t[0]) * BINS, BINS - 1).astype(np.int64)
     numbers, values = np.arange(len(t)), invariant_values(invariants, states)
     by_bin = np.bincount(bins, weights=lengths, minlength=BINS).astype(np.float64)
     filled = by_bin > 0.0

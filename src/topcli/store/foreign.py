@@ -34,6 +34,8 @@ class ForeignSeries:
                 own = next((name for name in ("series.parquet", "series.csv") if (path / name).is_file()), "")
                 hint = f"; did you mean {path / own}?" if own else "; give a CSV or Parquet file"
                 raise UsageError(f"{path}: is a folder{hint}")
+            if os.path.exists(path) and not os.path.isfile(path):
+                raise UsageError(f"{path}: is not a regular file; give a CSV or Parquet file")
             with path.open("rb") as file:
                 head = file.read(_HEADER_BYTES)
         except FileNotFoundError:

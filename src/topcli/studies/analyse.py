@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,10 +124,13 @@ def read_rows(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> Rows:
 
 def _check_times(path: Path, name: str, t: Array) -> None:
     """Raise UsageError at the first time that repeats the one before, or leads back."""
-    ahead = np.diff(t)
+    with np.errstate(over="ignore"):
+        ahead, span = np.diff(t), float(t[-1] - t[0])
     direction = 1.0 if 2 * np.count_nonzero(ahead > 0.0) >= len(ahead) else -1.0
     wrong = ~(direction * ahead > 0.0)
     if not wrong.any():
+        if not math.isfinite(span):
+            raise UsageError(f"{path}: {name} from {t[0]:g} to {t[-1]:g} is a time beyond double precision")
         return
     row = int(np.argmax(wrong)) + 2
     now, before = float(t[row - 1]), float(t[row - 2])
