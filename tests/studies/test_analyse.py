@@ -98,6 +98,18 @@ def test_a_spin_that_grows_is_measured(tmp_path: Path, kind: str) -> None:
     assert row["drift_over_run"] == pytest.approx(row["drift"] * end)
 
 
+def test_the_largest_error_may_be_in_the_middle(tmp_path: Path) -> None:
+    """omega3 is off by at most 1e-3, at t = 10; the deviation of m.omega = 4.5 is that of its square."""
+    off = 1e-3 * np.sin(math.pi * EVEN / 20.0)
+    data = motion(EVEN)
+    data["omega3"] = 2.0 + off
+    analysis = analysed(tmp_path, data)
+    assert analysis.report["max_error"] == pytest.approx(1e-3, rel=1e-9)
+    assert analysis.report["end_error"] < 1e-13
+    np.testing.assert_allclose(analysis.series["deviation:m_omega"], 4.0 * off + off**2, atol=1e-14)
+    np.testing.assert_array_equal(analysis.series["swing"], data["omega2"])
+
+
 def test_times_may_start_anywhere(tmp_path: Path) -> None:
     data = motion(EVEN)
     shifted = {**data, "t": data["t"] + 7.0}
@@ -262,6 +274,11 @@ def test_a_motion_that_leaves_its_energy_surface_is_reported(tmp_path: Path, kin
     assert analysed(tmp_path, data, experiment).report["left_motion"] is None
     data["omega1"][40:] = 1e4
     assert analysed(tmp_path, data, experiment).report["left_motion"] == {"row": 41, "t": data["t"][40]}
+    data["n"] = 10 * np.arange(50)
+    data["t"] = data["n"] * experiment.h
+    report = analysed(tmp_path, data, experiment).report
+    assert report["times"] == "steps of the config's h"
+    assert report["left_motion"] == {"row": 41, "t": data["t"][40]}
 
 
 SAME_BITS = ("name", "symbol", "first", "min", "max", "max_deviation", "max_deviation_relative", "model", "verdict")

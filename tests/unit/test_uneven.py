@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from topcli.analysis.drift import InvariantRow, InvariantTally
+from topcli.analysis.drift import InvariantRow, InvariantTally, trend
 from topcli.analysis.uneven import represented_times, uneven_report
 from topcli.contracts import Invariant
 
@@ -113,6 +113,17 @@ def test_rows_represent_half_of_their_gaps_and_at_most_a_bin() -> None:
     expected = [0.1, 0.2, 0.2, 0.05 + width / 2.0, width]
     np.testing.assert_allclose(represented_times(t), expected, rtol=1e-12)
     np.testing.assert_allclose(represented_times(-t), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("longest", "enough"), [(4.0, True), (5.0, False)])
+def test_a_slope_needs_weights_worth_eight_points(longest: float, enough: bool) -> None:
+    """Of 16 points one in the middle represents more time: 1.5 / (sum of squared weights) is 8.7 or 7.3 here."""
+    t, lengths = np.arange(16.0), np.ones(16)
+    lengths[7] = longest
+    window = lengths * np.sin(np.pi * (t + 0.5) / 16.0) ** 2
+    worth = 1.5 * window.sum() ** 2 / (window @ window)
+    assert (worth >= 8.0) == enough
+    assert (trend(t, np.sin(t), lengths) is not None) == enough
 
 
 def test_the_bound_follows_the_steps_and_few_rows_are_unjudged() -> None:
