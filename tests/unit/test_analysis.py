@@ -265,8 +265,10 @@ def test_minima_are_placed_between_uneven_samples(ratio: float) -> None:
 
 
 @pytest.mark.parametrize("y", [[2.0, 0.0, 2.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0, 0.0], [9.0, 1.0, 0.0, 1e-9, 9.0]])
-def test_a_minimum_of_uneven_samples_lies_between_its_neighbours(y: list[float]) -> None:
-    t = np.array([0.0, 1.0, 1.001, 1.002, 4.0])
+@pytest.mark.parametrize("gap", [1e-3, 1e-13])
+def test_a_minimum_of_uneven_samples_lies_between_its_neighbours(y: list[float], gap: float) -> None:
+    """Of two samples 1e-13 apart a quartic would have a poorly conditioned fit, with a warning."""
+    t = np.array([0.0, 1.0, 1.0 + gap, 1.0 + 2.0 * gap, 4.0])
     series = np.concatenate([[10.0, 10.0], y, [10.0, 10.0]])
     times = np.concatenate([[-9.0, -8.0], t, [5.0, 6.0]])
     lowest = float(times[np.argmin(series)])
