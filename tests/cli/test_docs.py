@@ -38,7 +38,7 @@ PAGES = [
     *sorted((ROOT / "examples").glob("*/README.md")),
     ROOT / "results" / "README.md",
 ]
-LANGUAGES = {"console", "python", "yaml", "toml", "sh", "{toctree}", "{eval-rst}"}
+LANGUAGES = {"console", "python", "yaml", "toml", "csv", "sh", "{toctree}", "{eval-rst}"}
 GENERATED = "schemes.md"
 """Made from the registry and compared with it by another test."""
 TIMINGS = ("ns per step", "compile or load")
@@ -156,11 +156,11 @@ def sessions(block: Block) -> list[tuple[str, list[str]]]:
 
 
 def run(command: str, cwd: Path) -> tuple[int, list[str]]:
-    """Exit code of a topcli command, and the lines that a person at a terminal of 160 columns sees."""
+    """Exit code of topcli or a script, and the lines that a person at a terminal of 160 columns sees."""
     program, *arguments = shlex.split(command)
-    assert program == "topcli", f"mark it as not executed: {command}"
+    assert program in ("topcli", "python"), f"mark it as not executed: {command}"
     done = subprocess.run(
-        [sys.executable, "-u", "-m", "topcli", *arguments],
+        [sys.executable, "-u", *(["-m", "topcli"] if program == "topcli" else []), *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
