@@ -123,7 +123,7 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         r = subtract(f, z)
         before = off
         off = abs(r[0]) + abs(r[1]) + abs(r[2]) + abs(r[3]) + abs(r[4]) + abs(r[5])
-        # near a degenerate torus the iteration stalls at the magnified rounding errors of D^T f
+        # near a degenerate torus the iteration stalls at the magnified rounding errors of D^T f; it is projected below
         if off <= tolerance or (0.25 * before < off <= FLOOR * tolerance and i > 0):
             z = f
             status = 0.0
@@ -132,8 +132,8 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         # written out: with a call of add the step takes a tenth longer
         z = (z[0] + b[0], z[1] + b[1], z[2] + b[2], z[3] + b[3], z[4] + b[4], z[5] + b[5])
     new: Floats = add(y, z)
-    if not four:
-        midpoint_steps += 1.0
+    if not four or off > tolerance:
+        midpoint_steps += 0.0 if four else 1.0
         new, missed = project_unless_worse(new, (reach * reach) * dot(z, z), c, (i1, i2, i3, k))
         unmet += missed
     if short > 0.0:
