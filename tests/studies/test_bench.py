@@ -293,16 +293,16 @@ def variants(problem):
 """
 
 
-def test_a_peer_is_a_file_and_one_entry(
-    short: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_peer_is_a_file_and_one_entry(short: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``--against`` finds it, and its variants are measured in a process of its own, which has the entry too."""
     (tmp_path / "peer_of_mine.py").write_text(PEER)
     monkeypatch.setitem(PEERS, "mine", Peer("mine", "a peer that stands still", "peer_of_mine", ("numpy",)))
     entry = "from topcli.studies.peers import PEERS, Peer; PEERS['mine'] = Peer('mine', '', 'peer_of_mine', ('numpy',))"
     lines = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {entry}"
     start = f"{lines}; from topcli.studies.peers.worker import main; main()"
-    monkeypatch.setattr(entrants.subprocess, "Popen", lambda _, **options: _popen([sys.executable, "-c", start], **options))
+    monkeypatch.setattr(
+        entrants.subprocess, "Popen", lambda _, **options: _popen([sys.executable, "-c", start], **options)
+    )
     result = bench(short, choose(short, ("rk4",)), find_peers(["MINE"]), Effort(0.002, 1))
     (mine,) = [one for one in result["competitors"] if one["name"] == "mine still"]
     still = np.abs(reference_states(short.top, short.experiment.y0, short.times) - np.array(short.experiment.y0))
