@@ -233,6 +233,7 @@ def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli: Cli, study: P
     assert (plan["done"], plan["new"]) == (len(rows()), 40 - len(rows()))
 
 
+@pytest.mark.slow
 def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
     """Of six rows one fails, two are done before, and one is left over: no two numbers are equal."""
     failing = ["--set", "base.N=500", "--set", "grid.scheme=[rk4]"]

@@ -273,6 +273,7 @@ class Undefined(Heavy):
         return tuple(replace(one, value=values.get(one.name, one.value)) for one in super().invariants())
 
 
+@pytest.mark.slow
 def test_an_energy_that_is_undefined_at_the_start_is_not_judged() -> None:
     states = np.tile(np.array(GEN), (1000, 1))
     states[300:, 0] = 1e12  # its square root is beyond a hundred times the terms

@@ -85,6 +85,7 @@ def test_the_law_of_the_swings() -> None:
     assert law(np.array([1e-3])) == pytest.approx([28.1716], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_view_may_ask_for_a_logarithmic_axis(figure: SweepStudyFigure, tmp_path: Path) -> None:
     """The few values of top.A alone would not."""
     lower = figure.views[1]

@@ -241,6 +241,7 @@ def test_the_plan_says_that_a_run_will_be_rewritten(cli: Any) -> None:
     assert cli(*command, "--json").json()["runs"][0]["status"] == "rewritten as parquet"
 
 
+@pytest.mark.slow
 def test_the_step_at_which_a_run_left_its_motion_stays_in_its_tables(tmp_path: Path) -> None:
     """HK with so long a step that gamma² grows to 2e59, as parquet, csv and parquet again."""
     big = ["h=2", "N=1000"]

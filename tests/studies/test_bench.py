@@ -229,6 +229,7 @@ def test_a_rung_s_figures_are_those_of_its_samples(short: Problem) -> None:
     assert (other["repetitions"], other["processes"], other["drift"]) == (0, [], 0.0)
 
 
+@pytest.mark.slow
 def test_stored_figures_are_those_of_the_stored_samples(short: Problem) -> None:
     """What is stored of a real measurement agrees with itself."""
     result = bench(short, choose(short, ("rk4", "hk")), [], Effort(0.002, 3))
@@ -269,6 +270,7 @@ def test_the_first_call_of_a_peer_counts_its_fastest_process(short: Problem) -> 
     assert processes[1].asked == [{"run": ["v", 1e-3]}, {"time": ["v", 1e-3, 4]}]
 
 
+@pytest.mark.slow
 def test_the_seconds_of_a_closed_form_are_those_of_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
     (racket,) = bench_problems((), ("euler_hk",), ("h=0.01", "N=100"), 10)
     clock = iter([100.0, 107.0])
@@ -293,6 +295,7 @@ def variants(problem):
 """
 
 
+@pytest.mark.slow
 def test_a_peer_is_a_file_and_one_entry(short: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``--against`` finds it, and its variants are measured in a process of its own, which has the entry too."""
     (tmp_path / "peer_of_mine.py").write_text(PEER)

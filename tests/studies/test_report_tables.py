@@ -127,6 +127,7 @@ def test_a_new_column_is_one_entry(monkeypatch: pytest.MonkeyPatch) -> None:
     assert comparison_lines([report()])[-1] == ["  B because", "OF THE TEST"]
 
 
+@pytest.mark.slow
 def test_a_new_column_is_a_field_and_an_entry(
     cli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -307,6 +307,7 @@ def test_a_scheme_that_fails_in_the_interpreter_is_a_finding() -> None:
     assert "use |h| <" in one.finding.why
 
 
+@pytest.mark.slow
 def test_a_hard_case_is_one_entry(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """From outside: a config, a question and a check; it is listed, completed, tried, judged and can be a limit."""
     from topcli.cli.stress import complete_case

@@ -308,6 +308,7 @@ def test_series_are_stored_where_asked_for(tmp_path: Path) -> None:
     assert len(os.listdir(tmp_path / "study" / "series")) == 4
 
 
+@pytest.mark.slow
 def test_columns_of_keys_have_the_type_of_their_values(tmp_path: Path) -> None:
     grid = {"scheme": ["hk"], "N": [60, 70], "top.c0": [1, 0.5], "initial.gamma": [[0.6, 0.48, 0.64], [0, 0, 1]]}
     include = [{"scheme": "rk4", "output.every": 20}]

@@ -43,9 +43,9 @@ Changes = Mapping[str, Any] | None
 def load_experiment(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> Experiment:
     """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
-    Before the config is validated, ``changes`` replace whole keys; then ``overrides``, ``key=value`` texts, are applied.
-    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
-    an ensemble, which ``load_any`` loads.
+    ``changes`` replace whole keys; ``overrides``, which are ``key=value`` texts, are applied after them and before the
+    config is validated. Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what
+    would be right; also for an ensemble, which ``load_any`` loads.
     """
     return _single(*_named_document(source, overrides, changes))
 

@@ -52,7 +52,7 @@ MIDPOINT_ITERATIONS = 40
 """Maximum number of iterations for the midpoint rule, after which the step fails."""
 COUNTERS = ("iterations", "midpoint_steps", "short_corrections", "unmet")
 """Number of iterations; of midpoint steps used instead; of steps in which an integral was omitted or its correction
-shortened, because the gradients were nearly dependent; of midpoint steps that did not restore all four values."""
+shortened, because the gradients were nearly dependent; of projected steps that did not restore all four values."""
 FLOOR = 2.0**10
 """Factor by which an iteration may stall above ``SETTLED``."""
 SETTLED = 4.0 * EPS
@@ -169,7 +169,7 @@ def build(top: Top, options: NoOptions) -> Stepper:
 
     Self-adjoint; all four integrals are conserved. On degenerate tori, where the gradients are linearly dependent, only
     independent integrals are used. For k = 0 (Delone's motion), and if the iteration does not converge, the step is
-    that of the midpoint rule, projected as in hk-projected; the numbers of such steps and of those that did not restore
-    all four values are reported. If the midpoint rule does not converge either, the run ends as `no_convergence`.
+    that of the midpoint rule, projected as in hk-projected; a step whose iteration stalls at magnified round-off is
+    projected too. The numbers of midpoint steps and of those that did not restore all four values are reported. If the midpoint rule does not converge either, the run ends as `no_convergence`.
     """
     return Stepper(dg4_step, 15, enter, first6, COUNTERS, iterative=True)
