@@ -170,6 +170,7 @@ def build(top: Top, options: NoOptions) -> Stepper:
     Self-adjoint; all four integrals are conserved. On degenerate tori, where the gradients are linearly dependent, only
     independent integrals are used. For k = 0 (Delone's motion), and if the iteration does not converge, the step is
     that of the midpoint rule, projected as in hk-projected; a step whose iteration stalls at magnified round-off is
-    projected too. The numbers of midpoint steps and of those that did not restore all four values are reported. If the midpoint rule does not converge either, the run ends as `no_convergence`.
+    projected too. The numbers of midpoint steps and of those that did not restore all four values are reported. If the
+    midpoint rule does not converge either, the run ends as `no_convergence`.
     """
     return Stepper(dg4_step, 15, enter, first6, COUNTERS, iterative=True)
