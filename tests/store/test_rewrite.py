@@ -239,3 +239,19 @@ def test_the_plan_says_that_a_run_will_be_rewritten(cli: Any) -> None:
     assert "x: will be rewritten as csv: 51 rows" in cli(*command, "--format", "csv", "--dry-run").out
     assert "(rewritten as csv)" in cli(*command, "--format", "csv").err
     assert cli(*command, "--json").json()["runs"][0]["status"] == "rewritten as parquet"
+
+
+@pytest.mark.slow
+def test_the_step_at_which_a_run_left_its_motion_stays_in_its_tables(tmp_path: Path) -> None:
+    """HK with so long a step that gamma² grows to 2e59, as parquet, csv and parquet again."""
+    big = ["h=2", "N=1000"]
+    first = run_experiment(load_experiment("kowalevski_hk", big), tmp_path)
+    about = pq.read_metadata(first.stored.series).metadata
+    left = first.stored.manifest["left_motion"]
+    assert json.loads(about[b"topcli.left_motion"]) == left
+    assert 0 < left["step"] < 1000
+    assert run_experiment(load_experiment("kowalevski_hk", [*big, CSV]), tmp_path).status == "rewritten as csv"
+    again = run_experiment(load_experiment("kowalevski_hk", big), tmp_path)
+    assert again.status == "rewritten as parquet"
+    assert again.stored.manifest["left_motion"] == left
+    assert pq.read_metadata(again.stored.series).metadata[b"topcli.left_motion"] == about[b"topcli.left_motion"]

@@ -43,9 +43,9 @@ Changes = Mapping[str, Any] | None
 def load_experiment(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> Experiment:
     """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
-    ``overrides`` are ``key=value`` texts, applied before the config is validated; ``changes`` then replace whole keys.
-    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
-    an ensemble, which ``load_any`` loads.
+    ``changes`` replace whole keys; ``overrides``, which are ``key=value`` texts, are applied after them and before the
+    config is validated. Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what
+    would be right; also for an ensemble, which ``load_any`` loads.
     """
     return _single(*_named_document(source, overrides, changes))
 
@@ -206,10 +206,9 @@ def read_document(path: Path) -> Document:
 
 
 def _named_document(source: Path | str, overrides: Sequence[str], changes: Changes) -> tuple[Document, str]:
-    """Document of a file or scene with overrides and changes, and the default name of its experiment."""
+    """Document of a file or scene with changes and overrides, and the default name of its experiment."""
     path = find_config(source)
     document = read_document(path)
-    apply_overrides(document, overrides)
     if changes:
         new = Document({})
         new.data = plain(changes, new)
@@ -217,6 +216,7 @@ def _named_document(source: Path | str, overrides: Sequence[str], changes: Chang
         document.data |= new.data
         document.places = {key: place for key, place in document.places.items() if not key or key[0] not in new.data}
         document.places |= {(key,): "" for key in new.data}
+    apply_overrides(document, overrides)
     return document, path.stem
 
 
