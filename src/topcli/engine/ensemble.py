@@ -56,12 +56,22 @@ FIRST_CALL = 4
 Made = TypeVar("Made")
 
 
+_most_threads: int | None = None
+
+
+def limit_threads(count: int) -> None:
+    """Let ``default_threads`` be at most ``count`` in this process."""
+    global _most_threads
+    _most_threads = count
+
+
 def default_threads() -> int:
-    """Number of CPUs that this process may use."""
+    """Number of CPUs that this process may use, or the limit if there is a lower one."""
     try:
-        return len(os.sched_getaffinity(0))
+        cpus = len(os.sched_getaffinity(0))
     except AttributeError:  # not on every system
-        return os.cpu_count() or 1
+        cpus = os.cpu_count() or 1
+    return min(cpus, _most_threads or cpus)
 
 
 def tile_of(count: int) -> int:

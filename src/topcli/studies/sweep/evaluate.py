@@ -187,6 +187,14 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
+def forget() -> None:
+    """Forget what is kept for later batches, after the registered schemes or measures have changed."""
+    global _kept
+    _scheme.cache_clear()
+    shared_experiment.cache_clear()
+    _kept = _Kept()
+
+
 @dataclass
 class _Group:
     """Rows that differ only in their initial states; a row is its place in the results and its state."""
