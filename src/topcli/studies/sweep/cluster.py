@@ -7,6 +7,7 @@ failed row.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import json
 import logging
@@ -16,6 +17,7 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -46,6 +48,14 @@ IN_FLIGHT = 3
 """Batches in flight for each thread of a worker."""
 BATCH_SCALE = 3
 """Seconds of work in a batch: much longer than the scheduler's time for a task."""
+_LOCAL_CLUSTER: dict[str, Any] = {
+    "threads_per_worker": 1,
+    "dashboard_address": None,
+    "worker_dashboard_address": None,
+    "silence_logs": logging.CRITICAL,
+    # Ctrl-C in a terminal is for the process that writes; it ends the workers
+    "preload": "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)",
+}
 Batch = list[Row]
 Stop = Callable[[], bool]
 
@@ -98,13 +108,29 @@ def run_on_cluster(
     address: str,
     sweep: Sweep,
     out: Path,
-    options: SweepOptions = SweepOptions(),
-    watcher: Watcher = Watcher(),  # noqa: B008
+    options: SweepOptions | None = None,
+    watcher: Watcher | None = None,
 ) -> SweepResult:
     """Run what is new in ``sweep`` on the Dask cluster at ``address``; otherwise as ``run_sweep``."""
+    options, watcher = options or SweepOptions(), watcher or Watcher()
     with connected(address, watcher.message, watcher.stop) as cluster:
         divided = replace(options, threads=cluster.threads, batch_scale=BATCH_SCALE)
         return run_sweep(sweep, out, divided, watcher, cluster)
+
+
+def _require_answer(address: str) -> None:
+    """Raise the library's error, or TimeoutError, if no scheduler answers; the client itself waits forever for one
+    that accepts a connection and is silent."""
+    from distributed.comm.core import connect
+    from distributed.security import Security
+
+    async def ask() -> None:
+        options = Security().get_connection_args("client")
+        comm = await asyncio.wait_for(connect(address, timeout=CONNECT_SECONDS, **options), CONNECT_SECONDS)
+        comm.abort()
+
+    with ThreadPoolExecutor(1) as pool:  # this thread may have a running event loop
+        pool.submit(asyncio.run, ask()).result()
 
 
 @contextmanager
@@ -140,19 +166,15 @@ def connected(
         stack.enter_context(_quiet())
         target: Any = address
         if count:
-            target = stack.enter_context(
-                LocalCluster(
-                    n_workers=count,
-                    threads_per_worker=1,
-                    dashboard_address=None,
-                    worker_dashboard_address=None,
-                    silence_logs=logging.CRITICAL,
-                )
-            )
+            target = stack.enter_context(LocalCluster(n_workers=count, **_LOCAL_CLUSTER))
         try:
+            if not count:
+                _require_answer(address)
             client = stack.enter_context(Client(target, timeout=CONNECT_SECONDS, set_as_default=False))
         except Exception as error:
-            reason = str(error)[:200] if isinstance(error, OSError) else "what answers there is something else"
+            reason = "what answers there is something else"
+            if isinstance(error, OSError | TimeoutError):
+                reason = str(error)[:200] or f"no answer within {CONNECT_SECONDS} s"
             raise UsageError(
                 f"--dask {address}: no Dask scheduler can be reached ({reason})",
                 "dask scheduler starts one; --dask local:4 uses this machine",
