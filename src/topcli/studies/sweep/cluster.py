@@ -50,7 +50,7 @@ BATCH_SCALE = 3
 """Seconds of work in a batch: much longer than the scheduler's time for a task."""
 _LOCAL_CLUSTER: dict[str, Any] = {
     "threads_per_worker": 1,
-    "dashboard_address": None,
+    "dashboard_address": "127.0.0.1:0",  # any port: the default one may be in use
     "worker_dashboard_address": None,
     "silence_logs": logging.CRITICAL,
     # Ctrl-C in a terminal is for the process that writes; it ends the workers
@@ -287,6 +287,7 @@ class Cluster:
     def _arrived(self, work: Work, seconds: float = POLL_SECONDS) -> Iterator[tuple[Batch, Results]]:
         """Yield what has ended, after waiting for at most ``seconds``."""
         from distributed import TimeoutError
+        from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
 
         while True:
@@ -300,10 +301,7 @@ class Cluster:
                 continue
             _, batch = found
             if future.cancelled() or self.client.status == "closed":
-                raise RunError(
-                    f"--dask {self.address}: the connection to the scheduler was lost; finished rows are kept",
-                    "run the sweep again to continue",
-                )
+                raise self._disconnected()
             try:
                 results = future.result(timeout=COUNT_SECONDS)
             except TimeoutError:  # its worker was lost after the end: the scheduler has it computed again
@@ -315,6 +313,8 @@ class Cluster:
                     self._pieces.extend((batch[: len(batch) // 2], batch[len(batch) // 2 :]))
                     continue
                 results = _lost(work)
+            except CommClosedError:
+                raise self._disconnected() from None
             except UsageError:
                 raise
             except Exception as error:
@@ -322,6 +322,12 @@ class Cluster:
                     f"--dask {self.address}: a worker failed: {reason_of(error)}", "finished rows are kept"
                 ) from None
             yield batch, results
+
+    def _disconnected(self) -> RunError:
+        return RunError(
+            f"--dask {self.address}: the connection to the scheduler was lost; finished rows are kept",
+            "run the sweep again to continue",
+        )
 
     def _last(self) -> Iterator[tuple[Batch, Results]]:
         """Yield the batches that have ended when the sweep is stopped."""
