@@ -347,3 +347,37 @@ def test_the_back_end_is_bounded_by_its_threads() -> None:
     batches = [[k] for k in range(10)]
     assert [batch for batch, _ in alone(batches, Work(()), lambda: False)] == batches  # type: ignore[arg-type]
     assert max(alone.sent) == IN_FLIGHT - 1
+
+
+def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: None) -> None:
+    from distributed.scheduler import KilledWorker
+
+    class Lost:
+        """A task that ends its workers if it holds the fatal row."""
+
+        def __init__(self, key: str, batch: list[int]) -> None:
+            self.key, self.batch = key, batch
+
+        def cancelled(self) -> bool:
+            return False
+
+        def result(self, timeout: float) -> list[int]:
+            if 5 in self.batch:
+                raise KilledWorker(self.key, None, 3)
+            return self.batch
+
+    class Fatal(Cluster):
+        def _submit(self, batch: Any, work: Any) -> None:
+            future: Any = Lost(str(batch), batch)
+            self._flying[future.key] = (future, batch)
+            self._ended.put(future)
+
+    client: Any = type("Client", (), {"status": "running"})()
+    nothing: Any = None
+    cluster = Fatal(client, "here", nothing, 1, lambda line: None)
+    batches: Any = [[0, 1, 2], [3, 4, 5, 6, 7]]
+    found: list[Any] = list(cluster(batches, Work(("swings",)), lambda: False))
+    assert sorted(row for batch, _ in found for row in batch) == list(range(8))
+    (failed,) = [results for batch, results in found if batch == [5]]
+    assert (failed.outcome, failed.done) == (["failed"], [True])
+    assert all(results == batch for batch, results in found if batch != [5])
