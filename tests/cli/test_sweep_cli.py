@@ -148,6 +148,20 @@ def test_a_mistake_ends_with_file_and_line_before_anything_is_written(cli: Cli, 
     assert not Path("results").exists()
 
 
+def test_threads_and_a_cluster_do_not_go_together(cli: Cli, study: Path) -> None:
+    said = cli("sweep", "study.yaml", "--dask", "local:2", "--threads", "3")
+    assert said.code == 2
+    assert said.err == "error: --threads does not go with --dask: each worker has its own number of threads\n"
+    assert not Path("results").exists()
+
+
+def test_a_wrong_address_of_a_cluster_is_refused_before_anything_is_written(cli: Cli, study: Path) -> None:
+    said = cli("sweep", "study.yaml", "--dask", "nowhere")
+    assert said.code == 2
+    assert said.err.startswith("error: --dask 'nowhere': neither a number of workers nor the address of a scheduler\n")
+    assert not Path("results").exists()
+
+
 def test_very_many_rows_ask_for_a_confirmation(cli: Cli, study: Path) -> None:
     many = "grid.h={from: 0.001, to: 0.01, count: 60000}"
     said = cli("sweep", "study.yaml", "--set", many)

@@ -269,6 +269,15 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
     assert max(sum(row.N for row in batch) for batch in made) <= 160 * 60 // 8 + 1
 
 
+@pytest.mark.slow
+def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = {**MANY, "grid": {"scheme": ["hk"]}, "random": {**MANY["random"], "count": 4000}}
+    rows = list(RowReader(sweep_from(data)).rows())
+    monkeypatch.setattr("topcli.studies.sweep.batches.PER_WORKER", 1)
+    sizes = {scale: max(len(batch) for batch in batches(iter(rows), 1, scale)) for scale in (1, 3)}
+    assert sizes == {1: 1024, 3: 3072}
+
+
 def test_work_can_be_done_in_another_process_in_any_order(tmp_path: Path) -> None:
     def backend(made: Any, work: Work, stop: Any) -> Any:
         for batch in reversed(list(made)):
