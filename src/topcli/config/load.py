@@ -237,7 +237,7 @@ def _single(document: Document, default_name: str | None) -> Experiment:
         problems.add(
             ("ensemble",),
             f"this is an ensemble of {found.count} trajectories, and a single one is needed here; "
-            "`topcli run` and topcli.simulate_ensemble take ensembles",
+            "`topcli run`, `topcli compare` and topcli.simulate_ensemble take ensembles",
         )
         problems.raise_any()
     assert isinstance(found, Experiment)
