@@ -25,7 +25,18 @@ HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> None:
     """Through the command: what SIGTERM or SIGKILL leaves is continued to the end of a run that was never stopped."""
-    arguments = ["run", HK, "--set", "N=12000000", "--set", "output.every=50000", "--checkpoint-every", "0"]
+    arguments = [
+        "run",
+        HK,
+        "--name",
+        "kowalevski_hk",
+        "--set",
+        "N=12000000",
+        "--set",
+        "output.every=50000",
+        "--checkpoint-every",
+        "0",
+    ]
     running = subprocess.Popen(
         [sys.executable, "-m", "topcli", *arguments],
         cwd=tmp_path,
