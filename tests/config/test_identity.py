@@ -33,6 +33,8 @@ def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
     match value:
         case bool():
             return not value
+        case int() | str() if "enum" in schema:
+            return next(one for one in schema["enum"] if one != value)
         case int():
             return value + 1
         case float():
@@ -40,8 +42,6 @@ def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
         case list():
             rest = math.hypot(value[0], value[1])
             return [rest, 0.0, *value[2:]] if value[0] != rest else [0.6 * rest, 0.8 * rest, *value[2:]]
-        case str() if "enum" in schema:
-            return next(one for one in schema["enum"] if one != value)
     return {("name",): "other", ("output", "format"): "csv", ("output", "columns"): ["t"]}[path]
 
 
