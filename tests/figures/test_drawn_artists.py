@@ -344,7 +344,7 @@ def test_a_comparison_draws_errors_and_swings(tmp_path: Path, monkeypatch: pytes
     for i, name in enumerate(("hk", "rk4", "bs")):
         series[f"error:{name}"] = 10.0 ** (-i) * t
         series[f"swing:{name}"] = np.cos(t + i)
-    figures = {"schemes": [{"scheme": name} for name in ("hk", "rk4", "bs")], "reference": {"swing": "gamma1"}}
+    figures = {"schemes": [{"label": name} for name in ("hk", "rk4", "bs")], "reference": {"swing": "gamma1"}}
     write_figure("compare", loaded_comparison(Comparison({**figures, "config": {}}, series)), tmp_path)
     left, right = seen[0].axes
     assert (left.get_yscale(), right.get_yscale()) == ("log", "linear")

@@ -208,6 +208,11 @@ def test_a_users_files_are_kept(tmp_path: Path) -> None:
     assert made.set_aside is not None
     assert (made.set_aside / "notes.txt").read_text() == "mine"
     assert (made.set_aside / "series.parquet").exists()
+    kept = f"kept the earlier folder of this run, with files that are not topcli's, as {made.set_aside}"
+    assert made.set_aside_message == kept
+    other = run_experiment(experiment("scheme=rk4"), tmp_path, force=True)
+    assert other.set_aside_message == f"renamed the earlier, different run to {other.set_aside}"
+    assert run_experiment(experiment("name=new"), tmp_path).set_aside_message == ""
 
 
 def test_an_unfinished_run_is_continued_in_its_own_format(tmp_path: Path, small_chunks: None) -> None:

@@ -15,6 +15,7 @@ from topcli.config.duration import drop_partner, steps_of
 from topcli.config.models import (
     Config,
     Experiment,
+    changed_name,
     duration_fault,
     name_fault,
     read_columns,
@@ -22,10 +23,10 @@ from topcli.config.models import (
     read_scheme,
     read_top,
 )
-from topcli.config.overrides import apply_overrides
+from topcli.config.overrides import apply_overrides, override_label, parse_override
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
-from topcli.errors import ConfigError, UnknownNameError, UsageError, nearest, quoted, shortened
+from topcli.errors import ConfigError, TopcliError, UnknownNameError, UsageError, nearest, quoted, shortened
 from topcli.tops import TOPS, forms
 
 if TYPE_CHECKING:
@@ -55,6 +56,30 @@ def load_any(
 ) -> Experiment | EnsembleExperiment:
     """Load the experiment or ensemble of a config file or of a packaged scene. Raises as ``load_experiment``."""
     return _experiment(*_named_document(source, overrides, changes))
+
+
+def load_named(
+    source: Path | str, overrides: Sequence[str] = (), name: str | None = None
+) -> Experiment | EnsembleExperiment:
+    """Load the experiment or ensemble of a run, under ``name`` or the name that it gets by default.
+
+    That is the name of the config; if the overrides change what is computed or recorded, with the first digits of the
+    digest: ``kowalevski_hybrid-3f2a9c``. An override of the name wins. Raises as ``load_experiment``.
+    """
+    given = next((text for text in overrides if parse_override(text)[0] == ("name",)), None)
+    if name is not None:
+        if given is not None:
+            raise UsageError(f"--name {quoted(name)}: {override_label(given)} names the run too; keep one of them")
+        if fault := name_fault(name):
+            raise UsageError(f"--name {fault}")
+    found = load_any(source, overrides, None if name is None else {"name": name})
+    if name is not None or given is not None or not overrides:
+        return found
+    try:
+        base = load_any(source).digest
+    except TopcliError:  # the overrides complete or correct it
+        base = ""
+    return found if found.digest == base else found.renamed(changed_name(found.name, found.digest))
 
 
 def config_data(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> dict[str, Any]:
@@ -237,7 +262,7 @@ def _single(document: Document, default_name: str | None) -> Experiment:
         problems.add(
             ("ensemble",),
             f"this is an ensemble of {found.count} trajectories, and a single one is needed here; "
-            "`topcli run` and topcli.simulate_ensemble take ensembles",
+            "`topcli run`, `topcli compare` and topcli.simulate_ensemble take ensembles",
         )
         problems.raise_any()
     assert isinstance(found, Experiment)
