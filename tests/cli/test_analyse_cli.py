@@ -46,10 +46,10 @@ def test_what_the_tables_leave_out_is_said(cli: Callable[..., Any]) -> None:
     said = cli("analyse", "mine.csv", "--config", "euler_hk", "--columns", COLUMNS, "--set", "top.A=3")
     assert said.code == 0
     assert "mine.csv" in said.out.splitlines()[0]
-    cli("run", "euler_gamma", "--set", "N=50", "--quiet")
+    cli("run", "euler_gamma", "--set", "N=50", "--name", "euler_gamma", "--quiet")
     said = cli("analyse", "results/euler_gamma/series.parquet", "--config", "euler_hk")
     assert said.err == "not read: gamma1, gamma2, gamma3; the config's initial state has no such components\n"
-    cli("run", "heavy_rk4", "--set", "N=50", "--quiet", "--format", "csv")
+    cli("run", "heavy_rk4", "--set", "N=50", "--name", "heavy_rk4", "--quiet", "--format", "csv")
     lines = Path("results/heavy_rk4/series.csv").read_text().splitlines()
     names = lines[0].split(",")
     cells = lines[-1].split(",")
