@@ -80,7 +80,8 @@ class Run:
     ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
     ``every``-th recorded. ``stop()`` is called between chunks, and within chunks that take long; once it returns true,
     the run ends as ``interrupted``. With ``start``, the ``position()`` of an earlier equal run, the run continues from
-    there, bit for bit. ``method`` may be its time loop, if the caller has that already.
+    there, bit for bit. ``method`` may be its time loop, if the caller has that already. Numbers of another arithmetic
+    (``engine.precise``) are kept as objects: ``y0``, ``h`` and the constants of ``top`` are then of this arithmetic.
     """
 
     def __init__(
@@ -96,15 +97,16 @@ class Run:
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
-        self._y0 = np.array(y0, dtype=np.float64)
-        self._p = np.array(top.constants(), dtype=np.float64)
+        self._step, self._type = (self.h, np.float64) if isinstance(h, int | float) else (h, np.object_)
+        self._y0 = np.array(y0, dtype=self._type)
+        self._p = np.array(top.constants(), dtype=self._type)
         self._loop = method if isinstance(method, Loop) else loop_of(method, len(self._y0), len(self._p))
         self.compile_seconds = self._loop.seconds
         self.cached = self._loop.cached
         self.run_seconds = 0.0
         self.ending: Ending | None = None
         chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
-        self._position = start or Position(-1, np.zeros(self._loop.width), CHUNK_ROWS, chunk_steps)
+        self._position = start or Position(-1, np.zeros(self._loop.width, dtype=self._type), CHUNK_ROWS, chunk_steps)
         if len(self._position.work) != self._loop.width:
             raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
         self._failed = False
@@ -129,9 +131,9 @@ class Run:
             self._position.chunk_rows,
             self._position.chunk_steps,
         )
-        out = np.empty(chunk_rows * d)
+        out = np.empty(chunk_rows * d, dtype=self._type)
         if self._position.done < 0:
-            self._loop.enter(self._y0, work, self._p, self.h)
+            self._loop.enter(self._y0, work, self._p, self._step)
             self._position = Position(0, work, chunk_rows, chunk_steps)
             yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
         done, into = self._position.done, self._position.into
@@ -182,7 +184,7 @@ class Run:
                 size = min(steps - taken, self._call_steps)
                 start = time.perf_counter()
                 went = self._loop.drive(
-                    work, out[rows * d :], self._p, self.h, size, every, to_record + rows * every - taken
+                    work, out[rows * d :], self._p, self._step, size, every, to_record + rows * every - taken
                 )
                 now = time.perf_counter()
                 if went < 0:

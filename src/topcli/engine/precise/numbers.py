@@ -1,0 +1,387 @@
+"""Numbers other than doubles: binary floating point of any precision (mpmath) and rational numbers.
+
+A constant of the source code stands for what its author meant: 0.1 is one tenth, and 1/6, which Python's compiler
+replaces by the nearest double, is one sixth. A double that meets such a number later is accepted only if it is a short
+binary fraction (0.5, 2.0), which means the same in every arithmetic; any other double would bring in an error of 1e-17
+unnoticed, and is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from functools import cache
+from types import ModuleType
+from typing import Any, Protocol
+
+from topcli.errors import UsageError
+
+DOUBLE, RATIONAL = "double", "rational"
+FEWEST_DIGITS, MOST_DIGITS = 18, 150
+"""Range of ``precision``. Deviations are reported as doubles; the squares of those beyond it would underflow."""
+SHORT = 2**20
+"""Bound on the odd part of the numerator of a short binary fraction."""
+DENOMINATOR = 1000
+"""Largest denominator of a constant that the compiler has folded."""
+IRRATIONAL = frozenset(
+    (
+        "sqrt",
+        "cbrt",
+        "hypot",
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "exp",
+        "log",
+    )
+    + ("pow", "pi", "e", "nan", "inf", "isnan", "isfinite")
+)
+"""Attributes of ``math`` that rational numbers do not have."""
+
+
+class NotRationalError(UsageError):
+    """A step that cannot be taken in rational numbers (exit code 2)."""
+
+
+def is_short(value: float) -> bool:
+    """True if a double is a binary fraction with a short numerator, such as 0.5 or 2.0**-52."""
+    if not math.isfinite(value):
+        return False
+    numerator = abs(value.as_integer_ratio()[0])
+    return numerator < SHORT or numerator // (numerator & -numerator) < SHORT
+
+
+@cache
+def meaning(value: float) -> Fraction:
+    """Rational number that a constant of the source code stands for."""
+    if is_short(value):
+        return Fraction(value)
+    simple = Fraction(value).limit_denominator(DENOMINATOR)
+    return simple if float(simple) == value else Fraction(repr(value))
+
+
+def _refused(value: float) -> TypeError:
+    return TypeError(f"the double {value!r} has no exact meaning in this arithmetic")
+
+
+class Arithmetic(Protocol):
+    """Operations that a run needs beside those of the numbers themselves."""
+
+    name: str
+    eps: float
+    """Rounding error, as ``sys.float_info.epsilon`` for doubles; 0 for rational numbers."""
+    bits: int
+    """Binary digits; 0 for rational numbers."""
+    math: ModuleType
+    """Replacement for the module ``math``."""
+
+    def number(self, value: Fraction) -> Any:
+        """Number nearest to ``value``."""
+        ...
+
+    def fma(self, a: Any, b: Any, c: Any) -> Any:
+        """Return a b + c, rounded once."""
+        ...
+
+    def finite(self, x: Any) -> bool:
+        """True if ``x`` is neither infinite nor nan."""
+        ...
+
+    def root(self, x: Any) -> Any:
+        """Square root; raises NotRationalError if it is not rational."""
+        ...
+
+    def fraction(self, x: Any) -> Fraction:
+        """Exact value of a finite number."""
+        ...
+
+    def tolerance(self, value: float, power: float) -> Any:
+        """Tolerance for doubles, scaled as the given power of the rounding error."""
+        ...
+
+    def cap(self, value: int) -> int:
+        """Maximum number of iterations for doubles, scaled with the number of digits."""
+        ...
+
+
+class Exact:
+    """Rational number that refuses doubles other than short binary fractions."""
+
+    __slots__ = ("q",)
+    __array_priority__ = 1000.0
+
+    def __init__(self, q: Any) -> None:
+        self.q = q
+
+    def _other(self, other: Any) -> Any:
+        if type(other) is Exact:
+            return other.q
+        if isinstance(other, int):
+            return other
+        if isinstance(other, float):
+            if not is_short(other):
+                raise _refused(float(other))
+            return Fraction(other)
+        return NotImplemented
+
+    def __add__(self, other: Any) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is NotImplemented else Exact(self.q + value)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is NotImplemented else Exact(self.q - value)
+
+    def __rsub__(self, other: Any) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is NotImplemented else Exact(value - self.q)
+
+    def __mul__(self, other: Any) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is NotImplemented else Exact(self.q * value)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is NotImplemented else Exact(self.q / value)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is NotImplemented else Exact(value / self.q)
+
+    def __pow__(self, power: int) -> Exact:
+        if not isinstance(power, int):
+            raise NotRationalError(f"the power {power!r} of a rational number is not rational")
+        return Exact(self.q**power)
+
+    def __neg__(self) -> Exact:
+        return Exact(-self.q)
+
+    def __pos__(self) -> Exact:
+        return self
+
+    def __abs__(self) -> Exact:
+        return Exact(abs(self.q))
+
+    def __eq__(self, other: object) -> bool:
+        return bool(self.q == self._other(other))
+
+    def __hash__(self) -> int:
+        return hash(self.q)
+
+    def __lt__(self, other: Any) -> bool:
+        return bool(self.q < self._other(other))
+
+    def __le__(self, other: Any) -> bool:
+        return bool(self.q <= self._other(other))
+
+    def __gt__(self, other: Any) -> bool:
+        return bool(self.q > self._other(other))
+
+    def __ge__(self, other: Any) -> bool:
+        return bool(self.q >= self._other(other))
+
+    def __bool__(self) -> bool:
+        return bool(self.q)
+
+    def __float__(self) -> float:
+        try:
+            return float(self.q)
+        except OverflowError:
+            return math.inf if self.q > 0 else -math.inf
+
+    def __int__(self) -> int:
+        return int(self.q)
+
+    def __repr__(self) -> str:
+        return f"Exact({self.q})"
+
+    @property
+    def length(self) -> int:
+        """Binary digits of the numerator or of the denominator, whichever is longer."""
+        return max(self.q.numerator.bit_length(), self.q.denominator.bit_length())
+
+
+class Rationals:
+    """Arithmetic without rounding; the numbers are gmpy2's where it is installed, otherwise Python's fractions."""
+
+    name = RATIONAL
+    eps = 0.0
+    bits = 0
+
+    def __init__(self) -> None:
+        try:
+            from gmpy2 import mpq as made
+        except ImportError:
+            made = Fraction
+        self._made: Callable[[int, int], Any] = made
+        self.math = ModuleType("math")
+        self.math.__dict__.update(fabs=abs)
+
+    def number(self, value: Fraction) -> Exact:
+        """The number itself."""
+        return Exact(self._made(value.numerator, value.denominator))
+
+    def fma(self, a: Any, b: Any, c: Any) -> Any:
+        """Return a b + c."""
+        return a * b + c
+
+    def finite(self, x: Any) -> bool:
+        """True: every rational number is finite."""
+        return True
+
+    def root(self, x: Any) -> Exact:
+        """Square root of the square of a rational number; raises NotRationalError for any other."""
+        value = self.fraction(x)
+        parts = math.isqrt(max(value.numerator, 0)), math.isqrt(value.denominator)
+        if Fraction(*parts) ** 2 != value:
+            raise NotRationalError(f"the square root of {value} is not rational")
+        return self.number(Fraction(*parts))
+
+    def fraction(self, x: Any) -> Fraction:
+        """Value as Python's fraction."""
+        value = x.q if isinstance(x, Exact) else x
+        return Fraction(int(value.numerator), int(value.denominator))
+
+    def tolerance(self, value: float, power: float) -> Exact:
+        """The tolerance itself: there is no rounding error that it could follow."""
+        return self.number(meaning(value))
+
+    def cap(self, value: int) -> int:
+        """The same number of iterations."""
+        return value
+
+
+class Floating:
+    """Binary floating point of ``bits`` binary digits, rounded to nearest (mpmath, which uses gmpy2 if installed)."""
+
+    def __init__(self, bits: int, name: str = "") -> None:
+        from mpmath.ctx_mp import MPContext
+
+        self.bits, self.eps = bits, 2.0 ** (1 - bits)
+        self.name = name or f"{bits} bits"
+        self._context = context = MPContext()
+        context.prec = bits
+        convert = context.mpf.mpf_convert_rhs.__func__
+
+        def converted(cls: type, x: object) -> Any:
+            if isinstance(x, float) and math.isfinite(x) and not is_short(x):
+                raise _refused(x)
+            return convert(cls, x)
+
+        context.mpf.mpf_convert_rhs = classmethod(converted)
+        self.math = self._functions()
+
+    def _functions(self) -> ModuleType:
+        context = self._context
+        nan = context.mpf("nan")
+        made = ModuleType("math")
+        for name in [
+            "hypot",
+            "sin",
+            "cos",
+            "tan",
+            "asin",
+            "acos",
+            "atan",
+            "atan2",
+            "sinh",
+            "cosh",
+            "tanh",
+            "exp",
+            "log",
+        ]:
+            made.__dict__[name] = getattr(context, name)
+        made.__dict__.update(
+            sqrt=self.root,
+            fabs=abs,
+            copysign=lambda x, y: abs(x) if y >= 0 else -abs(x),
+            isnan=lambda x: x != x,
+            isfinite=self.finite,
+            nan=nan,
+            inf=context.mpf("inf"),
+            pi=+context.pi,
+        )
+        return made
+
+    def number(self, value: Fraction) -> Any:
+        """Number nearest to ``value``."""
+        from mpmath.libmp import from_rational
+
+        return self._context.make_mpf(from_rational(value.numerator, value.denominator, self.bits, "n"))
+
+    def fma(self, a: Any, b: Any, c: Any) -> Any:
+        """Return a b + c, rounded once."""
+        from mpmath.libmp import mpf_add, mpf_mul
+
+        a, b, c = self._context.convert(a), self._context.convert(b), self._context.convert(c)
+        return self._context.make_mpf(mpf_add(mpf_mul(a._mpf_, b._mpf_), c._mpf_, self.bits, "n"))
+
+    def finite(self, x: Any) -> bool:
+        """True if ``x`` is neither infinite nor nan."""
+        return bool(self._context.isfinite(x))
+
+    def root(self, x: Any) -> Any:
+        """Square root; nan of a negative number."""
+        return self._context.sqrt(x) if not x < 0 else self.math.nan
+
+    def fraction(self, x: Any) -> Fraction:
+        """Exact value of a finite number."""
+        sign, mantissa, exponent, _ = self._context.convert(x)._mpf_
+        value = -int(mantissa) if sign else int(mantissa)
+        return Fraction(value) * Fraction(2) ** int(exponent)
+
+    def tolerance(self, value: float, power: float) -> Any:
+        """Tolerance for doubles, scaled as the given power of the rounding error."""
+        return self._context.ldexp(self.number(meaning(value)), -round((self.bits - 53) * power))
+
+    def cap(self, value: int) -> int:
+        """Maximum number of iterations for doubles, scaled with the number of digits."""
+        return math.ceil(value * self.bits / 53)
+
+
+def arithmetic_of(precision: int | str) -> Floating | Rationals:
+    """Arithmetic of a config's ``precision``, a number of decimal digits or "rational"."""
+    if precision == RATIONAL:
+        return Rationals()
+    assert isinstance(precision, int)
+    return Floating(math.ceil(precision * math.log2(10.0)) + 3, f"{precision} digits")
+
+
+def exact_text(value: Fraction) -> str:
+    """Text from which ``Fraction`` makes the same number, hexadecimal for large ones, whose conversion is fast."""
+    return f"{value.numerator:x}/{value.denominator:x}"
+
+
+def from_exact_text(text: str) -> Fraction:
+    """Number that ``exact_text`` has written."""
+    numerator, denominator = text.split("/")
+    return Fraction(int(numerator, 16), int(denominator, 16))
+
+
+def decimal_text(value: Fraction, digits: int) -> str:
+    """Decimal form of a number, correctly rounded to ``digits`` significant digits: ``-1.25e-1``."""
+    if not value:
+        return "0." + "0" * (digits - 1) + "e+0"
+    size = abs(value)
+    exponent = math.floor((size.numerator.bit_length() - size.denominator.bit_length()) * math.log10(2.0))
+    while size >= Fraction(10) ** (exponent + 1):
+        exponent += 1
+    while size < Fraction(10) ** exponent:
+        exponent -= 1
+    whole = round(size / Fraction(10) ** (exponent - digits + 1))
+    if whole == 10**digits:
+        whole, exponent = whole // 10, exponent + 1
+    text = str(whole)
+    return f"{'-' if value < 0 else ''}{text[0]}.{text[1:]}e{exponent:+d}"
