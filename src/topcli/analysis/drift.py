@@ -168,9 +168,9 @@ def _walks(residual: Array) -> bool:
     return True
 
 
-def round_off_bound(steps: Any, scale: Any) -> Any:
+def round_off_bound(steps: Any, scale: Any, eps: float = _EPS) -> Any:
     """Largest deviation that rounding explains after ``steps`` steps; numbers or arrays."""
-    return ROUND_OFF_ULPS * _EPS * np.sqrt(steps) * scale
+    return ROUND_OFF_ULPS * eps * np.sqrt(steps) * scale
 
 
 NUMBERS = 7
@@ -215,10 +215,21 @@ class InvariantTally:
 
     The run's length need not be known: blocks that fill up are joined in pairs. With the ``top``, ``left`` is the first
     recorded step at which the state has left its energy surface, None for never.
+
+    A run in another precision, with the rounding error ``eps``, passes the deviations from its ``origins``, the first
+    values, instead of the values: a difference of two doubles would not show them.
     """
 
-    def __init__(self, invariants: Sequence[Invariant], h: float, top: Top | None = None) -> None:
+    def __init__(
+        self,
+        invariants: Sequence[Invariant],
+        h: float,
+        top: Top | None = None,
+        eps: float = _EPS,
+        origins: Mapping[str, float] | None = None,
+    ) -> None:
         self._invariants, self._h, self._top = invariants, h, top
+        self._eps, self._origins = eps, origins
         self._width = 1
         self._tallies: list[_Tally] = []
         self._counts = np.zeros(2 * BLOCKS)
@@ -228,14 +239,17 @@ class InvariantTally:
     def add(self, n: NDArray[np.int64], states: Array, values: Mapping[str, Array] | None = None) -> None:
         """Add rows: step numbers (m,) and states (m, d). The very first row is the reference.
 
-        ``values`` (m,) are those of the invariants by name, if they have been evaluated before.
+        ``values`` (m,) are those of the invariants by name, if they have been evaluated before; with ``origins`` they
+        are deviations.
         """
         if not len(n):
             return
         values = invariant_values(self._invariants, states) if values is None else values
         if not self._tallies:
             with np.errstate(over="ignore", invalid="ignore"):
-                firsts = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
+                firsts = [
+                    0.0 if self._origins else float(invariant.value(states[:1])[0]) for invariant in self._invariants
+                ]
             self._tallies = list(map(_Tally, self._invariants, firsts))
             if self._top is not None:
                 limit = float(energy_limits(self._top, states[:1])[0])
@@ -290,16 +304,19 @@ class InvariantTally:
         fit = trend(self._steps_in[filled] / counts * self._h, tally.sums[filled] / counts)
         deviation = float(np.maximum(tally.high - tally.first, tally.first - tally.low))
         rms = math.sqrt(tally.squares / float(counts.sum()))
-        bound = float(round_off_bound(max(self._last, 1), tally.scale))
+        bound = float(round_off_bound(max(self._last, 1), tally.scale, self._eps))
         span = self._last * self._h
-        size = abs(tally.first)
+        first, low, high = tally.first, tally.low, tally.high
+        if self._origins:
+            first, low, high = (self._origins[tally.invariant.name] + x for x in (first, low, high))
+        size = abs(first)
         verdict, reason = _verdict(deviation, bound, max(size, TERMS * tally.scale), fit, span)
         return InvariantRow(
             name=tally.invariant.name,
             symbol=tally.invariant.symbol,
-            first=tally.first,
-            min=tally.low,
-            max=tally.high,
+            first=first,
+            min=low,
+            max=high,
             max_deviation=deviation,
             max_deviation_relative=deviation / size if size else None,
             rms_deviation=rms,

@@ -119,7 +119,7 @@ def compare(
 
     load_scheme_files(scheme_files)
     options, others = _scheme_options(sets or [])
-    experiment = load_experiment(config, others)
+    experiment = load_experiment(config, others, any_precision=True)
     say_warnings(experiment)
     if plot:
         require_writable(out)
@@ -135,6 +135,7 @@ def compare(
         print_json("compare", {**comparison.figures, "files": files})
     else:
         title = f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}"
+        title += "" if experiment.exact is None else f", precision {experiment.precision}"
         header = ["", *map(_header, comparison.figures["schemes"])]
         print_table(header, _lines(comparison.figures), title)
         for file in files:

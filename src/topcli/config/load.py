@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.config.document import Document, KeyPath, describe, plain
+from topcli.config.exact import read_exact, with_written_numbers
 from topcli.config.models import (
     Config,
     Experiment,
@@ -24,6 +25,7 @@ from topcli.config.models import (
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
+from topcli.engine.precise.numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, UnknownNameError, nearest, quoted, shortened
 from topcli.tops import TOPS, forms
 
@@ -35,14 +37,24 @@ MAX_BYTES = 1_000_000
 SUFFIXES = (".yaml", ".yml", ".toml")
 
 
-def load_experiment(source: Path | str, overrides: Sequence[str] = ()) -> Experiment:
+def load_experiment(source: Path | str, overrides: Sequence[str] = (), *, any_precision: bool = False) -> Experiment:
     """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
-    ``overrides`` are ``key=value`` texts, applied before the config is validated.
+    ``overrides`` are ``key=value`` texts, applied before the config is validated. A precision other than double is
+    refused unless the caller computes with it (``any_precision``).
     Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
     an ensemble, which ``load_any`` loads.
     """
-    return _single(*_named_document(source, overrides))
+    document, name = _named_document(source, overrides)
+    found = _single(document, name)
+    if found.precision != DOUBLE and not any_precision:
+        problems = Problems(document)
+        problems.add(
+            ("precision",),
+            "computed in doubles here; `topcli run`, `topcli compare` and topcli.simulate take another precision",
+        )
+        problems.raise_any()
+    return found
 
 
 def load_any(source: Path | str, overrides: Sequence[str] = ()) -> Experiment | EnsembleExperiment:
@@ -227,8 +239,9 @@ def _single(document: Document, default_name: str | None) -> Experiment:
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
     """Return the experiment or ensemble of a document. Raises as ``load_experiment``."""
     problems = Problems(document)
-    optional = ("name", "output", "ensemble")
+    optional = ("name", "output", "ensemble", "precision", "max_digits")
     data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
+    data = with_written_numbers(data)
     if "name" not in data and default_name is not None:
         if fault := name_fault(default_name):
             problems.add(("name",), f"missing, and the file name cannot be used instead: it {fault}")
@@ -253,6 +266,10 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         if top and scheme:
             integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
             columns = read_columns(config.output.columns, top.components, integrals, problems)
+        _check_precision(config, members is not None, problems)
+    exact = None
+    if config and config.precision != DOUBLE and top and state and not problems.messages:
+        exact = read_exact(data, top, state, config.precision, problems)
     problems.raise_any()
     # a missing part has been raised as a problem
     assert config is not None
@@ -268,6 +285,9 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         h=config.h,
         N=config.N,
         output=config.output.model_copy(update={"columns": columns}),
+        precision=config.precision,
+        max_digits=config.max_digits or MAX_DIGITS,
+        exact=exact,
     )
     if members is None:
         return experiment
@@ -275,6 +295,16 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
 
     first = experiment.model_copy(update={"top": members.groups[0].top})
     return EnsembleExperiment(first, members, experiment.top)
+
+
+def _check_precision(config: Config, is_ensemble: bool, problems: Problems) -> None:
+    """Add the mistakes in ``precision`` and the keys that depend on it."""
+    if config.precision != DOUBLE and is_ensemble:
+        problems.add(("precision",), "an ensemble runs in doubles only; run single trajectories in another precision")
+    if config.max_digits is not None and config.precision != RATIONAL:
+        problems.add(("max_digits",), "needs precision: rational; other numbers have a fixed number of digits")
+    if config.output.digits is not None and config.precision == DOUBLE:
+        problems.add(("output", "digits"), "needs another precision than double, such as precision: 50")
 
 
 def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:

@@ -13,7 +13,13 @@ from topcli.engine.loop import Run
 
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
-    """Run an experiment in memory."""
+    """Run an experiment in memory, in its precision."""
+    if experiment.exact is not None:
+        from topcli.studies.precise import precise_run, precise_trajectory
+
+        prepared = precise_run(experiment)
+        assert prepared is not None
+        return precise_trajectory(experiment, prepared)
     run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, experiment.N, experiment.output.every)
     return Trajectory.of_run(run, experiment.scheme.name, experiment.modified)
 
@@ -68,7 +74,7 @@ def simulate(
     """
     if config is None or isinstance(config, Mapping):
         return trajectory_of(experiment_from({"name": "simulation", **(config or {}), **changes}, overrides))
-    experiment = load_experiment(config, overrides)
+    experiment = load_experiment(config, overrides, any_precision=True)
     if changes:
         experiment = experiment_from({**experiment.resolved(), **changes})
     return trajectory_of(experiment)

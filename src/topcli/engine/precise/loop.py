@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import Loop, same_state
-from topcli.engine.precise.numbers import Arithmetic, Exact, arithmetic_of, exact_text, from_exact_text
+from topcli.engine.precise.numbers import MAX_DIGITS, Arithmetic, Exact, arithmetic_of, exact_text, from_exact_text
 from topcli.engine.precise.rebuild import precise_method, precise_top
 
 BITS_PER_DIGIT = 3.3219280948873626
-MAX_DIGITS = 20_000
-"""Default number of digits at which a run in rational numbers stops."""
 
 
 def longest(state: Any) -> int:

@@ -20,30 +20,16 @@ from topcli.errors import UsageError
 DOUBLE, RATIONAL = "double", "rational"
 FEWEST_DIGITS, MOST_DIGITS = 18, 150
 """Range of ``precision``. Deviations are reported as doubles; the squares of those beyond it would underflow."""
+MAX_DIGITS = 10_000
+"""Default number of digits at which a run in rational numbers stops."""
 SHORT = 2**20
 """Bound on the odd part of the numerator of a short binary fraction."""
 DENOMINATOR = 1000
 """Largest denominator of a constant that the compiler has folded."""
-IRRATIONAL = frozenset(
-    (
-        "sqrt",
-        "cbrt",
-        "hypot",
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "atan2",
-        "sinh",
-        "cosh",
-        "tanh",
-        "exp",
-        "log",
-    )
-    + ("pow", "pi", "e", "nan", "inf", "isnan", "isfinite")
+FUNCTIONS = frozenset(
+    ("acos", "asin", "atan", "atan2", "cbrt", "cos", "cosh", "exp", "hypot", "log", "sin", "sinh", "tan", "tanh")
 )
+IRRATIONAL = FUNCTIONS | {"sqrt", "pow", "pi", "e", "nan", "inf", "isnan", "isfinite"}
 """Attributes of ``math`` that rational numbers do not have."""
 
 
@@ -116,7 +102,6 @@ class Exact:
     """Rational number that refuses doubles other than short binary fractions."""
 
     __slots__ = ("q",)
-    __array_priority__ = 1000.0
 
     def __init__(self, q: Any) -> None:
         self.q = q
@@ -287,21 +272,7 @@ class Floating:
         context = self._context
         nan = context.mpf("nan")
         made = ModuleType("math")
-        for name in [
-            "hypot",
-            "sin",
-            "cos",
-            "tan",
-            "asin",
-            "acos",
-            "atan",
-            "atan2",
-            "sinh",
-            "cosh",
-            "tanh",
-            "exp",
-            "log",
-        ]:
+        for name in FUNCTIONS:
             made.__dict__[name] = getattr(context, name)
         made.__dict__.update(
             sqrt=self.root,

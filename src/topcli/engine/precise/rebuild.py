@@ -16,7 +16,7 @@ from topcli.arithmetic.fused import fma
 from topcli.arithmetic.tolerances import is_cap, power_of
 from topcli.contracts import Scheme, Stepper, Top
 from topcli.engine.precise.numbers import IRRATIONAL, RATIONAL, Arithmetic, NotRationalError, meaning
-from topcli.engine.source import Copier, names_in, place_of, plain_function
+from topcli.engine.source import Copier, names_in, plain_function
 from topcli.errors import UsageError
 
 DOUBLE_BITS = 53
@@ -71,7 +71,7 @@ class Rebuilder(Copier):
         if self.arithmetic.name == RATIONAL and math in function.__globals__.values():
             for name in names_in(function):
                 if name in IRRATIONAL:
-                    raise NotRationalError(f"needs math.{name} ({function.__name__}, {place_of(function)})")
+                    raise NotRationalError(f"uses math.{name}, which rational numbers do not have")
         return super().copy(function)
 
     def function(self, function: Callable[..., Any] | None) -> Any:
