@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FEWEST = 5
+FEWEST = 4
 """Fewest rows from which a law is fitted."""
 
 

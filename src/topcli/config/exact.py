@@ -51,11 +51,12 @@ def plain(value: Fraction) -> float | str:
             return float(value)
     except OverflowError:
         pass
-    twos = (value.denominator & -value.denominator).bit_length() - 1
-    fives = next(k for k in range(10**4) if (value.denominator >> twos) % 5 ** (k + 1))
-    if 5**fives << twos == value.denominator:
-        return decimal_text(value, max(1, len(str(abs(value.numerator * 10 ** max(twos, fives))))))
-    return f"{value.numerator}/{value.denominator}"
+    text = f"{value.numerator}/{value.denominator}"
+    decimal = decimal_text(value, len(text))
+    if Fraction(decimal) == value:
+        digits, exponent = decimal.split("e")
+        return f"{digits.rstrip('0')}e{exponent}"
+    return text
 
 
 def with_written_numbers(data: dict[str, Any]) -> dict[str, Any]:

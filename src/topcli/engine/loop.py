@@ -21,6 +21,8 @@ CHUNK_STEPS = 1 << 19
 """Steps between two checks of clock and keyboard: some tens of milliseconds."""
 PLAIN_STEPS = 1 << 9
 """The same for steps that run in the interpreter."""
+PRECISE_STEPS = 1 << 4
+"""The same for steps in another arithmetic."""
 CALL_SECONDS = 0.25
 """Approximate longest time between two calls of ``stop``."""
 FIRST_CALL = 64
@@ -106,6 +108,8 @@ class Run:
         self.run_seconds = 0.0
         self.ending: Ending | None = None
         chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
+        if self._type is np.object_:
+            chunk_steps = PRECISE_STEPS
         self._position = start or Position(-1, np.zeros(self._loop.width, dtype=self._type), CHUNK_ROWS, chunk_steps)
         if len(self._position.work) != self._loop.width:
             raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")

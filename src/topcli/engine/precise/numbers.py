@@ -54,8 +54,11 @@ def meaning(value: float) -> Fraction:
     return simple if float(simple) == value else Fraction(repr(value))
 
 
-def _refused(value: float) -> TypeError:
-    return TypeError(f"the double {value!r} has no exact meaning in this arithmetic")
+class StrayDoubleError(UsageError):
+    """A double that is no short binary fraction met a number of another arithmetic (exit code 2)."""
+
+    def __init__(self, value: float) -> None:
+        super().__init__(f"precision: the double {float(value)!r}, computed somewhere, has no exact meaning")
 
 
 class Arithmetic(Protocol):
@@ -113,7 +116,7 @@ class Exact:
             return other
         if isinstance(other, float):
             if not is_short(other):
-                raise _refused(float(other))
+                raise StrayDoubleError(other)
             return Fraction(other)
         return NotImplemented
 
@@ -258,14 +261,14 @@ class Floating:
         self.name = name or f"{bits} bits"
         self._context = context = MPContext()
         context.prec = bits
-        convert = context.mpf.mpf_convert_rhs.__func__
+        convert = context.convert
 
-        def converted(cls: type, x: object) -> Any:
+        def converted(x: object, strings: bool = True) -> Any:
             if isinstance(x, float) and math.isfinite(x) and not is_short(x):
-                raise _refused(x)
-            return convert(cls, x)
+                raise StrayDoubleError(x)
+            return convert(x, strings)
 
-        context.mpf.mpf_convert_rhs = classmethod(converted)
+        context.convert = converted
         self.math = self._functions()
 
     def _functions(self) -> ModuleType:
