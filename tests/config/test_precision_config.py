@@ -11,7 +11,7 @@ from topcli.config.load import experiment_from, load_any, load_experiment
 from topcli.config.models import Experiment
 from topcli.errors import ConfigError
 
-LAGRANGE = {
+LAGRANGE: dict[str, object] = {
     "top": "lagrange",
     "initial": {"omega": [1, 0.1, 2], "gamma": [0.6, 0, 0.8]},
     "scheme": "hk",

@@ -49,11 +49,11 @@ def test_short_binary_fractions_mix_and_other_doubles_are_refused() -> None:
     third = Exact(Fraction(1, 3))
     assert (0.5 * third + 2.0).q == Fraction(13, 6)
     with pytest.raises(StrayDoubleError, match=r"0\.1, computed somewhere, has no exact meaning"):
-        third * 0.1
+        _ = third * 0.1
     number = Floating(200).number(Fraction(1, 3))
     assert 0.5 * number == number / 2
     with pytest.raises(StrayDoubleError, match=r"0\.1, computed somewhere, has no exact meaning"):
-        0.1 + number
+        _ = 0.1 + number
 
 
 def test_rational_numbers_work_in_arrays() -> None:

@@ -94,22 +94,24 @@ def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
     """Print warnings about unusual parameters of the experiment's top."""
     for line in experiment.top.warnings():
         say(f"warning: {experiment.name}: {line}")
-    if line := _slow_precision(experiment):
+    if line := _slow_precision(experiment.resolved()):
         say(f"warning: {experiment.name}: {line}")
 
 
 MANY_STEPS = 1_000_000
 """Number of interpreted steps above which a warning is printed."""
+STEP_SECONDS = (1e-4, 1e-2)
+"""Usual time of an interpreted step, from explicit to implicit schemes."""
 
 
-def _slow_precision(experiment: Experiment | EnsembleExperiment) -> str:
-    """Warning about a long run in another precision than double; empty for any other."""
-    if getattr(experiment, "exact", None) is None or experiment.N <= MANY_STEPS:
+def _slow_precision(config: dict[str, Any]) -> str:
+    """Warning about a long run in another precision than double, from its resolved config; empty for any other."""
+    if "precision" not in config or config["N"] <= MANY_STEPS:
         return ""
-    hours = spell_seconds(experiment.N * 1e-4), spell_seconds(experiment.N * 1e-2)
+    least, most = (spell_seconds(config["N"] * seconds) for seconds in STEP_SECONDS)
     return (
-        f"{experiment.N} steps in precision {experiment.precision} take {hours[0]} to {hours[1]}, at 0.1 to 10 ms a "
-        "step; --resume continues an interrupted run"
+        f"{config['N']} steps in precision {config['precision']} take {least} to {most}, at 0.1 to 10 ms a step; "
+        "--resume continues an interrupted run"
     )
 
 

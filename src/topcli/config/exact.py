@@ -118,7 +118,7 @@ def _vector(
     if not unit or (auto is None and not initial.get("normalize")):
         return vector
     arithmetic = arithmetic_of(precision)
-    square = sum(value * value for value in vector)
+    square = sum((value * value for value in vector), Fraction(0))
 
     def root_of(value: Fraction) -> Fraction:
         root = arithmetic.fraction(arithmetic.root(arithmetic.number(value)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +90,7 @@ class Run:
         self,
         top: Top,
         method: Method | Loop,
-        y0: Sequence[float],
+        y0: Sequence[float] | NDArray[Any],
         h: float,
         N: int,
         every: int = 1,
@@ -99,7 +99,8 @@ class Run:
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
-        self._step, self._type = (self.h, np.float64) if isinstance(h, int | float) else (h, np.object_)
+        self._step: Any = self.h if isinstance(h, int | float) else h
+        self._type: Any = np.float64 if isinstance(h, int | float) else np.object_
         self._y0 = np.array(y0, dtype=self._type)
         self._p = np.array(top.constants(), dtype=self._type)
         self._loop = method if isinstance(method, Loop) else loop_of(method, len(self._y0), len(self._p))

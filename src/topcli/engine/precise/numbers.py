@@ -13,7 +13,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from functools import cache
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from topcli.errors import UsageError
 
@@ -210,7 +210,7 @@ class Rationals:
 
     def __init__(self) -> None:
         try:
-            from gmpy2 import mpq as made
+            from gmpy2 import mpq as made  # pyright: ignore[reportMissingImports]
         except ImportError:
             made = Fraction
         self._made: Callable[[int, int], Any] = made
@@ -259,7 +259,7 @@ class Floating:
 
         self.bits, self.eps = bits, 2.0 ** (1 - bits)
         self.name = name or f"{bits} bits"
-        self._context = context = MPContext()
+        self._context = context = cast("Any", MPContext())
         context.prec = bits
         convert = context.convert
 

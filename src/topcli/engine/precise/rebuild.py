@@ -99,13 +99,13 @@ def precise_method(scheme: Scheme, top: Top, options: Any, precise: Top, arithme
     Raises UsageError, naming the scheme and the reason, if it has none.
     """
     reason = obstacle(scheme, top, options)
-    if not reason and arithmetic.name == RATIONAL and scheme.build(top, options).iterative:
-        reason = "solves its equations by iteration, and the solution is not rational"
-    if reason:
+    built = None if reason else scheme.build(precise, options)
+    if not isinstance(built, Stepper):
         raise refused(scheme, arithmetic, reason)
+    if arithmetic.name == RATIONAL and built.iterative:
+        raise refused(scheme, arithmetic, "solves its equations by iteration, and the solution is not rational")
     rebuilder = Rebuilder(arithmetic)
     try:
-        built = scheme.build(precise, options)
         if built.stages is not None:
             step, weights = built.stages
             built = replace(built, step=composition_of(built.step, step, centred(weights, rebuilder)))
