@@ -50,10 +50,11 @@ def in_doubles(scheme: Scheme, steps: int) -> Recorded:
 
 
 def declared_deviations(scheme: Scheme, made: PreciseRun, states: Any) -> dict[str, Any]:
-    modified = scheme.modified(made.top, made.h, scheme.options()) if scheme.modified else ()
-    watched = [one for one in made.top.invariants() if one.name in scheme.conserves] + list(modified)
-    values = {one.name: one.value(states) for one in watched}
-    return {name: max(abs(x - found[0]) for x in found) for name, found in values.items()}
+    with made.arithmetic.active():
+        modified = scheme.modified(made.top, made.h, scheme.options()) if scheme.modified else ()
+        watched = [one for one in made.top.invariants() if one.name in scheme.conserves] + list(modified)
+        values = {one.name: one.value(states) for one in watched}
+        return {name: max(abs(x - found[0]) for x in found) for name, found in values.items()}
 
 
 def assert_exact_at_50_digits(scheme: Scheme, steps: int) -> None:

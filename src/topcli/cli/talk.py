@@ -100,7 +100,7 @@ def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
 
 MANY_STEPS = 1_000_000
 """Number of interpreted steps above which a warning is printed."""
-STEP_SECONDS = (1e-4, 1e-2)
+STEP_SECONDS = (1e-5, 1e-2)
 """Usual time of an interpreted step, from explicit to implicit schemes."""
 
 
@@ -110,7 +110,7 @@ def _slow_precision(config: dict[str, Any]) -> str:
         return ""
     least, most = (spell_seconds(config["N"] * seconds) for seconds in STEP_SECONDS)
     return (
-        f"{config['N']} steps in precision {config['precision']} take {least} to {most}, at 0.1 to 10 ms a step; "
+        f"{config['N']} steps in precision {config['precision']} take {least} to {most}, at 0.01 to 10 ms a step; "
         "--resume continues an interrupted run"
     )
 

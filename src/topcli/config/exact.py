@@ -121,7 +121,8 @@ def _vector(
     square = sum((value * value for value in vector), Fraction(0))
 
     def root_of(value: Fraction) -> Fraction:
-        root = arithmetic.fraction(arithmetic.root(arithmetic.number(value)))
+        with arithmetic.active():
+            root = arithmetic.fraction(arithmetic.root(arithmetic.number(value)))
         return Fraction(decimal_text(root, precision + GUARD)) if isinstance(precision, int) else root
 
     if auto is None:

@@ -111,7 +111,8 @@ class Run:
         chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
         if self._type is np.object_:
             chunk_steps = PRECISE_STEPS
-        self._position = start or Position(-1, np.zeros(self._loop.width, dtype=self._type), CHUNK_ROWS, chunk_steps)
+        nothing: Any = np.zeros(self._loop.width, dtype=self._type)
+        self._position = start or Position(-1, nothing, CHUNK_ROWS, chunk_steps)
         if len(self._position.work) != self._loop.width:
             raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
         self._failed = False

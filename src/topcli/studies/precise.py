@@ -45,8 +45,9 @@ class PreciseTally:
     def __init__(self, experiment: Experiment, run: PreciseRun) -> None:
         self._run, self._rational = run, experiment.precision == RATIONAL
         scheme, options = experiment.scheme, experiment.options
-        modified = scheme.modified(run.top, run.h, options) if scheme.modified else ()
-        self._invariants: tuple[Invariant, ...] = (*run.top.invariants(), *modified)
+        with run.arithmetic.active():
+            modified = scheme.modified(run.top, run.h, options) if scheme.modified else ()
+            self._invariants: tuple[Invariant, ...] = (*run.top.invariants(), *modified)
         first = self.values(run.y0[None, :])
         self._firsts = {name: values[0] for name, values in first.items()}
         origins = {name: _double(value) for name, value in self._firsts.items()}
@@ -58,7 +59,8 @@ class PreciseTally:
 
     def values(self, states: NDArray[Any]) -> dict[str, list[Any]]:
         """Values of the invariants at ``states`` (m, d) in this precision; None where one does not exist."""
-        return {one.name: _values(one, states) for one in self._invariants}
+        with self._run.arithmetic.active():
+            return {one.name: _values(one, states) for one in self._invariants}
 
     def add(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, list[Any]]:
         """Add rows: step numbers (m,) and states (m, d); return the values of the invariants."""
@@ -66,7 +68,8 @@ class PreciseTally:
         deviations: dict[str, Array] = {}
         for name, found in values.items():
             first = self._firsts[name]
-            off = [None if x is None or first is None else x - first for x in found]
+            with self._run.arithmetic.active():
+                off = [None if x is None or first is None else x - first for x in found]
             deviations[name] = np.array([_double(x) for x in off])
             self._unequal[name] += sum(x is None or x != 0 for x in off)
         self._count += len(n)
@@ -152,7 +155,8 @@ class PreciseRecorder(Recorder):
         made = columns(top, n, h, states.astype(np.float64), self._names, self._modified, doubles)
         if self._digits:
             at = {name: list(states[:, i]) for i, name in enumerate(top.components)}
-            at |= {"t": [int(step) * self._run.h for step in n], **found}
+            with self._run.arithmetic.active():
+                at |= {"t": [int(step) * self._run.h for step in n], **found}
             made |= {name + DECIMAL: self._texts(at[name]) for name in self._names if name != "n"}
         return made
 

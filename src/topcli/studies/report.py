@@ -108,9 +108,13 @@ def heading(experiment: Experiment, name: str, digest: str) -> dict[str, Any]:
     }
 
 
-def precision_data(precision: int | str, growth: DigitGrowth | None) -> dict[str, Any]:
+def precision_data(precision: int | str, library: str, growth: DigitGrowth | None) -> dict[str, Any]:
     """Entries of ``report.json`` of a run in another precision than double, with the growth of rational numbers."""
-    return {"precision": precision, **({} if growth is None else {"digit_growth": growth.as_dict()})}
+    return {
+        "precision": precision,
+        "library": library,
+        **({} if growth is None else {"digit_growth": growth.as_dict()}),
+    }
 
 
 POWERS = {1: "linearly", 2: "quadratically", 3: "cubically"}

@@ -125,7 +125,7 @@ def _started(
     exact = PreciseRecorder(experiment, precise, job.series, metadata, start)
     position = position_of(start, exact) if start else None
     run = Run(precise.top, precise.loop, precise.y0, precise.h, N, every, stop, position)
-    return run, exact, lambda: precision_data(experiment.precision, exact.precise.growth)
+    return run, exact, lambda: precision_data(experiment.precision, precise.arithmetic.library, exact.precise.growth)
 
 
 def _carry_out(

@@ -36,19 +36,26 @@ class PreciseLoop(Loop):
         return super().failure(work)
 
 
-def precise_loop(stepper: Stepper, d: int, arithmetic: Arithmetic, max_digits: int = MAX_DIGITS) -> PreciseLoop:
-    """Loop over a rebuilt step for physical states of length ``d``."""
+def precise_loop(
+    stepper: Stepper, d: int, constants: tuple[Any, ...], arithmetic: Arithmetic, max_digits: int = MAX_DIGITS
+) -> PreciseLoop:
+    """Loop over a rebuilt step for physical states of length ``d``, with the ``constants`` of the top."""
     step, enter, leave = stepper.step, stepper.enter or same_state, stepper.leave or same_state
     checked, nothing = stepper.checked or stepper.width, arithmetic.number(Fraction(0))
     max_bits = int(max_digits * BITS_PER_DIGIT) if arithmetic.bits == 0 else 0
 
     def enter_state(y: Any, work: Any, p: Any, h: Any) -> int:
         # a counter or status that a scheme begins with a plain 0.0 is a number too
-        work[:] = [x + nothing for x in enter(tuple(y), h, tuple(p))]
+        with arithmetic.active():
+            work[:] = [x + nothing for x in enter(tuple(y), h, constants)]
         return 0
 
     def drive(work: Any, out: Any, p: Any, h: Any, steps: int, every: int, until_record: int) -> int:
-        s, constants, k, left = tuple(work), tuple(p), 0, until_record
+        with arithmetic.active():
+            return taken(work, out, h, steps, every, until_record)
+
+    def taken(work: Any, out: Any, h: Any, steps: int, every: int, until_record: int) -> int:
+        s, k, left = tuple(work), 0, until_record
         for i in range(steps):
             try:
                 s = step(s, h, constants)
@@ -106,9 +113,9 @@ def prepared(
     """
     arithmetic = arithmetic_of(precision)
     h, parameters, state = numbers
-    precise = precise_top(top, {name: arithmetic.number(value) for name, value in parameters.items()})
-    method = precise_method(scheme, top, options, precise, arithmetic)
+    with arithmetic.active():
+        precise = precise_top(top, {name: arithmetic.number(value) for name, value in parameters.items()})
+        method, constants = precise_method(scheme, top, options, precise, arithmetic), precise.constants()
     y0 = np.array([arithmetic.number(value) for value in state], dtype=np.object_)
-    return PreciseRun(
-        arithmetic, precise, precise_loop(method, len(y0), arithmetic, max_digits), arithmetic.number(h), y0
-    )
+    loop = precise_loop(method, len(y0), constants, arithmetic, max_digits)
+    return PreciseRun(arithmetic, precise, loop, arithmetic.number(h), y0)

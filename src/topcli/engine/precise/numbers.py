@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from fractions import Fraction
 from functools import cache
+from importlib import import_module
 from types import ModuleType
 from typing import Any, Protocol, cast
 
@@ -71,20 +73,29 @@ class Arithmetic(Protocol):
     """Binary digits; 0 for rational numbers."""
     math: ModuleType
     """Replacement for the module ``math``."""
+    library: str
+    """Package that computes, with its version."""
+
+    def active(self) -> AbstractContextManager[Any]:
+        """Context in which the numbers compute with this precision."""
+        ...
 
     def number(self, value: Fraction) -> Any:
         """Number nearest to ``value``."""
         ...
 
-    def fma(self, a: Any, b: Any, c: Any) -> Any:
-        """Return a b + c, rounded once."""
+    @property
+    def fma(self) -> Callable[[Any, Any, Any], Any]:
+        """Function a b + c, rounded once."""
         ...
 
-    def finite(self, x: Any) -> bool:
-        """True if ``x`` is neither infinite nor nan."""
+    @property
+    def finite(self) -> Callable[[Any], bool]:
+        """Function that is true of a number that is neither infinite nor nan."""
         ...
 
-    def root(self, x: Any) -> Any:
+    @property
+    def root(self) -> Callable[[Any], Any]:
         """Square root; raises NotRationalError if it is not rational."""
         ...
 
@@ -99,6 +110,14 @@ class Arithmetic(Protocol):
     def cap(self, value: int) -> int:
         """Maximum number of iterations for doubles, scaled with the number of digits."""
         ...
+
+
+def gmpy2_if_installed() -> Any:
+    """Module gmpy2; None if it is not installed."""
+    try:
+        return import_module("gmpy2")
+    except ImportError:
+        return None
 
 
 class Exact:
@@ -209,13 +228,15 @@ class Rationals:
     bits = 0
 
     def __init__(self) -> None:
-        try:
-            from gmpy2 import mpq as made  # pyright: ignore[reportMissingImports]
-        except ImportError:
-            made = Fraction
-        self._made: Callable[[int, int], Any] = made
+        gmpy2 = gmpy2_if_installed()
+        self._made: Callable[[int, int], Any] = gmpy2.mpq if gmpy2 else Fraction
+        self.library = f"gmpy2 {gmpy2.version()}" if gmpy2 else "fractions"
         self.math = ModuleType("math")
         self.math.__dict__.update(fabs=abs)
+
+    def active(self) -> AbstractContextManager[Any]:
+        """Context without effect."""
+        return nullcontext()
 
     def number(self, value: Fraction) -> Exact:
         """The number itself."""
@@ -252,10 +273,13 @@ class Rationals:
 
 
 class Floating:
-    """Binary floating point of ``bits`` binary digits, rounded to nearest (mpmath, which uses gmpy2 if installed)."""
+    """Binary floating point of ``bits`` binary digits, rounded to nearest (mpmath)."""
 
     def __init__(self, bits: int, name: str = "") -> None:
+        from mpmath import __version__
         from mpmath.ctx_mp import MPContext
+
+        self.library = f"mpmath {__version__}"
 
         self.bits, self.eps = bits, 2.0 ** (1 - bits)
         self.name = name or f"{bits} bits"
@@ -288,6 +312,10 @@ class Floating:
             pi=+context.pi,
         )
         return made
+
+    def active(self) -> AbstractContextManager[Any]:
+        """Context without effect: every number knows its precision."""
+        return nullcontext()
 
     def number(self, value: Fraction) -> Any:
         """Number nearest to ``value``."""
@@ -325,12 +353,64 @@ class Floating:
         return math.ceil(value * self.bits / 53)
 
 
-def arithmetic_of(precision: int | str) -> Floating | Rationals:
-    """Arithmetic of a config's ``precision``, a number of decimal digits or "rational"."""
+class Mpfr:
+    """Binary floating point of ``bits`` binary digits, rounded to nearest (MPFR, by gmpy2).
+
+    Ten times as fast as ``Floating``. The precision belongs to the context that is active, and doubles are not refused.
+    """
+
+    def __init__(self, gmpy2: Any, bits: int, name: str = "") -> None:
+        self.bits, self.eps = bits, 2.0 ** (1 - bits)
+        self.name, self.library = name or f"{bits} bits", f"gmpy2 {gmpy2.version()}"
+        self._gmpy2 = gmpy2
+        self._context = gmpy2.context(precision=bits)
+        self.fma: Callable[[Any, Any, Any], Any] = gmpy2.fma
+        self.finite: Callable[[Any], bool] = gmpy2.is_finite
+        self.root: Callable[[Any], Any] = gmpy2.sqrt
+        self.math = ModuleType("math")
+        for name in FUNCTIONS:
+            self.math.__dict__[name] = getattr(gmpy2, name)
+        self.math.__dict__.update(
+            sqrt=gmpy2.sqrt,
+            fabs=abs,
+            copysign=gmpy2.copy_sign,
+            isnan=gmpy2.is_nan,
+            isfinite=gmpy2.is_finite,
+            nan=gmpy2.mpfr("nan"),
+            inf=gmpy2.mpfr("inf"),
+            pi=gmpy2.const_pi(bits),
+        )
+
+    def active(self) -> AbstractContextManager[Any]:
+        """Context in which the numbers compute with this precision."""
+        return self._context
+
+    def number(self, value: Fraction) -> Any:
+        """Number nearest to ``value``."""
+        return self._gmpy2.mpfr(self._gmpy2.mpq(value.numerator, value.denominator), self.bits)
+
+    def fraction(self, x: Any) -> Fraction:
+        """Exact value of a finite number."""
+        numerator, denominator = x.as_integer_ratio()
+        return Fraction(int(numerator), int(denominator))
+
+    def tolerance(self, value: float, power: float) -> Any:
+        """Tolerance for doubles, scaled as the given power of the rounding error."""
+        return self.number(meaning(value) / 2 ** round((self.bits - 53) * power))
+
+    def cap(self, value: int) -> int:
+        """Maximum number of iterations for doubles, scaled with the number of digits."""
+        return math.ceil(value * self.bits / 53)
+
+
+def arithmetic_of(precision: int | str) -> Arithmetic:
+    """Arithmetic of a config's ``precision``, a number of decimal digits or "rational"; gmpy2's if it is installed."""
     if precision == RATIONAL:
         return Rationals()
     assert isinstance(precision, int)
-    return Floating(math.ceil(precision * math.log2(10.0)) + 3, f"{precision} digits")
+    bits, name = math.ceil(precision * math.log2(10.0)) + 3, f"{precision} digits"
+    gmpy2 = gmpy2_if_installed()
+    return Mpfr(gmpy2, bits, name) if gmpy2 else Floating(bits, name)
 
 
 def exact_text(value: Fraction) -> str:
