@@ -17,9 +17,11 @@ from topcli.analysis.digit_growth import digit_growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
+from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.store.series import read_series
 from topcli.studies.compare import compare_schemes
+from topcli.studies.precise import PreciseTally, precise_run
 from topcli.studies.run import run_experiment
 
 EULER = ("precision=rational", "h=1/10", "N=12")
@@ -83,6 +85,23 @@ def test_rational_report_states_equality_and_growth(tmp_path: Path) -> None:
     assert growth["law"] == "polynomial"
     assert growth["power"] == pytest.approx(2.0, abs=0.15)
     assert growth["step"] == 12
+
+
+def test_tally_restored_between_rows_equals_a_whole_one() -> None:
+    experiment = precise("euler_hk", *EULER)
+    run = precise_run(experiment)
+    assert run is not None
+    n, states, _ = Run(run.top, run.loop, run.y0, run.h, 12).collect()
+    whole, first, second = (PreciseTally(experiment, run) for _ in range(3))
+    for part in (slice(0, 7), slice(7, 13)):
+        whole.add(n[part], states[part])
+    first.add(n[:7], states[:7])
+    second.restore(first.state())
+    second.add(n[7:], states[7:])
+    assert second.rows() == whole.rows()
+    assert second.growth == whole.growth
+    assert {row.reason for row in second.rows()[2:]} == {"equal at all 13 rows"}
+    assert "equal" not in second.rows()[0].reason
 
 
 def test_run_stops_at_max_digits(cli: Callable[..., Said]) -> None:

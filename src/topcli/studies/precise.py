@@ -19,7 +19,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
 from topcli.engine.loop import Run
 from topcli.engine.precise.loop import PreciseRun, longest, prepared
-from topcli.engine.precise.numbers import RATIONAL, decimal_text
+from topcli.engine.precise.numbers import RATIONAL
+from topcli.engine.precise.texts import decimal_text
 from topcli.store.checkpoint import Checkpoint
 from topcli.store.series import DECIMAL, SeriesMark
 from topcli.studies.recorder import Recorder, Rows

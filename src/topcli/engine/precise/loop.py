@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import Loop, same_state
-from topcli.engine.precise.numbers import MAX_DIGITS, Arithmetic, Exact, arithmetic_of, exact_text, from_exact_text
+from topcli.engine.precise.numbers import MAX_DIGITS, Arithmetic, Exact, arithmetic_of
 from topcli.engine.precise.rebuild import precise_method, precise_top
+from topcli.engine.precise.texts import exact_text, from_exact_text
 
 BITS_PER_DIGIT = 3.3219280948873626
 
