@@ -10,7 +10,9 @@ import pytest
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.tolerances import follow_precision
-from topcli.engine.precise.numbers import Exact, Floating, NotRationalError, Rationals, StrayDoubleError, meaning
+from topcli.engine.precise.floating import Floating
+from topcli.engine.precise.numbers import NotRationalError, StrayDoubleError, meaning
+from topcli.engine.precise.rational import Exact, Rationals
 from topcli.engine.precise.rebuild import Rebuilder
 from topcli.engine.precise.texts import decimal_text, exact_text, from_exact_text
 

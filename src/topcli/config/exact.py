@@ -15,7 +15,8 @@ from typing import Any
 from topcli.config.document import WrittenFloat
 from topcli.config.problems import Problems
 from topcli.contracts import Top
-from topcli.engine.precise.numbers import DOUBLE, NotRationalError, arithmetic_of
+from topcli.engine.precise.floating import arithmetic_of
+from topcli.engine.precise.numbers import DOUBLE, NotRationalError
 from topcli.engine.precise.texts import decimal_text
 
 _NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import Loop, same_state
-from topcli.engine.precise.numbers import MAX_DIGITS, Arithmetic, Exact, arithmetic_of
+from topcli.engine.precise.floating import arithmetic_of
+from topcli.engine.precise.numbers import MAX_DIGITS, Arithmetic
+from topcli.engine.precise.rational import Exact
 from topcli.engine.precise.rebuild import precise_method, precise_top
 from topcli.engine.precise.texts import exact_text, from_exact_text
 
