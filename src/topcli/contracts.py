@@ -223,7 +223,7 @@ def _compared(top: Top) -> tuple[EulerPoisson, str]:
     d, field = len(top.components), getattr(type(top), "field", None)
     if field is None:  # then the equations are all there is
         return equations, ""
-    p = top.constants()
+    p = tuple(map(float, top.constants()))
     if d not in (3, 6):
         return equations, f"its state has {d} components; expected omega (3), or omega and gamma (6)"
     for probe in range(PROBES):
@@ -251,7 +251,7 @@ def _compared(top: Top) -> tuple[EulerPoisson, str]:
 
 def _euler_poisson_rates(equations: EulerPoisson, y: Array) -> tuple[Array, Array]:
     """Right-hand side of the Euler-Poisson equations at a state (6,), and the magnitudes of its terms (6,)."""
-    moments, gravity = np.array(equations.moments), np.array(equations.gravity)
+    moments, gravity = np.array(equations.moments, dtype=float), np.array(equations.gravity, dtype=float)
     omega, gamma = equations.omega_sign * y[:3], y[3:]
     j, k = np.array([1, 2, 0]), np.array([2, 0, 1])
     with np.errstate(all="ignore"):
@@ -422,6 +422,7 @@ class Outcome(StrEnum):
     BLEW_UP = "blew_up"
     NO_CONVERGENCE = "no_convergence"
     INTERRUPTED = "interrupted"
+    DIGIT_LIMIT = "digit_limit"
 
 
 @dataclass(frozen=True)
@@ -474,5 +475,6 @@ class Ending:
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
             Outcome.NO_CONVERGENCE: f"did not converge {where}" + (f"; {self.advice}" if self.advice else ""),
             Outcome.INTERRUPTED: f"interrupted {where}",
+            Outcome.DIGIT_LIMIT: f"stopped {where}: the rational numbers have more digits than max_digits",
         }[self.outcome]
         return f"{message}; before, it {left}" if left and self.outcome is not Outcome.LEFT_MOTION else message

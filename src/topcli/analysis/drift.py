@@ -248,9 +248,9 @@ def _walks(residual: Array, gaps: Array | None) -> bool:
     return True
 
 
-def round_off_bound(steps: Any, scale: Any) -> Any:
+def round_off_bound(steps: Any, scale: Any, eps: float = _EPS) -> Any:
     """Largest deviation that rounding explains after ``steps`` steps; numbers or arrays."""
-    return ROUND_OFF_ULPS * _EPS * np.sqrt(steps) * scale
+    return ROUND_OFF_ULPS * eps * np.sqrt(steps) * scale
 
 
 NUMBERS = 7
@@ -279,19 +279,25 @@ class InvariantSums:
         self.squares += float(deviation @ deviation)
         return deviation
 
-    def row(self, fit: Trend | None, rows: int, steps: int, span: float) -> InvariantRow:
-        """Report on ``rows`` rows with the line ``fit`` through them, over ``span`` of time and ``steps`` steps."""
+    def row(
+        self, fit: Trend | None, rows: int, steps: int, span: float, eps: float = _EPS, origin: float = 0.0
+    ) -> InvariantRow:
+        """Report on ``rows`` rows with the line ``fit`` through them, over ``span`` of time and ``steps`` steps.
+
+        ``eps`` is the rounding error of the arithmetic, ``origin`` is added to the values.
+        """
         deviation = float(np.maximum(self.high - self.first, self.first - self.low))
         rms = math.sqrt(self.squares / rows)
-        bound = float(round_off_bound(max(steps, 1), self.scale))
-        size = abs(self.first)
+        bound = float(round_off_bound(max(steps, 1), self.scale, eps))
+        first = origin + self.first
+        size = abs(first)
         verdict, reason = _verdict(deviation, bound, max(size, TERMS * self.scale), fit, span)
         return InvariantRow(
             name=self.invariant.name,
             symbol=self.invariant.symbol,
-            first=self.first,
-            min=self.low,
-            max=self.high,
+            first=first,
+            min=origin + self.low,
+            max=origin + self.high,
             max_deviation=deviation,
             max_deviation_relative=deviation / size if size else None,
             rms_deviation=rms,
@@ -337,10 +343,21 @@ class InvariantTally:
 
     The run's length need not be known: blocks that fill up are joined in pairs. With the ``top``, ``left`` is the first
     recorded step at which the state has left its energy surface, None for never.
+
+    A run in another precision, with the rounding error ``eps``, passes the deviations from its ``origins``, the first
+    values, instead of the values: a difference of two doubles would not show them.
     """
 
-    def __init__(self, invariants: Sequence[Invariant], h: float, top: Top | None = None) -> None:
+    def __init__(
+        self,
+        invariants: Sequence[Invariant],
+        h: float,
+        top: Top | None = None,
+        eps: float = _EPS,
+        origins: Mapping[str, float] | None = None,
+    ) -> None:
         self._invariants, self._h, self._top = invariants, h, top
+        self._eps, self._origins = eps, origins
         self._width = 1
         self._tallies: list[InvariantSums] = []
         self._counts = np.zeros(2 * BLOCKS)
@@ -350,13 +367,17 @@ class InvariantTally:
     def add(self, n: NDArray[np.int64], states: Array, values: Mapping[str, Array] | None = None) -> None:
         """Add rows: step numbers (m,) and states (m, d). The very first row is the reference.
 
-        ``values`` (m,) are those of the invariants by name, if they have been evaluated before.
+        ``values`` (m,) are those of the invariants by name, if they have been evaluated before; with ``origins`` they
+        are deviations.
         """
         if not len(n):
             return
         values = invariant_values(self._invariants, states) if values is None else values
         if not self._tallies:
             self._tallies = sums_from(self._invariants, states[:1], self._top)
+            if self._origins:
+                for tally in self._tallies:
+                    tally.first = tally.low = tally.high = 0.0
         while int(n[-1]) // self._width >= 2 * BLOCKS:
             self._width *= 2
             for sums in (self._counts, self._steps_in, *(tally.sums for tally in self._tallies)):
@@ -405,7 +426,10 @@ class InvariantTally:
             t, span = self._steps_in[filled] / counts * self._h, self._last * self._h
             fits = [trend(t, tally.sums[filled] / counts) for tally in self._tallies]
             rows = int(counts.sum())
-            return [tally.row(fit, rows, taken, span) for tally, fit in zip(self._tallies, fits, strict=True)]
+            return [
+                tally.row(fit, rows, taken, span, self._eps, (self._origins or {}).get(tally.invariant.name, 0.0))
+                for tally, fit in zip(self._tallies, fits, strict=True)
+            ]
 
 
 def _verdict(deviation: float, bound: float, size: float, fit: Trend | None, span: float) -> tuple[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.drift import invariant_report
+from topcli.analysis.drift import InvariantRow, invariant_report
 from topcli.analysis.leaving import step_of_leaving
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
 from topcli.engine.loop import Run
@@ -43,6 +44,9 @@ class Trajectory:
         Wall time of compiling or loading the machine code, and of the steps.
     modified : tuple of Invariant
         Integrals of the scheme itself, which depend on h.
+    rows : tuple of InvariantRow or None
+        Report on the invariants of a run in another precision than double, computed in that precision; ``states`` are
+        rounded to doubles.
 
     Examples
     --------
@@ -65,6 +69,7 @@ class Trajectory:
     compile_seconds: float
     run_seconds: float
     modified: tuple[Invariant, ...] = ()
+    rows: tuple[InvariantRow, ...] | None = None
 
     @classmethod
     def of_run(cls, run: Run, scheme: str, modified: tuple[Invariant, ...] = ()) -> Trajectory:
@@ -103,5 +108,10 @@ class Trajectory:
         """Return the report on invariants and modified integrals, one row each (see ``analysis.drift``)."""
         import pandas as pd
 
-        rows = invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states)
-        return pd.DataFrame([row.as_dict() for row in rows]).set_index("name")
+        return pd.DataFrame([row.as_dict() for row in self.invariant_rows()]).set_index("name")
+
+    def invariant_rows(self) -> Sequence[InvariantRow]:
+        """Return the report on invariants and modified integrals as rows, in the order of the columns."""
+        if self.rows is not None:
+            return self.rows
+        return invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states)

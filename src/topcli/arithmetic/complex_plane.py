@@ -6,10 +6,12 @@ import math
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import sinc_cosc
+from topcli.arithmetic.tolerances import follow_precision
 
 Complex = tuple[float, float]
 NEVER_ZERO = 1e-290
 """Avoids 0/0 in the square root of 0; far below the last bit of any other denominator that occurs there."""
+follow_precision(__name__, NEVER_ZERO=20)
 
 
 def rotation_increment(chi: float, x: float, y: float) -> Complex:

@@ -144,6 +144,7 @@ def _compare_one(
         print_json("compare", {**comparison.figures, "files": files})
     else:
         title = _title(experiment.name, experiment.top.title, compared)
+        title += "" if experiment.exact is None else f", precision {experiment.precision}"
         print_table(["", *map(_header, compared)], _lines(comparison.figures), title)
         for file in files:
             say(f"wrote {file}")

@@ -75,19 +75,21 @@ class RunOptions:
 
 def _print_result(result: RunResult, labelled: bool) -> None:
     """Print the message and the table of a run."""
-    report, warning = result.report, ""
+    report, warning, note = result.report, "", ""
     if report.get("kind") == "ensemble":
         from topcli.studies.ensemble_report import ensemble_table as invariant_table
     else:
-        from topcli.studies.report import invariant_table, warning_of
+        from topcli.studies.report import invariant_table, precision_note, warning_of
 
-        warning = warning_of(report)
+        warning, note = warning_of(report), precision_note(report)
     if result.set_aside:
         say(result.set_aside_message)
     status = result.status
     if status == "up to date" and result.outcome.value != "completed":
         status = f"not run again: it ended as {result.outcome.value} before; --retry-failed runs it again"
     say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
+    if note:
+        say(f"{report['name']}: {note}")
     if warning:
         say(f"warning: {report['name']}: {warning}")
     header, *lines = invariant_table(report)
@@ -103,7 +105,9 @@ def _dry_run(experiment: Experiment | EnsembleExperiment, options: RunOptions) -
     out, source = options.out, None
     if isinstance(experiment, Experiment):
         from topcli.studies.resume import find_source
+        from topcli.studies.run import prepared_precision
 
+        prepared_precision(experiment)
         identity, rows = Identity.of(experiment, [experiment.method()]), experiment.N // experiment.output.every + 1
         source = find_source(identity, out) if options.resume else None
     else:

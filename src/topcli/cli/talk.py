@@ -94,6 +94,25 @@ def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
     """Print warnings about unusual parameters of the experiment's top."""
     for line in experiment.top.warnings():
         say(f"warning: {experiment.name}: {line}")
+    if line := _slow_precision(experiment.resolved()):
+        say(f"warning: {experiment.name}: {line}")
+
+
+MANY_STEPS = 1_000_000
+"""Number of interpreted steps above which a warning is printed."""
+STEP_SECONDS = (1e-5, 1e-2)
+"""Usual time of an interpreted step, from explicit to implicit schemes."""
+
+
+def _slow_precision(config: dict[str, Any]) -> str:
+    """Warning about a long run in another precision than double, from its resolved config; empty for any other."""
+    if "precision" not in config or config["N"] <= MANY_STEPS:
+        return ""
+    least, most = (spell_seconds(config["N"] * seconds) for seconds in STEP_SECONDS)
+    return (
+        f"{config['N']} steps in precision {config['precision']} take {least} to {most}, at 0.01 to 10 ms a step; "
+        "--resume continues an interrupted run"
+    )
 
 
 def on_terminal() -> bool:

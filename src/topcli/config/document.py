@@ -5,8 +5,10 @@ Plain data holds only what JSON has: dicts with text keys, lists, text, numbers,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import Any
 
 from topcli.errors import NAME_LENGTH, ConfigError, quoted, shortened
@@ -16,7 +18,28 @@ KeyPath = tuple[str | int, ...]
 MAX_NODES = 5_000
 MAX_DEPTH = 16
 MAX_INTEGER_BITS = 1024
+DOUBLE_DIGITS = 15
+"""Every decimal text of at most this length is the shortest text of its double."""
 HALF_PAIR = "the text holds half of a surrogate pair, which is no character"
+
+
+class WrittenFloat(float):
+    """A float together with its decimal text, which has more digits than a double holds."""
+
+    text: str
+
+    def __deepcopy__(self, memo: object) -> WrittenFloat:
+        return self
+
+
+def written_float(text: str) -> float:
+    """Number of a decimal text; a ``WrittenFloat`` if a double does not hold all of its digits."""
+    value = float(text)
+    if len(text) <= DOUBLE_DIGITS or not math.isfinite(value) or Decimal(text) == Decimal(repr(value)):
+        return value
+    made = WrittenFloat(value)
+    made.text = text
+    return made
 
 
 @dataclass
@@ -110,7 +133,7 @@ def plain(value: object, document: Document, path: KeyPath = ()) -> Any:
         if value is None or isinstance(value, bool):
             return value
         if isinstance(value, float):
-            return float(value)
+            return value if isinstance(value, WrittenFloat) else float(value)
         if isinstance(value, int):
             if value.bit_length() > MAX_INTEGER_BITS:
                 raise refuse(path, f"an integer of more than {MAX_INTEGER_BITS} bits is too large")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from topcli.config.document import Document, KeyPath, describe, plain
 from topcli.config.duration import drop_partner, steps_of
+from topcli.config.exact import read_exact, with_written_numbers
 from topcli.config.models import (
     Config,
     Experiment,
@@ -26,6 +27,7 @@ from topcli.config.models import (
 from topcli.config.overrides import apply_overrides, override_label, parse_override
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
+from topcli.engine.precise.numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, TopcliError, UnknownNameError, UsageError, nearest, quoted, shortened
 from topcli.tops import TOPS, forms
 
@@ -41,14 +43,26 @@ Changes = Mapping[str, Any] | None
 """Values that replace top-level keys of a config."""
 
 
-def load_experiment(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> Experiment:
+def load_experiment(
+    source: Path | str, overrides: Sequence[str] = (), changes: Changes = None, *, any_precision: bool = False
+) -> Experiment:
     """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
     ``changes`` replace whole keys; ``overrides``, which are ``key=value`` texts, are applied after them and before the
-    config is validated. Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what
+    config is validated. A precision other than double is refused unless the caller computes with it
+    (``any_precision``). Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what
     would be right; also for an ensemble, which ``load_any`` loads.
     """
-    return _single(*_named_document(source, overrides, changes))
+    document, name = _named_document(source, overrides, changes)
+    found = _single(document, name)
+    if found.precision != DOUBLE and not any_precision:
+        problems = Problems(document)
+        problems.add(
+            ("precision",),
+            "computed in doubles here; `topcli run`, `topcli compare` and topcli.simulate take another precision",
+        )
+        problems.raise_any()
+    return found
 
 
 def load_any(
@@ -275,8 +289,9 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
     if "base" in document.data:
         problems.add(("base",), "this is a sweep, and an experiment is needed here; `topcli sweep` takes sweeps")
         problems.raise_any()
-    optional = ("name", "output", "ensemble", "T")
+    optional = ("name", "output", "ensemble", "T", "precision", "max_digits")
     data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
+    data = with_written_numbers(data)
     if "name" not in data and default_name is not None:
         if fault := name_fault(default_name):
             problems.add(("name",), f"missing, and the file name cannot be used instead: it {fault}")
@@ -301,6 +316,10 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         if top and scheme:
             integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
             columns = read_columns(config.output.columns, top.components, integrals, problems)
+        _check_precision(config, members is not None, problems)
+    exact = None
+    if config and config.precision != DOUBLE and top and state and not problems.messages:
+        exact = read_exact(data, top, state, config.precision, problems)
     problems.raise_any()
     # a missing part has been raised as a problem
     assert config is not None
@@ -316,6 +335,9 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         h=config.h,
         N=config.N,
         output=config.output.model_copy(update={"columns": columns}),
+        precision=config.precision,
+        max_digits=config.max_digits or MAX_DIGITS,
+        exact=exact,
     )
     if members is None:
         return experiment
@@ -339,6 +361,16 @@ def _config(data: dict[str, Any], problems: Problems) -> Config | None:
     except UsageError as error:
         problems.add(("T",), str(error))
         return None
+
+
+def _check_precision(config: Config, is_ensemble: bool, problems: Problems) -> None:
+    """Add the mistakes in ``precision`` and the keys that depend on it."""
+    if config.precision != DOUBLE and is_ensemble:
+        problems.add(("precision",), "an ensemble runs in doubles only; run single trajectories in another precision")
+    if config.max_digits is not None and config.precision != RATIONAL:
+        problems.add(("max_digits",), "needs precision: rational; other numbers have a fixed number of digits")
+    if config.output.digits is not None and config.precision == DOUBLE:
+        problems.add(("output", "digits"), "needs another precision than double, such as precision: 50")
 
 
 def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:

@@ -18,9 +18,11 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from topcli.analysis.columns import spellings
 from topcli.config.document import KeyPath, describe
 from topcli.config.duration import MAX_STEPS
+from topcli.config.exact import ExactNumbers
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.config.yaml_text import to_yaml
 from topcli.contracts import Invariant, Method, Scheme, Top
+from topcli.engine.precise.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import composed, find_scheme, names_for
@@ -30,6 +32,7 @@ UNIT_TOLERANCE = 1e-12
 """Deviation of the square of a unit vector from 1 that is accepted."""
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 """Texts for a component that completes a unit vector, with the component's sign."""
+MOST_WRITTEN = 10_000
 MAX_NAME = 100
 MAX_NAME_BYTES = 200
 
@@ -88,6 +91,19 @@ def _columns(value: tuple[str, ...]) -> tuple[str, ...]:
     return value
 
 
+def _precision(value: Any) -> Any:
+    value = as_integer(value)
+    if value in (DOUBLE, RATIONAL):
+        return value
+    if isinstance(value, int) and not isinstance(value, bool) and FEWEST_DIGITS <= value <= MOST_DIGITS:
+        return value
+    given = describe(value)
+    raise ValueError(
+        f"must be double, rational, or a number of digits from {FEWEST_DIGITS} to {MOST_DIGITS}, not {given}"
+    )
+
+
+Precision = Annotated[Any, AfterValidator(_precision)]
 Name = Annotated[str, AfterValidator(_name)]
 StepSize = Annotated[float, AfterValidator(_step)]
 Count = Annotated[int, Field(ge=1, le=MAX_STEPS), BeforeValidator(as_integer)]
@@ -106,6 +122,14 @@ class Output(BaseModel):
         description="the columns to record, by name or symbol: n, t, components, invariants; all when absent",
         json_schema_extra={"minItems": 1, "uniqueItems": True},
     )
+    digits: Annotated[int, Field(ge=1, le=MOST_WRITTEN), BeforeValidator(as_integer)] | None = Field(
+        default=None,
+        description="with a precision other than double: also write every column as a decimal text of so many digits",
+    )
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the section as plain data; ``digits`` only if it is given."""
+        return {key: value for key, value in self.model_dump(mode="json").items() if key != "digits" or value}
 
 
 class Config(BaseModel):
@@ -128,6 +152,21 @@ class Config(BaseModel):
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
     N: Count = Field(description="the number of steps, a whole number from 1 to 1e12; or T in its place")
     T: StepSize | None = Field(default=None, description="the time N*h to run, in the place of N: N = T/h is whole")
+    precision: Precision = Field(
+        default=DOUBLE,
+        description="the arithmetic: double, a number of decimal digits, or rational (exact)",
+        json_schema_extra={
+            "anyOf": [
+                {"enum": [DOUBLE, RATIONAL]},
+                {"type": "integer", "minimum": FEWEST_DIGITS, "maximum": MOST_DIGITS},
+            ]
+        },
+    )
+    max_digits: Annotated[int, Field(ge=1, le=10**7), BeforeValidator(as_integer)] | None = Field(
+        default=None,
+        description=f"with precision rational: the length of the numbers at which the run stops ({MAX_DIGITS} digits "
+        "when absent)",
+    )
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
 
@@ -159,7 +198,8 @@ class Experiment(BaseModel):
     """A numerical experiment, complete and validated.
 
     ``y0`` is the initial state in the order of ``top.components``; ``options`` are the validated options of
-    ``scheme``; ``output.columns`` is None for all columns. ``topcli.config.load`` makes it.
+    ``scheme``; ``output.columns`` is None for all columns. With a ``precision`` other than double, ``exact`` are the
+    numbers of the config as they are written. ``topcli.config.load`` makes it.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -172,6 +212,9 @@ class Experiment(BaseModel):
     h: float
     N: int
     output: Output
+    precision: int | str = DOUBLE
+    max_digits: int = MAX_DIGITS
+    exact: InstanceOf[ExactNumbers] | None = None
 
     @property
     def scheme_name(self) -> str:
@@ -206,8 +249,16 @@ class Experiment(BaseModel):
             "scheme": {"name": self.scheme.name, **self.options.model_dump(mode="json")},
             "h": self.h,
             "N": self.N,
-            "output": self.output.model_dump(mode="json"),
+            "output": self.output.resolved(),
+            **self._resolved_precision(),
         }
+
+    def _resolved_precision(self) -> dict[str, Any]:
+        """Entries of ``resolved`` that only runs in another precision than double have."""
+        if self.exact is None:
+            return {}
+        limit = {"max_digits": self.max_digits} if self.precision == RATIONAL else {}
+        return {**self.exact.resolved(self.top), "precision": self.precision, **limit}
 
     @property
     def digest(self) -> str:

@@ -6,7 +6,7 @@ import re
 import tomllib
 from typing import Any
 
-from topcli.config.document import MAX_DEPTH, KeyPath
+from topcli.config.document import MAX_DEPTH, KeyPath, written_float
 from topcli.errors import ConfigError
 
 _WHERE = re.compile(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)", re.DOTALL)
@@ -32,7 +32,7 @@ def parse_toml(text: str, label: str) -> tuple[dict[str, Any], dict[KeyPath, int
         number = text.count("\n", 0, found.start()) + 1
         raise ConfigError(f"{label}:{number}: TOML: a key of more than {MAX_DEPTH} parts")
     try:
-        data = tomllib.loads(text)
+        data = tomllib.loads(text, parse_float=lambda number: written_float(number.replace("_", "")))
     except tomllib.TOMLDecodeError as error:
         message = " ".join(str(error).split())
         found = _WHERE.fullmatch(message)

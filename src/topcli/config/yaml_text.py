@@ -14,7 +14,16 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NoReturn
 
-from topcli.config.document import HALF_PAIR, MAX_DEPTH, MAX_NODES, KeyPath, describe, has_half_pair, key_text
+from topcli.config.document import (
+    HALF_PAIR,
+    MAX_DEPTH,
+    MAX_NODES,
+    KeyPath,
+    describe,
+    has_half_pair,
+    key_text,
+    written_float,
+)
 from topcli.errors import NAME_LENGTH, ConfigError, quoted, shortened
 
 Lines = dict[KeyPath, int]
@@ -44,7 +53,7 @@ def resolve_scalar(text: str) -> str | int | float | bool | None:
     if _INTEGER.fullmatch(text):
         return int(text) if len(text) <= _LONGEST_INTEGER else float(text)
     if _FLOAT.fullmatch(text):
-        return float(text)
+        return written_float(text)
     if _OTHER_BASE.fullmatch(text):
         return int(text, 0)
     if _INFINITE.fullmatch(text):
@@ -265,7 +274,7 @@ def _scalar(value: str | float | bool | None) -> str:
             is_text = _UNQUOTED.fullmatch(value) and isinstance(resolve_scalar(value), str)
             return value if is_text else '"' + "".join(map(_escaped, value)) + '"'
         case _:
-            return repr(value)
+            return float.__repr__(value) if isinstance(value, float) else repr(value)
 
 
 def _escaped(letter: str) -> str:

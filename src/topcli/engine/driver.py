@@ -132,7 +132,7 @@ class Loop:
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
         status = work[len(work) - len(self.counters) - 1]
-        return Outcome.NO_CONVERGENCE if self.iterative and np.isnan(status) else Outcome.BLEW_UP
+        return Outcome.NO_CONVERGENCE if self.iterative and status != status else Outcome.BLEW_UP  # nan
 
 
 def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:

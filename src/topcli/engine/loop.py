@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ CHUNK_STEPS = 1 << 19
 """Steps between two checks of clock and keyboard: some tens of milliseconds."""
 PLAIN_STEPS = 1 << 9
 """The same for steps that run in the interpreter."""
+PRECISE_STEPS = 1 << 4
+"""The same for steps in another arithmetic."""
 CALL_SECONDS = 0.25
 """Approximate longest time between two calls of ``stop``."""
 FIRST_CALL = 64
@@ -80,14 +82,15 @@ class Run:
     ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
     ``every``-th recorded. ``stop()`` is called between chunks, and within chunks that take long; once it returns true,
     the run ends as ``interrupted``. With ``start``, the ``position()`` of an earlier equal run, the run continues from
-    there, bit for bit. ``method`` may be its time loop, if the caller has that already.
+    there, bit for bit. ``method`` may be its time loop, if the caller has that already. Numbers of another arithmetic
+    (``engine.precise``) are kept as objects: ``y0``, ``h`` and the constants of ``top`` are then of this arithmetic.
     """
 
     def __init__(
         self,
         top: Top,
         method: Method | Loop,
-        y0: Sequence[float],
+        y0: Sequence[float] | NDArray[Any],
         h: float,
         N: int,
         every: int = 1,
@@ -96,15 +99,20 @@ class Run:
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
-        self._y0 = np.array(y0, dtype=np.float64)
-        self._p = np.array(top.constants(), dtype=np.float64)
+        self._step: Any = self.h if isinstance(h, int | float) else h
+        self._type: Any = np.float64 if isinstance(h, int | float) else np.object_
+        self._y0 = np.array(y0, dtype=self._type)
+        self._p = np.array(top.constants(), dtype=self._type)
         self._loop = method if isinstance(method, Loop) else loop_of(method, len(self._y0), len(self._p))
         self.compile_seconds = self._loop.seconds
         self.cached = self._loop.cached
         self.run_seconds = 0.0
         self.ending: Ending | None = None
         chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
-        self._position = start or Position(-1, np.zeros(self._loop.width), CHUNK_ROWS, chunk_steps)
+        if self._type is np.object_:
+            chunk_steps = PRECISE_STEPS
+        nothing: Any = np.zeros(self._loop.width, dtype=self._type)
+        self._position = start or Position(-1, nothing, CHUNK_ROWS, chunk_steps)
         if len(self._position.work) != self._loop.width:
             raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
         self._failed = False
@@ -131,9 +139,9 @@ class Run:
             self._position.chunk_rows,
             self._position.chunk_steps,
         )
-        out = np.empty(chunk_rows * d)
+        out = np.empty(chunk_rows * d, dtype=self._type)
         if self._position.done < 0:
-            self._loop.enter(self._y0, work, self._p, self.h)
+            self._loop.enter(self._y0, work, self._p, self._step)
             self._position = Position(0, work, chunk_rows, chunk_steps)
             yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
         done, into = self._position.done, self._position.into
@@ -184,7 +192,7 @@ class Run:
                 size = min(steps - taken, self._call_steps)
                 start = time.perf_counter()
                 went = self._loop.drive(
-                    work, out[rows * d :], self._p, self.h, size, every, to_record + rows * every - taken
+                    work, out[rows * d :], self._p, self._step, size, every, to_record + rows * every - taken
                 )
                 now = time.perf_counter()
                 if went < 0:

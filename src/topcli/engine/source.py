@@ -98,8 +98,11 @@ def references(function: types.FunctionType) -> dict[str, Any]:
     return found
 
 
-class _Copier:
-    """Copies of functions in which everything that they call is compiled."""
+class Copier:
+    """Copies of functions in which everything that they call is compiled.
+
+    A subclass may replace constants and code as well (``engine.precise``).
+    """
 
     def __init__(self, compiler: Callable[[types.FunctionType], Any], done: dict[int, Any]) -> None:
         self.compiler, self.done = compiler, done
@@ -117,6 +120,14 @@ class _Copier:
                 raise SchemeCodeError(f"{place_of(inner)}: {inner.__name__} calls itself; a step cannot be recursive")
             self.done[id(inner)] = self.compiler(self.copy(inner))
         return self.done[id(inner)]
+
+    def referred(self, function: types.FunctionType, name: str, value: object, names: list[str]) -> Any:
+        """Form of ``value``, the global or closed-over variable ``name`` of a function."""
+        return self.compiled(value, names)
+
+    def code(self, code: types.CodeType) -> types.CodeType:
+        """Code of the copy."""
+        return code
 
     def _module(self, module: types.ModuleType, names: list[str]) -> types.ModuleType:
         """The module itself, or one like it where functions among the ``names`` are compiled."""
@@ -136,12 +147,12 @@ class _Copier:
         """The function with compiled references, defaults included."""
         self.open.add(id(function))
         names, used = names_in(function), used_names(function)
-        refers = {n: self.compiled(value, names) for n, value in references(function).items() if n in used}
+        refers = {n: self.referred(function, n, v, names) for n, v in references(function).items() if n in used}
         defaults = tuple(self.compiled(value, names) for value in function.__defaults__ or ()) or None
         self.open.remove(id(function))
         cells = tuple(types.CellType(*_cell_content(refers, name)) for name in function.__code__.co_freevars)
         scope = {**function.__globals__, **refers}
-        made = types.FunctionType(function.__code__, scope, function.__name__, defaults, cells or None)
+        made = types.FunctionType(self.code(function.__code__), scope, function.__name__, defaults, cells or None)
         made.__kwdefaults__ = function.__kwdefaults__
         return made
 
@@ -163,4 +174,4 @@ def compilable_copy(
     plain = plain_function(function)
     if plain is None:
         raise TypeError(f"{function!r} is not a Python function: the engine compiles plain functions")
-    return _Copier(compiler, {} if replace is None else replace).copy(plain)
+    return Copier(compiler, {} if replace is None else replace).copy(plain)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.drift import invariant_report
 from topcli.analysis.order import probe_rows, reversal
 from topcli.analysis.reference import distances, reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
@@ -44,7 +43,7 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
     """
     plain = {f"modified_{invariant.name}": invariant for invariant in experiment.top.invariants()}
     modified = experiment.modified
-    rows = invariant_report(modified, trajectory.n, trajectory.h, trajectory.states)
+    rows = trajectory.invariant_rows()[len(plain) :]
     power = experiment.scheme.order_for(experiment.options) or 0
     figures = []
     for invariant, row in zip(modified, rows, strict=True):
@@ -81,9 +80,7 @@ def _figures(
         "declared_order": experiment.scheme.order_for(experiment.options),
         "max_error": float(error.max()),
         "end_error": float(error[-1]) if reached_end else None,
-        "invariants": [
-            row.as_dict() for row in invariant_report(top.invariants(), trajectory.n, trajectory.h, trajectory.states)
-        ],
+        "invariants": [row.as_dict() for row in trajectory.invariant_rows()[: len(top.invariants())]],
         "modified": _modified_figures(experiment, trajectory),
         "reversal": {
             "h": back.h,
@@ -153,6 +150,8 @@ def compare_schemes(
         [(top, method, experiment.y0, one.experiment.h) for one, method in zip(compared, methods, strict=True)],
         steps=min(max(experiment.N, 1000), 50_000),
     )
+    if experiment.exact is not None:
+        timed = [1e9 * one.run_seconds / max(one.ending.step, 1) for one in trajectories]
     swing, first = top.components.index(top.swing), compared[0]
     t = np.arange(0, first.experiment.N + 1, first.stride) * first.experiment.h
     series = {"t": t, "swing:reference": references.at(first.experiment, first.stride)[:, swing]}

@@ -123,6 +123,8 @@ def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Ent
         for key in own:
             if key not in known:
                 raise UnknownNameError(f"scheme {found.name!r} has no option {quoted(key)}; {nearest(key, known)}")
+        if STEP in own and experiment.exact is not None:
+            raise UsageError(f"entries share the step h at precision {experiment.precision}; give it with --set h=...")
         h = _step(own.pop(STEP), experiment.h) if STEP in own else experiment.h
         made = under_scheme(experiment, name, {**options, **own})
         N = experiment.N if h == experiment.h else steps_over(experiment.duration, h)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,12 +74,28 @@ class Recorder:
         self._invariants = (*experiment.top.invariants(), *self._modified)
         self._names = list(experiment.output.columns or column_names(experiment.top))
         self._batch = Batch()
-        self.tally = InvariantTally(self._invariants, experiment.h, experiment.top)
-        self.series = SeriesWriter(path, self._names, metadata, start.series if start else None)
+        self.tally = self.new_tally()
+        self.series = SeriesWriter(path, self.all_names(self._names), metadata, start.series if start else None)
         if start is not None:
             self.tally.restore(start.tally)
             if len(start.rows[0]):
-                self._batch.add(*start.rows)
+                self._batch.add(start.rows[0], self.loaded(start.rows[1]))
+
+    def new_tally(self) -> InvariantTally:
+        """Tally of the report."""
+        return InvariantTally(self._invariants, self._experiment.h, self._experiment.top)
+
+    def all_names(self, names: Sequence[str]) -> list[str]:
+        """Names of the columns of the series."""
+        return list(names)
+
+    def stored(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        """Numbers in the form in which a checkpoint holds them."""
+        return numbers
+
+    def loaded(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Numbers that ``stored`` has made."""
+        return stored
 
     def __enter__(self) -> Recorder:
         self.series.__enter__()
@@ -96,11 +112,14 @@ class Recorder:
             self._pass_on()
 
     def _pass_on(self) -> None:
-        n, states = self._batch.take()
+        self.series.write(self.evaluated(*self._batch.take()))
+
+    def evaluated(self, n: NDArray[np.int64], states: Array) -> dict[str, NDArray[Any]]:
+        """Add rows to the tally; return their columns. The invariants are evaluated once, for both."""
         top, h = self._experiment.top, self._experiment.h
         values = invariant_values(self._invariants, states)
         self.tally.add(n, states, values)
-        self.series.write(columns(top, n, h, states, self._names, self._modified, values))
+        return columns(top, n, h, states, self._names, self._modified, values)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
         """All that a checkpoint holds of the rows so far; with ``flush`` the series is flushed to the disk first."""

@@ -11,6 +11,7 @@ from topcli.analysis.drift import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, Inv
 from topcli.contracts import Ending
 
 if TYPE_CHECKING:
+    from topcli.analysis.digit_growth import DigitGrowth
     from topcli.config.models import Experiment
 
 SCHEMA_VERSION = 1
@@ -107,6 +108,35 @@ def heading(experiment: Experiment, name: str, digest: str) -> dict[str, Any]:
     }
 
 
+def precision_data(precision: int | str, library: str, growth: DigitGrowth | None) -> dict[str, Any]:
+    """Entries of ``report.json`` of a run in another precision than double, with the growth of rational numbers."""
+    return {
+        "precision": precision,
+        "library": library,
+        **({} if growth is None else {"digit_growth": growth.as_dict()}),
+    }
+
+
+POWERS = {1: "linearly", 2: "quadratically", 3: "cubically"}
+
+
+def precision_note(report: Mapping[str, Any]) -> str:
+    """Precision of a run and the growth of its numbers, in one line; empty for doubles."""
+    precision, growth = report.get("precision"), report.get("digit_growth")
+    if precision is None:
+        return ""
+    if growth is None:
+        return f"computed with {precision} digits"
+    length = f"computed in rational numbers of {growth['bits']} bits at step {growth['step']}"
+    if growth["law"] == "polynomial":
+        word = POWERS.get(round(growth["power"]), "as a power")
+        return f"{length}; they grow {word} (as n^{growth['power']:.2f}), as on orbits of integrable maps"
+    if growth["law"] == "exponential":
+        factor = growth["factor"]
+        return f"{length}; they grow exponentially ({factor:.2f} times a step), which no integrable map does"
+    return f"{length}; too few rows for the law of their growth"
+
+
 def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[str, Any]:
     """Content of ``report.json``: the ``summary`` of the run and a row for each invariant."""
     return finite(
@@ -169,6 +199,7 @@ def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] 
         "",
         f"**{report['outcome']}**: {report['message']}.",
         *(["", *listed] if listed else []),
+        *(["", f"{note[0].upper()}{note[1:]}."] if (note := precision_note(report)) else []),
         *(["", f"Counters{where}: {counters}."] if counters else []),
         "",
         "## Conservation laws",

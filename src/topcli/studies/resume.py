@@ -200,7 +200,7 @@ class Checkpoints:
         chunks = [position.chunk_rows, position.chunk_steps, position.into]
         about = {**self.about, "run_seconds": run.run_seconds, "chunks": chunks}
         self._earlier = self.last
-        self.last = Checkpoint(position.done, position.work, *recorder.state(flush), about)
+        self.last = Checkpoint(position.done, recorder.stored(position.work), *recorder.state(flush), about)
         return self.last
 
     def save(self, run: Run, recorder: Recorder) -> None:
@@ -224,9 +224,9 @@ class Checkpoints:
         return [state for state in known if state.done >= (self.kept or 0)]
 
 
-def position_of(checkpoint: Checkpoint) -> Position:
+def position_of(checkpoint: Checkpoint, recorder: Recorder) -> Position:
     """Position at which the time loop continues."""
-    return Position(checkpoint.done, checkpoint.work, *checkpoint.about["chunks"])
+    return Position(checkpoint.done, recorder.loaded(checkpoint.work), *checkpoint.about["chunks"])
 
 
 def checkpoint_data(identity: Identity, start: Checkpoint | None) -> dict[str, Any]:

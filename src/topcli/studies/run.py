@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from topcli.config.models import Experiment
 from topcli.contracts import Method, Outcome
@@ -19,7 +19,7 @@ from topcli.store.run_folder import RunWriter, io_failure
 from topcli.studies.identity import Identity, Origin, store_run
 from topcli.studies.plan import plan_run
 from topcli.studies.recorder import Recorder
-from topcli.studies.report import heading, left_motion, report_data, report_markdown
+from topcli.studies.report import heading, left_motion, precision_data, report_data, report_markdown
 from topcli.studies.resume import (
     CHECKPOINT_SECONDS,
     Checkpoints,
@@ -29,6 +29,9 @@ from topcli.studies.resume import (
     position_of,
     report_unfinished,
 )
+
+if TYPE_CHECKING:
+    from topcli.engine.precise.loop import PreciseRun
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, N) between chunks."""
@@ -82,6 +85,7 @@ class _Job:
     writer: RunWriter
     checkpoints: Checkpoints
     origin: Origin
+    precise: PreciseRun | None = None
 
     @property
     def series(self) -> Path:
@@ -102,7 +106,7 @@ def _record(job: _Job, run: Run, recorder: Recorder, progress: Progress) -> None
         run.ending = recorder.finish(run.ending)
 
 
-def _summary(job: _Job, run: Run) -> dict[str, Any]:
+def _summary(job: _Job, run: Run, precision: dict[str, Any]) -> dict[str, Any]:
     experiment, ending = job.experiment, run.ending
     assert ending is not None
     return {
@@ -114,7 +118,27 @@ def _summary(job: _Job, run: Run) -> dict[str, Any]:
         "left_motion": left_motion(ending),
         "counters": dict(ending.counters),
         "seconds": {"compile": run.compile_seconds, "compile_cached": run.cached, "run": run.run_seconds},
+        **precision,
     }
+
+
+def _started(
+    job: _Job, start: Checkpoint | None, stop: Callable[[], bool]
+) -> tuple[Run, Recorder, Callable[[], dict[str, Any]]]:
+    """Time loop and recorder, in the precision of the experiment, and what the report says on that precision."""
+    experiment, precise = job.experiment, job.precise
+    N, every, metadata = experiment.N, experiment.output.every, job.origin.metadata()
+    if precise is None:
+        recorder = Recorder(experiment, job.series, metadata, start)
+        position = position_of(start, recorder) if start else None
+        run = Run(experiment.top, job.method, experiment.y0, experiment.h, N, every, stop, position)
+        return run, recorder, dict
+    from topcli.studies.precise import PreciseRecorder
+
+    exact = PreciseRecorder(experiment, precise, job.series, metadata, start)
+    position = position_of(start, exact) if start else None
+    run = Run(precise.top, precise.loop, precise.y0, precise.h, N, every, stop, position)
+    return run, exact, lambda: precision_data(experiment.precision, precise.arithmetic.library, exact.precise.growth)
 
 
 def _carry_out(
@@ -124,12 +148,9 @@ def _carry_out(
 
     Raises OSError.
     """
-    experiment, writer = job.experiment, job.writer
+    writer = job.writer
     try:
-        recorder = Recorder(experiment, job.series, job.origin.metadata(), start)
-        position = position_of(start) if start else None
-        y0, every = experiment.y0, experiment.output.every
-        run = Run(experiment.top, job.method, y0, experiment.h, experiment.N, every, stop, position)
+        run, recorder, precision = _started(job, start, stop)
     except (KeyError, ValueError) as error:
         if start is None:
             raise
@@ -139,11 +160,20 @@ def _carry_out(
     run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
     _record(job, run, recorder, progress)
     writer.sha256[job.series.name] = recorder.series.sha256
-    report = report_data(_summary(job, run), recorder.tally.rows())
+    report = report_data(_summary(job, run, precision()), recorder.tally.rows())
     manifest = {"step": report["step"], "left_motion": report["left_motion"], "series": job.series.name}
     if resumed := job.checkpoints.about["resumed"]:
         manifest["resumed"] = resumed
     return store_run(writer, job.origin, report, report_markdown(report), manifest), report
+
+
+def prepared_precision(experiment: Experiment) -> PreciseRun | None:
+    """Prepare a run in another precision than double; None for double. Raises UsageError if the scheme has none."""
+    if experiment.exact is None:
+        return None
+    from topcli.studies.precise import precise_run
+
+    return precise_run(experiment)
 
 
 def run_experiment(
@@ -168,7 +198,7 @@ def run_experiment(
 
     Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
     """
-    method, tell = experiment.method(), feedback.on_message
+    method, precise, tell = experiment.method(), prepared_precision(experiment), feedback.on_message
     identity = Identity.of(experiment, [method])
     source = find_source(identity, out) if resume else None
     plan = plan_run(identity, out, force=force, retry_failed=retry_failed, source=source)
@@ -186,7 +216,7 @@ def run_experiment(
         about = checkpoint_data(identity, start)
         checkpoints = Checkpoints(writer, about, checkpoint_every, last=start)
         origin = Origin(identity, experiment.scheme.origin, about["started"], about["environment"], commit)
-        job = _Job(experiment, method, writer, checkpoints, origin)
+        job = _Job(experiment, method, writer, checkpoints, origin, precise)
         try:
             stored, report = _carry_out(job, start, feedback.on_progress, stop)
         except OSError as error:

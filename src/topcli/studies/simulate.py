@@ -14,7 +14,13 @@ from topcli.engine.loop import Run
 
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
-    """Run an experiment in memory."""
+    """Run an experiment in memory, in its precision."""
+    if experiment.exact is not None:
+        from topcli.studies.precise import precise_run, precise_trajectory
+
+        prepared = precise_run(experiment)
+        assert prepared is not None
+        return precise_trajectory(experiment, prepared)
     run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, experiment.N, experiment.output.every)
     return Trajectory.of_run(run, experiment.scheme.name, experiment.modified)
 
@@ -70,4 +76,4 @@ def simulate(
     """
     if config is None or isinstance(config, Mapping):
         return trajectory_of(experiment_from({"name": "simulation", **changed(config or {}, changes)}, overrides))
-    return trajectory_of(load_experiment(config, overrides, changes))
+    return trajectory_of(load_experiment(config, overrides, changes, any_precision=True))

@@ -31,6 +31,7 @@ from topcli.arithmetic.fused import fma
 from topcli.arithmetic.increments import compensated_sum, compensated_sums
 from topcli.arithmetic.linear import Matrix, solve3
 from topcli.arithmetic.rotations import VECTOR_VARIANTS, Vector, cayley_increment
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import EulerPoisson, Floats, Stepper, Top, checked_equations
 from topcli.errors import UsageError
 from topcli.schemes.any_top.momentum import KEPT, entering, inverse_moments, kick, leaving, state_length
@@ -48,6 +49,7 @@ LONG_STEPS = dict.fromkeys(KEPT, ("resonance", "singular-step")) | {"lagrange/in
 """Hard cases of each built-in top in which the steps are too long."""
 LAST_BIT = 2.0**-50
 """Correction relative to c that is round-off."""
+follow_precision(__name__, caps=("NEWTON_LIMIT",), LAST_BIT=1)
 Solution = tuple[float, float, float, float, float]
 Rotation = Callable[[Vector, Floats, float], Solution]
 

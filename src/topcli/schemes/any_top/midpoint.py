@@ -19,6 +19,7 @@ from topcli.arithmetic.double_double import two_sum
 from topcli.arithmetic.increments import compensated_sums, first6
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, Stepper, Top, checked_equations
 from topcli.schemes.compensated import CompensatedOption, is_compensated
 from topcli.schemes.heavy.linear_system import implicit_matrix
@@ -33,6 +34,7 @@ NEWTON_LIMIT = 25
 """Maximum number of Newton iterations; three or four are typical."""
 SETTLED = 2.0**-33
 """Tolerance of the last correction relative to omega; by quadratic convergence the error is far below the last bit."""
+follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=0.5)
 
 
 def angular_acceleration(o1: float, o2: float, o3: float, q1: float, q2: float, q3: float, p: Floats) -> Vector:

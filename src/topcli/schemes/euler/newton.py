@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from topcli.arithmetic.increments import first3, first6
 from topcli.arithmetic.rotations import Vector
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, Stepper
 
 Residual = Callable[[Vector, Floats, Vector], Vector]
@@ -21,6 +22,7 @@ the remaining error is below the last bit."""
 OMEGA_TOLERANCE_SQ = 1e-60
 """Bound on the squared correction relative to the squared omega, sufficient as well: near a steady rotation the change
 itself tends to zero."""
+follow_precision(__name__, caps=("NEWTON_LIMIT",), CORRECTION_TOLERANCE_SQ=1, OMEGA_TOLERANCE_SQ=4)
 
 
 def norm_sq(x: Vector) -> float:

@@ -24,6 +24,7 @@ from topcli.arithmetic.increments import first6
 from topcli.arithmetic.linear import Matrix, solve3
 from topcli.arithmetic.rotations import resolvent
 from topcli.arithmetic.six_vectors import Floats6, add, axpy, dot, scaled, subtract
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.heavy.linear_system import implicit_matrix
 from topcli.schemes.kowalevski.four_integrals import (
@@ -57,6 +58,7 @@ FLOOR = 2.0**10
 """Factor by which an iteration may stall above ``SETTLED``."""
 SETTLED = 4.0 * EPS
 """Tolerance of the iteration, relative to the state: the last bits of the new state."""
+follow_precision(__name__, caps=("DG_ITERATIONS", "MIDPOINT_ITERATIONS"), SETTLED=1)
 
 
 def right_hand_side(

@@ -16,11 +16,13 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.six_vectors import Floats6
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats
 
 EPS = 2.0**-52
 DEPENDENT = 2.0**-44
 """Squared sine of the angle between a gradient and the span of the previous ones, below which it is round-off."""
+follow_precision(__name__, EPS=1, DEPENDENT=1)
 Floats4 = tuple[float, float, float, float]
 Gram = tuple[float, float, float, float, float, float, float, float, float, float]
 Factors = tuple[float, float, float, float, float, float, float, float, float, float]

@@ -28,6 +28,7 @@ from topcli.arithmetic.complex_plane import rotation_increment
 from topcli.arithmetic.increments import compensated_sums, first6
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment, resolvent
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
 from topcli.schemes.kowalevski.carried_xi import enter_carried, length_correction
@@ -42,6 +43,7 @@ HALVINGS = 8
 SETTLED = 4.0 * 2.0**-52
 """Tolerance of the residual, relative to the terms of the equation: round-off."""
 TINY = 1e-300
+follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=1, TINY=20)
 Floats7 = tuple[float, float, float, float, float, float, float]
 Floats10 = tuple[float, float, float, float, float, float, float, float, float, float]
 

@@ -17,12 +17,14 @@ their gradients at the mean of two states conserves them from one state to the o
 from __future__ import annotations
 
 from topcli.arithmetic.six_vectors import Floats6, axpy, dot, scaled
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.four_integrals import Floats4
 
 DEPENDENT = 2.0**-40
 """Squared sine of the angle between two vector fields, below which it is round-off."""
 TINY = 1e-300
+follow_precision(__name__, DEPENDENT=1, TINY=20)
 Direction = tuple[Floats6, float, float]
 NewtonMatrix = tuple[
     tuple[float, float, float, float, float, float, float, float, float],

@@ -32,6 +32,7 @@ import math
 from topcli.arithmetic.complex_plane import rotation_increment
 from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import Floats6, add, axpy, norm1, scaled, subtract
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.kowalevski.four_integrals import (
@@ -74,6 +75,7 @@ STEEP = 2.0**-4
 """Minimum derivative of k² along n relative to its leading term, so that the intended solution is found."""
 BAND = 2.0 * EPS
 """Deviation of k² relative to its terms, its rounding error, which is not corrected."""
+follow_precision(__name__, caps=("ROUNDS",), SETTLED=1, BAND=1)
 Solution = tuple[Floats6, float, float]
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import add, axpy, dot, subtract
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
@@ -40,6 +41,7 @@ VANISHING = 2.0**-26
 """k relative to its terms, below which k² and its gradient, which vanishes at xi = 0, are round-off."""
 SETTLED_CHANGES = EPS / 4.0
 """Tolerance for the changes of the integrals over a step, which are more accurate than the integrals."""
+follow_precision(__name__, caps=("SYMMETRIC_ROUNDS",), VANISHING=0.5, SETTLED_CHANGES=1)
 MAX_CORRECTION = 1.0
 """Largest length of a correction relative to that of the step: this times h² (omega² + c gamma), but at most 1."""
 CONSERVES = ("gamma_sq", "two_l", "energy", "k_sq")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.six_vectors import dot, scaled, subtract
+from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
@@ -41,6 +42,14 @@ MET = 8.0 * EPS
 WELL_CONSERVED = 64.0 * EPS
 """Deviation of gamma², 2l and E above which a projection is worse than a state that conserves these three."""
 TINY = 1e-300
+follow_precision(
+    __name__,
+    caps=("ROUNDS", "ROUNDS_WITHOUT_K", "ROUNDS_FOR_XI"),
+    SETTLED=1,
+    MET=1,
+    WELL_CONSERVED=1,
+    TINY=20,
+)
 TRIPLE_ROOT = (
     "For k = 0 and E = 2 l² at once, the gradients of gamma², 2l, E and of both components of xi are linearly "
     "dependent on the whole orbit. {} off by more than round-off; counted as unmet."

@@ -1,0 +1,135 @@
+"""Numbers of a config for a precision other than double: as they are written, not as the nearest doubles.
+
+A number may have any number of digits, and may be a fraction such as 1/3. ``auto`` and ``normalize`` are carried out
+in the arithmetic of the run.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from topcli.config.document import WrittenFloat
+from topcli.config.problems import Problems
+from topcli.contracts import Top
+from topcli.engine.precise.floating import arithmetic_of
+from topcli.engine.precise.numbers import DOUBLE, NotRationalError
+from topcli.engine.precise.texts import decimal_text
+
+_NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")
+_MODEST = re.compile(r"[^eE]*([eE][-+]?\d{1,3})?")
+GUARD = 5
+"""Decimal digits beyond the precision in which a completed component is written."""
+SECTIONS = ("h", "top", "initial")
+"""Keys whose numbers may be written as text."""
+
+
+@dataclass(frozen=True)
+class ExactNumbers:
+    """Step size, parameters of the top, and initial state, exactly."""
+
+    h: Fraction
+    parameters: Mapping[str, Fraction]
+    y0: tuple[Fraction, ...]
+
+    def resolved(self, top: Top) -> dict[str, Any]:
+        """Return the sections h, top and initial of a config; numbers that are no short decimals are texts."""
+        vectors = {name: [plain(x) for x in self.y0[start:stop]] for name, (start, stop) in top.vectors.items()}
+        parameters = {name: plain(value) for name, value in self.parameters.items()}
+        return {
+            "h": plain(self.h),
+            "top": {"kind": top.kind, **top.model_dump(mode="json"), **parameters},
+            "initial": vectors,
+        }
+
+
+def plain(value: Fraction) -> float | str:
+    """Return a number as a float, if its shortest decimal text is exact, or as a text from which it can be read."""
+    try:
+        if Fraction(repr(float(value))) == value:
+            return float(value)
+    except OverflowError:
+        pass
+    text = f"{value.numerator}/{value.denominator}"
+    decimal = decimal_text(value, len(text))
+    if Fraction(decimal) == value:
+        digits, exponent = decimal.split("e")
+        return f"{digits.rstrip('0')}e{exponent}"
+    return text
+
+
+def with_written_numbers(data: dict[str, Any]) -> dict[str, Any]:
+    """Copy of a config in which texts that are numbers are numbers, unless the precision is double."""
+    if data.get("precision", DOUBLE) in (DOUBLE, None):
+        return data
+    return data | {key: _numbers(data[key]) for key in SECTIONS if key in data}
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _numbers(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_numbers(item) for item in value]
+    if isinstance(value, str) and _NUMBER.fullmatch(value):
+        try:
+            made = WrittenFloat(float(Fraction(value)))
+        except OverflowError:
+            return value
+        made.text = value
+        return made
+    return value
+
+
+def fraction_of(value: float) -> Fraction:
+    """Number as it is written in the config."""
+    text = value.text if isinstance(value, WrittenFloat) else repr(value)
+    return Fraction(text if _MODEST.fullmatch(text) else repr(float(value)))
+
+
+def read_exact(
+    data: Mapping[str, Any], top: Top, y0: Sequence[float], precision: int | str, problems: Problems
+) -> ExactNumbers | None:
+    """Return the numbers of a valid config; ``y0`` is its initial state in doubles. None if one is not rational."""
+    given = data["top"] if isinstance(data["top"], dict) else {}
+    resolved = {name: value for name, value in top.model_dump().items() if isinstance(value, float)}
+    parameters = {
+        name: fraction_of(given[name] if isinstance(given.get(name), int | float) else value)
+        for name, value in resolved.items()
+    }
+    state = list(map(fraction_of, y0))
+    for name, (start, stop) in top.vectors.items():
+        try:
+            state[start:stop] = _vector(data["initial"], name, y0[start:stop], name in top.unit_vectors, precision)
+        except NotRationalError as error:
+            text = f"{error}; write a unit vector of rational numbers, such as [0.6, 0, 0.8] or [2/7, 3/7, 6/7]"
+            problems.add(("initial", name), text)
+            return None
+    return ExactNumbers(fraction_of(data["h"]), parameters, tuple(state))
+
+
+def _vector(
+    initial: Mapping[str, Any], name: str, in_doubles: Sequence[float], unit: bool, precision: int | str
+) -> list[Fraction]:
+    """Vector of the initial state, completed or scaled to unit length. Raises NotRationalError."""
+    raw = initial[name]
+    vector = [Fraction(0) if isinstance(value, str) else fraction_of(value) for value in raw]
+    auto = next((index for index, value in enumerate(raw) if isinstance(value, str)), None)
+    if not unit or (auto is None and not initial.get("normalize")):
+        return vector
+    arithmetic = arithmetic_of(precision)
+    square = sum((value * value for value in vector), Fraction(0))
+
+    def root_of(value: Fraction) -> Fraction:
+        with arithmetic.active():
+            root = arithmetic.fraction(arithmetic.root(arithmetic.number(value)))
+        return Fraction(decimal_text(root, precision + GUARD)) if isinstance(precision, int) else root
+
+    if auto is None:
+        length = root_of(square)
+        return [value / length for value in vector]
+    root = root_of(max(1 - square, Fraction(0)))
+    vector[auto] = root if in_doubles[auto] >= 0.0 else -root
+    return vector

@@ -1,0 +1,130 @@
+"""The key ``precision`` and the numbers that go with it, read as they are written."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from topcli.config.load import experiment_from, load_any, load_experiment
+from topcli.config.models import Experiment
+from topcli.errors import ConfigError
+
+LAGRANGE: dict[str, object] = {
+    "top": "lagrange",
+    "initial": {"omega": [1, 0.1, 2], "gamma": [0.6, 0, 0.8]},
+    "scheme": "hk",
+    "h": 0.1,
+    "N": 9,
+}
+PI = "3.14159265358979323846264338327950288"
+
+
+def exact(data: dict[str, object], *overrides: str) -> Experiment:
+    return experiment_from(data, overrides)
+
+
+def test_double_is_the_default_and_no_part_of_the_identity() -> None:
+    plain, named = exact(LAGRANGE), exact(LAGRANGE | {"precision": "double"})
+    assert plain.precision == named.precision == "double"
+    assert plain.exact is None
+    assert plain.resolved() == named.resolved()
+    assert not {"precision", "max_digits"} & plain.resolved().keys()
+    assert "digits" not in plain.resolved()["output"]
+
+
+def test_digest_of_a_scene_from_before_the_precision() -> None:
+    scene = load_experiment("kowalevski_hk")
+    assert scene.digest == "d21fe632add6de7331b918172723f80b735f12556d7ddee7b8e1819a8a781d68"
+
+
+def test_precision_and_its_keys_enter_the_digest() -> None:
+    rational = LAGRANGE | {"precision": "rational"}
+    configs = [
+        LAGRANGE,
+        LAGRANGE | {"precision": 40},
+        LAGRANGE | {"precision": 50},
+        LAGRANGE | {"precision": 50, "output": {"digits": 30}},
+        LAGRANGE | {"precision": 50, "h": "0.10000000000000000000001"},
+        rational,
+        rational | {"max_digits": 77},
+    ]
+    assert len({exact(config).digest for config in configs}) == len(configs)
+
+
+@pytest.mark.parametrize(("name", "form"), [("x.yaml", "{}: {}"), ("x.toml", "{} = {}")])
+def test_numbers_keep_all_their_written_digits(tmp_path: Path, name: str, form: str) -> None:
+    vectors = "[1.0000000000000000000001, 0, 2]", "[0.6, 0, 0.8]"
+    if name.endswith("yaml"):
+        sections = f"top: {{kind: lagrange, mu: {PI}}}\ninitial: {{omega: {vectors[0]}, gamma: {vectors[1]}}}\n"
+    else:
+        sections = f"[top]\nkind = 'lagrange'\nmu = {PI}\n[initial]\nomega = {vectors[0]}\ngamma = {vectors[1]}\n"
+    heads = [form.format(key, value) for key, value in (("scheme", "'hk'"), ("h", "0.1"), ("N", 3), ("precision", 60))]
+    (tmp_path / name).write_text("\n".join(heads) + "\n" + sections)
+    read = load_experiment(tmp_path / name, any_precision=True)
+    assert read.exact is not None
+    assert read.exact.h == Fraction(1, 10)
+    assert read.exact.parameters["mu"] == Fraction(PI)
+    assert read.exact.parameters["C"] == Fraction(1, 2)
+    assert read.exact.y0 == (1 + Fraction(1, 10**22), 0, 2, Fraction(3, 5), 0, Fraction(4, 5))
+
+
+def test_fractions_may_be_written() -> None:
+    changed = {"h": "1/3", "initial": {"omega": ["-2/7", 0, 1], "gamma": ["2/7", "3/7", "6/7"]}}
+    read = exact(LAGRANGE | changed | {"precision": "rational"})
+    assert read.exact is not None
+    assert read.exact.h == Fraction(1, 3)
+    assert sum(x * x for x in read.exact.y0[3:]) == 1
+    assert read.h == 1 / 3
+
+
+def test_text_is_no_number_in_doubles() -> None:
+    with pytest.raises(ConfigError, match="h: must be a number, not the text '1/3'"):
+        exact(LAGRANGE | {"h": "1/3"})
+
+
+@pytest.mark.parametrize("initial", [{"gamma": ["auto", 0, 0.1]}, {"gamma": [1, 2, 3], "normalize": True}])
+def test_unit_vectors_are_completed_in_the_precision(initial: dict[str, object]) -> None:
+    read = exact(LAGRANGE | {"initial": {"omega": [1, 0, 0], **initial}, "precision": 50})
+    assert read.exact is not None
+    assert abs(sum(x * x for x in read.exact.y0[3:]) - 1) < Fraction(1, 10**50)
+
+
+@pytest.mark.parametrize("precision", [50, "rational"])
+def test_resolved_config_loads_to_the_same_experiment(precision: object) -> None:
+    changed = {"h": "1/3", "initial": {"omega": [1, PI, 0], "gamma": ["auto", 0, 0.6]}, "precision": precision}
+    read = exact(LAGRANGE | changed, "top.mu=2/7")
+    again = exact(read.resolved())
+    assert again.exact == read.exact
+    assert again.digest == read.digest
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"precision": 17}, "precision: must be double, rational, or a number of digits from 18 to 150, not 17"),
+        ({"precision": "exact"}, "precision: must be double, rational, or a number of digits.*not the text 'exact'"),
+        ({"precision": True}, "precision: must be double.*not true"),
+        ({"max_digits": 100}, "max_digits: needs precision: rational"),
+        ({"precision": 50, "max_digits": 100}, "max_digits: needs precision: rational"),
+        ({"output": {"digits": 30}}, "output.digits: needs another precision than double"),
+        (
+            {"precision": "rational", "initial": {"omega": [1, 0, 0], "gamma": ["auto", 0, 0.1]}},
+            r"initial.gamma: the square root of 99/100 is not rational; write a unit vector",
+        ),
+        (
+            {"precision": 50, "ensemble": {"states": [{"omega": [1, 0, 0], "gamma": [1, 0, 0]}]}},
+            "precision: an ensemble runs in doubles only",
+        ),
+    ],
+)
+def test_mistakes_are_named(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        experiment_from({"name": "x", **LAGRANGE, **changes})
+
+
+def test_commands_that_compute_in_doubles_refuse_another_precision() -> None:
+    with pytest.raises(ConfigError, match="precision: computed in doubles here"):
+        load_experiment("kowalevski_hk", ["precision=50"])
+    assert load_any("kowalevski_hk", ["precision=50"]).digest != load_any("kowalevski_hk").digest

@@ -1,0 +1,156 @@
+"""Runs in another precision than double: reports, series, resuming, comparison."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import Said
+from resuming import after, content
+from topcli import simulate
+from topcli.analysis.digit_growth import digit_growth
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Outcome
+from topcli.engine.loop import Run
+from topcli.errors import UsageError
+from topcli.store.series import read_series
+from topcli.studies.compare import compare_schemes
+from topcli.studies.precise import PreciseTally, precise_run
+from topcli.studies.run import run_experiment
+
+EULER = ("precision=rational", "h=1/10", "N=12")
+
+
+def precise(scene: str, *overrides: str) -> Experiment:
+    return load_experiment(scene, overrides, any_precision=True)
+
+
+def test_report_holds_deviations_of_the_precision(tmp_path: Path) -> None:
+    experiment = precise("kowalevski_hybrid", "precision=50", "h=0.01", "N=20", "output.digits=30")
+    result = run_experiment(experiment, tmp_path)
+    rows = {row["name"]: row for row in result.report["invariants"]}
+    assert 0.0 < rows["k_sq"]["max_deviation"] < 1e-47
+    assert rows["k_sq"]["verdict"] == rows["gamma_sq"]["verdict"] == "exact"
+    assert rows["k_sq"]["first"] == pytest.approx(9.000003, rel=1e-9)
+    assert result.report["precision"] == 50
+    assert "Computed with 50 digits." in (result.stored.folder / "report.md").read_text()
+    series = read_series(result.stored.series)
+    for name in ("omega1", "k_sq", "t"):
+        texts = [str(text) for text in series[f"{name}_decimal"]]
+        assert {len(text.split("e")[0].lstrip("-").replace(".", "")) for text in texts} == {30}
+        assert [float(text) for text in texts] == series[name].tolist()
+    exact = Fraction(str(series["k_sq_decimal"][-1])) - Fraction(str(series["k_sq_decimal"][0]))
+    assert abs(exact) < Fraction(1, 10**28)
+
+
+def test_conserved_by_the_algebra_or_by_luck() -> None:
+    # near the separatrix the hybrid keeps 2l to 1e-17 over this run: round-off, to a judge in doubles
+    trajectory = simulate("kowalevski_hybrid", precision=50, h=0.01, N=60)
+    plain = simulate("kowalevski_hybrid", h=0.01, N=60)
+    precise, doubles = ({row.name: row.verdict for row in one.invariant_rows()} for one in (trajectory, plain))
+    assert (precise["k_sq"], precise["two_l"]) == ("exact", "bounded")
+    assert doubles["two_l"] == "exact"
+    assert trajectory.states == pytest.approx(plain.states, abs=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "overrides", [("precision=40", "output.digits=20", "output.format=csv"), ("precision=rational",)]
+)
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, overrides: tuple[str, ...]) -> None:
+    experiment = precise("euler_hk", *overrides, "h=1/10", "N=24")
+    whole = run_experiment(experiment, tmp_path / "whole")
+    stopped = run_experiment(experiment, tmp_path / "parts", stop=after(1), checkpoint_every=0.0)
+    assert stopped.outcome is Outcome.INTERRUPTED
+    assert 0 < stopped.report["step"] < 24
+    resumed = run_experiment(experiment, tmp_path / "parts", resume=True)
+    assert resumed.status == "resumed"
+    assert content(resumed.stored.folder) == content(whole.stored.folder)
+
+
+def test_rational_report_states_equality_and_growth(tmp_path: Path) -> None:
+    report = run_experiment(precise("euler_hk", *EULER), tmp_path).report
+    rows = {row["name"]: row for row in report["invariants"]}
+    assert rows["modified_m_sq"]["reason"] == "equal at all 13 rows"
+    assert rows["modified_m_sq"]["verdict"] == "exact"
+    assert rows["m_sq"]["verdict"] != "exact"
+    assert "equal" not in rows["m_sq"]["reason"]
+    growth = report["digit_growth"]
+    assert growth["law"] == "polynomial"
+    assert growth["power"] == pytest.approx(2.0, abs=0.15)
+    assert growth["step"] == 12
+
+
+def test_tally_restored_between_rows_equals_a_whole_one() -> None:
+    experiment = precise("euler_hk", *EULER)
+    run = precise_run(experiment)
+    assert run is not None
+    n, states, _ = Run(run.top, run.loop, run.y0, run.h, 12).collect()
+    whole, first, second = (PreciseTally(experiment, run) for _ in range(3))
+    for part in (slice(0, 7), slice(7, 13)):
+        whole.add(n[part], states[part])
+    first.add(n[:7], states[:7])
+    second.restore(first.state())
+    second.add(n[7:], states[7:])
+    assert second.rows() == whole.rows()
+    assert second.growth == whole.growth
+    assert {row.reason for row in second.rows()[2:]} == {"equal at all 13 rows"}
+    assert "equal" not in second.rows()[0].reason
+
+
+def test_run_stops_at_max_digits(cli: Callable[..., Said]) -> None:
+    gamma = "initial.gamma=[0.6, 0, 0.8]"
+    sets = [text for one in (*EULER, gamma, "max_digits=2000", "name=x") for text in ("--set", one)]
+    said = cli("run", "kowalevski_hk", *sets)
+    assert said.code == 1
+    assert "have more digits than max_digits" in said.err
+    assert "they grow exponentially" in said.err
+    report = json.loads(Path("results/x/report.json").read_text())
+    assert report["outcome"] == "digit_limit"
+    assert report["digit_growth"]["factor"] > 3.0
+    assert report["digit_growth"]["bits"] < 2000 * 3.33
+
+
+@pytest.mark.parametrize("law", ["polynomial", "exponential"])
+def test_growth_law(law: str) -> None:
+    n = np.arange(41)
+    bits = 30 + 17 * n**2 if law == "polynomial" else np.round(40 * 1.5**n).astype(np.int64)
+    found = digit_growth(n, bits)
+    assert found is not None
+    assert found.law == law
+    if law == "polynomial":
+        assert found.power == pytest.approx(2.0, abs=0.02)
+    else:
+        assert found.factor == pytest.approx(1.5, abs=1e-3)
+    few = digit_growth(n[:3], bits[:3])
+    assert few is not None
+    assert (few.law, few.bits) == (None, bits[2])
+
+
+def test_comparison_shows_the_defects_of_the_precision() -> None:
+    scene = ("kowalevski_generic_hk", "h=0.1", "N=20")
+    figures = compare_schemes(precise(*scene, "precision=50"), ["hk", "bohlin-a"]).figures
+    hk, bohlin = ({row["name"]: row for row in one["invariants"]} for one in figures["schemes"])
+    assert bohlin["k_sq"]["max_deviation"] < 1e-47
+    plain = {row["name"]: row for row in compare_schemes(precise(*scene), ["hk"]).figures["schemes"][0]["invariants"]}
+    assert hk["k_sq"]["max_deviation"] == pytest.approx(plain["k_sq"]["max_deviation"], rel=1e-9)
+    assert hk["k_sq"]["max_deviation"] > 1e-4
+
+
+def test_refusals_write_nothing(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="scheme 'taylor' cannot compute with 50 digits"):
+        run_experiment(precise("euler_taylor", "precision=50"), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_long_runs_are_warned_of(cli: Callable[..., Said]) -> None:
+    said = cli("run", "euler_hk", "--set", "precision=50", "--set", "N=2000000", "--dry-run")
+    assert said.code == 0
+    assert "2000000 steps in precision 50 take 20 s to 5:33:20 h" in said.err
+    assert "warning" not in cli("run", "euler_hk", "--set", "precision=50", "--dry-run").err
