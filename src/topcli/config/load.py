@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 import os
 import stat
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +25,7 @@ from topcli.config.models import (
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
-from topcli.errors import ConfigError, UnknownNameError, nearest, quoted, shortened
+from topcli.errors import ConfigError, StepTooLongError, UnknownNameError, nearest, quoted, shortened
 from topcli.tops import TOPS, forms
 
 if TYPE_CHECKING:
@@ -270,11 +271,27 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         output=config.output.model_copy(update={"columns": columns}),
     )
     if members is None:
+        _require_short_step(experiment, document)
         return experiment
     from topcli.config.ensemble import EnsembleExperiment
 
     first = experiment.model_copy(update={"top": members.groups[0].top})
     return EnsembleExperiment(first, members, experiment.top)
+
+
+def _require_short_step(experiment: Experiment, document: Document) -> None:
+    """Raise StepTooLongError if the scheme cannot take the step h from the initial state."""
+    scheme, h = experiment.scheme, experiment.h
+    longest = (
+        scheme.longest_step(experiment.top, experiment.y0, experiment.options) if scheme.longest_step else math.inf
+    )
+    if abs(h) <= longest:
+        return
+    digits = 10.0 ** (math.floor(math.log10(longest)) - 3) if longest > 0.0 else 1.0
+    shorter = f"take at most {math.floor(longest / digits) * digits:.4g}" if longest > 0.0 else "no step can be taken"
+    auto = ", or scheme.substeps: auto" if "substeps" in scheme.options.model_fields else ""
+    text = f"|h| = {abs(h):g} is beyond the domain of {scheme.name} from this state; {shorter}{auto}"
+    raise StepTooLongError(": ".join(part for part in (document.place(("h",)), "h", text) if part))
 
 
 def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:
