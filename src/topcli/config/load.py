@@ -287,10 +287,12 @@ def _require_short_step(experiment: Experiment, document: Document) -> None:
     )
     if abs(h) <= longest:
         return
-    digits = 10.0 ** (math.floor(math.log10(longest)) - 3) if longest > 0.0 else 1.0
-    shorter = f"take at most {math.floor(longest / digits) * digits:.4g}" if longest > 0.0 else "no step can be taken"
-    auto = ", or scheme.substeps: auto" if "substeps" in scheme.options.model_fields else ""
-    text = f"|h| = {abs(h):g} is beyond the domain of {scheme.name} from this state; {shorter}{auto}"
+    auto = ", or set scheme.substeps: auto" if "substeps" in scheme.options.model_fields else ""
+    text = f"no step is possible under {scheme.name} from this state"
+    if longest > 0.0:
+        digit = 10.0 ** (math.floor(math.log10(longest)) - 3)
+        most = math.floor(longest / digit) * digit  # rounded down, so that it is admissible
+        text = f"|h| must be at most {most:.4g} under {scheme.name} from this state, not {abs(h):g}{auto}"
     raise StepTooLongError(": ".join(part for part in (document.place(("h",)), "h", text) if part))
 
 

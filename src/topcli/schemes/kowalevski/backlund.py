@@ -191,6 +191,8 @@ def domain(top: Top, y0: Floats, options: BacklundOptions) -> float:
         "singular-step": DOMAIN,
         "long steps": "h beyond 0.9 of the length at which the map ceases to exist, about 4/sqrt(2E + 2k), is refused "
         "before the run; a member of an ensemble ends as `no_convergence` at step 1.",
+        "hanging top": "Within about 1e-2 of the hanging equilibrium deviations hardly contract: with h beyond "
+        "0.1/sqrt(c) the small 2l deviates by more than round-off after 1e5 steps. `project: 16` prevents it.",
         "recomputed constants": "Deviations of the integrals by round-off do not contract and grow linearly; with long "
         "steps they are visible after 1e5 steps.",
     },

@@ -22,7 +22,7 @@ MARGIN = 0.9
 contracts."""
 CAP = 4.0
 """Longest step times sqrt(|c gamma|), before the margin. R does not vanish near the hanging top."""
-TINY_STATE = 5e-2
+TINY_STATE = 4e-3
 """Size of the scaled state below which tau is not rounded: the rounding would change E visibly."""
 HALVINGS = 50
 FOREVER = 1e300
@@ -45,12 +45,10 @@ def _tau(both: float, times: float, rr: float, vv: float) -> float:
     """tau from x + y, x y, r² and v²; nan where there is no step."""
     total, product = both - rr, times - vv
     under_root = (1.0 - total) + product
-    if not under_root > 0.0:
-        return math.nan
-    z = total + 2.0 * ((total - product) / (1.0 + math.sqrt(under_root)))
-    if not z < 4.0:
-        return math.nan
-    return z / (2.0 + math.sqrt(4.0 - z))
+    root = math.sqrt(under_root) if under_root > 0.0 else math.nan
+    z = total + 2.0 * ((total - product) / (1.0 + root))
+    t = math.sqrt(4.0 - z) if z < 4.0 else math.nan
+    return z / (2.0 + t)
 
 
 def tau_of(h: float, low: float, high: float, weight: float, moment: float) -> float:
