@@ -4,7 +4,7 @@
     python benchmarks/beyond.py --drift [--json]
 
 Nanoseconds per step are medians in each of several processes, and the least of these counts: where the compiler's
-spills lie in memory is settled anew in every process and costs up to a factor of two.
+spills lie in memory is decided again in every process and costs up to a factor of two.
 
 With --drift instead, for three states and h = 0.01: the slope of every integral over t = 1e5, its standard error, the
 largest deviation, and the verdict of the report that every run makes.
@@ -85,7 +85,7 @@ def at_paper(name: str, h: float = 0.05, t: float = 50.0) -> dict[str, Any]:
 
 
 def drifts(h: float = 0.01, t: float = 1e5) -> list[dict[str, Any]]:
-    """What becomes of the integrals over so long a time."""
+    """Deviations of the integrals over that time."""
     top, rows = Kowalevski(), []
     for scene, y0 in STATES.items():
         for name in LONG:

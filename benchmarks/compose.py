@@ -1,4 +1,4 @@
-"""What a composed step costs: its time over the base's, beside its number of stages.
+"""Cost of a composed step: its time over the base's, beside its number of stages.
 
     python benchmarks/compose.py [--json] [--repetitions 51]
 
@@ -84,8 +84,9 @@ def main() -> None:
     print(f"{'composition':<24}{'ns/step':>9}{'stages':>8}   time over the base's (quartiles)   per stage")
     for row in rows:
         low, high = row["quartiles"]
-        told = f"{row['ratio']:.2f} ({low:.2f} to {high:.2f})"
-        print(f"{row['scheme']:<24}{row['ns']:>9.1f}{row['stages']:>8}   {told:<32} {row['ratio'] / row['stages']:.3f}")
+        over_base = f"{row['ratio']:.2f} ({low:.2f} to {high:.2f})"
+        per_stage = row["ratio"] / row["stages"]
+        print(f"{row['scheme']:<24}{row['ns']:>9.1f}{row['stages']:>8}   {over_base:<32} {per_stage:.3f}")
 
 
 if __name__ == "__main__":

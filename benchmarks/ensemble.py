@@ -5,10 +5,10 @@
 The baseline is one step of the straightforward HK scheme (block elimination, ``hk_block``) in the engine's time
 loop, as in ``benchmarks/steps.py``; the second ratio is against the same scheme's own step in that loop. Repetitions
 are interleaved; every figure is the median over them of the ratio, with the ratio of the least times beside it. Nothing
-is recorded. Two threads need two idle CPUs: on a busy machine only the best of many short runs tells anything.
+is recorded. Two threads need two idle CPUs: on a busy machine only the best of many short runs is meaningful.
 ``vector`` is the widest register in the machine code of the loop over the lanes, ``products`` how many vector
-multiplications, fused ones too, stand in it, and ``of limit`` the time that as many take where nothing else does,
-measured here and now, over the loop's: where it is near 1 only fewer products help. Divisions and roots, which take up
+multiplications, fused ones too, are in it, and ``of limit`` the time of as many multiplications alone,
+measured in the same process, over the loop's: near 1, only fewer products help. Divisions and roots, which take up
 the same units, are not in it. Narrower vectors are measured with NUMBA_CPU_NAME and NUMBA_CPU_FEATURES set to an older
 machine's: haswell and +sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma.
 """
@@ -57,6 +57,9 @@ CASES = (
     ("bs", "lagrange/inertial"),
     ("hk", "lagrange"),
     ("hk", "heavy"),
+    ("splitting", "kowalevski"),
+    ("splitting", "heavy"),
+    ("dmv", "heavy"),
 )
 
 
@@ -69,9 +72,10 @@ class Code:
 
 
 def code_of(lanes: Any, rows: int) -> Code:
-    """What the machine code of the loop over the lanes tells; its longest stretch without a label is taken for it.
+    """Counts of operations in the machine code of the loop over the lanes.
 
-    Where that stretch takes several vectors in turn, it stores several times to each of the ``rows`` of the work.
+    The loop is taken to be its longest stretch without a label. If that treats several vectors in turn, it stores
+    several times to each of the ``rows`` of the work.
     """
     ir = compiler._compile(lanes, SIGNATURE, True).inspect_llvm()
     llvm, _ = compiler._machine()

@@ -4,9 +4,9 @@
 
 Each measurement is a process of its own on one thread, which runs the scene kowalevski_ensemble with ``store:
 statistics`` or ``final``; the machine code is compiled before. ``loop`` is the bare loop over the lanes as in
-``benchmarks/ensemble.py``; ``ns`` all else too: drawing, tallying, writing the tables and starting Python, in processor
+``benchmarks/ensemble.py``; ``ns`` everything: drawing, tallying, writing the tables and starting Python, in processor
 time per trajectory-step. ``us each`` is what a member costs beyond the bare loop, in microseconds. The peak of memory
-must not grow with the members; nor ``us each``, once the start of Python is a small part of it.
+must not grow with the members, and ``us each`` must not either once Python's start is a small part of it.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ median over them of the time divided by the baseline's of the same repetition, w
 adds the growth of gamma²'s round-off; it takes a minute or two.
 
 HK does not conserve gamma², which oscillates by far more than round-off. A weighted mean over a long window, with
-a weight that vanishes with all its derivatives at both ends, takes a quasi-periodic oscillation out to round-off;
-what is left is the drift, whose root mean square over a lag of N steps is fitted by a power of N.
+a weight that vanishes with all its derivatives at both ends, removes a quasi-periodic oscillation down to round-off;
+the rest is the drift, whose root mean square over a lag of N steps is fitted by a power of N.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def window_means(stepper: Stepper, y0: np.ndarray, h: float, windows: int, lengt
 
 
 def growth(stepper: Stepper, h: float, orbits: int, windows: int, duration: float) -> dict[str, Any]:
-    """How the round-off of gamma² grows: rms over lags, median over random orbits, exponent of the fitted power."""
+    """Growth of the round-off of gamma²: rms over lags, median over random orbits, exponent of the fitted power."""
     random = np.random.default_rng(2)
     length = round(duration / h)
     lags = np.unique(np.geomspace(1, windows // 4, 8).astype(int))

@@ -52,8 +52,14 @@ CASES: dict[str, tuple[str, str, dict[str, bool]]] = {
     "midpoint": ("midpoint", "heavy_midpoint", {}),
     "hk_lagrange": ("hk", "lagrange_hk", {}),
     "hk_euler_gamma": ("hk", "euler_gamma", {}),
+    "splitting_closed": ("splitting", GENERIC, {}),
+    "splitting_axes": ("splitting", "heavy_hk", {}),
+    "dmv": ("dmv", "heavy_hk", {}),
 }
 """The C functions by name: scheme, scene, options."""
+
+SPLIT = ("splitting_closed", "splitting_axes", "dmv")
+SOURCES = {"steps_more.c": [name for name in CASES if name not in SPLIT], "steps_splitting.c": list(SPLIT)}
 
 Run = Callable[[np.ndarray, int], None]
 """Advances a working state in place by a number of steps."""
@@ -148,7 +154,12 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["NUMBA_CACHE_DIR"] = folder  # compiled again; the user's cache is not touched
-        c_calls, reason = compiled("steps_more.c", list(CASES), "ppdq", Path(folder))
+        c_calls: dict[Any, Any] = {}
+        reason = None
+        for source, names in SOURCES.items():
+            calls, missing = compiled(source, names, "ppdq", Path(folder))
+            c_calls |= calls
+            reason = reason or missing
         rows = [
             measured(case, c_calls, arguments.repetitions, int(arguments.steps)) for case in arguments.cases or CASES
         ]
@@ -161,10 +172,10 @@ def main() -> None:
     for row in rows:
         ns = [row["ns"].get(name, float("nan")) for name in ("topcli", *FLAGS)]
         grown = row["round_off"]
-        told = f"N^{grown['exponent']:.2f} ± {grown['exponent_error']:.2f} ({grown['name']})" if grown else "–"
+        exponent = f"N^{grown['exponent']:.2f} ± {grown['exponent_error']:.2f} ({grown['name']})" if grown else "–"
         ratios = [row["over_faster_c"], row["over_same_rounding"]]
         over = "".join(f"{'–':>12}" if ratio is None else f"{ratio:>12.3f}" for ratio in ratios)
-        print(f"{row['case']:<24}" + "".join(f"{x:>9.2f}" for x in ns) + over + " " * 18 + told)
+        print(f"{row['case']:<24}" + "".join(f"{x:>9.2f}" for x in ns) + over + " " * 18 + exponent)
 
 
 if __name__ == "__main__":

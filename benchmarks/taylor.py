@@ -187,8 +187,8 @@ def main() -> None:
         print("heyoka: not installed here, skipped", file=sys.stderr)
     for row in rows:
         if "error" not in row:
-            told = ", ".join(f"{code} {least:.1e}" for code, least in row["least errors"].items())
-            print(f"{row['scene']:<34} least error: {told}\n")
+            least_errors = ", ".join(f"{code} {least:.1e}" for code, least in row["least errors"].items())
+            print(f"{row['scene']:<34} least error: {least_errors}\n")
             continue
         other = f"heyoka {row['heyoka_ms']:7.3f} ms   ratio {row['ratio']:.2f}" if row["ratio"] else "heyoka: -"
         print(f"{row['scene']:<34} error {row['error']:.0e}   topcli {row['ms']:7.3f} ms   {other}")

@@ -42,7 +42,7 @@ def drift_lines(result: dict[str, Any], h: float) -> tuple[list[str], list[list[
 
 
 def filled(page: str, results: dict[str, dict[str, Any]]) -> str:
-    """``page`` with every table whose scene is among the ``results`` made anew."""
+    """``page`` with every table whose scene is among the ``results`` rewritten."""
 
     def table(match: re.Match[str]) -> str:
         kind, scene, h = match["kind"], match["scene"], match["h"]

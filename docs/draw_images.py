@@ -26,6 +26,8 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "polhodes": ("plot", "polhodes", "--format", "png"),
     "nutation": ("plot", "nutation", "--format", "png"),
     "compare": ("compare", *COMPARED, "--plot"),
+    "swings": ("plot", "swings", "--format", "png"),
+    "integrable": ("plot", "integrable", "--format", "png"),
     "stress": ("plot", "stress", "--format", "png"),
     "work-precision": ("plot", "work-precision", "--format", "png"),
 }

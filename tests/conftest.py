@@ -46,7 +46,7 @@ def in_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @dataclass
 class Said:
-    """What a call of the command printed, and the code that it left with."""
+    """Output and exit code of a call of the command."""
 
     code: int
     out: str
@@ -58,7 +58,7 @@ class Said:
 
 @pytest.fixture
 def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path) -> Callable[..., Said]:
-    """Call ``main`` as the installed command does, in an empty working folder."""
+    """Call ``main`` like the installed command, in an empty working folder."""
     from topcli.__main__ import main
 
     def call(*arguments: str) -> Said:
@@ -76,7 +76,7 @@ def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_
 
 @pytest.fixture
 def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So short that a run of some hundred steps has many."""
+    """Chunks so short that a run of some hundred steps has many."""
     from topcli.store import series
 
     for name, value in (("CHUNK_STEPS", 23), ("PLAIN_STEPS", 23), ("CHUNK_ROWS", 16)):

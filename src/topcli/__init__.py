@@ -17,18 +17,22 @@ if TYPE_CHECKING:
     from topcli.analysis.ensemble import Ensemble as Ensemble
     from topcli.analysis.trajectory import Trajectory as Trajectory
     from topcli.schemes.registry import scheme as scheme
+    from topcli.studies.measures import measure as measure
     from topcli.studies.simulate import simulate as simulate
     from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
+    from topcli.studies.sweep.frame import sweep as sweep
 
 __version__ = "0.1.0"
-__all__ = ["Ensemble", "Trajectory", "__version__", "scheme", "simulate", "simulate_ensemble"]
+__all__ = ["Ensemble", "Trajectory", "__version__", "measure", "scheme", "simulate", "simulate_ensemble", "sweep"]
 
 _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
     "Trajectory": "topcli.analysis.trajectory",
+    "measure": "topcli.studies.measures",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.studies.simulate",
     "simulate_ensemble": "topcli.studies.simulate_ensemble",
+    "sweep": "topcli.studies.sweep.frame",
 }
 
 

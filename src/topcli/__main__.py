@@ -79,6 +79,8 @@ def main() -> None:
         print("error: topcli does not run on Windows; use WSL, the Windows Subsystem for Linux", file=sys.stderr)
         sys.exit(2)
     gc.set_threshold(100_000, 50, 50)  # start-up creates many objects and no garbage
+    # no plugins of other packages take part in reading a config; a search for them reads all installed metadata
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     _prepare_streams()
     code: int | str | None = 0
     try:

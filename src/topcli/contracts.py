@@ -13,7 +13,7 @@ Rules for the author of a scheme:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -299,6 +299,9 @@ class Stepper:
     checked : int, optional
         Number of leading slots tested for finiteness; a run ends as ``blew_up`` at the first value that is not finite.
         0 tests all slots. A slot need not be tested if its non-finite values reach the tested ones.
+    advice : callable, optional
+        ``advice(work, h)``: hint for the user of a run that ended as ``no_convergence``, from the working state that
+        the failed step left.
     stages : tuple, optional
         For a composition: the base step and the fractions of h of its stages, in order. The composition stops after
         the first stage whose state is not finite. Ensembles then advance by one stage at a time.
@@ -315,6 +318,7 @@ class Stepper:
     plain: bool = False
     iterative: bool = False
     checked: int = 0
+    advice: Callable[[Sequence[float], float], str] | None = None
     stages: tuple[StepFunction, tuple[float, ...]] | None = None
     composable: Stepper | None = None
 
@@ -409,6 +413,12 @@ class Scheme:
     """Description, from the docstring of ``build``."""
     origin: str = "topcli"
     """Distribution or file that registered the scheme."""
+    order_with: Callable[[Any], int | None] | None = None
+    """``order_with(options)``: order with these options, if it depends on them; ``order`` is that of the defaults."""
+
+    def order_for(self, options: Any) -> int | None:
+        """Order of convergence with ``options``."""
+        return self.order if self.order_with is None else self.order_with(options)
 
 
 class Outcome(StrEnum):
@@ -440,6 +450,8 @@ class Ending:
         nothing else ends it, its outcome is ``left_motion``.
     left_t : float, optional
         Time of ``left``, dimensionless.
+    advice : str, optional
+        Hint for the user of a run that did not converge.
     """
 
     outcome: Outcome
@@ -448,6 +460,7 @@ class Ending:
     counters: Mapping[str, int] = field(default_factory=dict)
     left: int | None = None
     left_t: float | None = None
+    advice: str = ""
 
     def having_left(self, step: int | None, h: float) -> Ending:
         """The same ending of a run with steps of ``h`` that left its energy surface at ``step``; None for never."""
@@ -466,7 +479,7 @@ class Ending:
             Outcome.COMPLETED: completed,
             Outcome.LEFT_MOTION: f"{left}; {completed}",
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
-            Outcome.NO_CONVERGENCE: f"did not converge {where}",
+            Outcome.NO_CONVERGENCE: f"did not converge {where}" + (f"; {self.advice}" if self.advice else ""),
             Outcome.INTERRUPTED: f"interrupted {where}",
         }[self.outcome]
         return f"{message}; before, it {left}" if left and self.outcome is not Outcome.LEFT_MOTION else message

@@ -41,9 +41,9 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
-def shortened(text: str) -> str:
-    """Return at most NAME_LENGTH characters of ``text``, ending in dots if some are cut."""
-    return text if len(text) <= NAME_LENGTH else text[: NAME_LENGTH - 3] + "..."
+def shortened(text: str, length: int = NAME_LENGTH) -> str:
+    """Return at most ``length`` characters of ``text``, ending in dots if some are cut."""
+    return text if len(text) <= length else text[: length - 3] + "..."
 
 
 def quoted(name: str) -> str:

@@ -72,7 +72,7 @@ def shared_out(work: Callable[[list[int]], Result], indices: list[int], workers:
     findings: list[Finding] = []
     for number, pid in enumerate(pids):
         if code := wait(pid):
-            findings.append(Finding("exception", f"share {number}", f"this process of the attack left with {code}"))
+            findings.append(Finding("exception", f"share {number}", f"this process of the attack exited with {code}"))
             continue
         counted, found = json.loads((folder / f"share-{number}.json").read_text(encoding="utf-8"))
         counts.update(counted)

@@ -175,7 +175,7 @@ class Running:
 
 
 def fork(work: Callable[[], int]) -> int:
-    """Run ``work`` in a process of its own, which leaves with the code that it returns; the process number."""
+    """Run ``work`` in a process of its own, which exits with the code that it returns; return the process number."""
     sys.stdout.flush()
     sys.stderr.flush()
     pid = os.fork()

@@ -152,7 +152,7 @@ def damage_run(scenes: Scenes, scene: Scene, draw: random.Random, box: Sandbox) 
     planted = sum(text == hashlib.sha256(FOREIGN.encode()).hexdigest() for text in _hashes(box.out).values())
     said = box.call("list", "runs", "--out", "out", *(["--json"] if draw.random() < 0.3 else []))
     if said.code not in (0, 1) or OTHER not in said.out:
-        box.fault("lost", f"list runs leaves with {said.code} and does not name the whole run beside it")
+        box.fault("lost", f"list runs exits with {said.code} and does not name the whole run beside it")
     if scenes.verify:
         verify(scene, box, name or "")
     if draw.random() < 0.3:
@@ -177,7 +177,7 @@ def plot(scene: Scene, box: Sandbox) -> None:
     if said.code == 0:
         drawn = read_series(box.out / "figures" / "fig1.parquet")
         if apart := rows_apart({name: scene.expected.rows[name] for name in drawn}, drawn):
-            box.fault("wrong rows", f"plot leaves with 0 and draws other ones: {apart}")
+            box.fault("wrong rows", f"plot exits with 0 and draws other ones: {apart}")
 
 
 def verify(scene: Scene, box: Sandbox, name: str) -> None:
@@ -187,7 +187,7 @@ def verify(scene: Scene, box: Sandbox, name: str) -> None:
     said = box.call("verify", f"out/{scene.name}")
     if scene.finished and name not in ("", "manifest.json", "lock"):
         if said.code == 0:
-            box.fault("taken for good", "verify leaves with 0")
+            box.fault("taken for good", "verify exits with 0")
         elif Path(name).name not in said.out + said.err:
             box.fault("taken for good", f"verify does not name {name}: {said.err[:200]}")
 
@@ -200,15 +200,15 @@ def meet(scene: Scene, box: Sandbox, options: list[str], resumable: bool) -> Non
     said = box.call("run", str(scene.config), "--out", "out", *options)
     if said.code == 0:
         if wrong := wrong_content(scene.expected, box.out / scene.name):
-            box.fault("wrong rows", f"run {' '.join(options)} leaves with 0, and then: {wrong}")
+            box.fault("wrong rows", f"run {' '.join(options)} exits with 0, and then: {wrong}")
         elif "--json" in options and (reported := _reported(said, scene)):
-            box.fault("wrong rows", f"run {' '.join(options)} tells another {reported}")
+            box.fault("wrong rows", f"run {' '.join(options)} reports another {reported}")
         elif "(up to date)" in said.out + said.err and box.case.path.endswith(("parquet", "csv")):
             name = Path(box.case.path).name
             if (box.out / scene.name / name).read_bytes() != scene.expected.files.get(name):
                 box.fault("taken for good", f"{name} is damaged, and the run is up to date")
     elif resumable and checkpoint and not _checkpoints(box.folder):
-        box.fault("lost", f"run {' '.join(options)} leaves with {said.code}, and the checkpoint is gone")
+        box.fault("lost", f"run {' '.join(options)} exits with {said.code}, and the checkpoint is gone")
 
 
 def _reported(said: Said, scene: Scene) -> str:
@@ -281,7 +281,7 @@ def damage_cache(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
 
 
 def _replaced(box: Sandbox, scenes: Scenes) -> bool:
-    """True if the file in question has been written anew, and may be loaded."""
+    """True if the file in question has been rewritten and may be loaded."""
     path = box.cache / scenes.code("hk")
     status = path.lstat()
     own = status.st_uid == os.geteuid() and not path.is_symlink() and not status.st_mode & 0o002

@@ -89,10 +89,10 @@ def read_back(experiment: Experiment | EnsembleExperiment, folder: Path) -> str:
 
 
 def wrong_run(experiment: Experiment, said: Said, out: Path) -> str:
-    """What is wrong with the folder of a short run; empty for nothing."""
+    """Fault of the folder of a short run; empty if there is none."""
     stored = stored_run(out / experiment.name)
     if stored is None:
-        return "" if said.code else "it left with 0 and there is no run folder"
+        return "" if said.code else "it exited with 0 and there is no run folder"
     outcome, rows = stored.manifest["outcome"], read_series(stored.series)
     if (outcome == "completed") != (said.code == 0):
         return f"outcome {outcome}, exit code {said.code}"
@@ -215,7 +215,7 @@ class Batch:
     def ended(self) -> str | None:
         """None while it works; else how it ended, empty for well.
 
-        A process that stands still is asked to end by SIGTERM, which a run heeds and after which the others are tried,
+        A hanging process is asked to end by SIGTERM, which a run heeds and after which the others are tried,
         and is killed when it does not.
         """
         pid, status = os.waitpid(self.pid, os.WNOHANG)

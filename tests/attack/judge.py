@@ -1,4 +1,4 @@
-"""What a call of the command must not do, and what a run folder must hold."""
+"""Faults of a call of the command and of a run folder."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ def judged(said: Said) -> Faults:
     """Everything wrong with one call that shows without knowing what it was meant to do."""
     call, found = "topcli " + " ".join(said.argv), []
     if said.code is None:
-        found.append(("hang", f"{call}: not ended after {LIMIT:g} s, nor by SIGTERM"))
+        found.append(("hang", f"{call}: still running after {LIMIT:g} s and SIGTERM"))
     elif said.code < 0:
         stack = [line.strip() for line in said.err.splitlines() if line.startswith("  File")][:1]
         found.append(("signal", f"{call}: {signal.Signals(-said.code).name} {' '.join(stack)}"))
     elif said.code not in CODES and said.code != BUG:
-        found.append(("exit code", f"{call}: left with {said.code}: {_last_line(said.err)}"))
+        found.append(("exit code", f"{call}: exited with {said.code}: {_last_line(said.err)}"))
     if said.slow:
         found.append(("slow", f"{call}: not ended after {LIMIT:g} s, but by SIGTERM"))
     everything = said.out + said.err
@@ -100,7 +100,7 @@ class Content:
 
 
 def content(folder: Path) -> Content:
-    """What a run folder says. Raises ValueError where it cannot be read."""
+    """Content of a run folder. Raises ValueError if it cannot be read."""
     try:
         files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         manifest = json.loads(files["manifest.json"])
@@ -115,7 +115,7 @@ def content(folder: Path) -> Content:
 
 
 def rows_apart(expected: dict[str, np.ndarray], found: dict[str, np.ndarray]) -> str:
-    """Where two series differ in a bit; empty when they do not."""
+    """First difference of two series in a bit; empty if there is none."""
     if list(expected) != list(found):
         return f"columns {list(found)}, not {list(expected)}"
     for name, values in expected.items():
@@ -131,7 +131,7 @@ def rows_apart(expected: dict[str, np.ndarray], found: dict[str, np.ndarray]) ->
 
 
 def wrong_content(expected: Content, folder: Path) -> str:
-    """How a run folder that should be that of ``expected`` differs from it, apart from times; empty: not at all."""
+    """Difference of a run folder from that of ``expected``, apart from times; empty if there is none."""
     try:
         found = content(folder)
     except ValueError as error:

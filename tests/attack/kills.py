@@ -41,8 +41,7 @@ def reached(out: Path, name: str) -> int:
 
 @dataclass
 class Start:
-    """What stands in the folder before, ``old`` what must not be lost of it, and the run that is killed again and
-    again."""
+    """Content of the folder before a run, the part ``old`` that must not be lost, and the run that is killed."""
 
     scene: Scene
     before: Path
@@ -54,7 +53,7 @@ class Start:
         return self.scene.name == ENSEMBLE
 
     def options(self, step: int) -> list[str]:
-        """How the command is called when ``step`` is where it can be gone on from."""
+        """Arguments of the command if the run can be resumed from ``step``."""
         if self.ensemble:
             return ["--force"]
         return ["--force"] if self.old and not step else ["--resume"]
@@ -118,7 +117,7 @@ class Life:
         """An ensemble that was killed is not resumed, and says so."""
         said = call([*self.argv(0)[:-1], "--resume"], self.folder, [self.out])
         self.judge(said)
-        assert said.code == 2, f"--resume of an ensemble leaves with {said.code}"
+        assert said.code == 2, f"--resume of an ensemble exits with {said.code}"
 
     def judge(self, said: Said) -> None:
         """Judge what a call said, unless it was killed."""
@@ -126,7 +125,7 @@ class Life:
             self.faults += judged(said)
 
     def go(self, draw: random.Random, span: float, kills: int) -> tuple[int, int]:
-        """Kill at most so many times, then let it end; the kills, and how many calls went on from a step.
+        """Kill up to a number of times, then let it end; return the kills and the number of resumed calls.
 
         ``span`` is the seconds of a whole run. Raises AssertionError and ValueError at what must not be.
         """
@@ -140,7 +139,7 @@ class Life:
                 running.kill()
             said = running.finish()
             self.judge(said)
-            assert said.code in (0, -9), f"{' '.join(said.argv)} leaves with {said.code}: {said.err[:300]}"
+            assert said.code in (0, -9), f"{' '.join(said.argv)} exits with {said.code}: {said.err[:300]}"
             if said.code == 0:
                 break
             done += 1

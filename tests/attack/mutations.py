@@ -20,7 +20,7 @@ EXTRA = {
     "heavy.toml": 'top = {kind = "heavy"}\nscheme = "midpoint"\nh = 0.01\nN = 50\n[initial]\nomega = [0.5, 0.1, 2.0]\n'
     'gamma = [0.0, 0.6, 0.8]\n[output]\nformat = "csv"\n',
 }
-"""What the packaged configs do not show."""
+"""Features absent from the packaged configs."""
 
 
 def corpus() -> dict[str, str]:
@@ -73,7 +73,7 @@ Mutation = Callable[[random.Random, str], str]
 
 
 def _place(draw: random.Random, text: str, pattern: re.Pattern[str]) -> tuple[int, int]:
-    """Where one of the matches of ``pattern`` lies; an empty place where there is none."""
+    """Place of one of the matches of ``pattern``; an empty place if there is none."""
     found = [match.span() for match in pattern.finditer(text)]
     return draw.choice(found) if found else (len(text), len(text))
 
@@ -147,7 +147,7 @@ def tag(draw: random.Random, text: str) -> str:
 
 
 def duplicate(draw: random.Random, text: str) -> str:
-    """A line stands twice."""
+    """Repeat a line."""
     lines = text.splitlines()
     lines.insert(draw.randrange(len(lines) + 1), draw.choice(lines or [""]))
     return "\n".join(lines) + "\n"

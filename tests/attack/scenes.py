@@ -31,7 +31,7 @@ OTHER = "beside"
 """A run that nobody harms, in every folder of runs."""
 STEPS = 2000
 COMPILED = ("hk", "rk2", "bohlin-a", "ensemble")
-"""What the cache of machine code holds: three schemes of single runs, and one of ensembles."""
+"""Content of the cache of machine code: three schemes of single runs, and one of ensembles."""
 
 
 def small_pieces() -> None:
@@ -114,7 +114,7 @@ class Scenes:
     def code(self, scheme: str) -> Path:
         """The file of the machine code of one of ``COMPILED``, within ``cache``; made when it is first asked for."""
         if scheme not in self._codes:
-            import numba  # noqa: F401 (compiling anew is the larger part of what a damaged cache costs)
+            import numba  # noqa: F401 (recompiling is the larger part of what a damaged cache costs)
 
             known = set(self.cache.rglob("*.o"))
             config = f"{ENSEMBLE}.yaml" if scheme == "ensemble" else f"parquet/{NAME}.yaml"

@@ -48,7 +48,7 @@ def python(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def attack(folder: Path, *arguments: str) -> str:
-    """What a small attack prints, in which nothing may be found."""
+    """Output of a small attack, in which nothing may be found."""
     done = python("-m", "attack", *arguments, "--folder", folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -99,7 +99,7 @@ def test_a_finding_is_one_line_without_control_characters() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"x": np.array([1.0, np.nextafter(0.1, 1), np.nan, 0.0])}, "1 rows differ, first x[1]"),
         ({"x": np.array([1.0, 0.1, np.nan, -0.0])}, "1 rows differ, first x[3]"),
@@ -109,10 +109,10 @@ def test_a_finding_is_one_line_without_control_characters() -> None:
         ({"y": np.zeros(4)}, "columns ['n', 'x', 'y']"),
     ],
 )
-def test_rows_that_differ_in_a_bit(change: dict[str, np.ndarray], told: str) -> None:
+def test_rows_that_differ_in_one_bit_are_found(change: dict[str, np.ndarray], message: str) -> None:
     rows = {"n": np.arange(4), "x": np.array([1.0, 0.1, np.nan, 0.0])}
     assert rows_apart(rows, {name: values.copy() for name, values in rows.items()}) == ""
-    assert rows_apart(rows, {**rows, **change}).startswith(told)
+    assert rows_apart(rows, {**rows, **change}).startswith(message)
 
 
 def run(out: Path, *overrides: str) -> tuple[Experiment, Path]:
@@ -120,12 +120,12 @@ def run(out: Path, *overrides: str) -> tuple[Experiment, Path]:
     return experiment, run_experiment(experiment, out).stored.folder
 
 
-def test_a_run_folder_that_is_not_what_it_should_be(tmp_path: Path) -> None:
+def test_a_wrong_file_of_a_run_folder_is_found(tmp_path: Path) -> None:
     _, whole = run(tmp_path / "whole")
     _, other = run(tmp_path / "other", "h=0.002")
     expected = content(whole)
     assert wrong_content(expected, run(tmp_path / "again")[1]) == ""
-    for name, told in {
+    for name, message in {
         "series.parquet": "11 rows differ|12 rows differ",
         "report.json": "another report",
         "manifest.json": "another manifest",
@@ -134,12 +134,12 @@ def test_a_run_folder_that_is_not_what_it_should_be(tmp_path: Path) -> None:
         mixed = tmp_path / f"mixed-{name}"
         shutil.copytree(whole, mixed)
         shutil.copyfile(other / name, mixed / name)
-        assert re.match(told, wrong_content(expected, mixed)), name
+        assert re.match(message, wrong_content(expected, mixed)), name
         (mixed / name).write_bytes(b"{")
         assert "cannot be read" in wrong_content(expected, mixed) or name == "config.yaml"
 
 
-def test_a_run_whose_rows_are_not_those_of_its_step(tmp_path: Path) -> None:
+def test_rows_must_reach_the_step_of_the_report(tmp_path: Path) -> None:
     experiment, folder = run(tmp_path)
     said = Said(("run",), 0, "", "")
     assert wrong_run(experiment, said, tmp_path) == ""
@@ -147,11 +147,11 @@ def test_a_run_whose_rows_are_not_those_of_its_step(tmp_path: Path) -> None:
     assert "plain Python" in wrong_run(load_experiment(HK, ["N=12", "h=0.0010000001"]), said, tmp_path)
     assert "initial state" in wrong_run(load_experiment(HK, ["N=12", "initial.omega=[2, 0, 1]"]), said, tmp_path)
     shutil.rmtree(folder)
-    assert wrong_run(experiment, said, tmp_path) == "it left with 0 and there is no run folder"
+    assert wrong_run(experiment, said, tmp_path) == "it exited with 0 and there is no run folder"
 
 
 @pytest.mark.parametrize("file", ["kowalevski_hk.yaml", "kowalevski_generic_hk.toml"])
-def test_a_config_that_is_read_otherwise(tmp_path: Path, file: str) -> None:
+def test_a_config_read_with_another_meaning_is_a_finding(tmp_path: Path, file: str) -> None:
     case = Mutant(file, CORPUS[file].encode(), "")
     path = tmp_path / file
     path.write_bytes(case.content)
@@ -189,7 +189,7 @@ def box(scene: Scene, tmp_path: Path, code: int, out: str, path: str = "series.p
     return made
 
 
-def test_a_damaged_series_that_counts_as_up_to_date(scene: Scene, tmp_path: Path) -> None:
+def test_a_damaged_series_must_not_be_up_to_date(scene: Scene, tmp_path: Path) -> None:
     whole = box(scene, tmp_path, 0, "(up to date)")
     meet(scene, whole, [], resumable=False)
     assert whole.case.faults == []
@@ -209,14 +209,14 @@ def test_a_damaged_file_whose_rows_are_right_is_still_damaged(scene: Scene, tmp_
     assert [kind for kind, _ in marked.case.faults] == ["taken for good"]
 
 
-def test_a_report_that_is_told_wrongly(scene: Scene, tmp_path: Path) -> None:
-    told = {**scene.expected.report, "step": 11}
-    wrong = box(scene, tmp_path, 0, json.dumps({"runs": [told]}))
+def test_a_wrong_report_is_a_finding(scene: Scene, tmp_path: Path) -> None:
+    message = {**scene.expected.report, "step": 11}
+    wrong = box(scene, tmp_path, 0, json.dumps({"runs": [message]}))
     meet(scene, wrong, ["--json"], resumable=False)
-    assert "tells another step" in wrong.case.faults[0][1]
+    assert "reports another step" in wrong.case.faults[0][1]
 
 
-def test_a_checkpoint_that_is_gone_after_a_refusal(scene: Scene, tmp_path: Path, monkeypatch) -> None:
+def test_a_refusal_must_keep_the_checkpoint(scene: Scene, tmp_path: Path, monkeypatch) -> None:
     lost = box(scene, tmp_path, 1, "")
     checkpoint = lost.out / scene.name / "checkpoint.npz"
     checkpoint.write_text("x")
@@ -234,7 +234,7 @@ def test_verify_must_name_the_file(scene: Scene, tmp_path: Path, code: int, out:
     assert [kind for kind, _ in asked.case.faults] == ["taken for good"] * faults
 
 
-def test_a_figure_of_other_rows(scene: Scene, tmp_path: Path) -> None:
+def test_a_figure_must_show_the_rows_of_its_run(scene: Scene, tmp_path: Path) -> None:
     drawn = box(scene, tmp_path, 0, "")
     (drawn.out / "figures").mkdir()
     rows = {name: scene.expected.rows[name].copy() for name in ("t", "gamma1")}
@@ -247,7 +247,7 @@ def test_a_figure_of_other_rows(scene: Scene, tmp_path: Path) -> None:
     assert "1 rows differ, first gamma1[5]" in drawn.case.faults[0][1]
 
 
-def test_files_of_others_that_are_gone(scene: Scene, tmp_path: Path) -> None:
+def test_foreign_files_must_survive(scene: Scene, tmp_path: Path) -> None:
     kept = box(scene, tmp_path, 0, "")
     (kept.out / "theirs").write_text(FOREIGN)
     foreign_kept(kept, 1)
@@ -256,7 +256,7 @@ def test_files_of_others_that_are_gone(scene: Scene, tmp_path: Path) -> None:
     assert [kind for kind, _ in kept.case.faults] == ["lost"]
 
 
-def test_what_a_kill_must_not_leave(scene: Scene, tmp_path: Path) -> None:
+def test_leftovers_of_a_kill_are_judged(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     life = Life(Start(scene, tmp_path / "empty", []), tmp_path / "life")
     assert life.check(0) == 0
@@ -283,7 +283,7 @@ def test_mutants_follow_from_the_seed_and_every_mutation_changes_something() -> 
 
 
 @pytest.mark.slow
-def test_mutated_configs(tmp_path: Path) -> None:
+def test_mutated_configs_end_in_a_result_or_an_error(tmp_path: Path) -> None:
     """With this seed long names, which the messages repeat whole, come later."""
     printed = attack(tmp_path, "fuzz", "--seed", "1", "--configs", "150", "--workers", "2")
     counted = re.search(r"fuzz: 150 configs, (\d+) accepted in", printed)
@@ -292,7 +292,7 @@ def test_mutated_configs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_damaged_files_and_kills(tmp_path: Path) -> None:
+def test_damaged_files_and_kills_are_survived(tmp_path: Path) -> None:
     """Damages that hold: of checkpoints, series and folders, the last one of the machine-code cache."""
     cases = ["2", "4", "6", "8", "10", "12", "16", "18", "11"]
     printed = attack(tmp_path, "damage", "kills", "--seed", "1", "--only", *cases, "--kills", "2")
@@ -301,23 +301,23 @@ def test_damaged_files_and_kills(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["pieces"], "no such part: pieces"),
         (["--only", "1"], "--only wants"),
         (["kills", "--only", "1"], "--only wants"),
     ],
 )
-def test_wrong_usage(
-    words: list[str], told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_wrong_usage_is_refused(
+    words: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["attack", *words])
     with pytest.raises(SystemExit):
         arguments()
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_the_environment_says_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_number_of_attacks_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, number in {"SEED": "7", "CONFIGS": "8", "DAMAGES": "9", "KILLS": "10"}.items():
         monkeypatch.setenv(f"ATTACK_{name}", number)
     monkeypatch.setattr(sys, "argv", ["attack", "--kills", "3"])

@@ -1,6 +1,6 @@
 """Every command, config and example in README, CONTRIBUTING and the documentation is executed or says why not.
 
-A ```console block shows commands after ``$`` and what they print; a line ``...`` stands for any number of lines. Marks
+A ```console block shows commands after ``$`` and what they print; a line ``...`` matches any number of lines. Marks
 in front of a block:
 
 - ``<!-- not executed: reason -->``
@@ -173,7 +173,7 @@ def run(command: str, cwd: Path) -> tuple[int, list[str]]:
 
 def without_progress(lines: list[str]) -> list[str]:
     """Lines but those that a slow machine adds, such as ``stress: 75.0%, 3 of 4 steps, 0.13 steps/s, 8 s left``."""
-    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ steps", line)]
+    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ (steps|rows)", line)]
 
 
 def prepare(page: Page, folder: Path) -> None:
@@ -200,7 +200,7 @@ def test_blocks_that_are_not_executed_give_a_reason() -> None:
 
 
 @pytest.mark.parametrize("page", [pytest.param(page, id=page.name) for page in READ])
-def test_commands_stand_in_console_blocks_only(page: Page) -> None:
+def test_commands_are_in_console_blocks_only(page: Page) -> None:
     assert {block.language for block in page.blocks} <= LANGUAGES
     for block in page.blocks:
         if block.language == "sh":
@@ -221,7 +221,8 @@ def test_python_examples_run(block: Block, tmp_path: Path) -> None:
 def test_configs_are_valid(block: Block, tmp_path: Path) -> None:
     path = tmp_path / f"config.{block.language}"
     path.write_text(block.text, encoding="utf-8")
-    code, printed = run(f"topcli run {path} --dry-run", tmp_path)
+    command = "sweep" if re.search("^base:", block.text, re.MULTILINE) else "run"
+    code, printed = run(f"topcli {command} {path} --dry-run", tmp_path)
     assert code == 0, printed
 
 
@@ -247,7 +248,7 @@ LINKS = [
 
 
 @pytest.mark.parametrize(("folder", "target"), LINKS)
-def test_links_lead_somewhere(folder: Path, target: str) -> None:
+def test_links_have_targets(folder: Path, target: str) -> None:
     assert (folder / target).is_file()
 
 

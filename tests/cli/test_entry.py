@@ -62,7 +62,7 @@ def test_errors_about_files_are_not_about_stdout(
     ],
     ids=["name", "path", "resume", "permission"],
 )
-def test_an_output_folder_that_cannot_be_is_refused_before_computing(
+def test_impossible_output_folder_is_refused_before_computing(
     cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
 ) -> None:
     (in_tmp / "locked").mkdir()

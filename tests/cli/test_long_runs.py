@@ -1,4 +1,4 @@
-"""Long runs through the command: stopped, killed, resumed, out of room; and what is told meanwhile."""
+"""Long runs through the command: stopped, killed, resumed, out of disk space; and their messages meanwhile."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_progress_in_a_log_is_sparse_and_tells_rate_and_time_left(capsys: pytest
 
 
 def test_the_rate_follows_the_machine(capsys: pytest.CaptureFixture[str]) -> None:
-    """A machine that slows down: the time left is told by the last half minute."""
+    """A machine that slows down: the time left follows from the last half minute."""
     clock = Clock()
     teller = ProgressDisplay(2, False, clock)
     teller.begin("first")
@@ -146,8 +146,8 @@ def test_progress_survives_a_terminal_that_is_gone(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("seconds", "told"),
+    ("seconds", "words"),
     [(0.2, "0 s"), (99, "99 s"), (185, "3:05 min"), (3600, "1:00:00 h"), (90_000, "25:00:00 h"), (300_000, "3 d 11 h")],
 )
-def test_durations_are_spelt_for_people(seconds: float, told: str) -> None:
-    assert spell_seconds(seconds) == told
+def test_durations_are_spelled_out(seconds: float, words: str) -> None:
+    assert spell_seconds(seconds) == words

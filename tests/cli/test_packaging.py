@@ -63,7 +63,8 @@ def test_the_wheel_holds_the_package_and_the_scenes_and_no_more(wheel: Path) -> 
     package = ROOT / "src" / "topcli"
     source = {path.relative_to(package).as_posix() for path in package.rglob("*") if path.is_file()}
     wanted = {f"topcli/{name}" for name in source if "__pycache__" not in name}
-    wanted |= {f"topcli/scenes/{path.name}" for path in (ROOT / "configs").iterdir()}
+    configs = ROOT / "configs"
+    wanted |= {f"topcli/scenes/{path.relative_to(configs)}" for path in configs.rglob("*.*")}
     names = set(zipfile.ZipFile(wheel).namelist())
     about = {name for name in names if name.split("/")[0].endswith(".dist-info")}
     assert names - about == wanted

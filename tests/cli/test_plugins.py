@@ -177,3 +177,39 @@ def test_a_step_that_cannot_be_compiled_is_named(tmp_path: Path, body: str) -> N
     assert "Traceback" not in done.stderr
     assert "odd.py:" in done.stderr
     assert len(done.stderr.strip().splitlines()) <= 3
+
+
+MEASURE = """
+import topcli
+
+@topcli.measure("omega1.{end}", summary="{end} omega1 of the run", unit="rate", needs=["omega1"])
+def found(batch):
+    return batch.columns["omega1"].{end}(axis=1)
+"""
+
+
+@pytest.mark.slow
+def test_a_file_may_hold_measures_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(MEASURE.format(end="max"))
+    listed = topcli("list", "measures", "--scheme-file", "mine.py", "--json", cwd=tmp_path)
+    assert listed.returncode == 0, listed.stderr
+    found = {item["name"]: item for item in json.loads(listed.stdout)["measures"]}
+    assert found["omega1.max"]["summary"] == "max omega1 of the run"
+    assert found["omega1.max"]["origin"] == "mine.py"
+    assert found["seconds"]["origin"] == "topcli"
+    assert "omega1.max" not in topcli("list", "measures", cwd=tmp_path).stdout
+
+
+@pytest.mark.slow
+def test_an_installed_plugin_may_register_measures_alone(tmp_path: Path) -> None:
+    """Both of its measures come from the plugin although it is the first to import topcli's."""
+    site = tmp_path / "site"
+    (site / "measuring-1.0.dist-info").mkdir(parents=True)
+    (site / "measuring.py").write_text(MEASURE.format(end="min"))
+    (site / "measuring-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: measuring\nVersion: 1.0\n")
+    (site / "measuring-1.0.dist-info" / "entry_points.txt").write_text("[topcli.schemes]\nmeasuring = measuring\n")
+    listed = json.loads(topcli("list", "measures", "--json", cwd=tmp_path, path=site).stdout)["measures"]
+    assert {item["name"] for item in listed if item["origin"] == "measuring"} == {"omega1.min"}
+    doctor = topcli("doctor", "--json", cwd=tmp_path, path=site)
+    (plugin,) = json.loads(doctor.stdout)["plugins"]
+    assert plugin == {"name": "measuring", "state": "registers omega1.min"}

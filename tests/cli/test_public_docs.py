@@ -10,7 +10,7 @@ import pytest
 import topcli
 
 
-@pytest.mark.parametrize("name", ["simulate", "simulate_ensemble"])
+@pytest.mark.parametrize("name", ["simulate", "simulate_ensemble", "sweep"])
 def test_public_functions_document_every_parameter_and_their_example_runs(name: str) -> None:
     function = getattr(topcli, name)
     text = inspect.getdoc(function) or ""

@@ -222,6 +222,7 @@ def test_bench_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pyte
         kept = ("schema_version", "duration", "intervals", "goal", "value")
         points = distinct({**found, "decades": [row | {"error": str(row["error"])} for row in decades]}, 4, keep=kept)
         points["decades"] = [row | {"error": float(row["error"])} for row in points["decades"]]
+        points["closed_forms"] = [{"name": "exact", "error": 3.4e-15, "seconds_per_state": 7.8e-6}]
         for i, row in enumerate(points["decades"]):
             row["topcli"]["setting"], row["peer"]["setting"] = f"h=0.{i + 1}", f"h={i + 1}"
         return points
@@ -238,6 +239,10 @@ def test_bench_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pyte
             expect(cells, entry["name"], [(entry["setting"],), (1e6 * entry["seconds"],)])
         assert shows(row[7], decade["ratio"], rounded=2)
         assert shows(row[8], decade["baseline_ratio"], rounded=2)
+    (form,) = scene["closed_forms"]
+    distance, _, time = out.partition("in closed form, exact: distance from the reference ")[2].partition(", ")
+    assert shows(distance, form["error"])
+    assert shows(time.partition(" µs a state")[0], 1e6 * form["seconds_per_state"])
     below = out.partition("every point\n")[2].splitlines()
     header = ["with", "µs per unit time", "quartiles", "max error", "at the end", "largest drift"]
     assert cells_of(below[0]) == header
@@ -335,6 +340,7 @@ LISTS = {
     },
     "scenes": {"name": "name", "top": "top", "scheme": "scheme", "h": "h", "N": "N", "about": "about"},
     "cases": {"name": "name", "top": "top", "question": "question"},
+    "measures": {"name": "name", "unit": "unit", "summary": "summary", "origin": "origin"},
     "figures": {"name": "name", "scene": "scene", "title": "title"},
     "runs": {"name": "name", "outcome": "outcome", "scheme": "scheme", "h": "h", "N": "N", "digest": "digest"},
 }
@@ -384,3 +390,96 @@ def test_stress_shows_its_trials(cli: Callable[..., Any]) -> None:
         assert outcome == one["outcome"] + step
         assert one["why"].startswith(why.removesuffix(" [...]"))
         assert meaning == {"ok": [], "limit": ["declared limit"]}.get(one["verdict"], [one["verdict"].upper()])
+
+
+def test_the_grid_of_hard_cases_shows_each_outcome(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """More trials than are listed one by one: a mark for each scheme and case, in the column of its number."""
+    from topcli.studies.stress import suite
+
+    asked = ("stress", "hk", "rk4", "dop853", "--top", "kowalevski", "--case", "resonance", "--case", "singular-step")
+    judged = suite.stress(["hk", "rk4", "dop853"], ["resonance", "singular-step", "there-and-back"], "kowalevski")
+    monkeypatch.setattr("topcli.cli.stress.SHOWN", 2)
+    monkeypatch.setattr(suite, "stress", lambda *arguments: judged)
+    said = cli(*asked)
+    document = cli(*asked, "--json").json()
+    trials = document["trials"]
+    header, *rows = said.out.partition("\n\n")[0].splitlines()
+    assert header.split() == ["kowalevski", "1", "2", "3"]
+    numbers = dict(part.strip().split("=") for part in rows.pop().split(","))
+    places = {case: header.rindex(number) for number, case in numbers.items()}
+    marks = {"held": "·", "degraded": "o", "broke": "X", "not tried": " "}
+    shown = {(row.split()[0], case): row.ljust(len(header))[at] for row in rows for case, at in places.items()}
+    assert shown == {(one["scheme"], one["case"]): marks[one["outcome"]] for one in trials}
+    assert len(set(shown.values())) >= 3
+    counts = {part.split(" ", 1)[1]: int(part.split()[0]) for part in said.err.partition(";")[0].split(", ")}
+    assert counts == document["outcomes"]
+    assert counts == {name: sum(one["outcome"] == name for one in trials) for name in counts}
+    limits = sum(one["verdict"] == "limit" for one in trials)
+    assert f"; {limits} of the failures are declared limits" in said.err
+
+
+def test_doctor_shows_what_it_found(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    from topcli.studies import doctor
+
+    environment = {"python": "3.77.1", "cpu": "Abacus 9", "numba": None}
+    cache = {"folder": "/nowhere", "entries": 123, "bytes": 45678, "kept between processes": False}
+    plugins = [{"name": "first", "state": "registers one"}, {"name": "second", "state": "failed: no good"}]
+    found = {"environment": environment, "cache": cache, "threads": 91, "plugins": plugins, "problems": ["a", "b"]}
+    monkeypatch.setattr(doctor, "diagnosis", lambda: {**found, "problems": list(found["problems"])})
+    document = cli("doctor", "--json").json()
+    assert {key: document[key] for key in found} == found
+    rows = [cells_of(line) for line in cli("doctor").out.splitlines()]
+    assert rows == [
+        *([key, str(value)] for key, value in environment.items()),
+        *([f"cache {key}", str(value)] for key, value in cache.items()),
+        ["CPU threads", "91"],
+        *([f"plugin {one['name']}", one["state"]] for one in plugins),
+        ["problems", "a; b"],
+    ]
+
+
+def test_doctor_finds_cache_and_threads_by_itself(cli: Callable[..., Any]) -> None:
+    """Against the folder's files and the machine's own count."""
+    import os
+    from pathlib import Path
+
+    found = cli("doctor", "--json").json()
+    before = {path: path.stat().st_size for path in Path(found["cache"]["folder"]).rglob("*") if path.is_file()}
+    assert found["threads"] == len(os.sched_getaffinity(0))
+    assert 0 < found["cache"]["entries"] <= len(before)
+    assert 0 < found["cache"]["bytes"] <= sum(before.values())
+
+
+FIELDS = {
+    "schemes": ("name", "top", "title", "order", "explicit", "self_adjoint", "equations", "citation", "origin"),
+    "tops": ("form", "title", "citation"),
+    "compositions": ("name", "order", "stages", "title", "citation"),
+    "cases": ("name", "question"),
+    "figures": ("name", "title"),
+}
+
+
+@pytest.mark.parametrize("kind", FIELDS)
+def test_a_list_in_json_has_the_fields_of_what_is_registered(cli: Callable[..., Any], kind: str) -> None:
+    from topcli.figures.catalogue import FIGURES
+    from topcli.schemes.compose import COMPOSITIONS
+    from topcli.schemes.registry import all_schemes
+    from topcli.studies.stress import CASES
+    from topcli.tops import TOPS
+
+    registered: dict[str, list[Any]] = {
+        "schemes": list(all_schemes()),
+        "tops": list(TOPS.values()),
+        "compositions": list(COMPOSITIONS.values()),
+        "cases": list(CASES),
+        "figures": list(FIGURES.values()),
+    }
+    items = cli("list", kind, "--json").json()[kind]
+    for item, one in zip(items, registered[kind], strict=True):
+        assert {key: item[key] for key in FIELDS[kind]} == {key: getattr(one, key) for key in FIELDS[kind]}
+        if kind == "schemes":
+            assert item["conserves"] == list(one.conserves)
+            assert item["limits"] == dict(one.limits)
+            assert set(item["options"]) == set(one.options.model_fields)
+        if kind == "tops":
+            assert (item["name"], item["components"]) == (one.kind, list(one.components))

@@ -29,9 +29,9 @@ from topcli.contracts import Stepper
 def step(s, h, p):
     return (s[0] * s[0] + 2.0, s[1], s[2], s[3], s[4], s[5])
 
-def make(name, **told):
+def make(name, **traits):
     @topcli.scheme(name, top="kowalevski", title="squares", order=1, explicit=True, self_adjoint=False,
-                   citation="none", equations="none", **told)
+                   citation="none", equations="none", **traits)
     def build(top, options):
         """Squares."""
         return Stepper(step, 6)
@@ -47,14 +47,14 @@ from topcli.schemes.kowalevski.hk import hk_kowalevski
 @topcli.scheme("modest", top="kowalevski", title="too modest", order=2, explicit=True, self_adjoint=True,
                citation="none", equations="none", limits={"delone": "It says that it cannot."})
 def build(top, options):
-    """HK that thinks little of itself."""
+    """HK that declares a limit it does not have."""
     return Stepper(hk_kowalevski, 6)
 '''
 
 
 @pytest.fixture(autouse=True)
 def schemes_as_they_were() -> Iterator[None]:
-    """What a test registers is forgotten after it."""
+    """Remove the schemes that a test registers."""
     all_schemes()
     known = dict(registry._schemes)
     yield
@@ -63,7 +63,7 @@ def schemes_as_they_were() -> Iterator[None]:
     registry.load_scheme_file.cache_clear()
 
 
-def test_table_and_json_tell_the_same(cli) -> None:
+def test_table_and_json_agree(cli) -> None:
     asked = ("stress", "hk", "DG4", "--top", "kowalevski", "--case", "huge", "--case", "pole")
     said = cli(*asked)
     assert said.code == 0
@@ -86,7 +86,7 @@ def test_table_and_json_tell_the_same(cli) -> None:
 
 
 @pytest.mark.slow
-def test_the_grid_shows_many(cli) -> None:
+def test_grid_shows_several_schemes(cli) -> None:
     said = cli("stress", "--top", "lagrange", "--case", "pole")
     assert said.code == 2
     said = cli(
@@ -103,7 +103,7 @@ def test_the_grid_shows_many(cli) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["dg5"], "did you mean 'dg4'?"),
         (["--case", "dleone"], "did you mean 'delone'?"),
@@ -117,14 +117,14 @@ def test_the_grid_shows_many(cli) -> None:
         (["hk+suzuki5"], "did you mean 'suzuki4'?"),
     ],
 )
-def test_mistakes(cli, arguments: list[str], told: str) -> None:
+def test_wrong_usage_of_stress_is_refused(cli, arguments: list[str], message: str) -> None:
     said = cli("stress", *arguments)
     assert said.code == 2
-    assert told in said.err
+    assert message in said.err
     assert len(said.err.strip().splitlines()) <= 2
 
 
-def test_an_undeclared_break_leaves_with_4(cli) -> None:
+def test_undeclared_break_exits_with_4(cli) -> None:
     Path("mine.py").write_text(SCHEME)
     said = cli("stress", "explodes", "explodes-and-says-so", "--case", "delone", "--scheme-file", "mine.py")
     assert said.code == 4
@@ -134,7 +134,7 @@ def test_an_undeclared_break_leaves_with_4(cli) -> None:
     assert cli("stress", "explodes-and-says-so", "--case", "delone", "--scheme-file", "mine.py").code == 0
 
 
-def test_an_outlived_limit_leaves_with_4(cli) -> None:
+def test_outdated_limit_exits_with_4(cli) -> None:
     Path("mine.py").write_text(MODEST)
     said = cli("stress", "modest", "--case", "delone", "--scheme-file", "mine.py")
     assert said.code == 4

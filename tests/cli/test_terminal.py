@@ -1,4 +1,4 @@
-"""What reaches the terminal: no control characters, no markup, no long messages, one style of errors."""
+"""Output to the terminal: no control characters, no markup, no long messages, one style of errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def assert_safe(*texts: str) -> None:
 
 
 @given(st.text())
-def test_printable_leaves_nothing_to_obey(text: str) -> None:
+def test_printable_text_has_no_control_characters(text: str) -> None:
     assert printable(text).isprintable()
     if text.isprintable():
         assert printable(text) == text
@@ -140,7 +140,8 @@ def test_no_argument_reaches_the_terminal_raw(cli, in_tmp: Path, arguments: tupl
 
 
 PATHS = {("run", NAME + ".yaml"), ("run", f"{NAME}/x.yaml"), ("init", NAME), ("list", "runs", "--out", NAME)}
-PATHS |= {("plot", "fig1", "--configs", NAME), ("run", HK, "--scheme-file", NAME)}
+PATHS |= {("plot", "fig1", "--configs", NAME), ("run", HK, "--scheme-file", NAME), ("plot", "sweep", NAME)}
+PATHS |= {("table", NAME, "--rows", "h", "--value", "seconds")}
 
 
 @pytest.mark.slow
@@ -185,7 +186,7 @@ def test_no_content_of_a_config_reaches_the_terminal_raw(tmp_path: Path, text: s
 
 
 @pytest.mark.skipif(os.name == "nt", reason="such names are not possible")
-def test_names_of_files_nearby_are_not_obeyed(cli, in_tmp: Path) -> None:
+def test_control_characters_in_file_names_are_escaped(cli, in_tmp: Path) -> None:
     (in_tmp / f"{NAME[:60].replace(chr(0), '')}.yaml").write_text("")
     (in_tmp / ("y" * 240 + ".yaml")).write_text("")
     said = cli("run", "zzz.yaml")

@@ -84,8 +84,8 @@ def test_code_that_raises_is_named_by_file_and_line(
     assert said.code == 2
     place, why = f"{path}:{line}: in fault", "KeyError: 'first\\nsecond'"
     # the invariants of a top are asked for as soon as the schemes for every top are registered for it
-    told = f"scheme file {path}: {why} ({place})" if case == "invariants" else f"{place}: {why}"
-    assert said.err == f"error: {told}\n"
+    message = f"scheme file {path}: {why} ({place})" if case == "invariants" else f"{place}: {why}"
+    assert said.err == f"error: {message}\n"
 
 
 def test_a_build_that_returns_nothing_is_refused(cli: Callable[..., Said], tmp_path: Path, own_registry: None) -> None:
@@ -105,7 +105,7 @@ def test_a_plain_step_of_the_wrong_length_is_refused(
     assert said.err == f"error: {path}:7: the step returns {length} numbers; expected 6\n"
 
 
-def test_a_fault_of_topcli_itself_is_still_a_bug(
+def test_errors_in_topcli_are_reported_as_bugs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path
 ) -> None:
     from topcli.__main__ import main
@@ -148,7 +148,7 @@ def test_settings_of_the_environment_are_not_blamed_on_the_scheme(
     assert len(done.stderr.splitlines()) <= 3
 
 
-def test_a_package_that_cannot_be_loaded_is_no_bug_of_topcli(
+def test_package_that_cannot_be_loaded_is_not_reported_as_a_bug(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path
 ) -> None:
     from topcli.__main__ import main

@@ -81,7 +81,7 @@ def test_both_spellings_mean_the_same(tmp_path: Path) -> None:
     assert experiment_from(again.resolved()).digest == found[0].digest
 
 
-def test_default_name_serves(tmp_path: Path) -> None:
+def test_default_composition_name_is_accepted(tmp_path: Path) -> None:
     data = load_experiment(HK).resolved() | {"scheme": "hk+kahan-li8"}
     del data["name"]
     assert experiment_from(data).name == "kowalevski_hk+kahan_li8"
@@ -105,7 +105,7 @@ def test_default_name_serves(tmp_path: Path) -> None:
         ("{name: hk, Compose: suzuki4}", "scheme.Compose", "did you mean 'compose'?"),
     ],
 )
-def test_mistakes(tmp_path: Path, new: str, key: str, says: str) -> None:
+def test_wrong_compositions_are_refused(tmp_path: Path, new: str, key: str, says: str) -> None:
     path = write(tmp_path, BASE.replace("scheme: hk", f"scheme: {new}"))
     message = refusal(path)
     assert message.startswith(f"{path}:6: {key}: ")
@@ -212,7 +212,7 @@ def test_list_compositions(cli) -> None:
 
 
 @pytest.mark.slow
-def test_the_readme_is_real(cli) -> None:
+def test_readme_shows_a_composition_that_runs(cli) -> None:
     """Its list, and its comparison but for what is round-off."""
     readme = (ROOT / "docs" / "higher-order.md").read_text(encoding="utf-8")
     shown = cli("list", "compositions").out.splitlines()

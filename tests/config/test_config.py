@@ -41,7 +41,7 @@ def test_the_paper_scene() -> None:
     }
     papers = {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid"}
     beyond = {"hk_projected", "hk_symproj", "dg4", "midpoint4", "hybrid_sym", "hybrid_xi", "backlund"}
-    assert set(schemes) == papers | beyond | {"midpoint", "rk2", "rk4", "dop853", "taylor"}
+    assert set(schemes) == papers | beyond | {"midpoint", "rk2", "rk4", "dop853", "taylor", "splitting", "dmv"}
     for stem, experiment in schemes.items():
         assert experiment.scheme_name == stem.replace("_", "-")
         assert experiment.y0 == (2.0, 0.0, 0.0, *PAPER_GAMMA)
@@ -59,7 +59,7 @@ def test_scene_by_bare_name() -> None:
         load_experiment("kowalevski_hkk")
 
 
-def test_a_bare_name_beside_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packaged_scene_is_distinguished_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path, BASE, "mine.yaml")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UnknownNameError, match=r"did you mean the file mine\.yaml\?"):
@@ -90,7 +90,7 @@ def test_auto_completes_with_the_stated_sign(tmp_path: Path) -> None:
     assert gamma("[0.6, 0.48, 0.64]") == (0.6, 0.48, 0.64)
 
 
-def test_unit_length_tolerance(tmp_path: Path) -> None:
+def test_gamma_must_be_a_unit_vector_within_tolerance(tmp_path: Path) -> None:
     within, beyond = math.sqrt(1.0 + 0.9e-12), math.sqrt(1.0 + 1.2e-12)
     path = write(tmp_path, BASE.replace("[auto, 0, 1e-3]", f"[{within!r}, 0, 0]"))
     assert load_experiment(path).y0[3] == within
@@ -98,7 +98,7 @@ def test_unit_length_tolerance(tmp_path: Path) -> None:
     assert "is off by 1.2e-12" in message
 
 
-def test_numbers_and_case(tmp_path: Path) -> None:
+def test_numbers_and_case_of_names_are_read_leniently(tmp_path: Path) -> None:
     path = write(tmp_path, BASE.replace("100", "5e4").replace("0.001", "-1").replace("hk", "HK"))
     experiment = load_experiment(path)
     assert (experiment.N, experiment.h, experiment.scheme_name) == (50000, -1.0, "hk")
@@ -132,7 +132,7 @@ def test_python_interface() -> None:
         experiment_from(loop)
 
 
-def test_overrides() -> None:
+def test_overrides_replace_keys() -> None:
     path = CONFIGS / "kowalevski_hybrid.yaml"
     overrides = [
         "h=1e-2",

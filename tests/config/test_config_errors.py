@@ -1,4 +1,4 @@
-"""What is said about a wrong config: file, line, key, what is wrong and what would be right."""
+"""Messages about a wrong config: file, line, key, the mistake and its correction."""
 
 from __future__ import annotations
 
@@ -39,6 +39,9 @@ WRONG = [
     ("N: 100", "N: -5", 8, "N", "must be at least 1, not -5"),
     ("N: 100", "N: 2.5", 8, "N", "must be a whole number, not 2.5"),
     ("N: 100", "N: 1e13", 8, "N", "must be at most 1000000000000"),
+    ("N: 100", "T: many", 8, "T", "must be a number, not the text 'many'"),
+    ("N: 100", "T: 0.0505", 8, "T", "nearest: T = 0.05 (N = 50) or T = 0.051 (N = 51)"),
+    ("N: 100", "T: -0.1", 8, "T", "must have the sign of h = 0.001, not -0.1"),
     ("N: 100", "N: many", 8, "N", "must be a whole number, not the text 'many'"),
     ("hk", "hkk", 6, "scheme", "unknown scheme 'hkk'; did you mean 'hk'?"),
     ("hk", "tumbler", 6, "scheme", "scheme 'tumbler' does not fit top 'kowalevski'; it fits euler"),
@@ -115,15 +118,15 @@ def euler_scheme(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("euler_scheme")
 @pytest.mark.parametrize(("old", "new", "line", "key", "says"), WRONG)
-def test_wrong_value(tmp_path: Path, old: str, new: str, line: int, key: str, says: str) -> None:
+def test_wrong_value_is_reported_by_line(tmp_path: Path, old: str, new: str, line: int, key: str, says: str) -> None:
     assert BASE.count(old) >= 1
     path = write(tmp_path, BASE.replace(old, new, 1))
-    told = refusal(path).splitlines()
+    messages = refusal(path).splitlines()
     start = f"{path}:{line}: {key}: "
-    assert any(text.startswith(start) and says in text for text in told), told
+    assert any(text.startswith(start) and says in text for text in messages), messages
 
 
-def test_base_is_right(tmp_path: Path) -> None:
+def test_base_config_is_valid(tmp_path: Path) -> None:
     assert load_experiment(write(tmp_path, BASE)).output.format == "csv"
     assert load_experiment(write(tmp_path, BASE_TOML, "good.toml")).output.every == 20
 
@@ -161,14 +164,14 @@ SYNTAX = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("text", "says"), SYNTAX)
-def test_wrong_yaml(tmp_path: Path, text: str | bytes, says: str) -> None:
+def test_wrong_yaml_is_reported_with_its_line(tmp_path: Path, text: str | bytes, says: str) -> None:
     path = write(tmp_path, text)
     message = refusal(path)
     assert message.startswith(str(path))
     assert message[len(str(path)) :].startswith(says) or (not says.startswith(":1") and says in message)
 
 
-def test_alias_bomb(tmp_path: Path) -> None:
+def test_alias_bomb_is_refused(tmp_path: Path) -> None:
     def tower(levels: int) -> str:
         rows = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
         rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
@@ -204,7 +207,7 @@ TOML = [
 
 
 @pytest.mark.parametrize(("old", "new", "says"), TOML)
-def test_wrong_toml(tmp_path: Path, old: str, new: str, says: str) -> None:
+def test_wrong_toml_is_reported_with_its_line(tmp_path: Path, old: str, new: str, says: str) -> None:
     assert BASE_TOML.count(old) == 1
     path = write(tmp_path, BASE_TOML.replace(old, new), "bad.toml")
     message = refusal(path)
@@ -226,20 +229,20 @@ def test_toml_key_lines() -> None:
 
 def test_several_mistakes_are_reported_at_once(tmp_path: Path) -> None:
     text = BASE.replace("h: 0.001", "h: 0").replace("c0", "c_0").replace("hk", "hkk").replace("100", "0")
-    told = refusal(write(tmp_path, text)).splitlines()
-    assert len(told) == 3
-    assert told[2].endswith("(and 1 more)")
-    assert {line.split(": ")[1] for line in told} == {"h", "N", "top.c_0"}
+    messages = refusal(write(tmp_path, text)).splitlines()
+    assert len(messages) == 3
+    assert messages[2].endswith("(and 1 more)")
+    assert {line.split(": ")[1] for line in messages} == {"h", "N", "top.c_0"}
 
 
-def test_kind_of_error(tmp_path: Path) -> None:
+def test_wrong_type_names_the_expected_type(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError):
         load_experiment(write(tmp_path, BASE.replace("hk", "hkk")))
     with pytest.raises(ConfigError):
         load_experiment(write(tmp_path, BASE.replace("hk", "hkk").replace("100", "0")))
 
 
-def test_wrong_files(tmp_path: Path) -> None:
+def test_unreadable_config_files_are_refused(tmp_path: Path) -> None:
     write(tmp_path, BASE, "wobble.yaml")
     (tmp_path / "folder.yaml").mkdir()
     assert refusal(tmp_path / "woble.yaml") == f"{tmp_path}/woble.yaml: no such file; did you mean 'wobble.yaml'?"

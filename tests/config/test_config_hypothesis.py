@@ -130,21 +130,21 @@ def loads_or_refuses(path: Path, content: bytes) -> None:
 @example(content=b"%TAG ! !\n%TAG ! !\n---\na: 1\n")
 @example(content=b'a: "\\UFFFFFFFF"\n')
 @example(content=b"? ? ? ?\n")
-def test_any_yaml_file(folder: Path, content: bytes) -> None:
+def test_any_yaml_text_loads_or_is_refused(folder: Path, content: bytes) -> None:
     loads_or_refuses(folder / "any.yaml", content)
 
 
 @pytest.mark.slow
 @settings(CONFIG)
 @given(content=ANYTHING | pieces(TOML_PIECES).map(str.encode) | spliced(GENERIC).map(str.encode))
-def test_any_toml_file(folder: Path, content: bytes) -> None:
+def test_any_toml_text_loads_or_is_refused(folder: Path, content: bytes) -> None:
     loads_or_refuses(folder / "any.toml", content)
 
 
 @pytest.mark.slow
 @settings(CONFIG)
 @given(text=st.text(max_size=40) | pieces(YAML_PIECES).map(lambda text: "h=" + text))
-def test_any_override(text: str) -> None:
+def test_any_override_loads_or_is_refused(text: str) -> None:
     message = refusal(lambda: parse_override(text))
     assert not message or message.startswith("--set ")
 
@@ -159,7 +159,7 @@ PLAIN_DATA = st.recursive(
 @pytest.mark.slow
 @settings(CONFIG)
 @given(key=st.sampled_from(["name", "top", "initial", "scheme", "h", "N", "output"]), value=PLAIN_DATA)
-def test_any_value_of_a_key(key: str, value: object) -> None:
+def test_any_value_of_a_key_loads_or_is_refused(key: str, value: object) -> None:
     data: dict[str, Any] = load_experiment(CONFIGS / "kowalevski_hybrid.yaml").resolved() | {key: value}
     message = refusal(lambda: experiment_from(data))
     assert key in message or not message

@@ -36,7 +36,7 @@ def test_starter_config_refuses_unknown_names() -> None:
 
 
 def fits(schema: Any, value: Any, root: Any = None) -> bool:
-    """Whether ``value`` satisfies ``schema``, for the keywords that the config's schema uses."""
+    """True if ``value`` satisfies ``schema``, for the keywords that the config's schema uses."""
     root = root or schema
     checks = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
 
@@ -58,6 +58,8 @@ def fits(schema: Any, value: Any, root: Any = None) -> bool:
                 return not fits(limit, value, root)
             case "anyOf":
                 return any(fits(inner, value, root) for inner in limit)
+            case "oneOf":
+                return sum(fits(inner, value, root) for inner in limit) == 1
             case "allOf":
                 return all(fits(inner, value, root) for inner in limit)
             case "if":
@@ -101,6 +103,10 @@ def test_schema_accepts(path: Path) -> None:
     assert schema["$schema"].endswith("2020-12/schema")
     assert fits(schema, load_experiment(path).resolved())
     assert fits(schema, parse_yaml(starter_config(), "starter")[0])
+    timed = {key: value for key, value in load_experiment(path).resolved().items() if key != "N"}
+    assert not fits(schema, timed)
+    assert fits(schema, timed | {"T": 0.5})
+    assert not fits(schema, timed | {"T": 0})
 
 
 @pytest.mark.slow
@@ -111,6 +117,7 @@ def test_schema_accepts(path: Path) -> None:
         ("h", "0.1"),
         ("N", 0),
         ("N", 2.5),
+        ("T", 50),
         ("top.c_0", 1),
         ("top.A", 0),
         ("top.kind", "x"),

@@ -28,7 +28,7 @@ def test_draws_are_those_of_the_seed() -> None:
 
 
 def within(values: np.ndarray, mean: float, variance: float) -> bool:
-    """Whether the mean of independent values of a known law is within four standard errors."""
+    """True if the mean of independent values of a known law is within four standard errors."""
     return abs(float(values.mean()) - mean) < 4.0 * math.sqrt(variance / len(values))
 
 

@@ -84,7 +84,7 @@ def test_a_single_run_is_not_made_of_an_ensemble(path: Path) -> None:
 # ---------------------------------------------------------------- lists and grids
 
 
-def test_a_list_takes_from_initial_what_it_leaves_out() -> None:
+def test_list_of_states_is_completed_from_initial() -> None:
     found = ensemble(states=[{"omega": [1, 2, 3]}, {"gamma": [0, "-auto", 0.6]}, {}])
     paper = (math.sqrt(1 - 1e-6), 0.0, 1e-3)
     assert states(found).tolist() == [[1, 2, 3, *paper], [2, 0, 0, 0, -0.8, 0.6], [2, 0, 0, *paper]]
@@ -206,7 +206,7 @@ def refusal_of(path: Path) -> str:
         ({"random": 7}, "must be a section with count"),
     ],
 )
-def test_mistakes_of_lists_and_grids(section: Any, said: str) -> None:
+def test_mistakes_in_lists_and_grids_are_reported(section: Any, said: str) -> None:
     with pytest.raises(ConfigError) as caught:
         any_from({**BASE, "ensemble": section})
     assert said in str(caught.value)
@@ -247,7 +247,7 @@ def test_numbers_that_are_replaced_are_finite_too(section: Any, number: float) -
         ({"store": "final"}, False),
     ],
 )
-def test_the_schema_says_what_the_loader_says(section: Any, good: bool) -> None:
+def test_schema_and_loader_agree(section: Any, good: bool) -> None:
     data = {**BASE, "ensemble": section}
     assert fits(config_schema(), data) == good
     if good:
@@ -257,7 +257,7 @@ def test_the_schema_says_what_the_loader_says(section: Any, good: bool) -> None:
             any_from(data)
 
 
-def test_the_schema_wants_a_start() -> None:
+def test_schema_requires_initial_states() -> None:
     data = {key: value for key, value in BASE.items() if key != "initial"}
     assert not fits(config_schema(), data)
     assert not fits(config_schema(), {**BASE, "initial": {"omega": [1, 2, 3]}})

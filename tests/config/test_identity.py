@@ -1,4 +1,4 @@
-"""Everything resolved enters the digest: each key of a resolved config, changed in turn, gives another one."""
+"""Each key of a resolved config, changed in turn, gives another digest; only the name and the format do not."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ def leaves(data: Any, path: PLACES = ()) -> Iterator[tuple[PLACES, Any]]:
 def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
     """Another valid value for a key, close to this one."""
     match value:
+        case _ if "enum" in schema:
+            return next(one for one in schema["enum"] if one != value)
         case bool():
             return not value
         case int():
@@ -40,8 +42,6 @@ def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
         case list():
             rest = math.hypot(value[0], value[1])
             return [rest, 0.0, *value[2:]] if value[0] != rest else [0.6 * rest, 0.8 * rest, *value[2:]]
-        case str() if "enum" in schema:
-            return next(one for one in schema["enum"] if one != value)
     return {("name",): "other", ("output", "format"): "csv", ("output", "columns"): ["t"]}[path]
 
 
@@ -75,6 +75,7 @@ def test_every_key_of_a_run_enters_its_digest(scene: str, scheme: str) -> None:
     resolved = experiment.resolved()
     options = experiment.scheme.options.model_json_schema().get("properties", {})
     digests = {(): experiment.digest}
+    outside = {}
     for path, value in leaves(resolved):
         if path in NAMES:
             continue
@@ -84,11 +85,13 @@ def test_every_key_of_a_run_enters_its_digest(scene: str, scheme: str) -> None:
         other = replaced(resolved, path, changed(path, value, schema))
         if path == ("top", "A") and scene == "lagrange_hk":
             other["top"]["B"] = other["top"]["A"]
-        digests[path] = single_from(other).digest
+        where = outside if path in (("name",), ("output", "format")) else digests
+        where[path] = single_from(other).digest
+    assert list(outside.values()) == [experiment.digest] * 2
     assert len(set(digests.values())) == len(digests)
     assert {path[1] for path in digests if path[:1] == ("scheme",)} == set(options)
-    assert {path[1] for path in digests if path[:1] == ("output",)} == {"format", "every", "columns"}
-    assert {path[0] for path in digests if path} >= {"name", "top", "initial", "h", "N", "output"}
+    assert {path[1] for path in digests if path[:1] == ("output",)} == {"every", "columns"}
+    assert {path[0] for path in digests if path} >= {"top", "initial", "h", "N", "output"}
 
 
 def test_every_scheme_and_top_has_a_digest_of_its_own() -> None:
@@ -114,3 +117,8 @@ def test_every_key_of_an_ensemble_enters_its_digest(override: str) -> None:
     first = load_any("kowalevski_hk", base)
     assert load_any("kowalevski_hk", [*base, override]).digest != first.digest
     assert load_any("kowalevski_hk", base).digest == first.digest
+
+
+def test_name_and_format_of_an_ensemble_do_not_enter_its_digest() -> None:
+    first = load_any("kowalevski_ensemble")
+    assert load_any("kowalevski_ensemble", ["name=other", "output.format=csv"]).digest == first.digest

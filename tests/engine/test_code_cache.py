@@ -76,9 +76,9 @@ def test_a_folder_that_another_could_fill_is_not_used(cache: Path, harm: str, cl
     before = sorted(os.listdir(cache))
     assert not works().cached
     assert sorted(os.listdir(cache)) == before
-    told = cli("doctor", "--json").json()
-    assert not told["cache"]["kept between processes"]
-    assert any("not used" in problem and str(cache) in problem for problem in told["problems"])
+    report = cli("doctor", "--json").json()
+    assert not report["cache"]["kept between processes"]
+    assert any("not used" in problem and str(cache) in problem for problem in report["problems"])
 
 
 @pytest.mark.slow

@@ -86,7 +86,7 @@ def test_collected_rows_are_those_of_all_chunks_and_outlive_the_run() -> None:
 
 
 @pytest.mark.parametrize("N", [1, 2, 8192, 8193])
-def test_every_length_of_run(N: int) -> None:
+def test_every_run_length_records_the_same_states(N: int) -> None:
     run = Run(Kowalevski(), RK2, GEN, 1e-3, N)
     n, states = rows(run)
     assert len(n) == len(states) == N + 1
@@ -236,7 +236,7 @@ def test_fingerprint_follows_kernels_constants_and_closures() -> None:
     assert fingerprint(make(1.0, double), None) != fingerprint(None, make(1.0, double))
 
 
-def test_arrays_of_the_wrong_kind_are_refused_at_the_border() -> None:
+def test_arrays_of_the_wrong_kind_are_refused_by_the_loop() -> None:
     compiled = native.native(_first, "p")
     assert compiled(np.array([3.0])) == 3
     with pytest.raises(TypeError, match="float64"):
@@ -287,7 +287,7 @@ print(states.tobytes().hex(), "numba" in sys.modules)
 @pytest.mark.slow
 def test_code_with_functions_of_its_own_survives_the_cache(tmp_path: Path) -> None:
     """The reference is compiled without forced inlining and mentions numba's own symbols."""
-    told = []
+    printed = []
     for _ in range(2):
         done = subprocess.run(
             [sys.executable, "-c", REFERENCE_PROBE],
@@ -297,16 +297,16 @@ def test_code_with_functions_of_its_own_survives_the_cache(tmp_path: Path) -> No
             cwd=ROOT,
             check=True,
         )
-        told.append(done.stdout.split())
-    assert told[0][0] == told[1][0]
-    assert [numba for _, numba in told] == ["True", "False"]
+        printed.append(done.stdout.split())
+    assert printed[0][0] == printed[1][0]
+    assert [numba for _, numba in printed] == ["True", "False"]
 
 
 def _doubled(s, h, p):
     return (2.0 * s[0], 2.0 * s[1], s[2], s[3], s[4], s[5])
 
 
-def test_the_largest_finite_states_are_no_failure() -> None:
+def test_largest_finite_states_do_not_fail() -> None:
     """Their sum overflows a step before one of them does; the run ends at the first step at which one does."""
     start = 2.0**1000
     run = Run(Kowalevski(), Stepper(_doubled, 6), (start, start, 1.0, 0.6, 0.48, 0.64), 0.1, 50)

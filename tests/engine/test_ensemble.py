@@ -23,7 +23,7 @@ Rows = list[tuple[np.ndarray, np.ndarray]]
 
 
 def slow(method: Method) -> bool:
-    """Whether trajectories run one after the other: in the interpreter, by a closed form, or by a loop of their own."""
+    """True if trajectories run one after the other: in the interpreter, by a closed form, or by a loop of their own."""
     return not isinstance(method, Stepper) or method.plain
 
 
@@ -87,7 +87,7 @@ def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.M
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["hk", "hybrid", "bohlin-b", "midpoint", "hybrid-sym", "hk+suzuki4"])
-def test_at_large_steps_too(name: str) -> None:
+def test_large_steps_have_the_bits_of_a_single_run(name: str) -> None:
     """Large angles take libm's branch, iterations fail, schemes blow up: what happens is what happens alone."""
     top = Kowalevski()
     method = find_scheme(name, "kowalevski").build(top, find_scheme(name, "kowalevski").options())
@@ -117,12 +117,12 @@ def test_the_stand_in_for_libm_is_noticed() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, ensemble.SMALL_TILE, TILE // 2 + 1, TILE, TILE + 1])
 @pytest.mark.parametrize(("N", "every"), [(1, 1), (10, 3), (10, 10), (10, 11)])
-def test_every_size(count: int, N: int, every: int) -> None:
+def test_ensembles_of_every_size_have_the_bits_of_single_runs(count: int, N: int, every: int) -> None:
     method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
     assert_same(Kowalevski(), method, random_states(count, 2), 0.01, N, every)
 
 
-def test_a_blow_up_stays_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blow_up_leaves_other_trajectories_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     """x**(2**n) overflows at a step that depends on x; those with |x| <= 1 never do."""
     monkeypatch.setattr(ensemble, "CHUNK_STEPS", 4)
     y0 = random_states(COUNT, 3)
@@ -155,7 +155,7 @@ def test_an_infinity_that_passes_is_seen() -> None:
     assert [ending.outcome for ending in run.endings].count(Outcome.COMPLETED) == 8
 
 
-def test_huge_states_are_no_failure() -> None:
+def test_huge_states_do_not_fail() -> None:
     """Their sum overflows, which raises the alarm, and the loop of single runs calls it off."""
     still = Stepper(lambda s, h, p: (s[0], s[1], s[2], s[3], s[4], s[5]), 6)
     y0 = np.full((COUNT, 6), 1.5e308)
@@ -180,7 +180,7 @@ def test_counters_belong_to_their_trajectory() -> None:
     assert [ending.counters["positive"] for ending in run.endings] == np.where(y0[:, 0] > 0, 10, 0).tolist()
 
 
-def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The pieces come in the same order with the same bits."""
     monkeypatch.setattr(ensemble, "GROUP", 2)
     monkeypatch.setattr(ensemble, "CHUNK_ROWS", 20)
@@ -226,7 +226,7 @@ def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeyp
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("broken", [0, 1, 3])
-def test_what_goes_wrong_with_a_piece_is_raised_once_and_ends_the_rest(
+def test_error_in_one_piece_is_raised_once_and_stops_the_others(
     threads: int, broken: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ensemble, "CHUNK_STEPS", 10)
@@ -247,7 +247,7 @@ def test_what_goes_wrong_with_a_piece_is_raised_once_and_ends_the_rest(
 
 
 @pytest.mark.parametrize("name", ["hk", "dop853"])
-def test_an_interruption_keeps_what_there_is(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interruption_keeps_recorded_rows(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble, "GROUP", 1)
     monkeypatch.setattr(ensemble, "CHUNK_STEPS", 10)
     monkeypatch.setattr("topcli.engine.loop.PLAIN_STEPS", 10)

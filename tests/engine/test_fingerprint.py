@@ -125,7 +125,7 @@ PLAIN = {
 
 @pytest.mark.parametrize("kind", PLAIN)
 def test_an_edit_of_a_plain_step_gives_another_code(folder: Path, kind: str) -> None:
-    """What runs in the interpreter needs no new machine code, but its folder must not count as up to date."""
+    """A step in the interpreter needs no new machine code, but its folder must not count as up to date."""
     found = [run_scheme(write_files(folder, PLAIN[kind], k, ", plain=True")) for k in ("2.0", "4.0", "2.0")]
     assert [one.value for one in found] == [4.0, 16.0, 4.0]
     assert found[0].code == found[2].code != found[1].code

@@ -32,7 +32,7 @@ def long_step(s, h, p):
 
 
 def stop_after(seconds: float):
-    """A request to stop that comes so many seconds after the first look at it."""
+    """A request to stop, some seconds after it is first polled."""
     begin: list[float] = []
 
     def asked() -> bool:

@@ -58,7 +58,7 @@ def data_of(line: Line2D) -> np.ndarray:
 
 
 def look(line: Line2D) -> tuple[Any, ...]:
-    """What a reader can tell a line by."""
+    """Features by which a reader identifies a line."""
     return to_rgb(line.get_color()), line.get_linestyle()
 
 
@@ -139,7 +139,7 @@ SPHERES = {
 
 
 def arrows(axes: Axes) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Foot and head of every arrow that stands on the axes."""
+    """Foot and head of every arrow on the axes."""
     return [
         (np.asarray(text.xyann), np.asarray(text.xy))  # type: ignore[attr-defined]
         for text in axes.texts
@@ -248,6 +248,26 @@ def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
         root, linear = (data_of(line) for line in axes.lines if line.get_marker() != "o")
         np.testing.assert_allclose(root[:, 1], 2.0**-52 * np.sqrt(steps), rtol=1e-12)
         np.testing.assert_allclose(linear[:, 1], root[0, 1] * steps / steps[0], rtol=1e-12)
+
+
+def test_energies_are_drawn_logarithmically_against_time(tmp_path: Path) -> None:
+    loaded = FIGURES["integrable"].load(Request(tmp_path, tmp_path))
+    times = 0.1 * 2.0 ** np.arange(20)
+    names = [column for panel in loaded.panels for column in panel.columns]
+    data = {name: times if name.startswith("t:") else 1e-9 * (i + 1.0) * times for i, name in enumerate(names)}
+    figure = draw(loaded.panels, data, loaded.layout)
+    scenes = ("kowalevski_generic_hk", "euler_hk")
+    drawn = {"kowalevski_generic_hk": ["splitting", "dmv", "hk", "midpoint4", "rk4"]}
+    drawn["euler_hk"] = ["splitting", "dmv", "hk", "midpoint", "rk4"]
+    colours: dict[str, Any] = {}
+    for axes, scene in zip(figure.axes, scenes, strict=True):
+        assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+        assert [line.get_label() for line in axes.lines] == drawn[scene]
+        for line in axes.lines:
+            np.testing.assert_array_equal(data_of(line), np.column_stack([times, data[f"{scene}:{line.get_label()}"]]))
+            assert in_sight(axes, line)
+            assert same_color(colours.setdefault(str(line.get_label()), line.get_color()), line.get_color())
+    assert len({to_rgb(colour) for colour in colours.values()}) == len(colours)
 
 
 def bench_report(name: str, errors: dict[str, list[float]]) -> dict[str, Any]:
@@ -385,16 +405,18 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         *SPHERES,
         "modified",
         "polhodes",
+        "integrable",
         "roundoff",
         "work-precision",
         "compare",
         "stress",
         "order",  # in test_sweep_figures.py
+        *("swings", "errors", "heavy-drift"),  # in test_sweep_studies.py
     }
 
 
 def test_another_panel_is_drawn_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a figure depends on makes it redraw: its panels, the code of its study."""
+    """A change of its panels or of the code of its study redraws a figure."""
     from dataclasses import replace
 
     monkeypatch.setattr("topcli.figures.make.save", lambda figure, path: path.touch())
@@ -411,3 +433,40 @@ def test_another_panel_is_drawn_again(tmp_path: Path, monkeypatch: pytest.Monkey
     assert [make_figure(spec, *options).status for _ in range(2)] == ["drawn", "up to date"]
     code[0] = "b"
     assert make_figure(spec, *options).status == "drawn"
+
+
+def test_the_ellipsoid_is_lit_and_tinted_by_its_formula(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Colour of single points: white at the separatrix, blue or ochre beyond, and light from the upper left."""
+    (axes,) = drawn_from("polhodes", tmp_path, monkeypatch, ["N=700"]).axes
+    (picture,) = axes.images
+    image, half = np.asarray(picture.get_array()), float(picture.get_extent()[1])
+    moments = (3.0, 2.0, 1.0)
+    eye, right, up = (seen_back(24.0, 52.0, axis) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0)))
+    towards = -0.45 * right + 0.55 * up + 0.75 * eye
+    light = towards / math.sqrt(0.45**2 + 0.55**2 + 0.75**2)
+    gloss = (light + eye) / np.linalg.norm(light + eye)
+    pixels, compared = len(image), 0
+    for row in range(40, pixels, 97):
+        for column in range(40, pixels, 89):
+            x, y = (2.0 * half * place / (pixels - 1) - half for place in (column, row))
+            try:
+                point = point_on_ellipsoid(np.array([x, y]), np.array(moments))
+            except ValueError:  # beside the ellipsoid
+                assert image[row, column, 3] == 0.0
+                continue
+            normal = point * moments
+            size = math.sqrt(normal @ normal)  # m² at 2E = 1, between 1 and 3
+            level = size**2 - 2.0
+            tint = np.array((0.44, 0.63, 0.80) if level > 0.0 else (0.93, 0.72, 0.42))
+            colour = np.array((0.985, 0.975, 0.955)) * (1.0 - abs(level)) + abs(level) * tint
+            unit = normal / size
+            lit = colour * (0.70 + 0.31 * max(unit @ light, 0.0)) + 0.07 * max(unit @ gloss, 0.0) ** 24
+            np.testing.assert_allclose(image[row, column, :3], np.minimum(lit, 1.0), atol=1e-9)
+            compared += 1
+    assert compared > 20
+
+
+def seen_back(elevation: float, azimuth: float, screen: tuple[int, int, int]) -> np.ndarray:
+    """Direction in space of an axis of the screen (right, up, towards the viewer)."""
+    columns = np.array([seen_from(elevation, azimuth, axis[None])[0] for axis in np.eye(3)])
+    return columns @ np.array(screen, dtype=float)

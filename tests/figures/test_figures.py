@@ -42,7 +42,7 @@ def data(made: Path, name: str) -> dict[str, np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["fig1", "fig2", "fig4"])
-def test_plotted_data_is_the_run(made: Path, name: str) -> None:
+def test_plotted_data_equals_the_run(made: Path, name: str) -> None:
     plotted = data(made, name)
     scene = FIGURES[name].scene
     series = pq.read_table(made / scene / "series.parquet")
@@ -85,7 +85,7 @@ def test_pictures_are_fit_for_print(made: Path, name: str) -> None:
     assert (pixels[:, -4:] > 250).all()
 
 
-def test_nothing_is_done_twice(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_up_to_date_figure_is_not_redrawn(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*arguments: object) -> None:
         raise AssertionError("drawn again")
 
@@ -201,8 +201,8 @@ def test_no_figure_names_a_scheme_that_it_does_not_draw(
     other = texts(drawn_from(name, tmp_path / "b", monkeypatch, ["N=200", "scheme={name: taylor, tol: 1e-12}"]))
     titles = [f"({letter}) {TITLED[name]}" for letter in "ab"] if name in TITLED else []
     assert [text for text in own if text.startswith("(")] == titles
-    told = [text.replace("taylor (tol=1e-12)", TITLED.get(name, "")) for text in other]
-    assert told == own
+    expected = [text.replace("taylor (tol=1e-12)", TITLED.get(name, "")) for text in other]
+    assert expected == own
     assert (other != own) == (name in TITLED)
 
 
@@ -214,7 +214,7 @@ def test_labels_are_the_symbols_of_the_run(tmp_path: Path, monkeypatch: pytest.M
     assert left.get_title(loc="left") == "(a) bohlin-c"
 
 
-def test_nothing_is_cut_off_by_a_fixed_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fixed_axis_limits_clip_no_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same figure of a faster top: E = 20 lies far above the range of the paper's figure."""
     figure = drawn_from("fig3", tmp_path, monkeypatch, ["N=200", "initial.omega=[4.4, 0, 0]"])
     energy = np.asarray(figure.axes[0].lines[0].get_ydata())
@@ -224,8 +224,8 @@ def test_nothing_is_cut_off_by_a_fixed_range(tmp_path: Path, monkeypatch: pytest
     assert high >= energy.max()
 
 
-def test_motions_are_called_what_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A panel that tells a packaged motion by a word takes the run's name for another one, and keeps it for others."""
+def test_captions_name_the_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A panel that names a packaged motion takes the run's name for another one, and keeps it for others."""
     changes = {f"lagrange_{name}": ["N=200"] for name in ("cusps", "loops", "waves")}
     changes["lagrange_loops"] += ["name=mine", "initial={m: [0.3, 0, 1.9], a: [0.6, 0, 0.8]}"]
     titles = [axes.get_title() for axes in drawn_from("nutation", tmp_path, monkeypatch, changes).axes]

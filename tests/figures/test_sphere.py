@@ -20,7 +20,7 @@ def test_projection_is_a_rotation_that_looks_from_where_it_says() -> None:
     assert (view @ [0.0, 0.0, 1.0])[1] > 0.0
 
 
-def test_what_lies_behind_is_drawn_lighter() -> None:
+def test_far_side_of_the_sphere_is_drawn_lighter() -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 400)
     circle = {"x": np.cos(angle), "y": np.sin(angle), "z": 0.0 * angle}
     axes = draw([Sphere("equator", ("x", "y", "z"), elevation=40.0)], circle).axes[0]

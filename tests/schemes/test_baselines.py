@@ -73,7 +73,7 @@ class Free(Heavy):
         return (self.A, self.B, self.C)
 
 
-def test_states_of_length_three() -> None:
+def test_runge_kutta_steps_serve_states_of_length_three() -> None:
     """The steps for three components, compiled, are those for six without gravity."""
     three, six = Free(), Heavy(x0=0.0, y0=0.0, z0=0.0)
     for build in (lambda d, f: rk2_step(f, VECTOR_OPERATIONS[d][0]), lambda d, f: rk4_step(f, *VECTOR_OPERATIONS[d])):
@@ -90,7 +90,7 @@ def last_state(top: Top, made: Stepper, y0, h: float, N: int) -> np.ndarray:
 
 @adaptive
 def test_order_of_an_adaptive_formula(scheme: Scheme) -> None:
-    """Where the tolerance accepts every step the formula is a fixed-step method of the declared order."""
+    """If the tolerance accepts every step, the formula is a fixed-step method of the declared order."""
     top = TOPS[scheme.top].new()
     y0 = GEN[: len(top.components)]
     made = scheme.build(top, scheme.options(**LOOSE))
@@ -154,8 +154,8 @@ def test_dop853_is_scipys_own_solution() -> None:
     assert (mine == theirs.y[:, -1]).all()
 
 
-def test_dop853_that_cannot_go_on_says_so() -> None:
-    """Rates beyond double precision: no convergence, told as such, with the rows before it."""
+def test_dop853_reports_no_convergence() -> None:
+    """Rates beyond double precision: no convergence, reported as such, with the rows before it."""
     top = Kowalevski()
     scheme = find_scheme("dop853", "kowalevski")
     run = Run(top, scheme.build(top, scheme.options()), (1e200, 1e200, 1e200, 0.6, 0.48, 0.64), 1.0, 5)
@@ -166,7 +166,7 @@ def test_dop853_that_cannot_go_on_says_so() -> None:
     assert len(states) == 1
 
 
-def test_interpreted_steps_are_timed_over_few() -> None:
+def test_interpreted_steps_are_timed_over_few_steps() -> None:
     top = Kowalevski()
     scheme = find_scheme("dop853", "kowalevski")
     timed = nanoseconds_per_step([(top, scheme.build(top, scheme.options()), GEN, 0.1)], 10**9, repetitions=1)

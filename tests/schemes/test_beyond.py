@@ -127,7 +127,7 @@ def test_projection_is_the_shortest_way_back() -> None:
         D = gradients(tuple(z), 1.0, *xi_of(z[0], z[1], z[3], z[4], 1.0))
         correction = np.array(new[:6]) - z
         outside = correction - D @ np.linalg.lstsq(D, correction)[0]
-        assert np.linalg.norm(correction) > 1e-8
+        assert 5.2e-7 < np.linalg.norm(correction) < 0.00016
         assert np.linalg.norm(outside) < 2e-2 * np.linalg.norm(correction)  # later corrections reuse D: higher order
         np.testing.assert_allclose(first_three(new[:6], 1.0), first_three(y, 1.0), rtol=0, atol=4e-15)
 
@@ -145,7 +145,7 @@ def test_four_integrals_over_a_million_steps(name: str, y0: Floats, h: float) ->
     assert ending.outcome is Outcome.COMPLETED
     assert max(deviations(states).values()) < 20.0
     control, _ = ran(stepper("hk"), y0, h, 10_000)
-    assert min(deviations(control).values()) > 1e6
+    assert 3.4e10 < min(deviations(control).values()) < 2e12
 
 
 @pytest.mark.slow
@@ -181,7 +181,7 @@ def test_degenerate_tori_are_no_worse_than_hk(name: str, c0: float, y0: Floats) 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_FOUR)
 @pytest.mark.parametrize("k", [0.0, 1e-12, 1e-9, 1e-6, 1e-4, 1e-3])
-def test_small_k_is_kept(name: str, k: float) -> None:
+def test_small_k_is_conserved(name: str, k: float) -> None:
     """Delone's motion, k = 0, where the gradient of k² vanishes, and close to it: kept, and no worse than HK."""
     g1, g2 = 0.72 - 0.6 * k, 0.54 + 0.8 * k
     y0 = (0.9, 0.3, 1.0, g1, g2, math.sqrt(1.0 - g1 * g1 - g2 * g2))
@@ -193,7 +193,7 @@ def test_small_k_is_kept(name: str, k: float) -> None:
         ks = [np.hypot(*xi_of(s[:, 0], s[:, 1], s[:, 3], s[:, 4], 1.0)) for s in (mine, hk)]
         assert np.abs(ks[0] - ks[0][0]).max() < (4e-15 if name == "midpoint4" else 1e-8)  # others: a step in a hundred
         assert np.median(np.abs(ks[0] - ks[0][0])) < 4e-15
-        assert np.abs(ks[1] - ks[1][0]).max() > 1e-5
+        assert 3e-5 < np.abs(ks[1] - ks[1][0]).max() < 0.0032
         assert np.abs(mine[-1] - exact).max() < np.abs(hk[-1] - exact).max()
         found = deviations(mine)
         assert max(found["gamma_sq"], found["two_l"], found["energy"]) < 100.0
@@ -211,12 +211,14 @@ def test_counters_report_unmet_tolerances() -> None:
     generic = ran(stepper("hk-projected"), GEN, 0.01, 1000)[1].counters
     assert 1000 <= generic["corrections"] <= 4000
     assert generic["unmet"] == 0
-    assert ran(stepper("hk-projected"), GEN, 2.0, 1000)[1].counters["unmet"] > 10  # a step of no use
+    assert ran(stepper("hk-projected"), GEN, 2.0, 1000)[1].counters["unmet"] == pytest.approx(
+        296, rel=0.05
+    )  # a step of no use
 
 
-def test_long_run_control() -> None:
+def test_rk2_control_drifts() -> None:
     states, _ = ran(RK2, GEN, 0.01, 10_000)
-    assert min(deviations(states).values()) > 1e6
+    assert min(deviations(states).values()) == pytest.approx(5.86e10, rel=0.05)
 
 
 def test_mean_gradient_of_k_squared() -> None:

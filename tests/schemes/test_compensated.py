@@ -155,7 +155,7 @@ CARRIED = {
 
 @pytest.mark.parametrize("name", CARRIED)
 def test_every_sum_is_carried_on(name: str) -> None:
-    """What one component has lost before a step, a quarter of its last bit, is in its sum after it: none is dropped."""
+    """A quarter of a last bit lost by one component before a step is in its sum after it; none is dropped."""
     scheme, top = find_scheme(*name.split("/")), TOPS[name.split("/")[1]].new()
     made = built(scheme, top, True)
     assert made.enter is not None
@@ -177,7 +177,7 @@ def test_every_sum_is_carried_on(name: str) -> None:
 
 @pytest.mark.slow
 @by_name
-def test_composable_as_ever(scheme: Scheme) -> None:
+def test_compensated_schemes_can_be_composed(scheme: Scheme) -> None:
     """The option changes nothing about whether a scheme can be composed, and the composed one runs."""
     if scheme.name not in composable_names(scheme.top):
         return
@@ -276,7 +276,7 @@ def test_exact_invariants_over_a_million_steps(name: str, form: str) -> None:
 @pytest.mark.parametrize("name", ["hybrid-xi", "hybrid-sym"])
 @pytest.mark.parametrize("y0", [GEN, PAPER])
 def test_hybrids_keep_their_lengths(name: str, y0: Any) -> None:
-    """What is compensated is also brought back to its length: nothing grows at all."""
+    """Compensated lengths are also restored: nothing grows."""
     assert deviation(find_scheme(name, "kowalevski"), Kowalevski(), y0, True, n=300_000) < 12.0
 
 
@@ -288,7 +288,7 @@ def test_blow_up_is_found_at_the_same_step(compensated: bool) -> None:
     assert (run.ending.outcome, run.ending.step) == (Outcome.BLEW_UP, 1)
 
 
-def test_in_a_config() -> None:
+def test_option_is_accepted_in_a_config() -> None:
     base = {
         "top": "kowalevski",
         "initial": {"omega": [2, 0, 0], "gamma": ["auto", 0, 1e-3]},

@@ -42,6 +42,10 @@ LADDERS = {
 """Durations, and numbers of steps that take the errors from below 1e-3 to round-off."""
 
 
+FINER = ("dmv", "splitting")
+"""Bases that need shorter steps: dmv has none beyond |h omega| of about 1, and stages are longer than their step."""
+
+
 def errors_after(top: Top, stepper: Stepper, y0, duration: float, counts) -> list[float]:
     exact = reference_states(top, y0, np.array([duration]))[0]
     return [float(np.linalg.norm(states_of(Run(top, stepper, y0, duration / N, N, N))[-1] - exact)) for N in counts]
@@ -61,6 +65,8 @@ def test_declared_order_is_observed(base: Scheme, name: str) -> None:
     if scheme.order == 8 and len(top.components) == 3:  # free, so calm that errors need time to rise above round-off
         duration, counts = 5 * duration, [5 * N for N in counts]
     method = scheme.build(top, base.options())
+    if base.name in FINER:
+        counts = [3 * N // 2 for N in counts]
     errors = errors_after(top, method, GEN[: len(top.components)], duration, counts)
     assert max(errors) < 1e-3
     order = observed_order([duration / N for N in counts], errors, 1e-12)
@@ -86,7 +92,7 @@ def worst_defect(top: Top, stepper: Stepper, h: float) -> float:
 def test_self_adjoint_to_round_off(base: Scheme, name: str) -> None:
     scheme, top = compose(base, name), TOPS[base.top].new()
     assert scheme.self_adjoint
-    for h in (0.2, 0.1, 0.05):
+    for h in (0.05, 0.02, 0.01) if base.name in FINER else (0.2, 0.1, 0.05):
         assert worst_defect(top, scheme.build(top, base.options()), h) < 1e-14
 
 
@@ -110,7 +116,7 @@ def deviation(values: np.ndarray, scale: np.ndarray, steps: int) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("base", [base for base in BASES if base.conserves], ids=lambda s: f"{s.name}/{s.top}")
 @by_composition
-def test_what_the_base_conserves_survives(base: Scheme, name: str) -> None:
+def test_invariants_of_the_base_are_conserved(base: Scheme, name: str) -> None:
     """To round-off, while another integral of the same run deviates visibly (unless the base conserves them all).
 
     The longest stage is no longer than what the iterations of the implicit bases settle for.
@@ -157,7 +163,7 @@ def leapfrog_integral(top: Top, h: float, options: object) -> tuple[Invariant, .
 
 
 @by_composition
-def test_integrals_that_depend_on_h_do_not_survive(name: str) -> None:
+def test_modified_integrals_of_the_base_are_not_conserved(name: str) -> None:
     """And are not said to."""
     top, h, N = Oscillator(), 0.3, 4000
     base = replace(HK, top="oscillator", build=lambda *_: Stepper(leapfrog, 2), modified=leapfrog_integral)
@@ -166,12 +172,12 @@ def test_integrals_that_depend_on_h_do_not_survive(name: str) -> None:
     (integral,) = leapfrog_integral(top, h, None)
     kept, lost = (integral.value(states_of(Run(top, s.build(top, None), (0.6, 0.8), h, N))) for s in (base, scheme))
     assert deviation(kept, kept, N) < 1.0
-    assert deviation(lost, lost, N * COMPOSITIONS[name].stages) > 1e4
+    assert 2.4e9 < deviation(lost, lost, N * COMPOSITIONS[name].stages) < 2.5e10
     # nor does the same integral at the length of any one stage
     for c in COMPOSITIONS[name].weights:
         (integral,) = leapfrog_integral(top, c * h, None)
         lost = integral.value(states_of(Run(top, scheme.build(top, None), (0.6, 0.8), h, N)))
-        assert deviation(lost, lost, N * COMPOSITIONS[name].stages) > 1e4
+        assert 2.3e7 < deviation(lost, lost, N * COMPOSITIONS[name].stages) < 7e10
 
 
 # How stages are put together
@@ -181,7 +187,7 @@ def test_integrals_that_depend_on_h_do_not_survive(name: str) -> None:
 @by_base
 @by_composition
 def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
-    """Compiled, ten steps are bit for bit so many runs of one compiled base step each.
+    """Ten compiled steps equal, bit for bit, as many runs of one compiled base step each.
 
     Where the base carries more than the state from step to step (the place where its iteration starts), to round-off.
     """
@@ -255,12 +261,12 @@ def rescaled(s, h, p):
         ({"build": lambda *_: replace(KICK_TURN, leave=rescaled)}, "depends on h"),
     ],
 )
-def test_bases_that_do_not_serve(change: dict, says: str) -> None:
-    with pytest.raises(UsageError, match=says) as told:
+def test_unsuitable_bases_are_refused(change: dict, says: str) -> None:
+    with pytest.raises(UsageError, match=says) as refusal:
         composed(replace(SPLIT, **change), "suzuki4")
-    assert "schemes for kowalevski that can be: " in str(told.value)
-    assert " hk," in str(told.value)
-    assert len(str(told.value).splitlines()) == 1
+    assert "schemes for kowalevski that can be: " in str(refusal.value)
+    assert " hk," in str(refusal.value)
+    assert len(str(refusal.value).splitlines()) == 1
 
 
 def test_options_decide_when_the_scheme_is_built() -> None:

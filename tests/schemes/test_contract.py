@@ -1,9 +1,11 @@
-"""What a scheme declares is tested because it is declared: order, self-adjointness, exact invariants.
+"""Declared traits of every scheme hold: order, self-adjointness, exact invariants.
 
 Every test comes with a positive control: a scheme without the trait that the same measure condemns.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from topcli.analysis.order import observed_order, one_step_back_and_forth, rever
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Method, Scheme, Top
 from topcli.engine.loop import Run
+from topcli.errors import UsageError
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
@@ -29,13 +32,25 @@ by_step = pytest.mark.parametrize("scheme", [s for s in SCHEMES if not s.adaptiv
 """The schemes whose step is h; the adaptive ones are tried in ``test_baselines``."""
 
 
-def every_option(scheme: Scheme) -> list:
-    """The default options and, one at a time, every other choice of an enumerated option or a switch."""
+def every_option(scheme: Scheme, top: Top) -> list:
+    """The default options and, one at a time, every other choice of an enumerated option or a switch.
+
+    A choice that the scheme refuses for this top is left out.
+    """
     made = [scheme.options()]
     for name, schema in scheme.options.model_json_schema().get("properties", {}).items():
         choices = [False, True] if schema.get("type") == "boolean" else schema.get("enum", [])
         made += [scheme.options(**{name: v}) for v in choices if v != schema.get("default")]
-    return made
+    return [made[0], *(options for options in made[1:] if not refused(scheme, top, options))]
+
+
+def refused(scheme: Scheme, top: Top, options: Any) -> bool:
+    """True if the scheme cannot be built for this top with these options."""
+    try:
+        scheme.build(top, options)
+    except UsageError:
+        return True
+    return False
 
 
 def last_state(top: Top, stepper: Method, y0, h: float, N: int) -> np.ndarray:
@@ -76,20 +91,21 @@ def test_names_are_unique() -> None:
 @by_step
 def test_declared_order_is_observed(scheme: Scheme) -> None:
     for top in TRIALS[scheme.top][:2]:
-        for options in every_option(scheme):
+        for options in every_option(scheme, top):
             method = scheme.build(top, options)
-            if scheme.order is None:
+            order = scheme.order_for(options)
+            if order is None:
                 assert max(errors_after(top, method, 2.0, np.array([1, 7, 300]))) < 1e-14, (top, options)
             else:
-                assert observed(top, method) == pytest.approx(scheme.order, abs=0.1), (top, options)
+                assert observed(top, method) == pytest.approx(order, abs=0.1), (top, options)
 
 
 def test_order_control() -> None:
-    """The measure tells orders apart: Euler's rule is no order-2 scheme, and no rule is exact."""
+    """The measure distinguishes orders: Euler's rule is no order-2 scheme, and no rule is exact."""
     assert observed(Kowalevski(), EULER) == pytest.approx(1.0, abs=0.1)
     assert observed(Kowalevski(), RK2) == pytest.approx(2.0, abs=0.1)
     assert observed(Euler(), rk2(Euler())) == pytest.approx(2.0, abs=0.1)
-    assert min(errors_after(Euler(), rk2(Euler()), 2.0, np.array([1, 7, 300]))) > 1e-8
+    assert min(errors_after(Euler(), rk2(Euler()), 2.0, np.array([1, 7, 300]))) == pytest.approx(3.51e-06, rel=0.05)
 
 
 def worst_defect(top: Top, stepper: Method, h: float) -> float:
@@ -101,13 +117,13 @@ def worst_defect(top: Top, stepper: Method, h: float) -> float:
 def test_declared_self_adjointness(scheme: Scheme) -> None:
     """One step there and back: round-off for a self-adjoint scheme at every h, visibly more for the others."""
     top = TOPS[scheme.top]()
-    for options in every_option(scheme):
+    for options in every_option(scheme, top):
         stepper = scheme.build(top, options)
         defects = [worst_defect(top, stepper, h) for h in (0.2, 0.1, 0.05)]
         if scheme.self_adjoint:
             assert max(defects) < 1e-14
         else:
-            assert min(defects) > 1e-9
+            assert 3.8e-8 < min(defects) < 0.13
             assert max(defects) < 10.0  # 3.3 at most; a step that fails has an infinite one
 
 
@@ -145,7 +161,7 @@ def test_declared_invariants_are_exact(scheme: Scheme, top: Top) -> None:
 def test_exactness_control(top: Top) -> None:
     """The explicit midpoint rule, at a small step, fails the same test by far."""
     for name in {"kowalevski": ("gamma_sq", "k_sq")}.get(top.form, [one.name for one in top.invariants()]):
-        assert deviation_over_bound(top, rk2(top), gen(top), 0.01, (name,)) > 100.0
+        assert 410000.0 < deviation_over_bound(top, rk2(top), gen(top), 0.01, (name,)) < 5.9e8
 
 
 @pytest.mark.slow

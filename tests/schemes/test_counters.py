@@ -1,4 +1,4 @@
-"""What could go wrong silently is counted; the counters change nothing else."""
+"""Silent difficulties are counted; the counters change nothing else."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def plain(top: Top, step, y0: Floats, h: float, N: int) -> np.ndarray:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_counters_change_nothing(top: Top, name: str, step) -> None:
+def test_counters_change_no_bit(top: Top, name: str, step) -> None:
     """Bit for bit, compiled and in plain Python."""
     states, ending = ran(top, name, GEN, 0.05, 2000)
     assert set(ending.counters.values()) == {0}
@@ -70,7 +70,7 @@ def test_near_singular_solves_are_counted(top: Top) -> None:
     assert ran(top, "hk", GEN, 0.05, 1000)[1].counters[NEAR_SINGULAR] == 0
 
 
-def test_the_hybrids_count_hk_s_singular_solves_too() -> None:
+def test_hybrids_count_singular_solves_of_hk() -> None:
     top = Kowalevski()
     for name in ("hybrid", "hybrid-xi"):
         assert ran(top, name, GEN, singular_step(top, GEN), 1)[1].counters[NEAR_SINGULAR] == 1  # pyright: ignore
@@ -141,7 +141,7 @@ def test_dg4_counts_steps_that_do_not_restore_the_integrals() -> None:
 
 
 @pytest.mark.parametrize("top", [Euler(), EulerGamma()], ids=lambda top: top.form)
-def test_euler_s_implicit_steps_tell_that_they_did_not_converge(top: Top) -> None:
+def test_implicit_euler_top_steps_report_no_convergence(top: Top) -> None:
     for name in ("bs-implicit", "midpoint"):
         _, ending = ran(top, name, GEN, singular_step(top, GEN[: len(top.components)]), 50)  # pyright: ignore
         assert ending.outcome is Outcome.NO_CONVERGENCE
@@ -168,7 +168,7 @@ def test_a_run_warns_of_what_it_counted() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", all_schemes(), ids=lambda one: f"{one.name}/{one.top}")
-def test_normal_work_is_no_warning(scheme: Scheme) -> None:
+def test_normal_counts_give_no_warning(scheme: Scheme) -> None:
     """On an ordinary run nothing that a scheme counts is a warning; what can be one has a limit that explains it."""
     top = TOPS[scheme.top].new()
     _, ending = ran(top, scheme.name, GEN, 0.02, 200)
@@ -178,7 +178,7 @@ def test_normal_work_is_no_warning(scheme: Scheme) -> None:
     assert not warned or scheme.limits
 
 
-def test_a_run_of_taylor_says_nothing_but_its_end(cli: Callable[..., Said]) -> None:
+def test_run_of_taylor_prints_only_its_end(cli: Callable[..., Said]) -> None:
     done = cli("run", "euler_taylor")
     assert done.code == 0
     assert "expansions" not in done.err

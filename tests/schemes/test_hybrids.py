@@ -55,11 +55,11 @@ def test_hybrid_sym_solves_its_relations(h: float) -> None:
         assert error < 4e-15 / min(1.0, math.hypot(new[0], new[1]))
 
 
-def test_hybrid_is_no_solution_of_them() -> None:
+def test_hybrid_does_not_satisfy_the_symmetric_relations() -> None:
     """Control: the paper's hybrid misses the relations by h times its prediction's error, O(h⁴)."""
     step = physical(stepper("hybrid"))
     defects = [max(map(abs, relations(GEN, step(GEN, h, (1.0,)), h, 1.0))) for h in (0.1, 0.05)]
-    assert defects[1] > 1e-7
+    assert defects[1] == pytest.approx(4.27e-07, rel=0.05)
     assert 12.0 < defects[0] / defects[1] < 20.0
 
 
@@ -74,10 +74,10 @@ def test_lengths_stay_within_ulps_over_a_million_steps(name: str, y0: Floats, h:
     assert found["k_sq"] < 20.0
 
 
-def test_the_papers_hybrid_does_not_keep_them_so() -> None:
+def test_papers_hybrid_loses_its_lengths() -> None:
     found = deviations(ran(stepper("hybrid"), GEN, 0.05, 1_000_000, 100)[0])
-    assert found["gamma_sq"] > 50.0
-    assert found["k_sq"] > 50.0
+    assert found["gamma_sq"] == pytest.approx(323, rel=0.05)
+    assert found["k_sq"] == pytest.approx(248, rel=0.05)
 
 
 def test_hybrid_xi_is_the_hybrid() -> None:
@@ -115,7 +115,7 @@ def slope_over_error(made: Stepper, integral: str) -> float:
 @pytest.mark.parametrize("integral", ["two_l", "energy"])
 def test_the_other_integrals_do_not_drift(integral: str) -> None:
     assert slope_over_error(stepper("hybrid-sym"), integral) < 5.0
-    assert slope_over_error(stepper("hybrid"), integral) > 20.0
+    assert 900.0 < slope_over_error(stepper("hybrid"), integral) < 3900.0
 
 
 @pytest.mark.parametrize("y0", [GEN, *map(tuple, random_states(2, seed=34))])
@@ -132,7 +132,7 @@ def test_reversal_over_long_runs(y0: Floats) -> None:
 
 
 @pytest.mark.slow
-def test_no_step_of_many_orbits_fails() -> None:
+def test_steps_of_many_orbits_converge() -> None:
     """100 random orbits, 1e4 steps of 0.1: some pass close to omega1 + i omega2 = 0, where the roots merge."""
     closest, iterations = 1.0, 0
     for y in map(tuple, random_states(100, seed=7)):
@@ -163,7 +163,7 @@ def test_compiled_and_interpreted_agree() -> None:
     assert tuple(ran(stepper("hybrid-sym"), GEN, 0.05, 100)[0][-1]) == sym[:6]
 
 
-def test_order_two_beside_hk() -> None:
+def test_hybrids_have_order_two_like_hk() -> None:
     """PAPER, h = 0.05, t = 50: the self-adjoint hybrid is as good as HK; the paper's hybrid is lost."""
     assert error_at(stepper("hybrid-sym"), PAPER, 0.05, 50.0) < 0.1
     assert error_at(stepper("hybrid"), PAPER, 0.05, 50.0) > 0.5

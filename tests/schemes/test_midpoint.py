@@ -72,10 +72,10 @@ def test_long_run_controls() -> None:
     """HK fails the same test by far for each integral, and so does midpoint for Kowalevski's k²."""
     top, y0 = random_heavy_tops(1, seed=8)[0], random_states(1, seed=9)[0]
     for name in ("gamma_sq", "m_gamma", "energy"):
-        assert over_bound(top, stepper(top, "hk"), y0, 0.01, (name,)) > 1e3
+        assert 760000.0 < over_bound(top, stepper(top, "hk"), y0, 0.01, (name,)) < 3e7
     kowalevski = Kowalevski()
     assert over_bound(kowalevski, stepper(kowalevski), GEN, 0.05, ("gamma_sq", "two_l", "energy")) < 0.3
-    assert over_bound(kowalevski, stepper(kowalevski), GEN, 0.05, ("k_sq",)) > 1e3
+    assert over_bound(kowalevski, stepper(kowalevski), GEN, 0.05, ("k_sq",)) == pytest.approx(2.57e08, rel=0.05)
 
 
 def test_which_invariants_are_quadratic() -> None:
@@ -104,7 +104,7 @@ def test_equilibria_and_special_states_settle(y: Floats, h: float) -> None:
         assert midpoint(y, h, p)[6] == 0.0
 
 
-def test_hanging_top_stays() -> None:
+def test_hanging_top_stays_at_rest() -> None:
     """Gamma along g at rest is an equilibrium; the step leaves it where it is, to the last bit."""
     y = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
     assert midpoint(y, 0.1, (2.0, 1.5, 1.0, 0.0, 0.0, 3.0))[:6] == y
@@ -129,7 +129,7 @@ def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     assert math.isnan(work[made.width - 2])
 
 
-def test_blowing_up_is_not_mistaken_for_it() -> None:
+def test_blow_up_is_not_reported_as_no_convergence() -> None:
     run = Run(Kowalevski(), RK2, (1e200, 1e200, 0.0, 0.6, 0.48, 0.64), 1.0, 10)
     list(run)
     assert run.ending is not None

@@ -77,7 +77,7 @@ def test_newton_matrix_is_the_derivative() -> None:
 
 
 @pytest.mark.parametrize("h", [0.1, -0.1, 1e-3])
-def test_solves_its_equation(h: float) -> None:
+def test_midpoint4_solves_its_equation(h: float) -> None:
     """y' - y - h f(m) lies along the direction at the mean, found with matrices, and k is kept."""
     made = stepper("midpoint4")
     assert made.enter is not None
@@ -120,7 +120,7 @@ def test_compiled_and_interpreted_agree() -> None:
         assert tuple(ending.counters.values()) == s[25:]
 
 
-def test_the_papers_scene_with_a_large_step() -> None:
+def test_four_integrals_on_the_papers_scene_with_a_large_step() -> None:
     """All four integrals within 20 ulp of their terms over 20,000 steps of 0.2; 6 is typical, and HK is far off."""
     states, ending = ran(stepper("midpoint4"), PAPER, 0.2, 20_000)
     assert (ending.outcome, ending.counters["unmet"]) == (Outcome.COMPLETED, 0)
@@ -130,7 +130,7 @@ def test_the_papers_scene_with_a_large_step() -> None:
 
 
 @pytest.mark.parametrize("eps", [1e-3, 1e-5, 1e-7, 1e-9])
-def test_close_to_a_degenerate_torus(eps: float) -> None:
+def test_four_integrals_close_to_a_degenerate_torus(eps: float) -> None:
     """Ever closer to the homoclinic orbit all four are kept, and the steps that had to be projected are counted."""
     y0 = (2.0, 0.0, 0.0, math.sqrt(1.0 - eps * eps), 0.0, eps)
     states, ending = ran(stepper("midpoint4"), y0, 0.01, 10_000)
@@ -139,15 +139,15 @@ def test_close_to_a_degenerate_torus(eps: float) -> None:
     if eps > 1e-4:
         assert ending.counters["plain_projections"] == 0
     if eps < 1e-6:
-        assert ending.counters["plain_projections"] > 100
-    assert deviations(ran(stepper("midpoint"), y0, 0.01, 10_000)[0])["k_sq"] > 1e6
+        assert 1300.0 < ending.counters["plain_projections"] < 20000.0
+    assert 1.7e6 < deviations(ran(stepper("midpoint"), y0, 0.01, 10_000)[0])["k_sq"] < 7.3e8
     swing = math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) / eps)
     first = states[: round(1.5 * swing / 0.01), 3]
     assert 0.01 * int(np.argmin(first)) == pytest.approx(swing, abs=0.011)
 
 
 @pytest.mark.slow
-def test_random_orbits_with_a_large_step() -> None:
+def test_four_integrals_on_random_orbits_with_a_large_step() -> None:
     """100 orbits, 2000 steps of 0.1, and one step there and back: a few ulp, no projection; HK is far off."""
     made, worst, control = stepper("midpoint4"), 0.0, math.inf
     for y in map(tuple, random_states(100, seed=7)):
@@ -157,7 +157,7 @@ def test_random_orbits_with_a_large_step() -> None:
         control = min(control, *deviations(ran(stepper("hk"), y, 0.1, 200)[0]).values())
         assert one_step_back_and_forth(Kowalevski(), made, np.array(y), 0.2) < 5e-15
     assert worst < 15.0
-    assert control > 1e9
+    assert control == pytest.approx(4.95e11, rel=0.05)
 
 
 def test_from_rest_with_gamma_along_the_third_axis() -> None:
@@ -174,15 +174,15 @@ def test_from_rest_with_gamma_along_the_third_axis() -> None:
 @pytest.mark.parametrize("c0", [1.0, -1.0, 300.0])
 def test_large_steps_are_never_silently_wrong(c0: float) -> None:
     """All integrals are kept, or the run says that it did not keep them, or that it did not converge."""
-    top, told = Kowalevski(c0=c0), set()
+    top, outcomes = Kowalevski(c0=c0), set()
     for h in (0.2, 0.7, 2.0, 6.0):
         for y in map(tuple, random_states(8, seed=55)):
             states, ending = ran(stepper("midpoint4", top), y, h / math.sqrt(max(1.0, abs(c0))), 300, 1, top)
-            told.add(ending.outcome)
+            outcomes.add(ending.outcome)
             kept = max(deviations(states[np.isfinite(states).all(axis=1)], top).values()) < 1e4
             assert kept or ending.counters["unmet"] > 0 or ending.outcome is Outcome.NO_CONVERGENCE
             assert kept or h > 0.5
-    assert Outcome.NO_CONVERGENCE in told
+    assert Outcome.NO_CONVERGENCE in outcomes
 
 
 def crossing(t: float) -> tuple[Floats, Floats]:

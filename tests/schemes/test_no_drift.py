@@ -31,7 +31,7 @@ def in_errors(row: InvariantRow) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
-def test_all_four_stay(y0: Floats) -> None:
+def test_four_integrals_do_not_drift(y0: Floats) -> None:
     for row in drifts("midpoint4", y0).values():
         assert row.max_deviation < 1e-14 * max(1.0, abs(row.first))
         assert row.verdict == "exact"
@@ -41,7 +41,7 @@ def test_all_four_stay(y0: Floats) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
 @pytest.mark.parametrize("h", [0.05, 0.4])
-def test_the_integrable_map_stays(y0: Floats, h: float) -> None:
+def test_integrable_map_does_not_drift(y0: Floats, h: float) -> None:
     for row in drifts("backlund", y0, h).values():
         assert row.max_deviation < 1e-12 * max(1.0, abs(row.first))
         assert row.verdict == "exact"
@@ -50,7 +50,7 @@ def test_the_integrable_map_stays(y0: Floats, h: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
-def test_the_self_adjoint_hybrid_stays(y0: Floats) -> None:
+def test_self_adjoint_hybrid_does_not_drift(y0: Floats) -> None:
     rows = drifts("hybrid-sym", y0)
     assert all(in_errors(row) < 5.0 for row in rows.values())
     assert rows["gamma_sq"].verdict == rows["k_sq"].verdict == "exact"

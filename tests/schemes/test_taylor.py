@@ -70,7 +70,7 @@ def test_every_arrangement_is_tried() -> None:
 
 
 def fuses() -> bool:
-    """Whether this processor has a fused multiply-add: the twin is told."""
+    """True if this processor has a fused multiply-add; the twin depends on it."""
     import llvmlite.binding as llvm
 
     features = llvm.get_host_cpu_features()
@@ -115,7 +115,7 @@ def test_machine_code_equals_plain_python(top: Top, tol: float, h: float, steps:
 @pytest.mark.slow
 @pytest.mark.parametrize(("cpu", "fuse"), [("x86-64", False), ("x86-64-v3", True), ("x86-64-v4", True)])
 @pytest.mark.parametrize("top", [Kowalevski(), Heavy(), Euler()], ids=repr)
-def test_other_processors_do_the_same(cpu: str, fuse: bool, top: Top, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_processors_give_the_same_bits(cpu: str, fuse: bool, top: Top, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiled for narrower vectors, and without fused multiply-add, as far as this processor runs that."""
     import llvmlite.binding as llvm
 
@@ -166,7 +166,7 @@ def test_coefficients_are_the_derivatives(top: Top) -> None:
 @pytest.mark.slow
 @of_every_top
 @pytest.mark.parametrize(("h", "N"), [(0.01, 2000), (20.0, 1), (-0.7, 30), (math.pi, 7)])
-def test_the_motion_to_round_off(top: Top, h: float, N: int) -> None:
+def test_taylor_follows_the_reference_to_round_off(top: Top, h: float, N: int) -> None:
     """Against the reference: a random walk of ulps, amplified by the motion no more than its own length."""
     y0 = gen(top)
     mine = after(top, y0, h, N, max(1, N // 50))
@@ -179,11 +179,11 @@ def test_the_motion_to_round_off(top: Top, h: float, N: int) -> None:
 def test_a_coarse_tolerance_fails_the_same_test() -> None:
     top = Kowalevski()
     exact = reference_states(top, GEN, np.array([20.0]))
-    assert np.abs(after(top, GEN, 20.0, 1, tol=1e-8) - exact).max() > 1e-10
+    assert np.abs(after(top, GEN, 20.0, 1, tol=1e-8) - exact).max() == pytest.approx(3e-09, rel=0.05)
 
 
 @pytest.mark.parametrize("top", [Euler(), EulerGamma(), LagrangeInertial(), Lagrange(A=1.4, C=2.1, mu=-0.8)], ids=repr)
-def test_closed_forms(top: Top) -> None:
+def test_taylor_agrees_with_closed_forms(top: Top) -> None:
     exact = find_scheme("exact", top.form)
     for y0 in random_states(3, seed=2)[:, : len(top.components)]:
         closed = states(Run(top, exact.build(top, exact.options()), y0, 0.5, 60))
@@ -197,7 +197,7 @@ def test_the_error_follows_the_tolerance(top: Top) -> None:
     exact = reference_states(top, y0, np.array([5.0]))[0]
     errors = np.array([np.abs(after(top, y0, 5.0, 1, tol=tol)[0] - exact).max() for tol in tolerances])
     assert (errors < 300.0 * tolerances + 1e-13).all()
-    assert errors[0] > 1e-8  # a loose one is made use of
+    assert 5e-5 < errors[0] < 0.0012  # a loose one is made use of
     counts = []
     for tol in tolerances:
         run = Run(top, taylor(top, tol), y0, 5.0, 1)
@@ -219,7 +219,7 @@ def test_order_grows_with_the_digits() -> None:
 @pytest.mark.slow
 @of_every_top
 def test_dense_output_is_where_other_steps_lead(top: Top) -> None:
-    """What the series gives between its centres is what a run of another h finds at the same time."""
+    """Values of the series between its centres equal those of a run with another h at the same time."""
     y0 = gen(top)
     fine = after(top, y0, 0.0078125, 1280, 128)
     for h, N in ((1.0, 10), (0.25, 40)):
@@ -268,7 +268,7 @@ def test_a_long_step_is_left_and_taken_up(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("scale", [1e-90, 1e-8, 1e8, 1e90])
-def test_units_do_not_matter(scale: float) -> None:
+def test_units_of_time_do_not_matter(scale: float) -> None:
     """A faster top is the same top in other units of time: powers of two give the same bits."""
     factor = 2.0 ** round(math.log2(scale))
     slow, fast = Heavy(), Heavy(x0=1.0 * factor**2, y0=0.5 * factor**2, z0=0.8 * factor**2)
@@ -296,7 +296,7 @@ def test_the_first_coefficient_is_to_more_than_a_double(monkeypatch: pytest.Monk
     assert carefully < 0.7 * error()
 
 
-def test_paper_scene() -> None:
+def test_taylor_on_the_papers_scene() -> None:
     top = Kowalevski()
     n = np.arange(1, 51)
     exact = reference_states(top, PAPER, n * 1.0)
@@ -312,11 +312,11 @@ def test_integrals_stay_at_round_off(top: Top) -> None:
         assert np.abs(values - values[0]).max() < 8e-14 * invariant.scale(found).max()
 
 
-def test_coarse_integrals_do_not() -> None:
+def test_coarse_tolerance_loses_the_integrals() -> None:
     top = Kowalevski()
     found = after(top, GEN, 0.5, 40_000, 10, tol=1e-12)
     values = top.invariants()[0].value(found)
-    assert np.abs(values - values[0]).max() > 2e-13
+    assert np.abs(values - values[0]).max() == pytest.approx(3.14e-11, rel=0.05)
 
 
 def test_equilibria_rest() -> None:
@@ -342,10 +342,10 @@ def test_a_state_that_is_not_finite_ends_the_run(top: Top, bad: float) -> None:
     assert (ending(top, y0, 0.1, 5).outcome, ending(top, y0, 0.1, 5).step) == (Outcome.BLEW_UP, 1)
 
 
-def test_a_step_beyond_all_measure_is_refused() -> None:
+def test_immense_step_is_refused() -> None:
     assert ending(Kowalevski(), GEN, 1e16, 2).outcome is Outcome.NO_CONVERGENCE
 
 
-def test_it_cannot_be_composed() -> None:
+def test_taylor_cannot_be_composed() -> None:
     with pytest.raises(UsageError, match="'taylor' cannot be composed: it is not self-adjoint"):
         find_scheme("taylor+suzuki4", "kowalevski")

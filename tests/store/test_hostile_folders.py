@@ -84,9 +84,7 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], str]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_a_bad_manifest_is_damage_and_nothing_else(
-    cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
+def test_damaged_manifest_is_reported_as_damage(cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     results = in_tmp / "results"
     folder = run_experiment(small(), results).stored.folder
     run_experiment(small("name=fine"), results)
@@ -141,7 +139,7 @@ LOCKS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", LOCKS)
-def test_a_bad_lock_says_nothing(tmp_path: Path, kind: str) -> None:
+def test_damaged_lock_is_ignored(tmp_path: Path, kind: str) -> None:
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
     left = killed(tmp_path, small(), 9)
     (left / LOCK).write_bytes(LOCKS[kind].encode("utf-8", "surrogateescape"))
@@ -149,7 +147,7 @@ def test_a_bad_lock_says_nothing(tmp_path: Path, kind: str) -> None:
     assert content(run_experiment(small(), tmp_path, resume=True).stored.folder) == expected
 
 
-def test_a_damaged_checkpoint_is_none(tmp_path: Path) -> None:
+def test_damaged_checkpoint_is_not_read(tmp_path: Path) -> None:
     left = killed(tmp_path, small(), 9)
     path = left / CHECKPOINT
     data, random = path.read_bytes(), np.random.default_rng(3)
@@ -213,9 +211,9 @@ def test_linked_parts_are_ignored(tmp_path: Path) -> None:
     out.mkdir()
     link = out / f".{NAME}.part-999999999-00000000"
     link.symlink_to(elsewhere)
-    told: list[str] = []
-    assert run_experiment(small(), out, resume=True, feedback=Feedback(on_message=told.append)).status == "ran"
-    assert "nothing to resume" in told[0]
+    messages: list[str] = []
+    assert run_experiment(small(), out, resume=True, feedback=Feedback(on_message=messages.append)).status == "ran"
+    assert "nothing to resume" in messages[0]
     assert link.is_symlink()
     assert sorted(path.name for path in elsewhere.iterdir()) == before
 

@@ -1,7 +1,8 @@
-"""Runs that are stopped, killed or out of disk, and resumed: equal, bit for bit, to the run that was left alone."""
+"""Runs that are stopped, killed or out of disk, and resumed: equal, bit for bit, to the uninterrupted run."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes
-from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
+from topcli.store.checkpoint import CHECKPOINT, read_checkpoint, write_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.series import read_series
 from topcli.studies.run import Feedback, run_experiment
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("small_chunks")
 
 @pytest.mark.slow
 @by_name
-def test_every_scheme_goes_on_bit_for_bit(scheme: Scheme) -> None:
+def test_every_scheme_resumes_bit_for_bit(scheme: Scheme) -> None:
     """Working states of every scheme, carried quantities and counters included, and the sums of the report."""
     top = TRIALS[scheme.top][-1]
     method, N, every = scheme.build(top, scheme.options()), 120, 7
@@ -56,7 +57,7 @@ def test_every_scheme_goes_on_bit_for_bit(scheme: Scheme) -> None:
     assert resumed.rows() == whole_tally.rows()
 
 
-def test_physical_states_alone_would_not_do() -> None:
+def test_physical_states_alone_do_not_resume_bit_for_bit() -> None:
     """Positive control: started again from the recorded state, a scheme with carried quantities ends elsewhere."""
     (scheme,) = (s for s in all_schemes() if (s.name, s.top) == ("hybrid-xi", "kowalevski"))
     top = TRIALS["kowalevski"][1]
@@ -76,7 +77,7 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene:
     N = 70 if "dop853" in scene else 300
     experiment = load_experiment(ROOT / "configs" / f"{scene}.yaml", [f"N={N}", f"output.format={suffix}"])
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
-    out, told = tmp_path / "out", []
+    out, messages = tmp_path / "out", []
     chunks = 2
     result = run_experiment(experiment, out, stop=after(chunks))
     for _ in range(3):  # three times on, and stopped again
@@ -84,13 +85,15 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene:
         assert (result.stored.folder / CHECKPOINT).exists()
         rows = len(next(iter(read_series(result.stored.series).values())))
         assert rows == result.report["step"] + 1
-        result = run_experiment(experiment, out, resume=True, stop=after(1), feedback=Feedback(on_message=told.append))
+        result = run_experiment(
+            experiment, out, resume=True, stop=after(1), feedback=Feedback(on_message=messages.append)
+        )
         assert result.status == "resumed"
         if result.outcome is Outcome.COMPLETED:
             break
-    result = run_experiment(experiment, out, resume=True, feedback=Feedback(on_message=told.append))
+    result = run_experiment(experiment, out, resume=True, feedback=Feedback(on_message=messages.append))
     assert content(result.stored.folder) == expected
-    assert f"continues from step {chunks * 16 if N > 70 else 32} of {N}" in told[0]
+    assert f"continues from step {chunks * 16 if N > 70 else 32} of {N}" in messages[0]
     assert [path.name for path in out.iterdir()] == [experiment.name]
     assert result.report["seconds"]["run"] > 0.0
     assert result.stored.manifest["resumed"][0]["step"] > 0
@@ -130,25 +133,25 @@ def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
         assert stored_runs(tmp_path) == []
     (left,) = tmp_path.iterdir()
     assert sorted(path.name for path in left.iterdir()) == sorted([*FILES, "series.parquet"])
-    left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that lives no more
+    left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that has ended
     monkeypatch.setattr("topcli.studies.run.Run", None)  # nothing is integrated
     assert run_experiment(small(), tmp_path, resume=True).outcome is Outcome.COMPLETED
     assert [path.name for path in tmp_path.iterdir()] == [NAME]
 
 
 def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> None:
-    told: list[str] = []
+    messages: list[str] = []
     killed(tmp_path, small(), 5)
-    result = run_experiment(small(), tmp_path, feedback=Feedback(on_message=told.append))
+    result = run_experiment(small(), tmp_path, feedback=Feedback(on_message=messages.append))
     assert (result.status, result.outcome) == ("ran", Outcome.COMPLETED)
-    assert "--resume would continue" in told[0]
+    assert "--resume would continue" in messages[0]
     assert [path.name for path in tmp_path.iterdir()] == [NAME], "superseded, and swept away"
 
 
 def test_resume_without_a_checkpoint_starts_from_step_0(tmp_path: Path) -> None:
-    told: list[str] = []
-    assert run_experiment(small(), tmp_path, resume=True, feedback=Feedback(on_message=told.append)).status == "ran"
-    assert told == [f"{NAME}: nothing to resume; starting from step 0"]
+    messages: list[str] = []
+    assert run_experiment(small(), tmp_path, resume=True, feedback=Feedback(on_message=messages.append)).status == "ran"
+    assert messages == [f"{NAME}: nothing to resume; starting from step 0"]
 
 
 @pytest.mark.slow
@@ -179,9 +182,9 @@ def test_an_interrupted_run_never_takes_the_place_of_more(tmp_path: Path) -> Non
     less = run_experiment(small(), tmp_path / "b", stop=after(2))
     assert less.set_aside is not None
     assert stored_run(less.set_aside).manifest["step"] == further.report["step"]
-    told: list[str] = []
-    run_experiment(small(), tmp_path / "b", resume=True, feedback=Feedback(on_message=told.append))
-    assert f"step {further.report['step']} of" in told[0], "the one that got further goes on"
+    messages: list[str] = []
+    run_experiment(small(), tmp_path / "b", resume=True, feedback=Feedback(on_message=messages.append))
+    assert f"step {further.report['step']} of" in messages[0], "the one that got further goes on"
 
 
 def test_a_forced_run_beside_a_different_one_is_resumed(tmp_path: Path) -> None:
@@ -199,3 +202,37 @@ def test_a_run_that_fails_has_no_checkpoint(tmp_path: Path) -> None:
     assert result.outcome is Outcome.BLEW_UP
     assert not (result.stored.folder / CHECKPOINT).exists()
     assert run_experiment(small(*overrides), tmp_path, resume=True).status == "up to date"
+
+
+def test_two_resumes_accumulate_history_seconds_and_start(tmp_path: Path) -> None:
+    left = killed(tmp_path, small(), 3)
+    first = read_checkpoint(left)
+    assert first is not None
+    began = "2001-02-03T04:05:06+00:00"
+    write_checkpoint(left, replace(first, about={**first.about, "run_seconds": 1000.0, "started": began}))
+    second = run_experiment(small(), tmp_path, resume=True, stop=after(2))
+    assert second.outcome is Outcome.INTERRUPTED
+    third = run_experiment(small(), tmp_path, resume=True)
+    assert third.outcome is Outcome.COMPLETED
+    steps = [first.done, second.report["step"]]
+    assert 0 < steps[0] < steps[1] < 300
+    for result, count in ((second, 1), (third, 2)):
+        manifest = result.stored.manifest
+        assert manifest["started"] == began
+        assert [one["step"] for one in manifest["resumed"]] == steps[:count]
+        assert manifest["seconds"] == result.report["seconds"]
+    assert 1000.0 < second.report["seconds"]["run"] < third.report["seconds"]["run"] < 1100.0
+
+
+def test_space_is_reserved_from_the_first_checkpoint_on(tmp_path: Path) -> None:
+    """A quarter of a megabyte from the first checkpoint until the run is complete."""
+    seen = []
+
+    def progress(done: int, total: int) -> None:
+        sizes = [path.stat().st_size for path in tmp_path.glob(".*/reserve")]
+        seen.append((bool(list(tmp_path.glob(".*/checkpoint.npz"))), sizes))
+
+    folder = run_experiment(small(), tmp_path, checkpoint_every=0.0, feedback=Feedback(progress)).stored.folder
+    assert any(checkpoint for checkpoint, _ in seen)
+    assert all(sizes == [262144] for checkpoint, sizes in seen if checkpoint)
+    assert not (folder / "reserve").exists()

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("small_chunks")
 
 
 def full_after(monkeypatch: pytest.MonkeyPatch, room: int, forever: bool = True) -> None:
-    """A disk that takes so many bytes of series more, and then nothing, or what has been cut off before."""
+    """A disk that accepts a number of further bytes of series, then nothing, or only bytes freed by truncation."""
     append, used = SeriesWriter._append, [0]
 
     def limited(self: SeriesWriter, *pieces: bytes) -> None:
@@ -89,13 +89,13 @@ def test_a_failed_checkpoint_names_its_file(tmp_path: Path, monkeypatch: pytest.
         patched.setattr(os, "fsync", full)
         with pytest.raises(RunError, match="no space left"):
             run_experiment(small("output.every=50"), tmp_path, checkpoint_every=0.0)
-    told: list[str] = []
-    run_experiment(small("output.every=50"), tmp_path, resume=True, feedback=Feedback(on_message=told.append))
-    assert "continues from step" in told[0]
+    messages: list[str] = []
+    run_experiment(small("output.every=50"), tmp_path, resume=True, feedback=Feedback(on_message=messages.append))
+    assert "continues from step" in messages[0]
 
 
 @pytest.mark.slow
-def test_a_living_process_keeps_others_off(tmp_path: Path) -> None:
+def test_living_process_excludes_others(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
         "import sys, time; from pathlib import Path; from topcli.config.load import load_experiment\n"
@@ -114,9 +114,9 @@ def test_a_living_process_keeps_others_off(tmp_path: Path) -> None:
         assert (part.alive, part.owner["pid"]) == (True, other.pid)
         with pytest.raises(UsageError, match=f"process {other.pid} is running this experiment"):
             run_experiment(small(), tmp_path, resume=True)
-        told: list[str] = []
-        assert run_experiment(small(), tmp_path, feedback=Feedback(on_message=told.append)).status == "ran"
-        assert told == [f"{NAME}: process {other.pid} is running this experiment too"]
+        messages: list[str] = []
+        assert run_experiment(small(), tmp_path, feedback=Feedback(on_message=messages.append)).status == "ran"
+        assert messages == [f"{NAME}: process {other.pid} is running this experiment too"]
         assert part.folder.is_dir(), "the other one's folder is left alone"
     finally:
         other.kill()
@@ -128,8 +128,8 @@ def test_a_living_process_keeps_others_off(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("locks", [True, False])
-def test_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locks: bool) -> None:
-    """Where the system has no locks, the number of the process tells whether it lives."""
+def test_lock_belongs_to_a_living_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locks: bool) -> None:
+    """Without locks, the process number shows if the owner is alive."""
     if not locks:
         monkeypatch.setattr(parts, "fcntl", None)
     folder = new_part(tmp_path, "x")
@@ -148,7 +148,7 @@ def test_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locks: bool) -> 
     again.release()
 
 
-def test_a_damaged_checkpoint_is_not_gone_on_from(tmp_path: Path) -> None:
+def test_damaged_checkpoint_is_not_resumed(tmp_path: Path) -> None:
     left = killed(tmp_path, small(), 5)
     path = left / CHECKPOINT
     data = bytearray(path.read_bytes())
@@ -162,7 +162,7 @@ def test_a_damaged_checkpoint_is_not_gone_on_from(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 @pytest.mark.parametrize("rows", [0, 1, 39, 40, 41, 400])
-def test_a_series_cut_anywhere_goes_on_to_the_same_file(tmp_path: Path, suffix: str, rows: int) -> None:
+def test_series_cut_anywhere_resumes_to_the_same_file(tmp_path: Path, suffix: str, rows: int) -> None:
     data = {"n": np.arange(500), "x": np.random.default_rng(1).normal(size=500)}
     whole, cut = tmp_path / f"whole.{suffix}", tmp_path / f"cut.{suffix}"
     cuts = [*range(0, rows, 17), rows]

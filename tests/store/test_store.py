@@ -93,7 +93,7 @@ def test_parquet_carries_its_provenance(tmp_path: Path) -> None:
     assert about["topcli.digest"] == small().digest
 
 
-def test_recording_a_subset(tmp_path: Path) -> None:
+def test_subset_of_columns_is_recorded(tmp_path: Path) -> None:
     experiment = small("output.columns=[t, k_sq]", "output.every=7")
     data = read_series(run_experiment(experiment, tmp_path).stored.series)
     assert list(data) == ["t", "k_sq"]
@@ -197,7 +197,7 @@ def test_interrupted_runs_are_kept_marked_and_repeated(tmp_path: Path, monkeypat
 
 @pytest.mark.slow
 def test_killed_before_the_manifest_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
-    """What a killed process leaves is no result, hinders nothing, and is swept away by the next run."""
+    """Leftovers of a killed process are no result, hinder nothing, and are removed by the next run."""
     code = (
         "import os, sys; from pathlib import Path; from topcli.store.run_folder import RunWriter\n"
         "with RunWriter(Path(sys.argv[1]), 'kowalevski_hk') as writer:\n"
@@ -308,7 +308,7 @@ def test_forced_runs_in_turn_leave_one_copy_of_each(tmp_path: Path) -> None:
     assert all(not stored_run(tmp_path / name).damage() for name in names)
 
 
-def test_whoever_came_meanwhile_is_set_aside(tmp_path: Path) -> None:
+def test_result_written_meanwhile_is_set_aside(tmp_path: Path) -> None:
     with RunWriter(tmp_path, "kowalevski_hk") as writer:
         other = run_experiment(small(), tmp_path)
         writer.write("series.csv", "x")

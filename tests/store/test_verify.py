@@ -60,10 +60,10 @@ def test_a_damaged_finished_run_is_not_up_to_date(tmp_path: Path, suffix: str, n
     run = run_experiment(experiment, tmp_path).stored
     path = run.series if name == "series" else run.folder / name
     flip(path, path.stat().st_size // 2)
-    told: list[str] = []
-    again = run_experiment(experiment, tmp_path, feedback=Feedback(on_message=told.append))
+    messages: list[str] = []
+    again = run_experiment(experiment, tmp_path, feedback=Feedback(on_message=messages.append))
     assert again.status == "ran"
-    assert f"{path.name} is damaged: its SHA-256 differs" in told[0]
+    assert f"{path.name} is damaged: its SHA-256 differs" in messages[0]
     assert not again.stored.damage()
 
 

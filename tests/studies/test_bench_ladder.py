@@ -119,7 +119,7 @@ def test_a_config_is_a_scene(in_tmp: Path) -> None:
         bench_problems(("lagrnge",), ())
 
 
-def test_who_takes_part() -> None:
+def test_competitors_are_those_that_fit_the_scene() -> None:
     for form in TOPS:
         names = default_names(form)
         assert len(set(names)) == len(names)

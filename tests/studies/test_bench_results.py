@@ -65,7 +65,7 @@ def test_a_result_is_never_lost(result: dict[str, Any], tmp_path: Path) -> None:
     assert len(list(out.iterdir())) == 3
 
 
-def test_a_half_written_result_is_none(result: dict[str, Any], tmp_path: Path) -> None:
+def test_half_written_result_is_not_read(result: dict[str, Any], tmp_path: Path) -> None:
     def fails(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -92,7 +92,7 @@ def test_non_finite_errors_are_stored_and_drawn_as_missing(result: dict[str, Any
 
 
 @pytest.mark.slow
-def test_end_to_end(cli: Any) -> None:
+def test_bench_measures_and_draws_end_to_end(cli: Any) -> None:
     scenes = ("--scene", "lagrange", "--scene", "kowalevski-paper")
     arguments = (*scenes, "--against", "none", "--budget", "0.001", "--repetitions", "1")
     document = cli("bench", "hk", "rk4", "hybrid", *arguments, "--json").json()
@@ -119,7 +119,7 @@ def test_end_to_end(cli: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (("hkk", "--scene", "euler"), "did you mean 'hk'"),
         (("--scene", "eulr"), "did you mean 'euler'"),
@@ -129,10 +129,10 @@ def test_end_to_end(cli: Any) -> None:
         (("--scene", "euler", "--set", "h=1"), "none is given"),
     ],
 )
-def test_mistakes_are_reported_with_a_correction(cli: Any, arguments: tuple[str, ...], told: str) -> None:
+def test_mistakes_are_reported_with_a_correction(cli: Any, arguments: tuple[str, ...], message: str) -> None:
     failed = cli("bench", *arguments)
     assert failed.code == 2
-    assert told in failed.err
+    assert message in failed.err
     assert "Traceback" not in failed.err
     assert not Path("results").exists()
 

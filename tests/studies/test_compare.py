@@ -68,7 +68,7 @@ def largest_jump(branch: str, y0: np.ndarray, h: float) -> float:
 
 @pytest.mark.slow
 def test_the_papers_branch_rule_takes_wrong_roots_and_the_default_none() -> None:
-    """Where omega1 + i omega2 crosses the real axis the signs of the arguments mislead: omega jumps to -omega."""
+    """As omega1 + i omega2 crosses the real axis, the signs of the arguments mislead: omega jumps to -omega."""
     jumps = {
         branch: sum(largest_jump(branch, y0, 0.05) > 1.5 for y0 in random_states(200, seed=1))
         for branch in ("sign", "nearest")
@@ -77,7 +77,7 @@ def test_the_papers_branch_rule_takes_wrong_roots_and_the_default_none() -> None
     assert jumps["nearest"] == 0
 
 
-def test_verdicts(paper: Comparison) -> None:
+def test_verdicts_of_compared_schemes(paper: Comparison) -> None:
     verdicts = {scheme: {row["name"]: row["verdict"] for row in of(paper, scheme)["invariants"]} for scheme in FIVE}
     assert set(verdicts["hk"].values()) == {"bounded"}
     for scheme in FIVE[1:]:
@@ -86,7 +86,7 @@ def test_verdicts(paper: Comparison) -> None:
         assert verdicts[scheme]["energy"] == verdicts[scheme]["two_l"] == "drifting"
 
 
-def test_reversal(paper: Comparison) -> None:
+def test_reversal_defect_and_order_are_reported(paper: Comparison) -> None:
     """The paper calls the hybrid reversible: it misses by O(h⁴). Bohlin's schemes miss by O(h²), HK not at all."""
     assert of(paper, "hk")["reversal"]["order"] is None
     assert of(paper, "hk")["reversal"]["defect"] < 1e-15
@@ -177,10 +177,10 @@ def test_modified_integrals_differ_from_the_physical_by_a_term_of_the_order_of_t
         comparison = compare_schemes(load_experiment(scene, [f"h={h}", "N=4000"]), [scheme])
         rows = of(comparison, scheme)["modified"]
         assert all(row["verdict"] == "exact" for row in rows)
-        told = [row["correction"] for row in rows if "correction" in row]
-        assert told
-        assert {one["power"] for one in told} == {power}
-        coefficients.append([one["coefficient"] for one in told])
+        corrections = [row["correction"] for row in rows if "correction" in row]
+        assert corrections
+        assert {one["power"] for one in corrections} == {power}
+        coefficients.append([one["coefficient"] for one in corrections])
     assert coefficients[0] == pytest.approx(coefficients[1], rel=0.1)
 
 

@@ -19,6 +19,7 @@ from topcli.studies import ensemble as study
 from topcli.studies.ensemble import run_ensemble
 from topcli.studies.ensemble_report import SHOWN, EndingTally
 
+START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
 GRID = {"top.c0": [0.5, 1.0, 2.0], "omega1": {"start": 0.1, "stop": 0.9, "count": 90}}
 
 
@@ -229,3 +230,12 @@ def test_modified_integrals_are_in_every_table(store: str, tmp_path: Path) -> No
         values = single[row["name"]]
         assert table[f"{row['name']}_first"][41] == values[0]
         assert table[f"{row['name']}_max_deviation"][41] == np.abs(values - values[0]).max()
+
+
+def test_each_group_of_a_grid_has_its_own_top_and_state() -> None:
+    found = experiment(initial=START, ensemble={"grid": {"top.c0": [0.5, 2.0], "omega1": [0.1, 0.2, 0.3]}})
+    groups = [(found.of_group(group).top.model_dump()["c0"], found.of_group(group).y0[0])
+              for group in found.members.groups]  # fmt: skip
+    assert groups == [(0.5, 0.1), (2.0, 0.1)]
+    members = [(found.member(i).top.model_dump()["c0"], found.member(i).y0[0]) for i in range(6)]
+    assert members == [(c0, omega1) for c0 in (0.5, 2.0) for omega1 in (0.1, 0.2, 0.3)]

@@ -177,7 +177,7 @@ def test_threads_change_no_byte_of_the_tables(tmp_path: Path, monkeypatch: pytes
         assert pq.read_table(one.folder / name).equals(pq.read_table(two.folder / name))
 
 
-def test_csv(tmp_path: Path) -> None:
+def test_csv_holds_the_recorded_columns(tmp_path: Path) -> None:
     stored = run(tmp_path, output={"every": 100, "format": "csv", "columns": ["t", "k_sq"]}).stored
     series = columns(stored.series)
     assert list(series) == ["trajectory", "t", "k_sq"]
@@ -285,8 +285,8 @@ def test_the_command_line(cli, in_tmp: Path) -> None:
     assert "all 20 trajectories completed 200 steps" in err
     assert "20 of 20" in out
     code, out, _ = command(cli, "run", "kowalevski_ensemble", *small, "--json")
-    told = json.loads(out)["runs"][0]
-    assert (code, told["status"], told["trajectories"], told["kind"]) == (0, "up to date", 20, "ensemble")
+    shown = json.loads(out)["runs"][0]
+    assert (code, shown["status"], shown["trajectories"], shown["kind"]) == (0, "up to date", 20, "ensemble")
     code, out, _ = command(cli, "run", "euler_ensemble", "--dry-run")
     assert (code, out) == (0, "euler_ensemble: will run: 48843 rows in results/euler_ensemble\n")
     code, out, _ = command(cli, "list", "runs")
@@ -297,7 +297,7 @@ def test_the_command_line(cli, in_tmp: Path) -> None:
     assert command(cli, "show", "shown.yaml")[1] == out
 
 
-def test_exit_codes(cli, in_tmp: Path) -> None:
+def test_exit_codes_count_failed_trajectories(cli, in_tmp: Path) -> None:
     some = experiment(**failing(8))
     (in_tmp / "some.yaml").write_text(some.to_yaml())
     code, _, err = command(cli, "run", "some.yaml")

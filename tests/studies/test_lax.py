@@ -84,7 +84,7 @@ def test_commutator_equation_holds(equations: EulerPoisson, form: LaxForm) -> No
     slopes = rates(equations, STATES)
     for lam in LAMBDAS:
         assert commutator_residual(form, STATES, slopes, lam) < 1e-15
-        assert commutator_residual(form, STATES, slopes * 1.001, lam) > 1e-5  # control
+        assert 5.6e-5 < commutator_residual(form, STATES, slopes * 1.001, lam) < 0.0016  # control
 
 
 @pytest.mark.parametrize(("equations", "make"), PAIRS, ids=lambda x: getattr(x, "__name__", ""))
@@ -96,7 +96,7 @@ def test_pairs_belong_to_their_tops_only(equations: EulerPoisson, make) -> None:
     if make is not manakov_form:
         others.append(EulerPoisson((A, 1.1 * B, C), (x, y, z)))
     for other in others:
-        assert commutator_residual(make(other), STATES, rates(other, STATES), 1.0) > 1e-3
+        assert 0.014 < commutator_residual(make(other), STATES, rates(other, STATES), 1.0) < 0.15
 
 
 def test_the_block_form_holds_for_any_top() -> None:
@@ -168,10 +168,10 @@ def test_spectrum_along_the_flow(equations: EulerPoisson, form: LaxForm) -> None
     for lam in LAMBDAS:
         assert spectral_drift(form, exact, lam) < 1e-14
         assert eigenvalue_shift(form, exact, lam) < 1e-13
-        assert spectral_drift(form, broken, lam) > 1e-8  # control
+        assert 2.6e-7 < spectral_drift(form, broken, lam) < 3.5e-5  # control
     if form.name == "kowalevski":
         states = Run(Kowalevski(A=3.0, c0=0.8), RK2, y0, 0.05, 400).collect().states
-        assert spectral_drift(form, states, 1.0) > 1e-5
+        assert spectral_drift(form, states, 1.0) == pytest.approx(0.000174, rel=0.05)
 
 
 @each_form
@@ -180,7 +180,7 @@ def test_differences_on_the_reference(equations: EulerPoisson, form: LaxForm) ->
     states = reference_states(heavy(equations), STATES[1], step * np.arange(9))[None]
     for lam in LAMBDAS:
         assert commutator_residual(form, states[:, 4], difference_slopes(states, step), lam) < 1e-11
-        assert commutator_residual(form, states[:, 3], difference_slopes(states, step), lam) > 1e-4  # control
+        assert 7.3e-5 < commutator_residual(form, states[:, 3], difference_slopes(states, step), lam) < 0.013  # control
 
 
 def midpoint_run(equations: EulerPoisson, y0, h: float, steps: int) -> np.ndarray:
@@ -203,7 +203,7 @@ def test_midpoint_is_a_conjugation(equations: EulerPoisson, form: LaxForm, lam: 
     for h in (0.2, 0.1):
         states = midpoint_run(equations, STATES[2], h, 60)
         defects.append(conjugation_defect(form, states, h, lam))
-        assert conjugation_defect(form, states, 1.01 * h, lam) > 1e-5  # control
+        assert 1.4e-5 < conjugation_defect(form, states, 1.01 * h, lam) < 0.0046  # control
         drift = spectral_drift(form, states, lam)
         assert drift < 1e-13 if form.name != "kowalevski" else drift > 1e-8
     if form.name in ("block", "lagrange"):
@@ -230,7 +230,7 @@ def test_study_of_kowalevski() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sets", [["N=1"], ["h=-0.01", "N=50"], ["top.x0=0", "top.y0=0", "top.z0=0", "N=50"]])
-def test_study_of_odd_experiments(sets: list[str]) -> None:
+def test_study_of_unusual_experiments(sets: list[str]) -> None:
     found = lax_study(lax_experiment("heavy", None, sets), ["midpoint"])
     for run in found["runs"]:
         assert all(form["drift"] < 1e-13 for form in run["forms"])
@@ -276,7 +276,7 @@ def test_discrete_lax_pair_of_other_schemes() -> None:
 
 
 @pytest.mark.slow
-def test_command(cli) -> None:
+def test_command_reports_each_form(cli) -> None:
     said = cli("lax", "kowalevski", "midpoint", "--config", "kowalevski_midpoint", "--set", "N=2000", "--json")
     assert said.code == 0
     assert [run["scheme"] for run in said.json()["runs"]] == ["exact flow", "midpoint"]
@@ -294,7 +294,7 @@ def test_command(cli) -> None:
         (("lax", "heavy", "--config", str(ROOT / "configs" / "kowalevski_hk.yaml")), ("kowalevski_hk", "not 'heavy'")),
     ],
 )
-def test_mistakes(cli, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_wrong_usage_of_lax_is_refused(cli, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     said = cli(*arguments)
     assert said.code == 2
     assert said.out == ""

@@ -1,4 +1,4 @@
-"""The hard cases: the states are what they say, every check tells good from bad, and limits meet what happens."""
+"""The hard cases: the states are as described, checks distinguish good from bad, and limits match the outcomes."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def finding(
     form: str = "kowalevski",
     N: int | None = None,
     options: dict[str, Any] | None = None,
-    **told: Any,
+    **traits: Any,
 ) -> Finding:
-    """What the case says of the scheme; ``told`` changes what the scheme declares, or how it is built."""
+    """Finding of the case for the scheme; ``traits`` changes the scheme's declaration or its build."""
     one = case_of(case, form)
     experiment = one.experiment(scheme, options)
-    changes: dict[str, Any] = {"scheme": replace(experiment.scheme, **told)} | ({"N": N} if N else {})
+    changes: dict[str, Any] = {"scheme": replace(experiment.scheme, **traits)} | ({"N": N} if N else {})
     return one.check(Trial(one, experiment.model_copy(update=changes), CaseCache()))
 
 
@@ -82,7 +82,7 @@ def test_degenerate_tori_are_degenerate() -> None:
         exact = exactly_separated(state)
         assert abs(exact[which]) < 2e-15
         assert exact == pytest.approx(separation(state), abs=1e-14)
-        assert abs(separation(GENERIC)[which]) > 1e-3
+        assert 0.047 < abs(separation(GENERIC)[which]) < 6.7
     assert math.hypot(*TORUS_E4[3:]) == pytest.approx(1.0, abs=1e-15)
 
 
@@ -126,7 +126,7 @@ def test_singular_steps_are_singular(top: Top) -> None:
         return float(np.linalg.svd(np.eye(len(state)) - 0.5 * h * np.array(columns).T, compute_uv=False)[-1])
 
     assert least(h) < 1e-14
-    assert least(0.9 * h) > 1e-3
+    assert 0.012 < least(0.9 * h) < 0.18
 
 
 def test_a_top_without_a_singular_step_is_reported() -> None:
@@ -146,7 +146,7 @@ def test_the_theory_of_the_swings() -> None:
 # the checks, each on what holds and on what does not
 
 
-def test_order_is_kept_lost_and_left() -> None:
+def test_order_checks_distinguish_kept_lost_and_left() -> None:
     assert finding("pole", "bohlin-b").result is Result.HELD
     single = finding("pole", "bohlin-b", options={"chart": "single"})
     assert (single.result, single.step) == (Result.BROKE, 59)
@@ -170,7 +170,7 @@ def test_adaptive_and_exact_schemes_are_judged_by_their_error() -> None:
     assert finding("backwards", "midpoint", "euler", order=None).result is Result.DEGRADED
 
 
-def test_swings() -> None:
+def test_timing_of_swings_is_judged() -> None:
     assert finding("homoclinic-1e-9", "hk").result is Result.HELD
     held = finding("homoclinic-spacing", "hk")
     assert held.result is Result.HELD
@@ -182,7 +182,7 @@ def test_swings() -> None:
     assert "no swing" in none.why
 
 
-def test_flips() -> None:
+def test_timing_of_flips_is_judged() -> None:
     for offset in ("1e-3", "1e-12"):
         held = finding(f"racket-{offset}", "midpoint", "euler")
         assert held.result is Result.HELD
@@ -198,11 +198,11 @@ def test_flips() -> None:
     assert (still.result, "no flip" in still.why) == (Result.BROKE, True)
 
 
-def test_bounds() -> None:
+def test_growth_beyond_the_bounds_is_judged() -> None:
     assert finding("resonance", "midpoint").result is Result.HELD
     grown = finding("singular-step", "hk")
     assert (grown.result, grown.step) == (Result.BROKE, 1)
-    assert grown.figures["largest"] > 1e10
+    assert 1e30 < grown.figures["largest"] < 1e60
     assert finding("resonance", "rk4").result is Result.BROKE
     assert finding("singular-step", "bohlin-a").result is Result.DEGRADED
 
@@ -219,7 +219,7 @@ def test_self_adjoint_schemes_return(scheme: Scheme) -> None:
 def test_the_papers_hybrid_does_not_return() -> None:
     missed = finding("there-and-back", "hybrid")
     assert missed.result is Result.DEGRADED
-    assert missed.figures["missed"] > 1e-2
+    assert missed.figures["missed"] == pytest.approx(0.232, rel=0.05)
     assert finding("there-and-back", "hybrid", self_adjoint=True).result is Result.BROKE
 
 
@@ -246,6 +246,15 @@ def test_a_violated_claim_breaks_whatever_the_question() -> None:
     assert violated.result is Result.BROKE
     assert "claims γ²" in violated.why
     assert finding("backwards", "rk4").result is Result.HELD
+
+
+def test_interpreted_schemes_take_some_four_hundred_longer_steps() -> None:
+    one = case_of("drift")
+    plain = Trial(one, one.experiment("dop853"), CaseCache())
+    compiled = Trial(one, one.experiment("rk4"), CaseCache())
+    assert plain.plain
+    assert plain.N * plain.h == pytest.approx(compiled.N * compiled.h, rel=0.01)
+    assert plain.N == 400 < compiled.N
 
 
 # limits
@@ -283,7 +292,7 @@ def test_limits_named_like_cases_are_cases_of_the_scheme() -> None:
             assert text.endswith(".")
 
 
-def test_verdicts() -> None:
+def test_verdicts_compare_outcomes_with_limits() -> None:
     hk = find_scheme("hk", "kowalevski")
     assert verdict_of(hk, "huge", Result.BROKE) == "unexplained"
     assert verdict_of(hk, "resonance", Result.BROKE) == "limit"

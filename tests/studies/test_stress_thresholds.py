@@ -179,3 +179,31 @@ def test_a_bias_is_a_slope_of_three_times_the_root_of_the_steps_in_ulp(factor: f
 
     trial = MadeUp(moves, N=N, claims=(terms,))
     assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")
+
+
+@pytest.mark.parametrize(("factor", "found"), [(0.0, "held"), (200.0, "broke")])
+def test_a_claimed_invariant_with_a_slope_breaks(factor: float, found: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slope of a hundredth of the claim's bound, far beyond its error, is named; round-off alone is not."""
+    monkeypatch.setattr("topcli.studies.stress.case.CLAIM_ULPS", 1e9)
+    noise = np.random.default_rng(3).normal(size=20_001)
+
+    def moves(n: Array, h: float) -> Array:
+        first = 1.0 + EPS * (np.cumsum(noise)[n] + factor * n)
+        return np.stack([first, 0.0 * n, 0.0 * n], axis=1)
+
+    claim = Invariant("a", "a", "a", "first", lambda y: y[:, 0], lambda y: np.abs(y[:, 0]))
+    result = does_not_drift(cast(Trial, MadeUp(moves, N=20_000, claims=(claim,))))
+    assert result.result.value == found
+    if found == "broke":
+        slope = result.why.removeprefix("drifts: a ").split()[0]
+        assert float(slope) == pytest.approx(factor * 20_000 * EPS, rel=0.05)
+        assert result.step == 20_000
+
+
+def test_checks_that_need_compiled_code_are_not_tried_in_the_interpreter() -> None:
+    never = lambda n, h: pytest.fail("it was run")  # noqa: E731
+    claim = Invariant("a", "a", "a", "first", lambda y: y[:, 0], lambda y: np.abs(y[:, 0]))
+    for check in (returns, does_not_drift):
+        found = check(cast(Trial, MadeUp(never, plain=True, claims=(claim,))))
+        assert (found.result.value, found.why) == ("not tried", "runs in the interpreter")
+    assert outcome(does_not_drift, MadeUp(never)) == "not tried"

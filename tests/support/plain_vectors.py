@@ -90,11 +90,11 @@ class Plain:
         self.kept[name, index] = x
 
     def load(self, name: str, index: int) -> Vector:
-        """What was kept."""
+        """Values that were kept."""
         return self.kept[name, index]
 
     def barrier(self) -> None:
-        """Nothing: here all is done in the order in which it stands."""
+        """Do nothing: plain Python runs in program order."""
 
     def logarithm(self, x: Vector) -> float:
         """From the exponent, and the mantissa taken for its logarithm."""
@@ -131,7 +131,7 @@ def advance(
     extended_precision: bool = False,
     fuse: bool = True,
 ) -> int:
-    """What ``series_loop`` makes in machine code; see there."""
+    """Plain Python twin of ``series_loop``."""
     o, n, base = Plain(a.lanes, fuse=fuse), a.lanes, 2 * a.lanes
     at = base + TABLES
     hi, lo = tuple(work[:n]), tuple(work[n:base])

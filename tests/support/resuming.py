@@ -31,7 +31,7 @@ def small(*overrides: str) -> Experiment:
 
 
 def after(chunks: int) -> Callable[[], bool]:
-    """A ``stop`` that says so after a number of chunks."""
+    """A ``stop`` that returns True after a number of chunks."""
     asked = iter(range(10**6))
     return lambda: next(asked) >= chunks
 
@@ -42,13 +42,13 @@ def content(folder: Path) -> dict[str, object]:
     del report["seconds"]
     (path,) = folder.glob("series.*")
     manifest = json.loads((folder / "manifest.json").read_text())
-    told = {key: manifest[key] for key in ("digest", "code", "outcome", "message", "files", "config", "environment")}
-    told["files"] = sorted(told["files"])
-    return {"report": report, "series": path.read_bytes(), "config": (folder / "config.yaml").read_text(), **told}
+    fields = {key: manifest[key] for key in ("digest", "code", "outcome", "message", "files", "config", "environment")}
+    fields["files"] = sorted(fields["files"])
+    return {"report": report, "series": path.read_bytes(), "config": (folder / "config.yaml").read_text(), **fields}
 
 
 def killed(out: Path, experiment: Experiment, chunks: int) -> Path:
-    """What a process leaves that is killed after so many chunks with a checkpoint after each of them."""
+    """Folder left by a process killed after a number of chunks, with a checkpoint after each."""
 
     class Killed(BaseException):
         pass

@@ -2,7 +2,7 @@
 
 ``dEulerPoisson``, ``hk_general`` and ``hk_block`` use nothing but + - * / and run on floats, Fractions and
 ``Exact``; ``hk_block``, ``hybrid_polar`` and ``hybrid_cmath`` are also the baselines of ``benchmarks/steps.py``,
-hence scalar and flat.
+and therefore scalar and flat.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def test_the_component_that_differs_is_named(change, component: str) -> None:
 
 @pytest.mark.parametrize("size", [1e-30, 1e-9, 1.0, 1e9])
 def test_no_term_hides_behind_a_larger_one(size: float) -> None:
-    """Gravity off by a billionth of itself, however small or large beside the other terms."""
+    """Gravity wrong by a relative 1e-9, however small or large beside the other terms."""
     weak = Heavy(x0=0.0, y0=0.0, z0=size)
     wrong = described(lambda e: EulerPoisson(e.moments, (0.0, 0.0, e.gravity[2] * (1.0 + 1e-9))))
     checked_equations(weak, "a test")

@@ -117,7 +117,7 @@ def test_bs_implicit_is_the_inverse_of_bs() -> None:
 
 
 @pytest.mark.parametrize("name", ["hk", "bs", "bs-implicit", "midpoint"])
-def test_omega_does_not_feel_gamma(name: str) -> None:
+def test_omega_does_not_depend_on_gamma(name: str) -> None:
     """The six-component step moves omega as the three-component step does, bit for bit."""
     for top, y0 in random_tops(5, seed=23):
         free = Euler(A=top.A, B=top.B, C=top.C)
@@ -169,7 +169,7 @@ def test_integrals_stay_within_round_off(h: float) -> None:
                 assert over_bar(invariant, states, BAR_STEPS) < 1.0, (name, invariant.name, top, y0)
             if name == "hk":  # the same measure finds the physical integrals not conserved
                 control = min(control, over_bar(top.invariants()[0], states, BAR_STEPS))
-    assert control > 10.0
+    assert 8100.0 < control < 1.4e7
 
 
 @pytest.mark.parametrize("h", [1e-4, 1e-3, 0.1, 0.5])
@@ -230,7 +230,7 @@ def test_bs_ends_at_a_principal_axis(name: str, extreme: Callable) -> None:
     assert m_omega[-1] == pytest.approx(m_sq[0] / extreme(top.A, top.B, top.C), rel=1e-6)
 
 
-def test_bs_implicit_lasts_while_the_other_components_die_out() -> None:
+def test_bs_implicit_survives_vanishing_components() -> None:
     """omega1 and omega2 shrink below 1e-160, where their squares underflow; the iteration still ends."""
     top = Euler(A=2.05, B=2.49, C=3.68)
     states = series(top, find_scheme("bs-implicit", "euler").build(top, None), np.array((0.04, -1.6, 1.0)), 0.1, 60_000)
@@ -246,10 +246,10 @@ def test_steady_rotations_are_exact(name: str) -> None:
         assert np.array_equal(states, np.tile(np.array(omega, dtype=float), (len(states), 1)))
 
 
-def test_the_control_of_these_tests_drifts() -> None:
+def test_rk2_control_drifts() -> None:
     top, y0 = EulerGamma(), np.array(GEN)
     states = series(top, rk2(top), y0, 0.05, 20_000)
-    assert min(over_bar(one, states, 20_000) for one in top.invariants()) > 100.0
+    assert min(over_bar(one, states, 20_000) for one in top.invariants()) == pytest.approx(2.22e09, rel=0.05)
 
 
 def test_the_initial_vectors_choose_the_form() -> None:
@@ -273,12 +273,12 @@ def run_cli(*arguments: object):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [("run",), ("run", "--json"), ("compare", "hk", "bs", "--config")])
-def test_moments_of_no_rigid_body_warn(in_tmp, command) -> None:
+def test_moments_violating_the_triangle_inequality_warn(in_tmp, command) -> None:
     """A warning on stderr, and the run goes on; a rigid body's moments are not warned about, nor a flat body's."""
-    told = run_cli(*command, write(in_tmp / "odd.yaml", "A: 5, B: 1, C: 1.5"))
-    assert told.exit_code == 0
-    assert "warning: odd: the moments (5, 1, 1.5) violate the triangle inequality: A = 5 > 1 + 1.5" in told.stderr
-    assert "warning" not in told.stdout
+    done = run_cli(*command, write(in_tmp / "odd.yaml", "A: 5, B: 1, C: 1.5"))
+    assert done.exit_code == 0
+    assert "warning: odd: the moments (5, 1, 1.5) violate the triangle inequality: A = 5 > 1 + 1.5" in done.stderr
+    assert "warning" not in done.stdout
     for moments in ("A: 3, B: 2, C: 1.5", "A: 3, B: 2, C: 1", "A: 0.3, B: 0.1, C: 0.2"):
         assert "warning" not in run_cli(*command, write(in_tmp / "fine.yaml", moments), *_fresh(command)).stderr
 
@@ -289,15 +289,15 @@ def _fresh(command: tuple[str, ...]) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("value", ["0", "-2", ".nan", ".inf", "'two'"])
 def test_bad_moments_are_refused(in_tmp, value: str) -> None:
-    told = run_cli("run", write(in_tmp / "bad.yaml", f"B: {value}"))
-    assert told.exit_code == 2
-    assert "bad.yaml:1" in told.stderr
-    assert "B" in told.stderr
+    done = run_cli("run", write(in_tmp / "bad.yaml", f"B: {value}"))
+    assert done.exit_code == 2
+    assert "bad.yaml:1" in done.stderr
+    assert "B" in done.stderr
     assert not (in_tmp / "results").exists()
 
 
 def test_a_scheme_of_another_top_is_refused_with_those_that_fit(in_tmp) -> None:
-    told = run_cli("run", write(in_tmp / "odd.yaml", "A: 3", "hybrid"))
-    assert told.exit_code == 2
-    assert "does not fit top 'euler'" in told.stderr
-    assert "bs-implicit" in told.stderr
+    done = run_cli("run", write(in_tmp / "odd.yaml", "A: 3", "hybrid"))
+    assert done.exit_code == 2
+    assert "does not fit top 'euler'" in done.stderr
+    assert "bs-implicit" in done.stderr

@@ -60,7 +60,7 @@ def test_integrals_are_constant_along_the_flow(name: str) -> None:
         if name != "gamma_sq":
             f = np.array(top.field(tuple(y), top.constants()))
             value = next(i for i in changed.invariants() if i.name == name).value
-            assert abs(float(np.diff(value(np.array([y - f, y + f])))[0])) > 1e-6
+            assert 0.017 < abs(float(np.diff(value(np.array([y - f, y + f])))[0])) < 19.0
 
 
 def test_integrals_along_the_reference() -> None:
@@ -149,7 +149,7 @@ def towards_zero(state, h, p):
 def test_hk_round_off_is_unbiased() -> None:
     for which in range(3):
         assert bias(hk_heavy, 800, 0.01, which) < 4.0
-    assert bias(towards_zero, 200, 0.01, 0) > 10.0
+    assert bias(towards_zero, 200, 0.01, 0) == pytest.approx(56.4, rel=0.05)
 
 
 @pytest.mark.parametrize("h", [1e-3, 0.1, -0.2])
@@ -193,7 +193,7 @@ def test_solve3_solves(m, r) -> None:
 )
 def test_impossible_moments_are_warned_of(moments, named: str) -> None:
     A, B, C = moments
-    told = Heavy(A=A, B=B, C=C).warnings()
-    assert bool(told) == bool(named)
-    for line in told:
+    found = Heavy(A=A, B=B, C=C).warnings()
+    assert bool(found) == bool(named)
+    for line in found:
         assert f"{named} = {max(moments):g} >" in line

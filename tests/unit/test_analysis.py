@@ -15,7 +15,7 @@ from conftest import GEN
 from topcli.analysis import columns as columns_module
 from topcli.analysis import ensemble, order, trajectory
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.drift import InvariantTally, Trend, trend
+from topcli.analysis.drift import InvariantTally, Trend, _sizes_in_all, trend
 from topcli.analysis.order import convergence, observed_order
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.contracts import Invariant
@@ -120,6 +120,18 @@ def test_a_walk_has_the_error_of_its_increments(kind: str, steps: int) -> None:
     assert np.std([fit.slope for fit in fits]) == pytest.approx(expected, rel=0.15)  # 4 standard errors
 
 
+@pytest.mark.parametrize("m", [8, 9, 128])
+def test_all_components_of_a_residual_are_weighed_as_by_their_covariance(m: int) -> None:
+    """White noise and a walk in an orthonormal basis of what is no line, with the covariance min(i, j) written out."""
+    lines = np.stack([np.ones(m), np.arange(m)], axis=1)
+    basis = np.linalg.svd(lines)[0][:, 2:]
+    covariance = basis.T @ (np.minimum.outer(np.arange(m), np.arange(m)) + 1.0) @ basis
+    residual = np.random.default_rng(m).normal(size=m)
+    z = basis.T @ residual
+    expected = z @ z, z @ np.linalg.solve(covariance, z), 0.5 * np.linalg.slogdet(covariance)[1]
+    assert _sizes_in_all(residual) == pytest.approx(expected, rel=1e-12)  # 4e-15 typically
+
+
 def test_a_walk_with_a_drift_of_its_own_is_drifting() -> None:
     """The control: increments with a mean ten times its standard error."""
     walk = np.concatenate([[0.0], np.cumsum(np.random.default_rng(9).normal(size=N))]) * 1e-6
@@ -151,7 +163,7 @@ def test_a_deviation_of_order_one_is_lost(depth: float, verdict: str) -> None:
 @pytest.mark.parametrize(("depth", "verdict"), [(0.024, "bounded"), (0.026, "lost")])
 @pytest.mark.parametrize("first", [0.0, 1e-4])
 def test_a_small_first_value_is_measured_by_its_terms(depth: float, verdict: str, first: float) -> None:
-    """Where large terms cancel: a quarter of a tenth of their size, which is 1 here."""
+    """If large terms cancel, the limit is a quarter of a tenth of their size, which is 1 here."""
     assert report(sinking(depth) - 1.0 + first).verdict == verdict
     assert report(first * (1.0 + 0.01 * np.sin(TIMES))).verdict in ("bounded", "exact")
 
@@ -194,7 +206,7 @@ def test_the_figures_are_those_of_the_series() -> None:
     assert row.max_deviation_relative == row.max_deviation / values[0]
 
 
-def test_pieces_give_the_same_report() -> None:
+def test_report_does_not_depend_on_the_pieces() -> None:
     values = 2.0 + 0.1 * np.sin(TIMES)
     whole, cut = report(values).as_dict(), report(values, pieces=37).as_dict()
     for key, value in whole.items():
@@ -208,7 +220,7 @@ def test_short_runs_have_no_slope_and_no_verdict(rows: int) -> None:
     assert row.verdict == "unjudged"
 
 
-def test_what_runs_away_or_is_not_finite_is_not_called_bounded() -> None:
+def test_runaway_or_non_finite_series_are_not_bounded() -> None:
     values = 1.0 + 1e9 * np.sin(TIMES)
     assert report(values).verdict == "lost"
     values[500] = math.inf

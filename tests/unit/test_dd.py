@@ -43,7 +43,7 @@ def test_error_free_transformations_are_exact(a, b):
 
 
 @given(double_doubles(), double_doubles(), ordinary)
-def test_double_double_operations_meet_their_bounds(a, b, c):
+def test_double_double_operations_meet_their_error_bounds(a, b, c):
     assert_close(dd.dd_add(*a, *b), exact(a) + exact(b), Fraction(301, 100))
     assert_close(dd.dd_mul(*a, *b), exact(a) * exact(b), 7)
     assert_close(dd.dd_scale(*a, c), exact(a) * Fraction(c), 2)

@@ -24,7 +24,7 @@ def dominated(points: list[Point], i: int) -> bool:
     )
 
 
-def test_the_front_is_what_nothing_dominates() -> None:
+def test_front_is_the_set_of_undominated_points() -> None:
     random = np.random.default_rng(5)
     for _ in range(50):
         # few values, so that many are equal
@@ -122,8 +122,8 @@ def test_the_next_best_is_another_program_and_ties_are_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "expected"),
     [(0.0418, "h=0.042"), (2.5, "h=2.5"), (1e-9, "h=1e-9"), (3.2e-10, "h=3.2e-10"), (1.5e-5, "h=1.5e-5")],
 )
-def test_settings_in_words(value: float, told: str) -> None:
-    assert setting("h", value) == told
+def test_settings_are_formatted(value: float, expected: str) -> None:
+    assert setting("h", value) == expected

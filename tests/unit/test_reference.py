@@ -118,7 +118,7 @@ def test_states_are_right_to_an_ulp(name):
 
 
 @pytest.mark.parametrize(("name", "value"), [("ORDER", 12), ("REACH", 5 * REACH), ("coefficients", None)])
-def test_a_poorer_integrator_is_caught(name, value, monkeypatch):
+def test_error_of_a_poorer_integrator_is_detected(name, value, monkeypatch):
     """The check above can fail: a truncated series, too long a step, quotients rounded to doubles."""
 
     def rounded(equations):
@@ -241,7 +241,7 @@ def test_machine_code_does_what_plain_python_does():
     assert compiled_out.reshape(-1).tolist() == out
 
 
-def test_codes_of_failure():
+def test_failures_have_codes():
     fast = (1e10, 1.0, 1.0, 0.6, 0.48, 0.64)
     assert drive(Heavy(), (1e9, *fast[1:]), [1.0], order=12)[0] == taylor.STEP_TOO_SMALL
     assert drive(Heavy(), fast, [1.0])[0] == taylor.NOT_FINITE
@@ -260,7 +260,7 @@ def test_invariants_stay_over_a_long_time():
         assert np.abs(value - value[0]).max() <= 8 * np.finfo(float).eps * invariant.scale(states).max()
 
 
-def test_what_is_asked_for_does_not_change_the_answer(monkeypatch):
+def test_requested_times_do_not_change_the_states(monkeypatch):
     times = np.arange(20001) * 1e-3
     whole = reference_states(Kowalevski(), PAPER, times)
     assert np.array_equal(reference_states(Kowalevski(), PAPER, times[::1000]), whole[::1000])
@@ -280,7 +280,7 @@ def test_backward_is_forward_with_the_spin_reversed():
 
 @pytest.mark.slow
 @given(st.integers(-500, 500), st.integers(-400, 400))
-def test_powers_of_two_scale_through(k, m):
+def test_scaling_by_powers_of_two_is_exact(k, m):
     """omega 2^k, gamma 2^m, c0 2^(2k-m), t 2^-k is the same motion, bit for bit, at the ends of the range too."""
     unit = np.repeat((k, m), 3)
     times = np.linspace(0.0, 2.0, 5)
@@ -291,7 +291,7 @@ def test_powers_of_two_scale_through(k, m):
         assert np.array_equal(scaled, np.ldexp(plain, unit))
 
 
-def test_extreme_states():
+def test_extreme_states_are_followed_or_refused():
     fast = tuple(np.array(GEN) * [1e150, 1e150, 1e150, 1, 1, 1])
     states = reference_states(Kowalevski(), fast, np.linspace(0, 1e-149, 11))
     assert np.allclose((states[:, 3:] ** 2).sum(axis=1), 1.0, rtol=4e-16, atol=0)
@@ -304,7 +304,7 @@ def test_extreme_states():
     assert np.array_equal(reference_states(Kowalevski(), equilibrium, np.array([1e3])), [equilibrium])
 
 
-def test_no_times_no_states():
+def test_no_times_give_no_states():
     assert reference_states(Kowalevski(), GEN, np.array([])).shape == (0, 6)
     assert reference_states(Free(), GEN[:3], np.array([0.0])).tolist() == [list(GEN[:3])]
 
@@ -322,7 +322,7 @@ def test_no_times_no_states():
         (GEN[:1], [1.0]),
     ],
 )
-def test_times_and_states_not_as_said(y0, times):
+def test_wrong_times_and_states_are_refused(y0, times):
     with pytest.raises(ValueError, match="reference"):
         reference_states(Kowalevski(), y0, np.array(times))
 
@@ -332,7 +332,7 @@ class Inertial(Heavy):
     components: ClassVar[tuple[str, ...]] = ("m1", "m2", "m3", "a1", "a2", "a3")
 
 
-def test_what_cannot_be_followed_is_said(monkeypatch):
+def test_unreachable_accuracy_is_reported(monkeypatch):
     with pytest.raises(RunError, match=r"can be followed to 1\.3e"):
         reference_states(Kowalevski(), PAPER, np.array([1e9]))
     with pytest.raises(RunError, match=r"m1, m2, m3.*expected omega"):

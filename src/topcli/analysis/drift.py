@@ -103,15 +103,27 @@ class Trend:
     model: str
 
 
-def trend(t: Array, values: Array) -> Trend | None:
-    """Hann-weighted line through ``values`` (m,) at evenly spaced ``t`` (m,); None for fewer than 8 points."""
+def hann_line(t: Array) -> tuple[Array, Array] | None:
+    """Hann weights of points at evenly spaced ``t`` (m,), and the influence of each on the slope of the fitted line.
+
+    None for fewer than 8 points.
+    """
     m = len(t)
     if m < 8 or t[-1] == t[0]:
         return None
     weight = np.sin(np.pi * (np.arange(m) + 0.5) / m) ** 2
     weight /= weight.sum()
     s = t - weight @ t
-    influence = weight * s / (weight @ s**2)
+    return weight, weight * s / (weight @ s**2)
+
+
+def trend(t: Array, values: Array) -> Trend | None:
+    """Hann-weighted line through ``values`` (m,) at evenly spaced ``t`` (m,); None for fewer than 8 points."""
+    line = hann_line(t)
+    if line is None:
+        return None
+    m, (weight, influence) = len(t), line
+    s = t - weight @ t
     slope = float(influence @ values)
     residual = values - (weight @ values) - slope * s
     scatter = math.sqrt(float(weight @ residual**2))
@@ -142,10 +154,37 @@ def _slow_components(m: int, q: int) -> tuple[Array, Array, float]:
     half the logarithm of the determinant of the covariance.
     """
     x = np.linspace(-1.0, 1.0, m)
-    slow = np.linalg.qr(np.polynomial.legendre.legvander(x, q + 1))[0][:, 2:]
+    legendre = [np.ones(m), x]  # by their recurrence, without importing numpy.polynomial
+    for k in range(1, q + 1):
+        legendre.append(((2 * k + 1) * x * legendre[k] - k * legendre[k - 1]) / (k + 1))
+    slow = np.linalg.qr(np.stack(legendre, axis=1))[0][:, 2:]
     tails = np.cumsum(slow[::-1], axis=0)[::-1]
     covariance = tails.T @ tails
     return slow, np.linalg.inv(covariance), 0.5 * float(np.linalg.slogdet(covariance)[1])
+
+
+def _sizes_in_slow(residual: Array, q: int) -> tuple[float, float, float]:
+    """Squared sizes of the q slowest components of the residual (m,) as white noise and as a walk, and half the log."""
+    slow, inverse, half_log = _slow_components(len(residual), q)
+    z = slow.T @ residual
+    return float(z @ z), float(z @ inverse @ z), half_log
+
+
+def _sizes_in_all(residual: Array) -> tuple[float, float, float]:
+    """As ``_sizes_in_slow`` for all m - 2 components of the residual (m,), in closed form.
+
+    White noise is measured by the distance from the nearest line. A walk with increments of unit variance is measured
+    by its increments about their mean, the generalized least squares fit of a line: with D the differences and X the
+    lines, the inverse of the covariance of the m values is D'D, its determinant is 1, and that of the m - 2 components
+    is det(X'D'DX) / det(X'X) = 12 / (m²(m + 1)).
+    """
+    m = len(residual)
+    level = residual - residual.mean()
+    x = np.arange(m) - 0.5 * (m - 1)
+    off_line = level - (x @ level) / (x @ x) * x
+    increments = np.diff(off_line)
+    increments -= increments.mean()
+    return float(off_line @ off_line), float(increments @ increments), 0.5 * math.log(12.0 / (m * m * (m + 1.0)))
 
 
 def _walks(residual: Array) -> bool:
@@ -157,10 +196,9 @@ def _walks(residual: Array) -> bool:
     m, size = len(residual), float(np.abs(residual).max())
     if not 0.0 < size < math.inf:
         return False
-    for q in (min(LOW, m // 3), m - 2):
-        slow, inverse, half_log = _slow_components(m, q)
-        z = slow.T @ (residual / size)
-        white, walk = float(z @ z), float(z @ inverse @ z)
+    few = min(LOW, m // 3)
+    for q in (few, m - 2):
+        white, walk, half_log = _sizes_in_slow(residual / size, q) if q == few else _sizes_in_all(residual / size)
         if not (white > 0.0 and walk > 0.0):
             return False
         if half_log + 0.5 * q * math.log(walk / white) > math.log(EVIDENCE):

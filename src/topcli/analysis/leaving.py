@@ -34,13 +34,16 @@ def energy_limits(top: Top, states: Array) -> Array:
     if energy is None:
         return np.full(len(states), math.inf)
     with np.errstate(all="ignore"):
-        limits = LEFT * energy.scale(states)
-        for places in itertools.product(*(range(start, stop) for start, stop in top.vectors.values())):
-            turned = states.copy()
-            for (start, stop), place in zip(top.vectors.values(), places, strict=True):
-                turned[:, start:stop] = 0.0
-                turned[:, place] = np.linalg.norm(states[:, start:stop], axis=1)
-            limits = np.maximum(limits, energy.scale(turned))
+        places = list(itertools.product(*(range(start, stop) for start, stop in top.vectors.values())))
+        turned = np.tile(states, (len(places), 1, 1))
+        for i, (start, stop) in enumerate(top.vectors.values()):
+            lengths = np.linalg.norm(states[:, start:stop], axis=1)
+            turned[:, :, start:stop] = 0.0
+            for of_place, place in zip(turned, places, strict=True):
+                of_place[:, place[i]] = lengths
+        tried = np.concatenate([states[None], turned])
+        scales = energy.scale(tried.reshape(-1, states.shape[1])).reshape(tried.shape[:2])
+        limits = np.maximum(LEFT * scales[0], scales[1:].max(axis=0))
         judged = np.isfinite(limits) & (limits > 0.0) & np.isfinite(energy.value(states))
     return np.where(judged, limits, math.inf)
 

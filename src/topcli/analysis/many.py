@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.drift import round_off_bound
+from topcli.analysis.drift import BLOCKS, hann_line, round_off_bound
 from topcli.analysis.leaving import energy_limits, first_beyond
 from topcli.contracts import Array, Invariant, Top
 
@@ -24,14 +24,52 @@ QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
 MEASURES = ("max_deviation", "rms_deviation", "final_deviation")
 
 
+class BlockSums:
+    """Sums of deviations (invariants, trajectories) over the blocks of a run whose ``last`` recorded step is known.
+
+    Each sum adds its rows one after the other, so that its bits do not depend on the pieces in which they come.
+    """
+
+    def __init__(self, shape: tuple[int, int], last: int) -> None:
+        self._width = 1
+        while last // self._width >= 2 * BLOCKS:
+            self._width *= 2
+        self._sums = np.zeros((*shape, 2 * BLOCKS))
+
+    def add(self, i: int, first: int, n: NDArray[np.int64], deviation: Array) -> None:
+        """Add rows of invariant ``i``: steps ``n`` (m,), ``deviation`` (trajectories, m) of those from ``first`` on."""
+        count, size = len(deviation), 2 * BLOCKS
+        sums = self._sums[i, first : first + count]
+        before = np.arange(count * size)
+        places = np.arange(count)[:, None] * size + n // self._width
+        sums[:] = np.bincount(
+            np.concatenate([before, places.ravel()]), weights=np.concatenate([sums.ravel(), deviation.ravel()])
+        ).reshape(count, size)
+
+    def slopes(self, n: NDArray[np.int64], h: float) -> Array:
+        """Slopes of the lines fitted to the means over the blocks of rows ``n`` (m,); nan for fewer than 8 blocks."""
+        found = np.full(self._sums.shape[:2], np.nan)
+        counts = np.bincount(n // self._width, minlength=2 * BLOCKS)
+        filled = counts > 0
+        line = hann_line(np.bincount(n // self._width, weights=n, minlength=2 * BLOCKS)[filled] / counts[filled] * h)
+        if line is not None:
+            # one by one, because a product of matrices rounds differently from one of vectors
+            for place in np.ndindex(*found.shape):
+                found[place] = line[1] @ (self._sums[place][filled] / counts[filled])
+        return found
+
+
 class EnsembleTally:
     """Deviations of ``invariants`` along ``count`` trajectories, fed with pieces of rows in the order of time.
 
     With the ``top``, ``left`` (count,) are the first recorded steps at which each state has left its energy surface, -1
-    for never. Different trajectories may be added from different threads.
+    for never. With the number ``last`` of the last step that is recorded, ``slopes`` fits the drifts. Different
+    trajectories may be added from different threads.
     """
 
-    def __init__(self, invariants: Sequence[Invariant], count: int, top: Top | None = None) -> None:
+    def __init__(
+        self, invariants: Sequence[Invariant], count: int, top: Top | None = None, last: int | None = None
+    ) -> None:
         self.invariants, self._top = tuple(invariants), top
         self._limit = np.full(count, np.inf)
         self.left = np.full(count, -1, dtype=np.int64)
@@ -40,6 +78,7 @@ class EnsembleTally:
         self.max_deviation, self._squares, self._scale = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self.final_deviation = np.full(shape, np.nan)
         self._rows, self._steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        self._blocks = None if last is None else BlockSums(shape, last)
 
     def add(
         self,
@@ -76,6 +115,8 @@ class EnsembleTally:
                     if fresh.any():
                         self._limit[here] = np.where(fresh, energy_limits(self._top, states[:, 0]), self._limit[here])
                     self._note_leaving(first, n, deviation, ~(largest <= self._limit[here]))
+                if self._blocks is not None:
+                    self._blocks.add(i, first, n, deviation)
                 self._scale[i, here] = np.maximum(self._scale[i, here], scale.max(axis=1))
                 self._squares[i, here] += np.einsum("ij,ij->i", deviation, deviation)
         self._rows[here] += kept
@@ -98,6 +139,13 @@ class EnsembleTally:
                 self.final_deviation[i] = invariant.value(states) - self.first[i]
         never = self._rows == 0
         self.max_deviation[:, never] = self._squares[:, never] = np.nan
+
+    def slopes(self, n: NDArray[np.int64], h: float) -> Array:
+        """Drifts per unit time (invariants, trajectories), fitted as in ``analysis.drift``; nan if not summed.
+
+        ``n`` (m,) are the recorded step numbers. The drift of a trajectory that lacks some of these rows means nothing.
+        """
+        return np.full(self.first.shape, np.nan) if self._blocks is None else self._blocks.slopes(n, h)
 
     @property
     def rms_deviation(self) -> Array:

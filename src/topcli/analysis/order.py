@@ -11,6 +11,8 @@ import numpy as np
 from topcli.contracts import Array, Method, Stepper, Top
 from topcli.engine.driver import Loop, loop_of, plain_loop
 
+PROBES = 16
+"""States along a run from which its reversal is tried."""
 ROUND_OFF = 64.0 * float(np.finfo(np.float64).eps)
 PLATEAU = 1e-6
 """Errors above this one are not taken for round-off."""
@@ -181,6 +183,12 @@ def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: flo
     except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
         return math.inf
     return float(np.abs(back - start).max())
+
+
+def probe_rows(rows: int) -> slice:
+    """Rows, at most ``PROBES`` of ``rows``, from which the reversal of a run is tried."""
+    stride = max(1, rows // PROBES)
+    return slice(0, min(rows, PROBES * stride), stride)
 
 
 def reversal(top: Top, method: Method, states: Array, h: float) -> Reversal:

@@ -17,7 +17,7 @@ import numpy as np
 from topcli.analysis.reference_series import DONE, GRID, MORE, STEP_TOO_SMALL, advance
 from topcli.arithmetic.double_double import dd_div, two_sum
 from topcli.contracts import Array, EulerPoisson, Top, checked_equations
-from topcli.errors import RunError
+from topcli.errors import RunError, UsageError
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native
@@ -74,13 +74,27 @@ def _units(coef: Array, y: Array) -> tuple[int, int]:
     return -math.frexp(rate)[1], math.frexp(gamma)[1]
 
 
+def _form_fault(top: Top, equations: EulerPoisson) -> str:
+    """Reason why the state of ``top`` is not one of the reference; empty if it is."""
+    if equations.omega_sign != 1.0 or tuple(top.components) in (BODY, BODY[:3]):
+        return ""
+    return f"top {top.kind!r} has the state ({', '.join(top.components)}); expected omega and gamma"
+
+
+def reference_obstacle(top: Top) -> str:
+    """Reason why the reference cannot follow ``top``, one line; empty if it can."""
+    try:
+        return _form_fault(top, checked_equations(top, NAME))
+    except UsageError as error:
+        return str(error)
+
+
 def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]:
     """Initial state as omega, gamma (6,), and the times (m,), both checked."""
-    sign = checked_equations(top, NAME).omega_sign
-    if sign == 1.0 and tuple(top.components) not in (BODY, BODY[:3]):
-        raise RunError(
-            f"reference: top {top.kind!r} has the state ({', '.join(top.components)}); expected omega and gamma"
-        )
+    equations = checked_equations(top, NAME)
+    sign = equations.omega_sign
+    if fault := _form_fault(top, equations):
+        raise RunError(f"reference: {fault}")
     if len(y0) != len(top.components):
         raise ValueError(f"reference: the state has {len(y0)} components; expected {len(top.components)}")
     y = np.zeros(6)
@@ -92,6 +106,15 @@ def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]
     if ((t < 0.0).any() and (t > 0.0).any()) or (np.diff(np.abs(t)) < 0.0).any():
         raise ValueError("reference: times must lead away from zero, all forward or all backward")
     return y, t
+
+
+def distances(states: Array, reference: Array) -> Array:
+    """Euclidean distances (...,) of ``states`` from ``reference``, both (..., d); infinite beyond double precision."""
+    with np.errstate(all="ignore"):
+        square = np.zeros(states.shape[:-1])
+        for i in range(states.shape[-1]):  # in this order for arrays of any shape
+            square += (states[..., i] - reference[..., i]) ** 2
+        return np.sqrt(square)
 
 
 def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:

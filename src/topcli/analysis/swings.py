@@ -6,14 +6,16 @@ import numpy as np
 
 from topcli.contracts import Array
 
+QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1], [2, -16, 0, 16, -2]]) / 24.0
+"""Coefficients of x⁴, x³, x², x of the quartic through five points at x = -2, ..., 2."""
 
-def _vertex(x: Array, y: Array) -> float:
-    """Position of the minimum near 0 of the quartic through five points; x is centred."""
-    polynomial = np.polynomial.Polynomial.fit(x, y, 4, domain=[x[0], x[-1]], window=[-1.0, 1.0])
-    slope = polynomial.deriv()
-    roots = slope.roots()
+
+def _vertex(y: Array) -> float:
+    """Position of the minimum near 0 of the quartic through the points ``y`` (5,) at -2, ..., 2."""
+    slope = QUARTIC @ y * [4.0, 3.0, 2.0, 1.0]
+    roots = np.roots(slope)
     inside = roots[np.abs(roots.imag) < 1e-9].real
-    inside = inside[slope.deriv()(inside) > 0.0]
+    inside = inside[np.polyval(slope[:3] * [3.0, 2.0, 1.0], inside) > 0.0]
     return float(inside[np.argmin(np.abs(inside))]) if len(inside) else 0.0
 
 
@@ -34,8 +36,8 @@ def minima_times(t: Array, values: Array) -> Array:
     for start, end in zip(edges[::2], edges[1::2], strict=False):
         at = int(start + np.argmin(values[start:end]))
         at = min(max(at, 2), len(values) - 3)
-        window = slice(at - 2, at + 3)
-        found.append(_vertex(t[window] - t[at], values[window] - values[at]) + t[at])
+        dt = 0.25 * (t[at + 2] - t[at - 2])
+        found.append(t[at] + dt * _vertex(values[at - 2 : at + 3] - values[at]))
     return np.array(found)
 
 

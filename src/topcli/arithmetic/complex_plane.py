@@ -22,6 +22,33 @@ def rotation_increment(chi: float, x: float, y: float) -> Complex:
     return (fma(sinc, chi * y, -(cosc * (t * x))), -fma(sinc, chi * x, cosc * (t * y)))
 
 
+def rotation_coefficients(chi: float) -> tuple[float, float, float, float]:
+    """Return S = sin(chi), K = 1 - cos(chi), and their corrections.
+
+    The rounded pair misses S² + (1 - K)² = 1 by some ulp of chi². Where the angle hardly changes from step to step, so
+    does this defect, and lengths drift. The corrections, far below the last bits of S and K, scale it to zero.
+    """
+    t = chi * chi
+    sinc, cosc = sinc_cosc(t)
+    s, k = sinc * chi, cosc * t
+    ss = s * s
+    half = 0.5 * (fma(k, k, fma(-2.0, k, ss)) + fma(s, s, -ss))
+    return s, k, -half * s, fma(-half, k, half)
+
+
+def turned_increment(s: float, k: float, s_low: float, k_low: float, x: float, y: float) -> Complex:
+    """``rotation_increment`` from ``rotation_coefficients``; a repeated rotation keeps the modulus without bias."""
+    return (
+        fma(s, y, -fma(k, x, fma(k_low, x, -(s_low * y)))),
+        -fma(s, x, fma(k, y, fma(k_low, y, s_low * x))),
+    )
+
+
+def turned(s: float, k: float, x: float, y: float) -> Complex:
+    """Rotated number, from S and K alone, some twenty cycles before the correction is known."""
+    return (x + fma(s, y, -(k * x)), y - fma(s, x, k * y))
+
+
 def add_rotation_increment(chi: float, x: float, y: float, a: float, b: float) -> Complex:
     """Return a + i b + ``rotation_increment``, for an a + i b known long before chi: two operations after the sine."""
     t = chi * chi

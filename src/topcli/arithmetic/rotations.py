@@ -9,6 +9,8 @@ angle, and so are its rounding errors; the one remaining addition ``gamma + chan
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 from topcli.arithmetic.branches import unlikely
 from topcli.arithmetic.fused import fma
@@ -92,7 +94,7 @@ def sinc_cosc_small(t: float) -> Pair:
     return (sinc, cosc) if t <= SMALL_ANGLE_SQ else (math.nan, math.nan)
 
 
-VECTOR_VARIANTS = {sinc_cosc: sinc_cosc_small}
+VECTOR_VARIANTS: dict[Callable[..., Any], Callable[..., Any]] = {sinc_cosc: sinc_cosc_small}
 """Replacements for functions in vectorised code, where several trajectories share a vector and a call of libm behind a
 branch would be made for each of them at every step. A nan in the result means that the trajectory needs a scalar step.
 """
@@ -112,6 +114,30 @@ def rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g
         sinc * b1 + cosc * fma(b2, a3, -(b3 * a2)),
         sinc * b2 + cosc * fma(b3, a1, -(b1 * a3)),
         sinc * b3 + cosc * fma(b1, a2, -(b2 * a1)),
+    )
+
+
+def orthogonal_rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
+    """``rodrigues_increment`` without the defect of the rounded coefficients S and K, for angles that hardly change.
+
+    The length of the part of g normal to a changes in proportion to S**2 - 2 K + |a|**2 K**2, which is zero but for
+    rounding; corrections of S and K scale it back.
+    """
+    t = a1 * a1 + fma(a2, a2, a3 * a3)
+    sinc, cosc = sinc_cosc(t)
+    u, ss = t * cosc, sinc * sinc
+    half = 0.5 * (fma(cosc, u, fma(-2.0, cosc, ss)) + fma(sinc, sinc, -ss))
+    b_low, c_low = -half * (t * sinc), fma(-half, u, half)
+    b1 = fma(g2, a3, -(g3 * a2))
+    b2 = fma(g3, a1, -(g1 * a3))
+    b3 = fma(g1, a2, -(g2 * a1))
+    c1 = fma(b2, a3, -(b3 * a2))
+    c2 = fma(b3, a1, -(b1 * a3))
+    c3 = fma(b1, a2, -(b2 * a1))
+    return (
+        fma(sinc, b1, fma(cosc, c1, fma(c_low, c1, b_low * b1))),
+        fma(sinc, b2, fma(cosc, c2, fma(c_low, c2, b_low * b2))),
+        fma(sinc, b3, fma(cosc, c3, fma(c_low, c3, b_low * b3))),
     )
 
 

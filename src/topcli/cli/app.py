@@ -7,13 +7,37 @@ from typing import Annotated, Any
 
 import typer
 
-from topcli.cli import bench, compare, inspect, lax, order, plot, roundoff, run, stress, table, verify
-from topcli.cli.command import Command
+from topcli.cli.command import LazyGroup
 from topcli.cli.talk import emit, say, say_error, say_text
 from topcli.errors import TopcliError, clipped
 
+
+class _Topcli(LazyGroup):
+    """All commands, in the order of the help."""
+
+    places = {  # noqa: RUF012 (a constant)
+        "run": "run.run",
+        "sweep": "sweep.sweep",
+        "verify": "verify.verify",
+        "compare": "compare.compare",
+        "bench": "bench.bench",
+        "table": "table.table",
+        "order": "order.order",
+        "plot": "plot.plot",
+        "lax": "lax.lax",
+        "roundoff": "roundoff.roundoff",
+        "stress": "stress.stress",
+        "show": "inspect.show",
+        "init": "inspect.init",
+        "schema": "inspect.schema",
+        "doctor": "inspect.doctor",
+        "list": "inspect.list_app",
+    }
+
+
 app = typer.Typer(
     name="topcli",
+    cls=_Topcli,
     no_args_is_help=True,
     rich_markup_mode=None,  # rich would make --help three times slower
     pretty_exceptions_enable=False,
@@ -68,20 +92,3 @@ def _topcli(
     ] = False,
 ) -> None:
     pass
-
-
-app.command("run", cls=Command)(run.run)
-app.command("verify", cls=Command)(verify.verify)
-app.command("compare", cls=Command)(compare.compare)
-app.command("bench", cls=Command)(bench.bench)
-app.command("table", cls=Command)(table.table)
-app.command("order", cls=Command)(order.order)
-app.command("plot", cls=Command)(plot.plot)
-app.command("lax", cls=Command)(lax.lax)
-app.command("roundoff", cls=Command)(roundoff.roundoff)
-app.command("stress", cls=Command)(stress.stress)
-app.add_typer(inspect.list_app, name="list")
-app.command("show", cls=Command)(inspect.show)
-app.command("init", cls=Command)(inspect.init)
-app.command("schema", cls=Command)(inspect.schema)
-app.command("doctor", cls=Command)(inspect.doctor)

@@ -1,11 +1,15 @@
-"""Class of all commands: typer's, with help texts free of Python types."""
+"""Classes of all commands: typer's, with help texts free of Python types and with imports when needed."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping, MutableMapping
+from importlib import import_module
 from typing import Any
 
-from typer.core import TyperCommand
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
 _TYPE = re.compile(r" <[^>]*>$")
 
@@ -21,3 +25,54 @@ class Command(TyperCommand):
         )
         super().format_options(ctx, formatter)
         formatter.write_dl = write
+
+
+class Commands(MutableMapping[str, Any]):
+    """Commands by name, given as ``module.function`` or ``module.group`` and imported when they are first needed.
+
+    A command imports its own module only; the help, a completion and an unknown name import what they list.
+    """
+
+    def __init__(self, places: Mapping[str, str]) -> None:
+        self._commands: dict[str, Any] = dict(places)
+
+    def __getitem__(self, name: str) -> Any:
+        found = self._commands[name]
+        if isinstance(found, str):
+            found = self._commands[name] = _imported(name, found)
+        return found
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._commands[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._commands[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._commands)
+
+    def __len__(self) -> int:
+        return len(self._commands)
+
+
+def _imported(name: str, place: str) -> Any:
+    """The command called ``name``, from ``module.function`` or ``module.group`` in this package."""
+    module, attribute = place.split(".")
+    found = getattr(import_module(f"topcli.cli.{module}"), attribute)
+    if not isinstance(found, typer.Typer):
+        single = typer.Typer(add_completion=False, rich_markup_mode=None)
+        single.command(name, cls=Command)(found)
+        found = single
+    command = get_command(found)
+    command.name = name
+    return command
+
+
+class LazyGroup(TyperGroup):
+    """Base of a group whose ``places`` name its commands and where they are."""
+
+    places: Mapping[str, str] = {}
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = Commands(self.places)

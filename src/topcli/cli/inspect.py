@@ -23,7 +23,10 @@ from topcli.cli.talk import emit, emit_text, print_document, print_json, print_t
 from topcli.errors import shortened
 
 list_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="List tops, schemes, scenes, cases, figures or runs."
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="List tops, schemes, measures, scenes, cases, figures, runs.",
 )
 
 OnlyTop = Annotated[
@@ -155,6 +158,34 @@ def list_cases(top: OnlyTop = None, as_json: Json = False) -> None:
     _print_list("cases", items, ["name", "top", "question"], as_json, f"no hard cases for {top}")
 
 
+@list_app.command(cls=Command, name="measures")
+def list_measures(top: OnlyTop = None, as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
+    """List the measures of topcli sweep.
+
+    With --top, families such as drift.NAME are listed measure by measure.
+    """
+    from topcli.schemes.registry import plugin_failures
+    from topcli.studies.measures import all_measures, measures_of_form
+    from topcli.tops import forms
+
+    load_scheme_files(scheme_files)
+    found = all_measures() if top is None else measures_of_form(forms(top)[0].form)
+    items: list[dict[str, Any]] = [
+        {
+            "name": one.name,
+            "unit": one.unit,
+            "summary": one.summary,
+            "of_failed": one.of_failed,
+            "reproducible": one.reproducible,
+            "origin": one.origin,
+        }
+        for one in found
+    ]
+    for failure in plugin_failures():
+        say(f"plugin {failure.name} failed: {failure.reason}")
+    _print_list("measures", items, ["name", "unit", "summary", "origin"], as_json)
+
+
 @list_app.command(cls=Command, name="figures")
 def list_figures(as_json: Json = False) -> None:
     """List the figures that topcli plot draws."""
@@ -243,19 +274,27 @@ def show(
     config: Annotated[
         str,
         typer.Argument(
-            metavar="CONFIG|SCHEME",
-            help="A config file, a packaged scene, or a scheme.",
+            metavar="CONFIG|SCHEME|SWEEP",
+            help="A config file, a packaged scene, a scheme, or the folder of a sweep.",
             autocompletion=complete_config_or_scheme,
         ),
     ],
+    row: Annotated[
+        int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a sweep as a config.")
+    ] = None,
     sets: Sets = None,
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Show a config with every default, or describe a scheme."""
+    """Show a config with defaults, a scheme, or a row of a sweep."""
     from topcli.config.load import load_any
 
     load_scheme_files(scheme_files)
+    if row is not None or os.path.isdir(config):
+        from topcli.cli.sweep import show_sweep
+
+        show_sweep(Path(config), row, sets or [], as_json)
+        return
     if not sets and not Path(config).suffix and _show_scheme(config, as_json):
         return
     experiment = load_any(config, sets or [])

@@ -79,12 +79,12 @@ Force = Annotated[
 ]
 SchemeFiles = Annotated[
     list[Path] | None,
-    typer.Option("--scheme-file", metavar="FILE", help="Load your own schemes from a Python file."),
+    typer.Option("--scheme-file", metavar="FILE", help="Load your own schemes or measures from a Python file."),
 ]
 
 
 def load_scheme_files(paths: list[Path] | None) -> None:
-    """Register the schemes in the files given by ``--scheme-file``."""
+    """Register what the files given by ``--scheme-file`` define."""
     if paths:
         from topcli.schemes.registry import load_scheme_file
 

@@ -56,6 +56,7 @@ class RunOptions:
 
     out: Path
     sets: tuple[str, ...]
+    name: str | None
     force: bool
     resume: bool
     retry_failed: bool
@@ -191,7 +192,7 @@ def _carry_out(
     from topcli.config.load import load_any
 
     try:
-        experiment = load_any(config, options.sets)
+        experiment = load_any(config, options.sets, {"name": options.name} if options.name else None)
         if not options.quiet:
             say_warnings(experiment)
         if options.dry_run:
@@ -223,6 +224,10 @@ Configs = Annotated[
     list[str],
     typer.Argument(metavar="CONFIG", help="Config files or names of packaged scenes.", autocompletion=complete_config),
 ]
+Name = Annotated[
+    str | None,
+    typer.Option("--name", metavar="NAME", help="Name the run and its folder; by default as its config."),
+]
 Format = Annotated[str | None, typer.Option("--format", metavar="FORMAT", help="Write the series as parquet or csv.")]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint.")
@@ -248,6 +253,7 @@ FailFast = Annotated[bool, typer.Option("--fail-fast", help="Stop at the first c
 def run(
     configs: Configs,
     sets: Sets = None,
+    name: Name = None,
     out: Out = Path("results"),
     output_format: Format = None,
     force: Force = False,
@@ -271,9 +277,11 @@ def run(
     """
     if output_format not in (None, "parquet", "csv"):
         raise UsageError(f"unknown format {quoted(output_format)}; use parquet or csv")
+    if name is not None and len(configs) > 1:
+        raise UsageError(f"--name {quoted(name)}: names one run, and {len(configs)} configs are given")
     overrides = (*(sets or ()), *([f"output.format={output_format}"] if output_format else ()))
     options = RunOptions(
-        out, overrides, force, resume, retry_failed, checkpoint_every, threads, dry_run, quiet, as_json
+        out, overrides, name, force, resume, retry_failed, checkpoint_every, threads, dry_run, quiet, as_json
     )
     load_scheme_files(scheme_files)
     reports: list[dict[str, Any]] = []

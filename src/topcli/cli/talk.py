@@ -151,7 +151,8 @@ def _percent(done: int, total: int) -> str:
 class _Pace:
     """Rate over the last half minute, and the time left at that rate."""
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
         self._seen: deque[tuple[float, int]] = deque(maxlen=32)
 
     def add(self, now: float, done: int) -> None:
@@ -164,7 +165,7 @@ class _Pace:
         if done <= before or now <= began:
             return ""
         rate = (done - before) / (now - began)
-        return f"{rate:.3g} steps/s, {spell_seconds((total - done) / rate)} left"
+        return f"{rate:.3g} {self._unit}/s, {spell_seconds((total - done) / rate)} left"
 
 
 class ProgressDisplay:
@@ -174,11 +175,14 @@ class ProgressDisplay:
     ten minutes. ``clock`` returns seconds.
     """
 
-    def __init__(self, runs: int, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
-        self._runs, self._quiet, self._clock = runs, quiet, clock
+    def __init__(
+        self, runs: int, quiet: bool, clock: Callable[[], float] = time.monotonic, unit: str = "steps"
+    ) -> None:
+        self._runs, self._quiet, self._clock, self._unit = runs, quiet, clock, unit
+        self._note = ""
         self._index, self._name = 0, ""
         self._began = self._reported = clock()
-        self._pace = _Pace()
+        self._pace = _Pace(self._unit)
         self._bar: Any = None
         self._task: Any = None
 
@@ -186,12 +190,13 @@ class ProgressDisplay:
         """Begin the next run."""
         self._index, self._name = self._index + 1, name
         self._began = self._reported = self._clock()
-        self._pace = _Pace()
+        self._pace = _Pace(self._unit)
 
-    def __call__(self, done: int, total: int) -> None:
-        """Show that ``done`` of ``total`` steps of this run are done."""
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Show that ``done`` of ``total`` steps of this run are done, and a ``note`` behind it."""
         if self._quiet:
             return
+        self._note = f", {note}" if note else ""
         now = self._clock()
         self._pace.add(now, done)
         if now - self._began < 0.5:
@@ -209,7 +214,9 @@ class ProgressDisplay:
         elif now - self._reported > min(max(15.0, 0.2 * (now - self._began)), 600.0):
             self._reported = now
             pace = self._pace.text(now, done, total)
-            say(f"{label}: {_percent(done, total)}, {done} of {total} steps{', ' * bool(pace)}{pace}")
+            say(
+                f"{label}: {_percent(done, total)}, {done} of {total} {self._unit}{', ' * bool(pace)}{pace}{self._note}"
+            )
 
     def _show_bar(self, label: str, now: float, done: int, total: int) -> None:
         if self._bar is None:
@@ -225,7 +232,7 @@ class ProgressDisplay:
             )
             self._bar.start()
             self._task = self._bar.add_task(label, percent="", pace="")
-        pace = self._pace.text(now, done, total)
+        pace = self._pace.text(now, done, total) + self._note
         percent = _percent(done, total)
         self._bar.update(self._task, description=label, completed=done, total=total, percent=percent, pace=pace)
 

@@ -260,6 +260,19 @@ class Drawn:
             found, have = [states], len(states)
 
 
+def first_drawn(top: Top, centre: Array, draws: tuple[Draw, ...], seed: int) -> Array | None:
+    """First state (d,) of ``Drawn`` with these values; None if no candidate can have the energy."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    total = sum(NUMBERS[draw.kind] for draw in draws)
+    tried, size = 0, 1
+    while tried < PATIENCE * BATCH:
+        found = _candidates(top, centre, draws, generator.random((size, total)))
+        if len(found):
+            return found[0]
+        tried, size = tried + size, min(8 * size, BATCH)
+    return None
+
+
 @dataclass(frozen=True)
 class Group:
     """Trajectories that share the parameters of the top, and the source of their initial states."""
@@ -348,7 +361,7 @@ class EnsembleExperiment:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the resolved config, 64 hexadecimal digits."""
+        """SHA-256 of what the ensemble computes and records, without name and format (``identity_of``)."""
         return digest_of(self.resolved())
 
     def to_yaml(self) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.config.document import Document, KeyPath, describe, plain
+from topcli.config.duration import drop_partner, steps_of
 from topcli.config.models import (
     Config,
     Experiment,
@@ -25,7 +26,7 @@ from topcli.config.models import (
 from topcli.config.overrides import apply_overrides
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
-from topcli.errors import ConfigError, StepTooLongError, UnknownNameError, nearest, quoted, shortened
+from topcli.errors import ConfigError, StepTooLongError, UnknownNameError, UsageError, nearest, quoted, shortened
 from topcli.tops import TOPS, forms
 
 if TYPE_CHECKING:
@@ -36,19 +37,31 @@ MAX_BYTES = 1_000_000
 SUFFIXES = (".yaml", ".yml", ".toml")
 
 
-def load_experiment(source: Path | str, overrides: Sequence[str] = ()) -> Experiment:
+Changes = Mapping[str, Any] | None
+"""Values that replace top-level keys of a config."""
+
+
+def load_experiment(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> Experiment:
     """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
-    ``overrides`` are ``key=value`` texts, applied before the config is validated.
+    ``overrides`` are ``key=value`` texts, applied before the config is validated; ``changes`` then replace whole keys.
     Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
     an ensemble, which ``load_any`` loads.
     """
-    return _single(*_named_document(source, overrides))
+    return _single(*_named_document(source, overrides, changes))
 
 
-def load_any(source: Path | str, overrides: Sequence[str] = ()) -> Experiment | EnsembleExperiment:
+def load_any(
+    source: Path | str, overrides: Sequence[str] = (), changes: Changes = None
+) -> Experiment | EnsembleExperiment:
     """Load the experiment or ensemble of a config file or of a packaged scene. Raises as ``load_experiment``."""
-    return _experiment(*_named_document(source, overrides))
+    return _experiment(*_named_document(source, overrides, changes))
+
+
+def config_data(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> dict[str, Any]:
+    """Return the content of a config or packaged scene, named, as plain data that is not validated yet."""
+    document, name = _named_document(source, overrides, changes)
+    return {"name": name, **document.data}
 
 
 def experiment_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment:
@@ -193,11 +206,18 @@ def read_document(path: Path) -> Document:
     return document
 
 
-def _named_document(source: Path | str, overrides: Sequence[str]) -> tuple[Document, str]:
-    """Document of a file or scene with the overrides applied, and the default name of its experiment."""
+def _named_document(source: Path | str, overrides: Sequence[str], changes: Changes) -> tuple[Document, str]:
+    """Document of a file or scene with overrides and changes, and the default name of its experiment."""
     path = find_config(source)
     document = read_document(path)
     apply_overrides(document, overrides)
+    if changes:
+        new = Document({})
+        new.data = plain(changes, new)
+        drop_partner(document.data, new.data)
+        document.data |= new.data
+        document.places = {key: place for key, place in document.places.items() if not key or key[0] not in new.data}
+        document.places |= {(key,): "" for key in new.data}
     return document, path.stem
 
 
@@ -228,7 +248,10 @@ def _single(document: Document, default_name: str | None) -> Experiment:
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
     """Return the experiment or ensemble of a document. Raises as ``load_experiment``."""
     problems = Problems(document)
-    optional = ("name", "output", "ensemble")
+    if "base" in document.data:
+        problems.add(("base",), "this is a sweep, and an experiment is needed here; `topcli sweep` takes sweeps")
+        problems.raise_any()
+    optional = ("name", "output", "ensemble", "T")
     data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
     if "name" not in data and default_name is not None:
         if fault := name_fault(default_name):
@@ -236,7 +259,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         data["name"] = "unnamed" if fault else default_name
     if "ensemble" in data:
         data.setdefault("initial", {})
-    config = validate(Config, data, (), problems)
+    config = _config(data, problems)
     cls, top = _top(data, problems)
     scheme = state = members = columns = None
     if cls and "scheme" in data:
@@ -294,6 +317,22 @@ def _require_short_step(experiment: Experiment, document: Document) -> None:
         most = math.floor(longest / digit) * digit  # rounded down, so that it is admissible
         text = f"|h| must be at most {most:.4g} under {scheme.name} from this state, not {abs(h):g}{auto}"
     raise StepTooLongError(": ".join(part for part in (document.place(("h",)), "h", text) if part))
+
+
+def _config(data: dict[str, Any], problems: Problems) -> Config | None:
+    """Return the keys of the top level, with N from T; None if one is wrong."""
+    if "T" in data and "N" in data:
+        where = problems.document.place(("N",))
+        problems.add(("T",), f"N is given too{f' ({where})' if where else ''}; keep one of them")
+        data = {key: value for key, value in data.items() if key != "T"}
+    config = validate(Config, {"N": 1, **data} if "T" in data else data, (), problems)
+    if config is None or config.T is None:
+        return config
+    try:
+        return config.model_copy(update={"N": steps_of(config.T, config.h), "T": None})
+    except UsageError as error:
+        problems.add(("T",), str(error))
+        return None
 
 
 def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:

@@ -259,7 +259,7 @@ def _drawn(
         problems.add(path, f"must be a section with count and vectors, not {describe(raw)}; {_example(cls)}")
         return None
     spec = validate(Random, raw, path, problems, beside=cls.vectors)
-    draws = [_draw(raw[name], cls, top, name, problems) for name in cls.vectors if name in raw]
+    draws = [read_draw(raw[name], cls, top, (*path, name), problems) for name in cls.vectors if name in raw]
     if not draws:
         problems.add(path, f"no vector is random; {_example(cls)}")
         return None
@@ -281,9 +281,9 @@ def _drawn(
     return (Group(top, drawn),), kept
 
 
-def _draw(raw: object, cls: type[Top], top: Top, name: str, problems: Problems) -> Draw | None:
-    """Return the rule to draw the vector ``name``."""
-    path: KeyPath = ("ensemble", "random", name)
+def read_draw(raw: object, cls: type[Top], top: Top, path: KeyPath, problems: Problems) -> Draw | None:
+    """Return the rule to draw the vector that ends ``path``; None if it is wrong."""
+    name = str(path[-1])
     unit = name in cls.unit_vectors
     kinds = ["sphere", "near"] if unit else ["sphere", "near", "energy"]
     start, stop = cls.vectors[name]

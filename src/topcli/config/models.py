@@ -10,13 +10,14 @@ import hashlib
 import json
 import math
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
 from topcli.analysis.columns import spellings
 from topcli.config.document import KeyPath, describe
+from topcli.config.duration import MAX_STEPS
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.config.yaml_text import to_yaml
 from topcli.contracts import Invariant, Method, Scheme, Top
@@ -29,7 +30,6 @@ UNIT_TOLERANCE = 1e-12
 """Deviation of the square of a unit vector from 1 that is accepted."""
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 """Texts for a component that completes a unit vector, with the component's sign."""
-MAX_STEPS = 10**12
 MAX_NAME = 100
 MAX_NAME_BYTES = 200
 
@@ -119,14 +119,33 @@ class Config(BaseModel):
     )
     scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
-    N: Count = Field(description="the number of steps, a whole number from 1 to 1e12")
+    N: Count = Field(description="the number of steps, a whole number from 1 to 1e12; or T in its place")
+    T: StepSize | None = Field(default=None, description="the time N*h to run, in the place of N: N = T/h is whole")
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
 
-def digest_of(resolved: dict[str, Any]) -> str:
-    """SHA-256 of a resolved config as canonical JSON, 64 hexadecimal digits."""
-    text = json.dumps(resolved, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+OUTSIDE_IDENTITY = ("name", "output.format")
+"""Keys of a resolved config that do not change what a run computes."""
+
+
+def identity_of(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a run computes and records: a resolved config without its ``name`` and ``output.format``.
+
+    It holds the top with its parameters, the initial state (or the section ``ensemble``), the scheme with all options,
+    h, N, and the recorded rows and columns. Runs that differ in name or format only have the same bits.
+    """
+    kept = {key: value for key, value in resolved.items() if key != "name"}
+    return kept | {"output": {key: value for key, value in resolved["output"].items() if key != "format"}}
+
+
+def digest_of(resolved: Mapping[str, Any]) -> str:
+    """SHA-256 of ``identity_of`` a resolved config as canonical JSON, 64 hexadecimal digits."""
+    return hashlib.sha256(canonical(identity_of(resolved)).encode()).hexdigest()
+
+
+def canonical(data: object) -> str:
+    """JSON with sorted keys and without spaces: equal plain data, equal text."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 class Experiment(BaseModel):
@@ -181,7 +200,7 @@ class Experiment(BaseModel):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the resolved config, 64 hexadecimal digits."""
+        """SHA-256 of what the run computes and records, without name and format (``identity_of``)."""
         return digest_of(self.resolved())
 
     def to_yaml(self) -> str:

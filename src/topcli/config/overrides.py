@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from topcli.config.document import Document, describe, key_text
+from topcli.config.duration import drop_partner
 from topcli.config.yaml_text import parse_yaml
 from topcli.errors import ConfigError, quoted, shortened
 
@@ -14,6 +15,8 @@ _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _POSITION = re.compile(r"^(:\d+)*: ")
 BARE = {"top": "kind", "scheme": "name"}
 """Sections that may be given as a bare name, each with the key whose value the name is."""
+_EXPERIMENTS = ((), ("base",))
+"""Where a document holds a config: as a whole, or in the section ``base`` of a sweep."""
 
 
 def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
@@ -49,7 +52,8 @@ def override_label(text: str) -> str:
 def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
     """Set the overridden keys in ``document``; whole sections before keys inside them, in whichever order given.
 
-    A bare name of a top or a scheme becomes a section if a key inside it is set.
+    T takes the place of N, and N that of T. A bare name of a top or a scheme becomes a section if a key inside it is
+    set.
     Raises ConfigError for a malformed or repeated override, and for a key inside a value that is not a section.
     """
     parsed: dict[tuple[str, ...], tuple[str, Any]] = {}
@@ -59,6 +63,7 @@ def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
             earlier = override_label(parsed[path][0])
             raise ConfigError(f"{override_label(text)}: {key_text(path)} is already set by {earlier}; set it once")
         parsed[path] = (text, value)
+    drop_partner(document.data, {path[0]: value for path, (_, value) in parsed.items() if len(path) == 1})
     for path in sorted(parsed, key=len):
         text, value = parsed[path]
         _set(document, path, value, override_label(text))
@@ -70,7 +75,7 @@ def _set(document: Document, path: tuple[str, ...], value: Any, label: str) -> N
         inner: Any = section.get(key)
         if inner is None:
             inner = {}
-        elif depth == 0 and key in BARE and isinstance(inner, str):
+        elif path[:depth] in _EXPERIMENTS and key in BARE and isinstance(inner, str):
             inner = {BARE[key]: inner}
         elif not isinstance(inner, dict):
             whole = key_text(path[: depth + 1])

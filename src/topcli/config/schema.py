@@ -38,6 +38,9 @@ def config_schema() -> Schema:
     properties["ensemble"] = any_ensemble_schema() | {"description": properties["ensemble"]["description"]}
     schema["required"].remove("initial")
     schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
+    schema["required"].remove("N")
+    schema["oneOf"] = [{"required": ["N"]}, {"required": ["T"]}]
+    properties["T"] = {"type": "number", "not": {"const": 0}, "description": properties["T"]["description"]}
     properties["scheme"] |= {"type": ["string", "object"]}
     properties["h"]["not"] = {"const": 0}
     properties["output"].pop("$ref", None)

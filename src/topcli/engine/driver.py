@@ -6,7 +6,7 @@ and the constants.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -127,6 +127,7 @@ class Loop:
     iterative: bool = False
     compiled: bool = True
     returns_early: bool = False
+    advice: Callable[[Sequence[float], float], str] | None = None
 
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
@@ -177,4 +178,13 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
         code = native(drive, SIGNATURE)
     except CompileError as error:
         raise step_refused(method, d, error) from None
-    return Loop(enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)
+    return Loop(
+        enter,
+        code,
+        method.width,
+        method.counters,
+        code.seconds,
+        code.cached,
+        method.iterative,
+        advice=method.advice,
+    )

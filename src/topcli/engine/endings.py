@@ -14,6 +14,8 @@ from topcli.contracts import Ending, Outcome
 OUTCOMES = tuple(Outcome)
 """Outcomes in the order of their codes in ``Endings.outcome``."""
 CODES = {outcome: code for code, outcome in enumerate(OUTCOMES)}
+ARRAYS = ("outcome", "step", "counts", "begun", "left")
+"""Arrays of ``Endings`` with a row for each trajectory."""
 NO_FAILURE = (Outcome.COMPLETED, Outcome.INTERRUPTED)
 
 
@@ -37,7 +39,7 @@ class Endings(Sequence[Ending]):
     def joined(cls, parts: Sequence[Endings]) -> Endings:
         """Endings of ``parts`` in their order; all have the same step and counters."""
         made = cls(0, parts[0].h, parts[0].counters)
-        for name in ("outcome", "step", "counts", "begun", "left"):
+        for name in ARRAYS:
             setattr(made, name, np.concatenate([getattr(part, name) for part in parts]))
         return made
 
@@ -51,6 +53,13 @@ class Endings(Sequence[Ending]):
         self.left[:] = left
         completed = self.outcome == CODES[Outcome.COMPLETED]
         self.outcome[completed & (left >= 0)] = CODES[Outcome.LEFT_MOTION]
+
+    def of(self, which: NDArray[np.int64]) -> Endings:
+        """Endings of the trajectories numbered ``which`` (k,) alone."""
+        made = Endings(0, self.h, self.counters)
+        for name in ARRAYS:
+            setattr(made, name, getattr(self, name)[which])
+        return made
 
     @property
     def failed(self) -> NDArray[np.int64]:

@@ -69,6 +69,38 @@ def tile_of(count: int) -> int:
     return TILE if count > TILE // 2 else SMALL_TILE
 
 
+class EnsembleCode:
+    """Machine code of ``method`` for ``top``, which several runs may share: the loops over a tile and of single runs.
+
+    ``lanes`` is None without ``side_by_side`` and for a method that is no compiled step. ``seconds`` is the time to
+    compile or load, ``cached`` is true if all code came from disk.
+    """
+
+    def __init__(self, top: Top, method: Method, tile: int, side_by_side: bool = True) -> None:
+        self.method, self.tile = method, tile
+        self.p = np.array(top.constants(), dtype=np.float64)
+        self._d = len(top.components)
+        self._lock, self._loop = threading.Lock(), None
+        self.lanes: Lanes | None = None
+        self.seconds, self.cached = 0.0, True
+        if side_by_side and isinstance(method, Stepper) and not method.plain:
+            try:
+                code = native(plain_lanes(method, self._d, len(self.p), tile), SIGNATURE)
+            except CompileError as error:
+                raise step_refused(method, self._d, error) from None
+            self.lanes = Lanes(method, code, np.concatenate([self.p, stages_of(method)[1]]), tile)
+            self.seconds, self.cached = code.seconds, code.cached
+
+    def single_loop(self) -> Loop:
+        """Time loop of single runs, compiled when the first trajectory needs it."""
+        with self._lock:
+            if self._loop is None:
+                self._loop = loop_of(self.method, self._d, len(self.p))
+                self.seconds += self._loop.seconds
+                self.cached &= self._loop.cached
+            return self._loop
+
+
 @dataclass(frozen=True)
 class Execution:
     """How an ensemble is carried out; none of it changes the bits of a trajectory.
@@ -76,13 +108,14 @@ class Execution:
     ``stop()`` is called between chunks and within long ones; once it returns true, the unfinished trajectories are
     ``interrupted``, not all of them at the same step. ``threads`` is the number of threads, by default all CPUs.
     ``tile`` is ``tile_of`` the count of all blocks. A piece holds the rows of one tile; with ``wide`` it may hold those
-    of several, if they are few.
+    of several, if they are few. ``code`` is that of the method, if the caller has it already.
     """
 
     stop: Callable[[], bool] = lambda: False
     threads: int | None = None
     tile: int | None = None
     wide: bool = False
+    code: EnsembleCode | None = None
 
 
 class EnsembleRun(TileContext, Generic[Made]):
@@ -114,21 +147,10 @@ class EnsembleRun(TileContext, Generic[Made]):
         self.top, self.method, self.h, self.N, self.every = top, method, float(h), N, every
         self.made, self.stop, self.wide = made, execution.stop, execution.wide
         self.threads = execution.threads or default_threads()
-        self.p = np.array(top.constants(), dtype=np.float64)
         self.begin(y0)
-        m, d = self.y0.shape
-        self.compile_seconds, self.cached, self.run_seconds = 0.0, True, 0.0
-        self.tile = execution.tile or tile_of(m)
+        self.code = execution.code or EnsembleCode(top, method, execution.tile or tile_of(len(self.y0)))
+        self.p, self.tile, self.run_seconds = self.code.p, self.code.tile, 0.0
         self.buffer = RowBuffer()
-        self._lock, self._loop = threading.Lock(), None
-        self._lanes: Lanes | None = None
-        if isinstance(method, Stepper) and not method.plain:
-            try:
-                code = native(plain_lanes(method, d, len(self.p), self.tile), SIGNATURE)
-            except CompileError as error:
-                raise step_refused(method, d, error) from None
-            self._lanes = Lanes(method, code, np.concatenate([self.p, stages_of(method)[1]]), self.tile)
-            self.compile_seconds, self.cached = code.seconds, code.cached
 
     def begin(self, y0: Array) -> None:
         """Take the initial states ``y0`` (m, d), and forget the endings of earlier trajectories."""
@@ -139,17 +161,22 @@ class EnsembleRun(TileContext, Generic[Made]):
 
     def single_loop(self) -> Loop:
         """Time loop of single runs, compiled when the first trajectory needs it."""
-        with self._lock:
-            if self._loop is None:
-                self._loop = loop_of(self.method, self.y0.shape[1], len(self.p))
-                self.compile_seconds += self._loop.seconds
-                self.cached &= self._loop.cached
-            return self._loop
+        return self.code.single_loop()
+
+    @property
+    def compile_seconds(self) -> float:
+        """Time to compile or load the code."""
+        return self.code.seconds
+
+    @property
+    def cached(self) -> bool:
+        """True if all code came from disk."""
+        return self.code.cached
 
     @property
     def side_by_side(self) -> bool:
         """True if pieces hold whole tiles, False if each holds rows of one trajectory."""
-        return self._lanes is not None
+        return self.code.lanes is not None
 
     @property
     def interrupted(self) -> bool:
@@ -158,7 +185,8 @@ class EnsembleRun(TileContext, Generic[Made]):
 
     def __iter__(self) -> Iterator[tuple[Made, int]]:
         """Yield the result of ``made`` and the trajectory-steps done, piece by piece."""
-        if self._lanes is None:
+        lanes = self.code.lanes
+        if lanes is None:
             yield from self._one_by_one()
             return
         self.call_steps = FIRST_CALL
@@ -166,7 +194,7 @@ class EnsembleRun(TileContext, Generic[Made]):
         with ThreadPoolExecutor(max(1, self.threads - 1)) as pool:
             for start in range(0, m, size):
                 ends = range(start, min(start + size, m), self.tile)
-                group = [Tile(self, self._lanes, first, min(first + self.tile, m)) for first in ends]
+                group = [Tile(self, lanes, first, min(first + self.tile, m)) for first in ends]
                 yield from self._together(group, pool, start)
 
     def _together(self, group: Sequence[Tile], pool: ThreadPoolExecutor, before: int) -> Iterator[tuple[Made, int]]:

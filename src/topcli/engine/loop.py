@@ -119,7 +119,9 @@ class Run:
     def _end(self, outcome: Outcome, step: int, work: Array) -> None:
         names = self._loop.counters
         counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
-        self.ending = Ending(outcome, step, step * self.h, counts)
+        advise = self._loop.advice if outcome is Outcome.NO_CONVERGENCE else None
+        advice = advise(work.tolist(), self.h) if advise else ""
+        self.ending = Ending(outcome, step, step * self.h, counts, advice=advice)
 
     def __iter__(self) -> Iterator[Chunk]:
         """Chunks of recorded rows; the last one is followed by ``ending`` being set."""

@@ -20,7 +20,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from typing import Any
 
@@ -152,6 +152,7 @@ def _process_engine() -> Any:
     return llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
 
 
+@lru_cache(maxsize=128)  # a sweep over tops asks for the same code again and again
 def _load(stored: ObjectCode) -> tuple[Callable[..., int], tuple[Any, ...]]:
     """Function of an object file, linked into this process. Raises OSError or RuntimeError."""
     llvm, _ = _machine()

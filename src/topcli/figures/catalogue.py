@@ -5,10 +5,14 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
+import numpy as np
+
+from topcli.contracts import Array
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.comparison import ComparisonFigure
 from topcli.figures.contract import Figure
 from topcli.figures.growth import GrowthPanel
+from topcli.figures.long_energy import LongEnergyFigure
 from topcli.figures.order import OrderFigure
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.polhodes import Polhodes
@@ -16,6 +20,8 @@ from topcli.figures.roundoff import GrowthFigure
 from topcli.figures.scenes import SceneFigure
 from topcli.figures.sphere import Sphere
 from topcli.figures.stress import StressFigure
+from topcli.figures.sweep import Choice
+from topcli.figures.sweep_studies import SweepStudyFigure, View
 from topcli.figures.work_precision import WorkPrecisionFigure
 
 
@@ -29,6 +35,19 @@ def _motion() -> tuple[Panel, Panel]:
         Panel(lines("gamma"), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a) {scheme}"),
         Panel(lines("omega"), r"$\boldsymbol{\omega}$", title="(b) {scheme}"),
     )
+
+
+_SPACING = "swing_spacing.first"
+_SWINGING = tuple(
+    f"scheme={name}" for name in ("hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor")
+)
+"""Schemes of the figure of swings: one of each kind."""
+_LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
+
+
+def _law(eps: Array) -> Array:
+    """Time between swings of the motion at the distance ``eps`` from the homoclinic orbit of the paper's scene."""
+    return 2.0 * np.sqrt(2.0) * np.log(8.0 * np.sqrt(7.0) / eps)
 
 
 _GAMMA = ("gamma1", "gamma2", "gamma3")
@@ -125,6 +144,66 @@ FIGURES: dict[str, Figure] = {
         ),
         OrderFigure(
             "order", "Kowalevski top, generic: error over h, orders and the plateau of round-off", "topcli order"
+        ),
+        SweepStudyFigure(
+            "swings",
+            "Kowalevski top: time between swings over eps and h, and each scheme's floor",
+            "kowalevski_swings",
+            (
+                View(
+                    "$h = 0.01$",
+                    Choice("initial.gamma3", _SPACING, "scheme"),
+                    (*_SWINGING, "h=0.01"),
+                    "$\\epsilon = \\gamma_3(0)$",
+                    "time between swings",
+                    law=_law,
+                    law_label=_LAW,
+                ),
+                View(
+                    "$\\epsilon = 10^{-8}$",
+                    Choice("h", _SPACING, "scheme"),
+                    (*_SWINGING, "initial.gamma3=1e-8"),
+                    "$h$",
+                    "time between swings",
+                    xlog=True,
+                ),
+            ),
+            Grid(figsize=(8.6, 3.4)),
+        ),
+        SweepStudyFigure(
+            "errors",
+            "Kowalevski top, generic: error and drift of the energy of all schemes over h",
+            "kowalevski_errors",
+            (
+                View("$0 \\leq t \\leq 100$", Choice("h", "error.max", "scheme"), (), "$h$", "largest error"),
+                View("$0 \\leq t \\leq 100$", Choice("h", "deviation.energy", "scheme"), (), "$h$", "deviation of $E$"),
+            ),
+            Grid(figsize=(9.6, 4.4)),
+        ),
+        SweepStudyFigure(
+            "heavy-drift",
+            "Heavy tops, 100 at random: energy of five schemes",
+            "heavy_drift",
+            (
+                View(
+                    "median and quartiles",
+                    Choice("scheme", "deviation.energy", aggregate="median"),
+                    ylabel="deviation of $E$, $0 \\leq t \\leq 100$",
+                ),
+                View(
+                    "median and quartiles",
+                    Choice("scheme", "drift.energy", aggregate="median"),
+                    ylabel="drift of $E$ per unit time",
+                ),
+            ),
+            Grid(figsize=(8.6, 3.4)),
+        ),
+        LongEnergyFigure(
+            "integrable",
+            "Energy over a long time: integrable and canonical maps, exact conservation, drift",
+            "euler_hk",
+            (("kowalevski_generic_hk", "(a) Kowalevski top, $h = 0.05$"), ("euler_hk", "(b) Euler top, $h = 0.05$")),
+            Grid(figsize=(8.2, 3.4)),
         ),
         WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers", "topcli bench"),
         StressFigure("stress", "Every scheme in the hard cases of its top", "topcli stress"),

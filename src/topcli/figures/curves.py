@@ -47,7 +47,8 @@ class CurvePanel:
     plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value. The
     vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond. On the scale
     ``log`` a value above ``ceiling``, as of a run that explodes, is an arrowhead at the upper edge.
-    ``words`` are the names of the values 0, 1, ... of x if they are not numbers.
+    ``words`` are the names of the values 0, 1, ... of x if they are not numbers. ``guide`` is the label of one more
+    curve, a law, drawn as a dashed line. ``prefix`` distinguishes the columns of several panels.
     """
 
     labels: tuple[str, ...]
@@ -61,23 +62,31 @@ class CurvePanel:
     words: tuple[str, ...] = ()
     title: str = ""
     legend: str = ""
+    guide: str = ""
+    prefix: str = ""
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns that the panel draws."""
         kinds = ("x", "y", *(("low", "high") if self.band else ()))
-        return tuple(curve_column(label, kind) for label in self.labels for kind in kinds)
+        curves = [curve_column(label, kind) for label in self.labels for kind in kinds]
+        guide = [curve_column(self.guide, kind) for kind in ("x", "y")] if self.guide else []
+        return tuple(self.prefix + name for name in (*curves, *guide))
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
-        """Draw the curves and a legend to their right into ``axes``."""
+        """Draw the curves and, if there is more than one, a legend to their right into ``axes``."""
         import matplotlib as mpl
 
         cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
+        data = {name.removeprefix(self.prefix): data[name] for name in self.columns}
         axes.set_xscale(LOG if self.xlog else LINEAR)
         axes.set_yscale(self.yscale, **({"linthresh": self.threshold} if self.yscale == SYMLOG else {}))
         extra: dict[str, Any] = {}
         for i, label in enumerate(self.labels):
             self._curve(axes, data, label, cycle[i % len(cycle)], MARKERS[i % len(MARKERS)], extra)
+        if self.guide:
+            law = [data[curve_column(self.guide, kind)] for kind in ("x", "y")]
+            axes.plot(*law, "--", color="black", linewidth=1.0, label=self.guide, zorder=1)
         if self.yscale == SYMLOG:
             axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
         axes.set_xlabel(self.xlabel)
@@ -87,6 +96,8 @@ class CurvePanel:
             axes.set_xticks(range(len(self.words)), self.words, rotation=0 if len(self.words) < 6 else 90)
         handles, texts = axes.get_legend_handles_labels()
         handles, texts = [*handles, *extra.values()], [*texts, *extra]
+        if len(texts) == 1 and self.words:
+            return  # the vertical axis says what it is
         axes.legend(
             handles, texts, title=self.legend or None, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=9
         )

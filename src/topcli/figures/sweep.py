@@ -144,8 +144,8 @@ def _labels(rows: SweepRows, choice: Choice) -> tuple[dict[Any, str], str]:
     return {value: f"{choice.by} = {label}" for value, label in labels.items()}, ""
 
 
-def _curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.ndarray]]:
-    """Panel and columns of the curves."""
+def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.ndarray]]:
+    """Panel and columns of the curves. Raises UsageError for several rows at a point without an aggregate."""
     axis, place = _axis(rows, choice.x)
     points = {keys: point for keys, point in _points(rows, choice).items() if not np.isnan(place[keys[0]])}
     labels, legend = _labels(rows, choice)
@@ -227,7 +227,7 @@ class SweepFigure(Figure):
     def load(self, request: Request) -> Loaded:
         """Return panel and data. Raises UsageError for a choice that the rows do not have."""
         self.choice.require(self.rows)
-        prepare = _heat if self.choice.colour else _curves
+        prepare = _heat if self.choice.colour else curves
         panel, data = prepare(self.rows, self.choice)
         source = {
             "rows": sha256_of(self.rows.path),

@@ -158,6 +158,7 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         name=f"{base.name}+{composition.name}",
         title=f"{base.title}, composed to order {composition.order}",
         order=composition.order,
+        order_with=base.order_with and (lambda options: max(composition.order, base.order_for(options) or 0)),
         citation=f"{composition.citation}; {base.citation}",
         build=build,
         modified=None,

@@ -26,6 +26,14 @@ LONG_NEWTON = (
     "With steps of several units of time the equations may have no solution near the old state, and Newton's method "
     "does not converge; the run ends as `no_convergence`."
 )
+NO_LONG_STEP = (
+    "A step turns the body by less than half a turn and has no solution beyond a length of the order of 1/|omega|; "
+    "the run ends as `no_convergence` and names the largest h that works."
+)
+LONG_SPLITTING = (
+    "With steps of several radians the kicks and rotations are no longer close to any motion: the energy wanders off "
+    "by several times its size."
+)
 NEWTON_SINGULAR = (
     "The iteration starts from HK's step, which is singular for this h, and does not converge; the run ends as "
     "`no_convergence`."

@@ -32,6 +32,18 @@ _schemes: dict[tuple[str, str], Scheme] = {}
 _for_every_top: dict[str, Callable[[str], None]] = {}
 """By the name of each scheme declared for every top: what registers it for one form, of a top that comes in later."""
 _origin = "topcli"
+_other_tables: list[tuple[MutableMapping[Any, Any], dict[Any, Any]]] = []
+"""Tables of other parts that plugins extend, each with its built-in content."""
+
+
+def plugin_table(table: MutableMapping[Any, Any]) -> None:
+    """Let plugins extend ``table``, which holds what is built in; those of a plugin that fails are removed."""
+    _other_tables.append((table, dict(table)))
+
+
+def registering_origin() -> str:
+    """Distribution or file that is being imported, for the entries that it registers."""
+    return _origin
 
 
 @dataclass(frozen=True)
@@ -58,6 +70,7 @@ def scheme(
     adaptive: bool = False,
     limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
     longest_step: Callable[[Any, Floats, Any], float] | None = None,
+    order_with: Callable[[Any], int | None] | None = None,
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
@@ -98,6 +111,8 @@ def scheme(
     longest_step : callable, optional
         ``longest_step(top, y0, options)`` returns the largest |h| with which the scheme can start from ``y0``. A longer
         one is refused before the run. The step itself has to refuse it for a member of an ensemble.
+    order_with : callable, optional
+        ``order_with(options)`` returns the order if it depends on the options; ``order`` is that of the defaults.
 
     Returns
     -------
@@ -146,6 +161,7 @@ def scheme(
             longest_step=longest_step,
             doc=_description(name, title, build, options),
             origin=origin,
+            order_with=order_with,
         )
 
         def register_for(form: str) -> None:
@@ -227,9 +243,9 @@ def _checked(build: Build, name: str) -> Build:
 
 
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
-    """Import a plugin; if that fails, remove the schemes it had registered and return the failure."""
+    """Import a plugin; if that fails, remove what it had registered and return the failure."""
     global _origin
-    tables: list[MutableMapping[Any, Any]] = [_schemes, TOPS, _for_every_top]
+    tables: list[MutableMapping[Any, Any]] = [_schemes, TOPS, _for_every_top, *(table for table, _ in _other_tables)]
     before, previous = [dict(table) for table in tables], _origin
     _origin = origin
     try:
@@ -241,7 +257,8 @@ def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> Plugin
     except (KeyboardInterrupt, MemoryError):
         raise
     except BaseException as error:  # including SystemExit: a plugin must not end the program
-        for table, kept in zip(tables, before, strict=True):
+        came_in = _other_tables[len(tables) - 3 :]  # with the plugin
+        for table, kept in [*zip(tables, before, strict=True), *came_in]:
             table.clear()
             table.update(kept)
         place = users_place(error)
@@ -270,7 +287,7 @@ def plugin_failures() -> tuple[PluginFailure, ...]:
 def load_scheme_file(path: Path) -> None:
     """Import the schemes of a Python file (``--scheme-file``), which may import modules that lie beside it.
 
-    Raises UsageError if the file cannot be read or imported, or registers no scheme.
+    Raises UsageError if the file cannot be read or imported, or registers nothing.
     """
     plugin_failures()
     if not os.path.isfile(path):  # False also for what cannot be a path
@@ -281,14 +298,22 @@ def load_scheme_file(path: Path) -> None:
         raise UsageError(f"scheme file {path}: not a Python file (expected a name ending in .py)")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    known = len(_schemes)
+    known = _registered()
     loader = spec.loader
     with modules_beside(path.resolve().parent):
         failure = _import_plugin(str(path), str(path), lambda: loader.exec_module(module))
     if failure:
         raise UsageError(f"scheme file {path}: {failure.reason}")
-    if len(_schemes) == known:
-        raise UsageError(f"scheme file {path}: registers no scheme; decorate a function with @topcli.scheme(...)")
+    if _registered() == known:
+        raise UsageError(
+            f"scheme file {path}: registers no scheme or measure; decorate a function with @topcli.scheme(...) "
+            "or @topcli.measure(...)"
+        )
+
+
+def _registered() -> int:
+    """Number of schemes, and of entries that plugins have added to the tables of other parts."""
+    return len(_schemes) + sum(len(table) - len(built_in) for table, built_in in _other_tables)
 
 
 def all_schemes() -> tuple[Scheme, ...]:

@@ -68,6 +68,20 @@ class _Manifest(BaseModel):
     ended: _Words
 
 
+SWEEP = "sweep"
+"""Entry ``kind`` of the manifest of a sweep, which is no run."""
+
+
+class _SweepManifest(BaseModel):
+    kind: Literal["sweep"]
+    manifest_version: Literal[2]
+    files: Annotated[dict[_FileName, _File], Field(max_length=1000)]
+
+
+class _NoRunError(ValueError):
+    """The manifest is that of a sweep."""
+
+
 class DamagedError(ValueError):
     """A file of a run differs from what was written; the message describes the difference."""
 
@@ -99,6 +113,8 @@ def read_json(path: str | Path) -> dict[str, Any]:
 
 def _read_manifest(folder: str | Path) -> dict[str, Any]:
     found = read_json(os.path.join(folder, MANIFEST))
+    if found.get("kind") == SWEEP:
+        raise _NoRunError
     try:
         _Manifest.model_validate(found)
     except ValidationError as error:
@@ -237,15 +253,25 @@ class DamagedRun:
 
 
 def look(folder: Path) -> StoredRun | DamagedRun | None:
-    """Run in ``folder``; None if it has no manifest."""
+    """Run in ``folder``; None if it has no manifest, or that of a sweep."""
     try:
         return StoredRun(folder, _read_manifest(folder))
-    except (FileNotFoundError, NotADirectoryError):
+    except (FileNotFoundError, NotADirectoryError, _NoRunError):
         return None
     except OSError as error:
         return DamagedRun(folder, f"{MANIFEST}: cannot be read ({error.strerror})")
     except DamagedError as error:
         return DamagedRun(folder, f"{MANIFEST}: {error}")
+
+
+def stored_sweep(folder: Path) -> StoredRun | None:
+    """Finished sweep in ``folder``, whose manifest lists its files as that of a run does; None if there is none."""
+    try:
+        found = read_json(folder / MANIFEST)
+        _SweepManifest.model_validate(found)
+    except (OSError, ValueError):
+        return None
+    return StoredRun(folder, found)
 
 
 def stored_run(folder: Path) -> StoredRun | None:

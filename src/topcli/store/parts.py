@@ -182,6 +182,23 @@ def lock_left(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
     return None
 
 
+def lock_folder(folder: Path, about: dict[str, Any]) -> Lock | None:
+    """Lock an existing folder, with ``about`` in the lock file; None if another process holds it. Raises OSError.
+
+    The file remains, because removing it could let two processes lock two files of the same name.
+    """
+    pid = owner(folder).get("pid", 0)
+    handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    taken = _exclusive(handle)
+    if taken is None:
+        taken = pid in (0, os.getpid()) or not _alive(pid)
+    if not taken:
+        os.close(handle)
+        return None
+    _sign(handle, about)
+    return Lock(handle)
+
+
 def take_lock(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
     """``lock_left``, tried twice if the owner is dead but the lock is taken, as by another process that inspects it."""
     lock = lock_left(folder, about)

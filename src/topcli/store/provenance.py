@@ -20,7 +20,13 @@ PACKAGES = ("numpy", "numba", "llvmlite", "pyarrow", "pydantic")
 
 @cache
 def installed(package: str) -> str | None:
-    """Version of an installed package, found without importing it; None if it is not installed."""
+    """Version of an installed package, found without importing it; None if it is not installed.
+
+    A package that is imported already knows its version; reading the metadata of some takes 5 ms.
+    """
+    loaded = getattr(sys.modules.get(package), "__version__", None)
+    if isinstance(loaded, str):
+        return loaded
     try:
         return version(package)
     except PackageNotFoundError:
@@ -120,7 +126,11 @@ class Commit:
 
 @cache
 def _platform() -> str:
-    return platform.platform()
+    """System, release, machine and C library; on Linux without the process that ``platform.platform`` starts."""
+    if sys.platform != "linux":
+        return platform.platform()
+    found, library = platform.uname(), "".join(platform.libc_ver())
+    return f"{found.system}-{found.release}-{found.machine}" + (f"-with-{library}" if library else "")
 
 
 def environment() -> dict[str, Any]:

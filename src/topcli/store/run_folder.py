@@ -80,7 +80,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
     except OSError as error:
         raise UsageError(
             f"{str(error.filename or target)[:400]}: {(error.strerror or str(error)).lower()}; nothing was written",
-            "choose another folder with --out, or another name with --set name=...",
+            "choose another folder with --out, or another name with --name",
         ) from None
     if isinstance(found, StoredRun):
         return found
@@ -88,7 +88,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
         why = f"holds a damaged run ({found.reason})" if found else "exists and is not a finished run"
         raise UsageError(
             f"{target}: {why}; nothing was written",
-            "move it away, or choose another folder with --out or another name with --set name=...",
+            "move it away, or choose another folder with --out or another name with --name",
         )
     require_real(target)
     return None
@@ -99,7 +99,7 @@ def require_real(target: Path) -> None:
     if target.is_symlink():
         raise UsageError(
             f"{target}: is a symbolic link, which no run can replace; nothing was written",
-            "remove it, or choose another name with --set name=...",
+            "remove it, or choose another name with --name",
         )
 
 
@@ -329,7 +329,8 @@ class RunWriter:
         existing = stored_run(self.target)
         if existing is None:
             return False
-        if existing.up_to_date(manifest["digest"], manifest.get("code", "")):
+        same_format = existing.manifest["series"] == manifest["series"]
+        if same_format and existing.up_to_date(manifest["digest"], manifest.get("code", "")):
             remove_own(self.folder)
             return True
         if existing.same_experiment(manifest["digest"]):

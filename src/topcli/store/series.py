@@ -8,7 +8,7 @@ Numbers in CSV are the shortest that read back to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -228,25 +228,78 @@ def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.
     try:
         return _read_columns(path, names)
     except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RunError(f"{path}: cannot be read ({reason[:120]}); run again with --force") from None
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> RunError:
+    reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return RunError(f"{path}: cannot be read ({reason[:120]}); run again with --force")
+
+
+def _names(path: Path) -> list[str]:
+    """Names of the columns of a series."""
+    if path.suffix == ".csv":
+        with path.open(encoding="utf-8") as file:
+            return file.readline().strip().split(",")
+    import pyarrow.parquet as pq
+
+    return list(pq.read_schema(path).names)
+
+
+def _csv_types(path: Path) -> Any:
+    """Explicit types of the columns; without them a column of whole floats would be read as integers."""
+    import pyarrow.csv as csv
+
+    return csv.ConvertOptions(column_types={name: _arrow_type(name) for name in _names(path)})
 
 
 def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarray]:
     if path.suffix == ".csv":
         import pyarrow.csv as csv
 
-        with path.open(encoding="utf-8") as file:
-            header = file.readline().strip().split(",")
-        # explicit types, or a column of whole floats would be read as integers
-        types = csv.ConvertOptions(column_types={name: _arrow_type(name) for name in header})
-        table = csv.read_csv(path, convert_options=types)
+        table = csv.read_csv(path, convert_options=_csv_types(path))
     else:
         import pyarrow.parquet as pq
 
         table = pq.read_table(path, columns=list(names) if names is not None else None, page_checksum_verification=True)
     wanted = table.column_names if names is None else names
     return {name: table.column(name).to_numpy() for name in wanted}
+
+
+def _pieces(path: Path) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the rows of a series piece by piece: the row groups of a Parquet file, blocks of about 1 MB of a CSV file.
+
+    Raises RunError if the file is damaged.
+    """
+    import pyarrow as pa
+
+    try:
+        if path.suffix == ".csv":
+            import pyarrow.csv as csv
+
+            tables = csv.open_csv(path, convert_options=_csv_types(path))
+        else:
+            import pyarrow.parquet as pq
+
+            file = pq.ParquetFile(path, page_checksum_verification=True)
+            tables = map(file.read_row_group, range(file.num_row_groups))
+        for table in tables:
+            yield {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names}
+    except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+def copy_series(source: Path, target: Path, metadata: Mapping[str, str], ended: Mapping[str, str]) -> str:
+    """Write the series ``source`` in the format of ``target``, which gets the same bits; return the SHA-256 of it.
+
+    A Parquet file gets the ``metadata`` and those known at the end of the run, ``ended``. Memory does not grow with the
+    number of rows. Raises RunError if the source is damaged, and OSError if the target cannot be written.
+    """
+    with SeriesWriter(target, _names(source), metadata) as writer:
+        for rows in _pieces(source):
+            writer.write(rows)
+        writer.finish(ended)
+        return writer.sha256
 
 
 def read_metadata(path: Path) -> dict[str, str]:

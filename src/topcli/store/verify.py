@@ -8,7 +8,7 @@ from typing import Any
 
 from topcli.errors import RunError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, sha256_of
+from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, sha256_of, stored_sweep
 from topcli.store.parts import is_part, parts_of
 
 
@@ -93,12 +93,14 @@ def _unfinished(folder: Path) -> CheckedRun:
 
 
 def check_run(folder: Path) -> CheckedRun | None:
-    """Check every file of the run in ``folder``; None if there is no run."""
+    """Check every file of the run or finished sweep in ``folder``; None if there is neither."""
     found = look(folder)
     if isinstance(found, DamagedRun):
         return CheckedRun(folder, True, (CheckedFile(MANIFEST, True, found.reason.removeprefix(f"{MANIFEST}: ")),))
     if found is not None:
         return _finished(found)
+    if (sweep := stored_sweep(folder)) is not None:
+        return _finished(sweep)
     return _unfinished(folder) if is_part(folder) else None
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.drift import invariant_report
-from topcli.analysis.order import reversal
-from topcli.analysis.reference import reference_states
+from topcli.analysis.order import probe_rows, reversal
+from topcli.analysis.reference import distances, reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from
@@ -23,7 +23,6 @@ from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
 
 MAX_ROWS = 2_000_000
-REVERSAL_STATES = 16
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
     plain = {f"modified_{invariant.name}": invariant for invariant in experiment.top.invariants()}
     modified = experiment.modified
     rows = invariant_report(modified, trajectory.n, trajectory.h, trajectory.states)
-    power = experiment.scheme.order or 0
+    power = experiment.scheme.order_for(experiment.options) or 0
     figures = []
     for invariant, row in zip(modified, rows, strict=True):
         own = plain.get(invariant.name)
@@ -98,7 +97,7 @@ def _figures(
         "message": trajectory.ending.message,
         "left_motion": left_motion(trajectory.ending),
         "counters": dict(trajectory.ending.counters),
-        "declared_order": experiment.scheme.order,
+        "declared_order": experiment.scheme.order_for(experiment.options),
         "max_error": float(error.max()),
         "end_error": float(error[-1]) if reached_end else None,
         "invariants": [
@@ -150,7 +149,7 @@ def compare_schemes(
     trajectories = [trajectory_of(one) for one in experiments]
     n = np.arange(0, experiment.N + 1, experiment.output.every)
     reference = reference_states(top, experiment.y0, n * experiment.h)
-    probes = reference[:: max(1, len(reference) // REVERSAL_STATES)][:REVERSAL_STATES]
+    probes = reference[probe_rows(len(reference))]
     timed = nanoseconds_per_step(
         [(top, method, experiment.y0, experiment.h) for method in methods],
         steps=min(max(experiment.N, 1000), 50_000),
@@ -159,8 +158,7 @@ def compare_schemes(
     series = {"t": n * experiment.h, "swing:reference": reference[:, swing]}
     figures = []
     for one, method, trajectory, nanoseconds in zip(experiments, methods, trajectories, timed, strict=True):
-        with np.errstate(over="ignore"):
-            error = np.linalg.norm(trajectory.states - reference[: len(trajectory)], axis=1)
+        error = distances(trajectory.states, reference[: len(trajectory)])
         figures.append(_figures(one, method, trajectory, error, probes, nanoseconds))
         series[f"error:{one.scheme.name}"] = _padded(error, len(n))
         series[f"swing:{one.scheme.name}"] = _padded(trajectory.states[:, swing], len(n))

@@ -10,6 +10,7 @@ from topcli.engine.ensemble import default_threads
 from topcli.engine.native import native
 from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures
 from topcli.store.provenance import environment, installed
+from topcli.studies.measures import all_measures
 
 EXTRAS = ("scipy", "pandas", "matplotlib", "typer", "rich", "ruamel.yaml", "platformdirs")
 
@@ -37,11 +38,11 @@ def diagnosis() -> dict[str, Any]:
     plugins = []
     for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
         origin = entry.dist.name if entry.dist else entry.name
-        names = sorted({scheme.name for scheme in all_schemes() if scheme.origin == origin})
+        names = sorted({one.name for one in (*all_schemes(), *all_measures()) if one.origin == origin})
         about = f"failed: {failures[entry.name]}" if entry.name in failures else f"registers {', '.join(names)}"
         if not names and entry.name not in failures:
-            about = "registers no scheme"
-            problems.append(f"plugin {entry.name} registers no scheme")
+            about = "registers no scheme or measure"
+            problems.append(f"plugin {entry.name} {about}")
         plugins.append({"name": entry.name, "state": about})
     problems += [f"plugin {name} failed: {reason}" for name, reason in failures.items()]
     return {

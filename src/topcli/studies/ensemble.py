@@ -23,7 +23,7 @@ from topcli.store.series import SeriesWriter
 from topcli.studies.ensemble_report import EndingTally, ensemble_markdown, ensemble_report
 from topcli.studies.identity import Identity, Origin, store_run
 from topcli.studies.plan import plan_run
-from topcli.studies.run import Progress, RunResult
+from topcli.studies.run import Progress, RunResult, existing_result
 
 Columns = dict[str, np.ndarray]
 Values = Mapping[str, Array]
@@ -269,7 +269,7 @@ def run_ensemble(
     identity = ensemble_identity(experiment)
     plan = plan_run(identity, out, force=force, retry_failed=retry_failed)
     if plan.up_to_date and plan.existing is not None:
-        return RunResult(plan.existing, plan.existing.report(), "up to date")
+        return existing_result(plan.existing, identity, out, plan.rewrite)
     with Commit() as commit, RunWriter(out, identity.name, displace=force or retry_failed) as writer:
         origin = Origin(identity, experiment.first.scheme.origin, now(), environment(), commit)
         try:

@@ -1,4 +1,9 @@
-"""Identity of a run: the experiment as plain data and the code that carries it out, each with its digest."""
+"""Identity of a run: what it computes and the code that carries it out, each with its digest.
+
+What a run computes and records is its resolved config without the name and the format of the series: top and
+parameters, initial state or ensemble, scheme and options, h, N, recorded rows and columns. A name says where a run is
+stored, and every format holds the same bits.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +40,7 @@ def method_fingerprint(method: Method) -> str:
 
 @dataclass(frozen=True)
 class Identity:
-    """Resolved experiment or ensemble as plain data (``config``), the ``digest`` of it, and that of the ``code``.
+    """Resolved experiment or ensemble (``config``), the ``digest`` of what it computes, and that of the ``code``.
 
     Computed once for a run. Two runs are the same if both digests are equal.
     """
@@ -67,6 +72,15 @@ class Identity:
         return about.get("digest") == self.digest and about.get("code") == self.code
 
 
+def table_metadata(identity: Identity, environment: Mapping[str, Any]) -> dict[str, str]:
+    """Metadata of the tables of a run that was made in ``environment``."""
+    return {
+        "topcli.config": json.dumps(identity.config),
+        "topcli.digest": identity.digest,
+        "topcli.environment": json.dumps(environment),
+    }
+
+
 @dataclass(frozen=True)
 class Origin:
     """Origin of the files of a run folder: the experiment, its scheme, the time and the environment."""
@@ -79,11 +93,7 @@ class Origin:
 
     def metadata(self) -> dict[str, str]:
         """Metadata of the tables."""
-        return {
-            "topcli.config": json.dumps(self.identity.config),
-            "topcli.digest": self.identity.digest,
-            "topcli.environment": json.dumps(self.environment),
-        }
+        return table_metadata(self.identity, self.environment)
 
 
 def store_run(

@@ -10,20 +10,22 @@ from topcli.errors import UsageError
 from topcli.store.manifest import CHECKED_AT_ONCE, StoredRun
 from topcli.store.run_folder import require_place, require_real
 from topcli.studies.identity import Identity
-from topcli.studies.resume import Source
+from topcli.studies.resume import Source, difference
 
 
 @dataclass(frozen=True)
 class Plan:
     """Plan of a run, with ``action`` describing it in words; ``existing`` is the run of that name, if there is one.
 
-    ``up_to_date`` is True if it need not run again, ``damaged`` if a file of it does not match its checksum.
+    ``up_to_date`` is True if it need not run again, ``rewrite`` if it only has to be written in another format, and
+    ``damaged`` if a file of it does not match its checksum.
     """
 
     existing: StoredRun | None
     up_to_date: bool
     action: str
     damaged: bool = False
+    rewrite: bool = False
 
 
 def plan_run(
@@ -45,19 +47,28 @@ def plan_run(
         return Plan(None, False, begin)
     if not existing.same_experiment(digest):
         if not force and source is None:
+            other = f"(digest {existing.manifest['digest'][:8]}, this one {digest[:8]})"
+            holds = f"a different experiment {other}"
+            if not difference(existing.manifest["config"], identity.config):
+                holds = f"this experiment as identified by another version of topcli {other}"
             raise UsageError(
-                f"{target}: holds a different experiment (digest {existing.manifest['digest'][:8]}, this one "
-                f"{digest[:8]}); nothing was written",
-                "choose another name with --set name=... or another folder with --out, or use --force, which renames "
+                f"{target}: holds {holds}; nothing was written",
+                "choose another name with --name or another folder with --out, or use --force, which renames "
                 "the earlier run",
             )
         require_real(target)
         return Plan(existing, False, f"{begin}; the existing different run is renamed, not overwritten")
     failed = existing.outcome is not Outcome.COMPLETED
+    largest, suffix = CHECKED_AT_ONCE, identity.config["output"]["format"]
     if not force and not (failed and retry_failed) and existing.up_to_date(digest, identity.code):
-        return Plan(existing, True, f"up to date; {retry_hint(existing)}" if failed else "up to date")
+        if existing.series.suffix == f".{suffix}":
+            return Plan(existing, True, f"up to date; {retry_hint(existing)}" if failed else "up to date")
+        largest = None  # a rewritten file gets a checksum of its own, so the earlier one must be whole
+        if not existing.damage():
+            require_real(target)
+            return Plan(existing, True, f"will be rewritten as {suffix}", rewrite=True)
     require_real(target)
-    damage = existing.damage(CHECKED_AT_ONCE)
+    damage = existing.damage(largest)
     action = begin if source else "will run again"
     action += "".join(f"; {name} is damaged: {why}" for name, why in damage.items())
     return Plan(existing, False, action, bool(damage))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from topcli.config.models import OUTSIDE_IDENTITY
 from topcli.engine.loop import Position, Run
 from topcli.errors import UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, write_checkpoint
@@ -79,9 +80,13 @@ def _flat(data: Any, path: str = "") -> dict[str, Any]:
 
 
 def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """First differences between two resolved configs in half a line: ``h: 0.001 there, 0.002 here``."""
+    """First differences in half a line, such as ``h: 0.001 there, 0.002 here``; empty if both are equal.
+
+    The keys of a resolved config that do not belong to the identity of a run are left out.
+    """
     one, other = _flat(there), _flat(here)
     keys = [key for key in dict.fromkeys([*one, *other]) if one.get(key) != other.get(key)]
+    keys = [key for key in keys if key not in OUTSIDE_IDENTITY]
     found = [f"{key}: {one.get(key, 'nothing')} there, {other.get(key, 'nothing')} here" for key in keys]
     return "; ".join(found[:3]) + ("; ..." if len(found) > 3 else "")
 
@@ -100,19 +105,33 @@ def find_source(identity: Identity, out: Path) -> Source | None:
     if running := running_process(identity, out):
         raise UsageError(f"{out / name}: process {running} is running this experiment now; there is nothing to resume")
     if fitting := [source for source in found if identity.same(source.about)]:
-        return max(fitting, key=lambda source: (source.checkpoint is None, source.done))
+        best = max(fitting, key=lambda source: (source.checkpoint is None, source.done))
+        _require_format(best, config["output"]["format"])
+        return best
     if not found:
         _refuse_damaged(out, name)
         return None
     other = max(found, key=lambda source: (source.about.get("digest") == identity.digest, source.done))
     if other.about.get("digest") == identity.digest:
         why = f"was made by other code of the scheme {config['scheme']['name']}"
+    elif differs := difference(other.about.get("config", {}), config):
+        why = f"is of a different experiment ({differs})"
     else:
-        why = f"is of a different experiment ({difference(other.about.get('config', {}), config)})"
+        why = "was begun by another version of topcli"
     raise UsageError(
         f"{other.folder}: the unfinished run, at step {other.done}, {why}; nothing was written and it is kept",
         "resume it with its own config and code, or start again without --resume",
     )
+
+
+def _require_format(source: Source, wanted: str) -> None:
+    """Raise UsageError if the rows of an unfinished run are in another format than ``wanted``."""
+    output = source.about["config"].get("output", {})
+    if (found := output.get("format", wanted)) != wanted:
+        raise UsageError(
+            f"{source.folder}: the unfinished run, at step {source.done}, is written as {found}, not {wanted}",
+            f"resume it with --format {found}; once finished, it is rewritten if {wanted} is asked for",
+        )
 
 
 def _refuse_damaged(out: Path, name: str) -> None:

@@ -44,8 +44,9 @@ class Feedback:
 
 @dataclass(frozen=True)
 class RunResult:
-    """A run folder, its report, and the ``status`` of the call: ``"ran"``, ``"resumed"`` or ``"up to date"``.
+    """A run folder, its report, and the ``status`` of the call.
 
+    The status is ``"ran"``, ``"resumed"``, ``"up to date"`` or, with the format, ``"rewritten as csv"``.
     ``set_aside`` is the new folder of an earlier, different run that was moved away.
     """
 
@@ -146,7 +147,8 @@ def run_experiment(
 ) -> RunResult:
     """Run ``experiment`` into the folder ``out/<name>``, unless it has been run before.
 
-    A finished run of the same experiment and code is not repeated unless ``force``, or if it failed ``retry_failed``.
+    A finished run of the same experiment and code is not repeated unless ``force``, or if it failed ``retry_failed``;
+    one in another format is rewritten from its stored tables.
     A different experiment of that name is refused; with ``force`` it is renamed.
     ``stop`` is called between chunks; if it returns True, the run ends as ``interrupted`` and keeps its rows.
     With ``resume`` an interrupted or killed run continues from its last checkpoint and ends, bit for bit, as if it had
@@ -159,7 +161,7 @@ def run_experiment(
     source = find_source(identity, out) if resume else None
     plan = plan_run(identity, out, force=force, retry_failed=retry_failed, source=source)
     if plan.up_to_date and plan.existing is not None:
-        return RunResult(plan.existing, plan.existing.report(), "up to date")
+        return existing_result(plan.existing, identity, out, plan.rewrite)
     if not resume:
         report_unfinished(identity, out, tell)
     if plan.damaged:
@@ -178,6 +180,16 @@ def run_experiment(
         except OSError as error:
             raise _saved(job, error) from error
     return RunResult(stored, report, "ran" if start is None else "resumed", writer.set_aside)
+
+
+def existing_result(existing: StoredRun, identity: Identity, out: Path, rewrite: bool) -> RunResult:
+    """Result of a run that was finished before, with ``rewrite`` in the format of ``identity``. Raises RunError."""
+    if not rewrite:
+        return RunResult(existing, existing.report(), "up to date")
+    from topcli.studies.rewrite import rewrite_run
+
+    stored, set_aside = rewrite_run(identity, existing, out)
+    return RunResult(stored, stored.report(), f"rewritten as {identity.config['output']['format']}", set_aside)
 
 
 def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], None]) -> RunResult:

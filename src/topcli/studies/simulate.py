@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from topcli.analysis.trajectory import Trajectory
+from topcli.config.duration import changed
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.engine.loop import Run
@@ -33,8 +34,8 @@ def simulate(
     overrides : sequence of str
         Texts ``"key=value"`` as for ``--set`` on the command line, such as ``"output.every=10"``.
     **changes
-        Values that replace whole top-level keys of the config: ``top``, ``initial``, ``scheme``, ``h``, ``N``,
-        ``output``.
+        Values that replace whole top-level keys of the config: ``top``, ``initial``, ``scheme``, ``h``,
+        ``N`` or ``T``, ``output``.
 
     Returns
     -------
@@ -67,8 +68,5 @@ def simulate(
     'completed'
     """
     if config is None or isinstance(config, Mapping):
-        return trajectory_of(experiment_from({"name": "simulation", **(config or {}), **changes}, overrides))
-    experiment = load_experiment(config, overrides)
-    if changes:
-        experiment = experiment_from({**experiment.resolved(), **changes})
-    return trajectory_of(experiment)
+        return trajectory_of(experiment_from({"name": "simulation", **changed(config or {}, changes)}, overrides))
+    return trajectory_of(load_experiment(config, overrides, changes))

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.ensemble import Ensemble
+from topcli.config.duration import changed
 from topcli.config.ensemble import EnsembleExperiment, Group, Listed, Members
-from topcli.config.load import any_from, load_any
+from topcli.config.load import any_from, config_data, load_any
 from topcli.config.members import SOURCES
 from topcli.config.models import UNIT_TOLERANCE, Experiment
 from topcli.contracts import Array, Top
@@ -131,12 +132,12 @@ def _experiment(
     config: str | Path | Mapping[str, Any] | None, states: Any, overrides: Sequence[str], changes: Mapping[str, Any]
 ) -> EnsembleExperiment:
     if config is None or isinstance(config, Mapping):
-        data = {"name": "simulation", **(config or {}), **changes}
-    elif changes or states is not None:
-        data = {**load_any(config, overrides).resolved(), **changes}
-        overrides = ()
+        data = {"name": "simulation", **changed(config or {}, changes)}
+    elif states is None:
+        return _ensemble(load_any(config, overrides, changes))
     else:
-        return _ensemble(load_any(config, overrides))
+        data = config_data(config, overrides, changes)
+        overrides = ()
     return _ensemble(any_from(data, overrides)) if states is None else _from_states(data, states, overrides)
 
 

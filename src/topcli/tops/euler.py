@@ -62,13 +62,14 @@ class Euler(Top):
 
     def invariants(self) -> tuple[Invariant, ...]:
         """Return m² and m·omega (twice the energy); Sogo, section 1.2."""
-        moments = np.array((self.A, self.B, self.C))
+        A, B, C = self.A, self.B, self.C
 
+        # no products of matrices: their rounding depends on the number of rows
         def m_sq(y: Array) -> Array:
-            return (moments * y[:, :3]) ** 2 @ np.ones(3)
+            return (A * y[:, 0]) ** 2 + (B * y[:, 1]) ** 2 + (C * y[:, 2]) ** 2
 
         def m_omega(y: Array) -> Array:
-            return y[:, :3] ** 2 @ moments
+            return A * y[:, 0] ** 2 + B * y[:, 1] ** 2 + C * y[:, 2] ** 2
 
         return (
             Invariant("m_sq", "m²", r"\boldsymbol{m}^2", "angular momentum, squared", m_sq, m_sq),
@@ -90,13 +91,13 @@ class EulerGamma(Euler):
 
     def invariants(self) -> tuple[Invariant, ...]:
         """Return m², m·omega, gamma² and m·gamma."""
-        moments = np.array((self.A, self.B, self.C))
+        A, B, C = self.A, self.B, self.C
 
         def gamma_sq(y: Array) -> Array:
-            return y[:, 3:] ** 2 @ np.ones(3)
+            return y[:, 3] ** 2 + y[:, 4] ** 2 + y[:, 5] ** 2
 
         def m_gamma(y: Array) -> Array:
-            return (y[:, :3] * y[:, 3:]) @ moments
+            return A * (y[:, 0] * y[:, 3]) + B * (y[:, 1] * y[:, 4]) + C * (y[:, 2] * y[:, 5])
 
         def m_gamma_scale(y: Array) -> Array:
             return m_gamma(np.abs(y))

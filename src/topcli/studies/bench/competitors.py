@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import IO, Any, Protocol
 
 import numpy as np
+from pydantic import BaseModel
 
 from topcli.contracts import Array, Sampler, Scheme
 from topcli.engine.driver import Loop, loop_of
@@ -66,11 +67,11 @@ class SchemeCompetitor:
 
     def __init__(self, scheme: Scheme, problem: Problem) -> None:
         self.name = scheme.name
-        self.order: int | None = scheme.order
         self.parameter = tolerance_option(scheme) or "h"
         self._scheme, self._problem = scheme, problem
         self._y0 = np.array(problem.experiment.y0)
         self._p = np.array(problem.top.constants(), dtype=np.float64)
+        self.order: int | None = scheme.order_for(self._defaults())
         self._out = np.empty(problem.intervals * len(self._y0))
         self._loops: dict[Rung, tuple[Loop, Array, Array]] = {}
         self._fixed: Loop | None = None
@@ -82,8 +83,7 @@ class SchemeCompetitor:
     def _loop(self, rung: Rung) -> Loop:
         """Return the loop for a rung; rungs without options share one."""
         if rung.options or self._fixed is None:
-            defaults = self._problem.experiment.options if self._own() else self._scheme.options()
-            options = self._scheme.options.model_validate({**defaults.model_dump(), **dict(rung.options)})
+            options = self._scheme.options.model_validate({**self._defaults().model_dump(), **dict(rung.options)})
             method = self._scheme.build(self._problem.top, options)
             loop = loop_of(method, len(self._y0), len(self._p))
             if rung.options:
@@ -91,9 +91,10 @@ class SchemeCompetitor:
             self._fixed = loop
         return self._fixed
 
-    def _own(self) -> bool:
-        """True if this is the scheme of the problem's config, whose options then apply."""
-        return self._problem.experiment.scheme.name == self._scheme.name
+    def _defaults(self) -> BaseModel:
+        """Options of the problem's config if this is its scheme, else the defaults of the scheme."""
+        experiment = self._problem.experiment
+        return experiment.options if experiment.scheme.name == self._scheme.name else self._scheme.options()
 
     def _drive(self, rung: Rung) -> int:
         loop, work, start = self._loops[rung]

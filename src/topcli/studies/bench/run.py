@@ -32,7 +32,7 @@ from topcli.studies.identity import method_fingerprint
 from topcli.studies.peers import Peer, missing
 from topcli.studies.report import finite
 
-COMPOSED = {"hk": ("kahan-li6", "kahan-li8")}
+COMPOSED = {"hk": ("kahan-li6", "kahan-li8"), "splitting": ("kahan-li6", "kahan-li8")}
 """Compositions that take part by default if their base fits."""
 
 

@@ -96,6 +96,7 @@ class Trial:
     def __init__(self, case: Case, experiment: Experiment, cache: CaseCache) -> None:
         self.case, self.experiment = case, experiment
         self.scheme, self.top, self.y0 = experiment.scheme, experiment.top, experiment.y0
+        self.order = self.scheme.order_for(experiment.options)
         self.method, self._loop = cache.method(experiment)
         self._cache = cache
         self.plain = isinstance(self.method, Stepper) and self.method.plain

@@ -48,7 +48,7 @@ def _errors(trial: Trial, motion: Trajectory) -> tuple[Array, float]:
 def keeps_order(trial: Trial) -> Finding:
     """Check that the error falls with the declared order when the step is halved twice."""
     found: list[float] = []
-    for halvings in range(1 if trial.scheme.adaptive or trial.scheme.order is None else 3):
+    for halvings in range(1 if trial.scheme.adaptive or trial.order is None else 3):
         factor = 2**halvings
         N = trial.N * factor
         motion = trial.run(trial.h / factor, N, _every(trial.N) * factor)
@@ -64,7 +64,7 @@ def keeps_order(trial: Trial) -> Finding:
         found.append(worst)
     last = found[-1]
     if len(found) == 1:
-        allowed = EXACT_ERROR if trial.scheme.order is None else ADAPTIVE_ERROR
+        allowed = EXACT_ERROR if trial.order is None else ADAPTIVE_ERROR
         result = Result.HELD if last <= allowed else Result.DEGRADED
         return Finding(result, f"error {last:.1e}", figures={"error": last})
     floor = 64.0 * EPS * math.sqrt(4.0 * trial.N)
@@ -72,12 +72,12 @@ def keeps_order(trial: Trial) -> Finding:
     figures = {"error": found[0], "error_quarter_step": last}
     if order is None:
         return Finding(Result.HELD, f"error {last:.1e}: round-off", figures=figures)
-    assert trial.scheme.order is not None
-    held = order >= trial.scheme.order - ORDER_LOST or last <= floor
+    assert trial.order is not None
+    held = order >= trial.order - ORDER_LOST or last <= floor
     why = f"order {order:.2f}, error {found[0]:.1e}"
     return Finding(
         Result.HELD if held else Result.DEGRADED,
-        why if held else f"{why}: falls short of its order {trial.scheme.order}",
+        why if held else f"{why}: falls short of its order {trial.order}",
         figures={**figures, "order": order},
     )
 

@@ -1,0 +1,242 @@
+"""``topcli sweep``: run every combination of a sweep file and gather the results in one table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from topcli.cli.options import Json, Out, SchemeFiles, load_scheme_files
+from topcli.cli.run import Interruption
+from topcli.cli.talk import ProgressDisplay, emit, emit_text, print_json, print_table, say
+from topcli.errors import UsageError, shortened
+
+if TYPE_CHECKING:
+    from topcli.config.sweep.document import Sweep
+    from topcli.config.sweep.rows import Row
+    from topcli.studies.sweep.plan import Plan
+    from topcli.studies.sweep.run import SweepOptions, SweepResult
+
+SHOWN_FAILURES = 20
+SHOWN_ROWS = 20
+LISTED_ROWS = 1000
+"""Rows that the JSON document of a dry run lists."""
+
+
+def complete_sweep(incomplete: str) -> list[str]:
+    """Names of packaged sweeps that begin with ``incomplete``."""
+    from topcli.config.sweep.document import sweep_files
+
+    return [name for name in sweep_files() if name.startswith(incomplete)]
+
+
+SweepFile = Annotated[
+    str,
+    typer.Argument(metavar="SWEEP", help="A sweep file, or the name of a packaged one.", autocompletion=complete_sweep),
+]
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the file, e.g. base.N=100 or name=other."),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the plan: which rows would run, and why.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Run a sweep of more than 100000 rows.")]
+RetryFailed = Annotated[bool, typer.Option("--retry-failed", help="Run rows that failed before again.")]
+FailFast = Annotated[bool, typer.Option("--fail-fast/--keep-going", help="Stop at the first row that fails.")]
+TimeLimit = Annotated[float, typer.Option("--time-limit", metavar="SECONDS", help="Stop a row after so many seconds.")]
+Threads = Annotated[
+    int | None, typer.Option("--threads", metavar="COUNT", min=1, help="Set the threads; all CPUs by default.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
+
+
+def _values(sweep: Sweep, row: Row) -> str:
+    """Values of the varied keys of a row."""
+    return ", ".join(f"{key} = {value}" for key, value in zip(sweep.keys, row.keys, strict=True) if value is not None)
+
+
+class _Failures:
+    """Print the first failures when they happen; all are in the table."""
+
+    def __init__(self, sweep: Sweep) -> None:
+        self._sweep, self._count = sweep, 0
+
+    def __call__(self, row: Row, outcome: str, message: str) -> None:
+        self._count += 1
+        if self._count <= SHOWN_FAILURES:
+            say(f"error: row {row.number} ({shortened(_values(self._sweep, row), 200)}): {message}")
+        elif self._count == SHOWN_FAILURES + 1:
+            say("further failures are only counted; the messages of all are in the table")
+
+
+def _varied(sweep: Sweep) -> list[str]:
+    """Varied keys with the number of their values."""
+    counts: dict[str, set[str]] = {key: set() for key in sweep.keys}
+    for axis in sweep.axes:
+        for key, column in zip(axis.keys, axis.columns, strict=True):
+            counts[key] |= set(map(repr, column))
+    for extra in sweep.include:
+        for key, value in extra.items():
+            counts[key].add(repr(value))
+    return [f"{key} ({len(values)} value{'s' * (len(values) != 1)})" for key, values in counts.items()]
+
+
+def _plan_data(sweep: Sweep, plan: Plan, changed: list[str]) -> dict[str, Any]:
+    """Plan of a sweep as plain data."""
+    return {
+        "name": sweep.name,
+        "rows": plan.survey.count,
+        "new": plan.to_run,
+        "done": plan.done,
+        "failed": plan.failed,
+        "repeated": plan.repeated,
+        "not_current": plan.left,
+        "varied": list(sweep.keys),
+        "reasons": plan.reasons(),
+        "changes": changed,
+    }
+
+
+def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> None:
+    from topcli.studies.sweep.plan import REASONS
+    from topcli.studies.sweep.run import MANY_ROWS, planned, rows_to_run
+
+    plan, changed = planned(sweep, out, options)
+    data = _plan_data(sweep, plan, changed)
+    limit = LISTED_ROWS if as_json else SHOWN_ROWS
+    rows = [(row, REASONS[reason]) for (row, reason), _ in zip(rows_to_run(plan), range(limit), strict=False)]
+    if as_json:
+        listed = [
+            {"row": row.number, "reason": reason, "keys": dict(zip(sweep.keys, row.keys, strict=True))}
+            for row, reason in rows
+        ]
+        print_json("sweep", {"dry_run": True, **data, "folder": str(out / sweep.name), "to_run": listed})
+        return
+    emit(f"{sweep.name}: {plan.to_run} new, {plan.done} done, {plan.failed} failed, in {out / sweep.name}")
+    emit(f"varied: {', '.join(_varied(sweep))}")
+    for line in changed:
+        emit(f"changed: {line}")
+    for reason, count in plan.reasons().items():
+        emit(f"to run: {count} row{'s' * (count != 1)}, {reason}")
+    for row, reason in rows:
+        emit(f"row {row.number}: {reason}: {_values(sweep, row)}")
+    if plan.to_run > len(rows):
+        emit(f"... and {plan.to_run - len(rows)} more")
+    if plan.repeated:
+        emit(f"repeated: {plan.repeated} rows equal an earlier one and are computed once")
+    if plan.left:
+        emit(f"kept: {plan.left} finished rows no longer belong to the sweep and are not current")
+    if plan.survey.count > MANY_ROWS:
+        emit(f"{plan.survey.count} rows: the run needs --yes")
+
+
+def _exit_code(result: SweepResult) -> int:
+    """Exit code: 130 if interrupted, 1 if all rows failed, 3 if a part did, else 0."""
+    if result.interrupted:
+        return 130
+    if not result.failed:
+        return 0
+    return 1 if result.failed == result.finished else 3
+
+
+def _report(sweep: Sweep, result: SweepResult) -> None:
+    """Print the result of a sweep."""
+    total = result.plan.survey.count
+    state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
+    failed = f"; {result.failed} failed" if result.failed else ""
+    place = result.folder / "rows.parquet"
+    say(f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {place} ({state})")
+    if result.plan.left:
+        say(f"{sweep.name}: {result.plan.left} earlier rows no longer belong to the sweep; they are not current")
+    rows = [[outcome, str(count)] for outcome, count in sorted(result.outcomes.items())]
+    print_table(["outcome", "rows"], rows)
+
+
+def sweep(
+    file: SweepFile,
+    sets: Sets = None,
+    out: Out = Path("results"),
+    dry_run: DryRun = False,
+    yes: Yes = False,
+    retry_failed: RetryFailed = False,
+    fail_fast: FailFast = False,
+    time_limit: TimeLimit = 0.0,
+    threads: Threads = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Run every combination of a sweep file.
+
+    The results are a table with a row for each run, DIR/NAME/rows.parquet. Finished rows never run again: a sweep that
+    was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
+    """
+    from topcli.config.sweep.document import load_sweep
+    from topcli.studies.sweep.run import SweepOptions, Watcher, run_sweep
+
+    if not time_limit >= 0.0:
+        raise UsageError(f"--time-limit {time_limit:g}: must be a number of seconds, at least 0")
+    load_scheme_files(scheme_files)
+    loaded = load_sweep(file, sets or [])
+    options = SweepOptions(yes, retry_failed, fail_fast, time_limit, threads)
+    if dry_run:
+        _dry_run(loaded, out, options, as_json)
+        return
+    display = ProgressDisplay(1, quiet, unit="rows")
+    display.begin(loaded.name)
+    with Interruption() as interruption:
+        watcher = Watcher(
+            progress=lambda done, total, failed: display(done, total, f"{failed} failed" if failed else ""),
+            failure=_Failures(loaded),
+            message=(lambda line: None) if quiet else say,
+            stop=interruption,
+        )
+        try:
+            result = run_sweep(loaded, out, options, watcher)
+        finally:
+            display.close()
+    if as_json:
+        print_json("sweep", _result_data(loaded, result))
+    elif not quiet:
+        _report(loaded, result)
+    if code := _exit_code(result):
+        raise typer.Exit(code)
+
+
+def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:
+    """Result of a sweep as plain data."""
+    return {
+        "dry_run": False,
+        "name": sweep.name,
+        "digest": sweep.digest,
+        "folder": str(result.folder),
+        "rows": result.plan.survey.count,
+        "finished": result.finished,
+        "ran": result.ran,
+        "failed": result.failed,
+        "outcomes": dict(sorted(result.outcomes.items())),
+        "not_current": result.plan.left,
+        "varied": list(sweep.keys),
+        "interrupted": result.interrupted,
+        "seconds": result.seconds,
+    }
+
+
+def show_sweep(folder: Path, number: int | None, sets: list[str], as_json: bool) -> None:
+    """Print the config of a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
+    from topcli.config.load import experiment_from
+    from topcli.studies.sweep.run import find_row, stored_sweep_file
+
+    if number is None:
+        sweep = stored_sweep_file(folder, sets)
+        if as_json:
+            print_json("show", {"sweep": sweep.resolved(), "digest": sweep.digest})
+        else:
+            emit_text(sweep.to_yaml())
+        return
+    sweep, row = find_row(folder, number)
+    experiment = experiment_from(row.config(f"{sweep.name[:80]}_{number}"), sets)
+    if as_json:
+        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "row_digest": row.digest})
+    else:
+        emit_text(experiment.to_yaml())

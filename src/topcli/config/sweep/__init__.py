@@ -1,0 +1,1 @@
+"""Sweep files: from YAML or TOML to validated rows."""

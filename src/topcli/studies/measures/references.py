@@ -1,0 +1,112 @@
+"""The reference behind errors, computed once for each top, initial state and time grid, and shared by all runs.
+
+It is the closed form of the top (its scheme ``exact``) if there is one, otherwise ``analysis.reference``. Runs of
+the closed form itself are compared with the latter. A state of the reference at a time does not depend on the other
+times that are asked for, so that sharing changes no bit.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.analysis.reference import reference_obstacle, reference_states
+from topcli.contracts import Array, Sampler, Scheme, Top
+from topcli.errors import UsageError
+from topcli.schemes.registry import find_scheme
+
+EXACT = "exact"
+"""Name of the schemes that are the closed form of a top."""
+MAX_BYTES = 1 << 28
+"""Memory of the references that are kept."""
+STRIPES = 64
+"""Number of references that may be computed at the same time."""
+Motion = tuple[str, str, float, bytes]
+"""Form and parameters of a top, h or 0, and the initial state, which determine a reference."""
+
+
+@cache
+def _closed_form(form: str) -> Scheme | None:
+    try:
+        found = find_scheme(EXACT, form)
+    except UsageError:
+        return None
+    return found if found.order is None and not found.options.model_fields else None
+
+
+def closed_form(top: Top, scheme: Scheme) -> Sampler | None:
+    """Closed-form solution to compare runs of ``scheme`` with; None if there is none but the scheme itself."""
+    found = _closed_form(top.form)
+    if found is None or found.name == scheme.name:
+        return None
+    method = found.build(top, found.options())
+    return method if isinstance(method, Sampler) else None
+
+
+def obstacle(top: Top, scheme: Scheme) -> str:
+    """Reason why there is no reference for runs of ``top`` under ``scheme``; empty if there is one."""
+    return "" if closed_form(top, scheme) else reference_obstacle(top)
+
+
+class SharedReferences:
+    """References of at most ``max_bytes``; those of the motion not used for longest are dropped first."""
+
+    def __init__(self, max_bytes: int = MAX_BYTES) -> None:
+        self._max_bytes, self._bytes = max_bytes, 0
+        self._lock = threading.Lock()
+        self._computing = [threading.Lock() for _ in range(STRIPES)]
+        self._kept: OrderedDict[Motion, list[tuple[Array, Array]]] = OrderedDict()
+        self.computed = 0
+        """Number of references that were computed."""
+
+    def states(self, top: Top, scheme: Scheme, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
+        """States (m, d) after ``n`` (m,) steps of ``h`` of the motion of ``top`` from ``y0`` (d,).
+
+        Raises RunError if the motion cannot be followed.
+        """
+        exact = closed_form(top, scheme)
+        t = n * h
+        # a closed form is computed at the exact products n h, other references at their rounded values
+        motion = (top.form, top.model_dump_json(), h if exact else 0.0, np.ascontiguousarray(y0).tobytes())
+        with self._computing[hash(motion) % STRIPES]:  # others that need it wait instead of computing it too
+            found = self._found(motion, t)
+            if found is None:
+                start = np.asarray(y0, dtype=np.float64)
+                found = (
+                    exact.states(start, h, n, top.constants()) if exact else reference_states(top, start.tolist(), t)
+                )
+                self._keep(motion, t, found)
+            return found
+
+    def _found(self, motion: Motion, t: Array) -> Array | None:
+        """States at the times ``t`` from a reference that holds all of them; None if there is none."""
+        with self._lock:
+            for times, states in self._kept.get(motion, ()):
+                at = np.minimum(np.searchsorted(np.abs(times), np.abs(t)), len(times) - 1)
+                if np.array_equal(times[at], t):
+                    self._kept.move_to_end(motion)
+                    return states if len(at) == len(states) else states[at]
+        return None
+
+    def _keep(self, motion: Motion, times: Array, states: Array) -> None:
+        with self._lock:
+            self.computed += 1
+            if times.nbytes + states.nbytes > self._max_bytes:
+                return
+            self._kept.setdefault(motion, []).append((times, states))
+            self._kept.move_to_end(motion)
+            self._bytes += times.nbytes + states.nbytes
+            while self._bytes > self._max_bytes:
+                oldest = next(iter(self._kept))
+                dropped = self._kept[oldest].pop(0)
+                self._bytes -= sum(array.nbytes for array in dropped)
+                if not self._kept[oldest]:
+                    del self._kept[oldest]
+
+
+REFERENCES = SharedReferences()
+"""References shared by all runs of this process."""

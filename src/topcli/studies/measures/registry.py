@@ -1,0 +1,315 @@
+"""Registry of measures: numbers that a sweep computes from each finished run, such as ``swing_spacing``.
+
+A measure is a function of a ``Batch``, finished runs that differ only in their initial states. Its name may end in
+``.NAME``: such a family has one measure for every invariant of the top or for every counter of the scheme.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pydantic import BaseModel
+
+from topcli.contracts import Invariant, Sampler, Scheme, Top
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.schemes.registry import all_schemes, plugin_failures, registering_origin
+from topcli.tops import TOPS
+
+FAMILY = ".NAME"
+"""End of the name of a family."""
+STATES, SWING, PROBES = "states", "swing", "probes"
+ERROR, END_ERROR = "error", "end_error"
+DEVIATION, DRIFT = "deviation", "drift"
+RECORDED = (STATES, SWING, PROBES, ERROR, END_ERROR)
+"""Words that ``needs`` may hold beside the names of columns; a family may also need ``DEVIATION`` or ``DRIFT``."""
+TAKEN = (
+    "row",
+    "outcome",
+    "message",
+    "digest",
+    "cpu",
+    "current",
+    "top",
+    "initial",
+    "scheme",
+    "h",
+    "N",
+    "T",
+    "output",
+    "sample",
+    "seed",
+)
+"""Names of other columns of a table of rows; those of keys may be followed by a dot."""
+H_OF_NAMES = 2.0**-10
+"""Step at which the integrals of a scheme are built when only their names are asked for."""
+
+Evaluation = Callable[..., Any]
+Names = Callable[[Top, Scheme, BaseModel], Iterable[str]]
+Obstacle = Callable[[Top, Scheme], str]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number computed from each finished run.
+
+    Created by the decorator ``topcli.measure``, whose documentation explains the parameters.
+    """
+
+    name: str
+    """Name in sweep files, or that of a family, which ends in ``.NAME``."""
+    summary: str
+    """Description on one line."""
+    unit: str
+    """Unit of the number, in words."""
+    evaluate: Evaluation
+    """``evaluate(batch)`` returns an array (runs,); that of a family also takes a name."""
+    needs: tuple[str, ...] = ()
+    """What has to be recorded of a run: names of columns, or words of ``RECORDED``."""
+    names: Names | None = None
+    """For a family: ``names(top, scheme, options)`` returns the names that it has."""
+    noun: str = "name"
+    """For a family: what its names are names of."""
+    obstacle: Obstacle | None = None
+    """``obstacle(top, scheme)`` returns the reason why the measure does not fit; empty if it does."""
+    of_failed: bool = False
+    """True if the number has a meaning for a run that failed; other measures are nan there."""
+    reproducible: bool = True
+    """True if a run that is repeated gives the same bits; false for times."""
+    origin: str = "topcli"
+    """Distribution or file that registered the measure."""
+
+    @property
+    def family(self) -> str:
+        """Name of a family without its end, such as ``drift``; empty for a single measure."""
+        return self.name.removesuffix(FAMILY) if self.name.endswith(FAMILY) else ""
+
+    def member(self, name: str) -> Measure:
+        """Measure of this family for ``name``."""
+        evaluate = self.evaluate
+        return replace(
+            self,
+            name=f"{self.family}.{name}",
+            summary=self.summary.replace("NAME", name),
+            unit=self.unit.replace("NAME", name),
+            evaluate=lambda batch: evaluate(batch, name),
+            needs=tuple(f"{need}.{name}" if need in (DEVIATION, DRIFT) else need for need in self.needs),
+            names=None,
+        )
+
+
+class MeasureMisfitError(UsageError):
+    """The measure exists but does not fit the top or the scheme (exit code 2)."""
+
+
+MEASURES: dict[str, Measure] = {}
+"""Measures and families by name; ``all_measures`` includes those of plugins."""
+
+
+def measure(
+    name: str,
+    *,
+    summary: str,
+    unit: str = "1",
+    needs: Iterable[str] = (),
+    names: Names | None = None,
+    noun: str = "name",
+    obstacle: Obstacle | None = None,
+    of_failed: bool = False,
+    reproducible: bool = True,
+) -> Callable[[Evaluation], Evaluation]:
+    """Register the decorated function ``evaluate(batch)`` as a measure of ``topcli sweep``.
+
+    The function takes a ``Batch``, finished runs that differ only in their initial states, and returns an array with a
+    number for each of them. The number of a run must not depend on the other runs of the batch.
+
+    Parameters
+    ----------
+    name : str
+        Name in sweep files, such as ``"gamma3.min"``. A name that ends in ``.NAME`` is that of a family, whose
+        function ``evaluate(batch, name)`` also takes one of the names that ``names`` returns.
+    summary : str
+        Description on one line.
+    unit : str, optional
+        Unit in words; all quantities of topcli are dimensionless.
+    needs : iterable of str, optional
+        What has to be recorded: names of columns (components and invariants), ``"states"`` for all components,
+        ``"swing"`` for the top's swinging component, ``"error"`` and ``"end_error"`` for the distance from the
+        reference solution, ``"probes"`` for a few states along the run.
+    names : callable, optional
+        For a family: ``names(top, scheme, options)`` returns its names.
+    noun : str, optional
+        For a family: what its names are names of, for messages.
+    obstacle : callable, optional
+        ``obstacle(top, scheme)`` returns the reason why the measure does not fit; empty if it does.
+    of_failed : bool, optional
+        True if the number has a meaning for a run that failed; otherwise it is nan there.
+    reproducible : bool, optional
+        False if the number differs when a run is repeated, such as a time.
+
+    Returns
+    -------
+    callable
+        Decorator that registers the function and returns it unchanged.
+
+    Raises
+    ------
+    ValueError
+        If the name is already registered or is unsuitable.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> @topcli.measure("gamma3.min", summary="lowest gamma3 that the top reaches", needs=["gamma3"])
+    ... def lowest(batch):
+    ...     return batch.columns["gamma3"].min(axis=1)
+    """
+    if not name.isprintable() or not name.strip() or any(letter.isspace() for letter in name):
+        raise ValueError(f"measure {name!r}: a name has no spaces or control characters")
+    if name.partition(".")[0] in TAKEN:
+        raise ValueError(f"measure {name!r}: a column of the results has this name already; choose another")
+    if name in MEASURES:
+        raise ValueError(f"measure {name!r} is already registered by {MEASURES[name].origin}")
+    if name.endswith(FAMILY) != (names is not None):
+        raise ValueError(f"measure {name!r}: a family ends in {FAMILY} and has names=...; a single measure neither")
+
+    def register(evaluate: Evaluation) -> Evaluation:
+        MEASURES[name] = Measure(
+            name=name,
+            summary=summary,
+            unit=unit,
+            evaluate=evaluate,
+            needs=tuple(needs),
+            names=names,
+            noun=noun,
+            obstacle=obstacle,
+            of_failed=of_failed,
+            reproducible=reproducible,
+            # these may be imported because a plugin registers its own
+            origin="topcli" if evaluate.__module__.startswith("topcli.") else registering_origin(),
+        )
+        return evaluate
+
+    return register
+
+
+def all_measures() -> tuple[Measure, ...]:
+    """Return all measures and families, those of plugins included, sorted by name."""
+    plugin_failures()
+    return tuple(MEASURES[name] for name in sorted(MEASURES))
+
+
+def integrals_of(
+    top: Top, scheme: Scheme, h: float = H_OF_NAMES, options: BaseModel | None = None
+) -> tuple[Invariant, ...]:
+    """Integrals of ``top``, and those of ``scheme`` itself at step ``h``."""
+    modified = scheme.modified(top, h, options or scheme.options()) if scheme.modified else ()
+    return (*top.invariants(), *modified)
+
+
+def names_of(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list[str]:
+    """Names of all measures that fit ``top`` and ``scheme``, those of families included."""
+    return [one.name for one in _fitting(top, scheme, options)]
+
+
+def _fitting(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list[Measure]:
+    found = []
+    for one in all_measures():
+        each = one.names(top, scheme, options or scheme.options()) if one.names else ()
+        found += [one.member(name) for name in each] if one.names else [one]
+    return [one for one in found if not _misfit(one, top, scheme, options)]
+
+
+def measures_of_form(form: str) -> list[Measure]:
+    """Measures that fit the top of this form under any of its schemes, those of families included, sorted by name."""
+    top = TOPS[form].new()
+    found = {one.name: one for scheme in all_schemes() if scheme.top == form for one in _fitting(top, scheme)}
+    return [found[name] for name in sorted(found)]
+
+
+def resolve_measures(
+    names: Sequence[str], top: Top, scheme: Scheme, options: BaseModel | None = None
+) -> tuple[Measure, ...]:
+    """Return the measures called ``names`` for runs of ``top`` under ``scheme``.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names such as ``"swing_spacing"`` or ``"drift.energy"``.
+    top : Top
+        Top of the runs; its parameters do not matter.
+    scheme : Scheme
+        Scheme of the runs.
+    options : BaseModel, optional
+        Options of the scheme, by default its defaults.
+
+    Returns
+    -------
+    tuple of Measure
+        In the order of ``names``.
+
+    Raises
+    ------
+    UnknownNameError
+        For a name that is no measure of this top and scheme; the message suggests the nearest ones.
+    MeasureMisfitError
+        For a measure that does not fit the top or the scheme, with the reason.
+    UsageError
+        For a name that is given twice.
+    """
+    found = []
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise UsageError(f"measure {quoted(name)} is named twice")
+        one = _find(name, top, scheme, options)
+        if reason := _misfit(one, top, scheme, options):
+            raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {reason}")
+        found.append(replace(one, needs=tuple(top.swing if need == SWING else need for need in one.needs)))
+    return tuple(found)
+
+
+def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Measure:
+    if name not in MEASURES or name.endswith(FAMILY):
+        plugin_failures()
+    if name in MEASURES and not name.endswith(FAMILY):
+        return MEASURES[name]
+    base, _, member = name.partition(".")
+    family = MEASURES.get(base + FAMILY)
+    if family is None or family.names is None:
+        raise UnknownNameError(f"unknown measure {quoted(name)}; {nearest(name, names_of(top, scheme, options))}")
+    known = list(family.names(top, scheme, options or scheme.options()))
+    if member in known:
+        return family.member(member)
+    whose = f"top {top.kind!r} under scheme {scheme.name!r}"
+    if not known:
+        raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {whose} has no {family.noun}")
+    if member in ("", "NAME"):
+        raise UnknownNameError(f"measure {quoted(name)}: give one of {', '.join(f'{base}.{one}' for one in known)}")
+    raise UnknownNameError(
+        f"measure {quoted(name)}: {whose} has no {family.noun} {quoted(member)}; {nearest(member, known)}"
+    )
+
+
+def _misfit(one: Measure, top: Top, scheme: Scheme, options: BaseModel | None) -> str:
+    """Reason why a measure does not fit; empty if it does."""
+    if SWING in one.needs and not hasattr(top, "swing"):
+        return f"top {top.kind!r} names no component whose minima are its swings"
+    columns = [need for need in one.needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT)]
+    if columns:
+        known = [*top.components, *(integral.name for integral in integrals_of(top, scheme, options=options))]
+        for column in columns:
+            if column not in known:
+                return f"it needs {quoted(column)}, which top {top.kind!r} under scheme {scheme.name!r} does not have"
+    return one.obstacle(top, scheme) if one.obstacle else ""
+
+
+def integral_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
+    """Names of the invariants of the top and of the integrals of the scheme."""
+    return [integral.name for integral in integrals_of(top, scheme, options=options)]
+
+
+def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
+    """Names of the events that the scheme counts."""
+    method = scheme.build(top, options)
+    return [] if isinstance(method, Sampler) else list(method.counters)

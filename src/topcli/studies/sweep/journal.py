@@ -1,0 +1,220 @@
+"""Journal of a sweep: finished rows, appended block by block; a killed process loses at most what it had not written.
+
+Each line of ``journal.jsonl`` is a block: the CRC-32 of its text, and the text, a JSON object with the rows by columns.
+An incomplete last line, of a process that was killed while it wrote, is cut off when the journal is opened. Rows are
+known by their digest; if a digest occurs twice, the later row counts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import zlib
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.errors import RunError
+from topcli.store.run_folder import io_failure
+
+JOURNAL = "journal.jsonl"
+SYNC_SECONDS = 2.0
+"""Longest time between two flushes to the disk; what the process has written outlives the process at once."""
+KEPT_BLOCKS = 24
+"""Parsed blocks that are kept while rows are read back."""
+DIGEST = "S16"
+"""First 16 bytes of a digest."""
+COMPLETED = "completed"
+
+Names = NDArray[np.bytes_]
+
+
+def short_digest(digest: str) -> bytes:
+    """First 16 bytes of a digest of 64 hexadecimal digits."""
+    return bytes.fromhex(digest[:32])
+
+
+@dataclass(frozen=True)
+class Block:
+    """Finished rows by columns.
+
+    ``digest``, ``outcome``, ``message`` and ``code`` have an entry for each row; so have the entries of ``keys``, the
+    varied keys, and of ``values``, the measures. ``cpu`` is the processor that computed them.
+    """
+
+    digest: Sequence[str]
+    outcome: Sequence[str]
+    message: Sequence[str]
+    code: Sequence[str]
+    keys: Mapping[str, Sequence[Any]]
+    values: Mapping[str, Sequence[float]]
+    cpu: str
+
+    def text(self) -> str:
+        """The block as one line of JSON."""
+        return json.dumps(self.__dict__, separators=(",", ":"))
+
+
+@dataclass(frozen=True)
+class Index:
+    """Finished rows by digest, sorted: where each is in the journal, and what decides if it has to run again.
+
+    ``block`` and ``place`` are the number of its block and its position there; ``code`` and ``measures`` index
+    ``codes`` and ``measured``, the names of the measures that a block holds.
+    """
+
+    digest: Names
+    block: NDArray[np.int32]
+    place: NDArray[np.int32]
+    completed: NDArray[np.bool_]
+    code: NDArray[np.int32]
+    measures: NDArray[np.int32]
+    codes: list[str]
+    measured: list[frozenset[str]]
+
+    def find(self, digests: Names) -> NDArray[np.int64]:
+        """Positions of ``digests`` (m,) in the index; -1 for those that are not in it."""
+        if not len(self.digest):
+            return np.full(len(digests), -1, dtype=np.int64)
+        at = np.minimum(np.searchsorted(self.digest, digests), len(self.digest) - 1)
+        return np.where(self.digest[at] == digests, at, -1)
+
+
+class Journal:
+    """The journal in ``folder``: read it, append blocks to it, read rows back; a context manager.
+
+    ``damaged`` is the number of lines that cannot be read. With ``write`` the caller must hold the lock of the folder.
+    """
+
+    def __init__(self, folder: Path, write: bool = False) -> None:
+        self.path, self._write = folder / JOURNAL, write
+        self._offsets: list[tuple[int, int]] = []
+        self._pieces: list[tuple[Names, NDArray[np.bool_], NDArray[np.int32], int]] = []
+        self._codes: dict[str, int] = {}
+        self._measured: dict[frozenset[str], int] = {}
+        self._parsed: OrderedDict[int, Block] = OrderedDict()
+        self._synced = time.monotonic()
+        self._end = self.damaged = 0
+        self._handle = -1
+
+    def __enter__(self) -> Journal:
+        try:
+            flags = os.O_RDWR | os.O_CREAT if self._write else os.O_RDONLY
+            self._handle = os.open(self.path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        except FileNotFoundError:
+            return self
+        except OSError as error:
+            raise RunError(f"{self.path}: cannot be opened ({error.strerror})") from None
+        for offset, line in self._lines():
+            self._end = offset + len(line)
+            block = _parse(line)
+            if block is None:
+                self.damaged += 1
+            else:
+                self._note(offset, len(line), block)
+        if self._write and os.fstat(self._handle).st_size > self._end:
+            os.ftruncate(self._handle, self._end)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._handle >= 0:
+            if self._write:
+                os.fsync(self._handle)
+            os.close(self._handle)
+            self._handle = -1
+
+    def _lines(self) -> Iterator[tuple[int, bytes]]:
+        """Yield the complete lines of the file and their offsets."""
+        offset = 0
+        with os.fdopen(os.dup(self._handle), "rb") as file:
+            file.seek(0)
+            for line in file:
+                if line.endswith(b"\n"):
+                    yield offset, line
+                offset += len(line)
+
+    def _note(self, offset: int, length: int, block: Block) -> None:
+        self._offsets.append((offset, length))
+        codes = [self._codes.setdefault(code, len(self._codes)) for code in block.code]
+        measured = self._measured.setdefault(frozenset(block.values), len(self._measured))
+        self._pieces.append(
+            (
+                np.array([short_digest(digest) for digest in block.digest], dtype=DIGEST),
+                np.array([outcome == COMPLETED for outcome in block.outcome], dtype=bool),
+                np.array(codes, dtype=np.int32),
+                measured,
+            )
+        )
+
+    def append(self, block: Block) -> None:
+        """Append a block of rows. Raises RunError if it cannot be written."""
+        text = block.text().encode()
+        line = b"%08x %s\n" % (zlib.crc32(text), text)
+        try:
+            written = 0
+            while written < len(line):
+                written += os.pwrite(self._handle, line[written:], self._end + written)
+            if time.monotonic() - self._synced > SYNC_SECONDS:
+                os.fsync(self._handle)
+                self._synced = time.monotonic()
+        except OSError as error:
+            os.ftruncate(self._handle, self._end)
+            raise io_failure(error, self.path, "the rows finished before are kept") from None
+        self._note(self._end, len(line), block)
+        self._end += len(line)
+
+    def index(self) -> Index:
+        """Index of all rows in the journal."""
+        sizes = [len(piece[0]) for piece in self._pieces]
+        digest = np.concatenate([np.empty(0, dtype=DIGEST), *(piece[0] for piece in self._pieces)])
+        order = np.argsort(digest, kind="stable").astype(np.uint32)
+        digest = digest[order]
+        if len(digest):
+            latest = np.append(digest[1:] != digest[:-1], True)
+            digest, order = digest[latest], order[latest]
+        starts = np.cumsum([0, *sizes])
+        block = (np.searchsorted(starts, order, side="right") - 1).astype(np.int32)
+
+        def gathered(at: int, dtype: type) -> NDArray[Any]:
+            return np.concatenate([np.empty(0, dtype=dtype), *(piece[at] for piece in self._pieces)])[order]
+
+        return Index(
+            digest,
+            block,
+            (order - starts[block]).astype(np.int32),
+            gathered(1, np.bool_),
+            gathered(2, np.int32),
+            np.array([piece[3] for piece in self._pieces], dtype=np.int32)[block],
+            list(self._codes),
+            list(self._measured),
+        )
+
+    def block(self, number: int) -> Block:
+        """Block ``number``, read back. Raises RunError if the file has changed."""
+        found = self._parsed.get(number)
+        if found is None:
+            offset, length = self._offsets[number]
+            found = _parse(os.pread(self._handle, length, offset))
+            if found is None:
+                raise RunError(f"{self.path}: block {number} has changed since it was read")
+            self._parsed[number] = found
+            if len(self._parsed) > KEPT_BLOCKS:
+                self._parsed.popitem(last=False)
+        self._parsed.move_to_end(number)
+        return found
+
+
+def _parse(line: bytes) -> Block | None:
+    """Block of a line; None if the line is damaged."""
+    try:
+        if int(line[:8], 16) != zlib.crc32(line[9:-1]):
+            return None
+        return Block(**json.loads(line[9:-1]))
+    except (ValueError, TypeError):
+        return None

@@ -1,0 +1,84 @@
+"""Figures of packaged sweeps: each view draws the rows that it names, under the scales, labels and law it declares."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from topcli.figures.catalogue import FIGURES
+from topcli.figures.contract import Request
+from topcli.figures.make import make_figure
+from topcli.figures.picture import draw
+from topcli.figures.sweep import Choice
+from topcli.figures.sweep_studies import SweepStudyFigure, View
+
+SWEEP = """
+name: small
+base: {top: euler, initial: {omega: [0.7, -0.4, 1.3]}, T: 2}
+grid: {scheme: [hk, rk2], h: [0.2, 0.1, 0.05], top.A: [3.0, 2.5]}
+measure: [error.max, deviation.m_sq]
+"""
+
+
+@pytest.fixture
+def figure(tmp_path: Path) -> SweepStudyFigure:
+    path = tmp_path / "small.yaml"
+    path.write_text(SWEEP, encoding="utf-8")
+    views = (
+        View(
+            "upper",
+            Choice("h", "error.max", "scheme"),
+            ("top.A=2.5",),
+            "$h$",
+            "error",
+            xlog=True,
+            law=lambda x: x**2,
+            law_label="law",
+        ),
+        View("lower", Choice("top.A", "deviation.m_sq", "scheme", aggregate="max"), ("scheme=hk",)),
+    )
+    return SweepStudyFigure("small", "a small sweep", str(path), views)
+
+
+def test_views_draw_their_rows(figure: SweepStudyFigure, tmp_path: Path) -> None:
+    loaded = figure.load(Request(tmp_path / "results"))
+    picture = draw(loaded.panels, loaded.data(), loaded.layout)
+    rows = pq.read_table(tmp_path / "results" / "small" / "rows.parquet").to_pylist()
+    left, right = picture.axes
+    assert (left.get_xlabel(), left.get_ylabel(), right.get_xlabel()) == ("$h$", "error", "top.A")
+    assert [axes.get_title(loc="left") for axes in (left, right)] == ["(a) upper", "(b) lower"]
+    assert (left.get_xscale(), right.get_xscale()) == ("log", "linear")
+    shown = {str(line.get_label()).partition(":")[0]: line for line in left.lines}
+    for scheme in ("hk", "rk2"):
+        expected = {row["h"]: row["error.max"] for row in rows if row["scheme"] == scheme and row["top.A"] == 2.5}
+        got = dict(zip(map(float, shown[scheme].get_xdata()), map(float, shown[scheme].get_ydata()), strict=True))
+        assert got == expected
+        assert len(set(got.values())) == 3
+    x, y = (np.asarray(values) for values in shown["law"].get_data())
+    assert x.tolist() == [0.05, 0.1, 0.2]
+    assert y.tolist() == (x * x).tolist()
+    (line,) = (line for line in right.lines if len(np.asarray(line.get_xdata())) == 2)
+    for A, value in zip(*line.get_data(), strict=True):
+        over_h = [row["deviation.m_sq"] for row in rows if row["scheme"] == "hk" and row["top.A"] == A]
+        assert len(over_h) == 3
+        assert value == max(over_h)
+
+
+def test_a_second_request_runs_and_draws_nothing(figure: SweepStudyFigure, tmp_path: Path) -> None:
+    request = Request(tmp_path / "results")
+    assert make_figure(figure, request, tmp_path / "figures", ["png"]).status == "drawn"
+    journal = (tmp_path / "results" / "small" / "journal.jsonl").read_bytes()
+    assert make_figure(figure, request, tmp_path / "figures", ["png"]).status == "up to date"
+    assert (tmp_path / "results" / "small" / "journal.jsonl").read_bytes() == journal
+
+
+def test_the_law_of_the_swings() -> None:
+    """28.1716 between swings at eps = 1e-3, from the closed form of the motion."""
+    figure = FIGURES["swings"]
+    assert isinstance(figure, SweepStudyFigure)
+    law = figure.views[0].law
+    assert law is not None
+    assert law(np.array([1e-3])) == pytest.approx([28.1716], abs=1e-4)

@@ -1,0 +1,351 @@
+"""Names of measures, what does not fit, and the reference that runs share."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+import math
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import topcli
+from topcli.config.load import experiment_from, load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Floats, Invariant, Scheme, Top
+from topcli.errors import UnknownNameError, UsageError
+from topcli.schemes import registry as schemes
+from topcli.schemes.registry import find_scheme
+from topcli.studies.measures import (
+    MEASURES,
+    BatchRun,
+    MeasureMisfitError,
+    all_measures,
+    batch_size,
+    evaluate,
+    measure,
+    measures_of_form,
+    names_of,
+    references,
+    resolve_measures,
+)
+from topcli.studies.measures.batch import bytes_per_run
+from topcli.studies.measures.references import SharedReferences
+from topcli.tops.euler import Euler
+from topcli.tops.heavy import Heavy
+from topcli.tops.kowalevski import Kowalevski
+
+HK = find_scheme("hk", "kowalevski")
+EULER_HK = find_scheme("hk", "euler")
+
+
+def names(found: Sequence[Any]) -> list[str]:
+    return [one.name for one in found]
+
+
+def test_names_become_measures_in_their_order() -> None:
+    wanted = ["swing_spacing", "drift.energy", "deviation.k_sq", "error.max", "reversal", "seconds"]
+    assert names(resolve_measures(wanted, Kowalevski(), HK)) == wanted
+    modified = ["drift.modified_m_sq", "deviation.modified_k12"]
+    assert names(resolve_measures(modified, Euler(A=3.0, B=2.0, C=1.0), EULER_HK)) == modified
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("swing_spacin", "did you mean 'swing_spacing'"),
+        ("drift.enrgy", "no invariant 'enrgy'; did you mean 'energy'"),
+        ("error.mx", "did you mean 'error.max'"),
+        ("eror.max", "did you mean 'error.max'"),
+        ("drift.NAME", "give one of drift.gamma_sq, drift.two_l, drift.energy, drift.k_sq"),
+        ("drift", "measure 'drift': give one of drift.gamma_sq, "),
+        ("drift.m_omega", "top 'kowalevski' under scheme 'hk' has no invariant 'm_omega'"),
+        ("drift.modified_energy", "has no invariant 'modified_energy'"),
+        ("", "unknown measure ''"),
+    ],
+)
+def test_unknown_names_are_answered_with_the_nearest(name: str, words: str) -> None:
+    with pytest.raises(UnknownNameError) as caught:
+        resolve_measures(["swings", name], Kowalevski(), HK)
+    assert words in str(caught.value)
+
+
+def test_a_measure_named_twice_is_refused() -> None:
+    with pytest.raises(UsageError, match="measure 'steps' is named twice"):
+        resolve_measures(["steps", "seconds", "steps"], Kowalevski(), HK)
+
+
+class Swingless(Top):
+    """A heavy top that names no swinging component, and says nothing about its Euler-Poisson equations."""
+
+    kind: ClassVar[str] = "swingless"
+    form: ClassVar[str] = "swingless"
+    components = Heavy.components
+    vectors = Heavy.vectors
+    field: ClassVar = staticmethod(Heavy.field)
+
+    def constants(self) -> Floats:
+        return Heavy().constants()
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        return Heavy().invariants()
+
+
+def test_what_does_not_fit_is_named_with_the_reason() -> None:
+    top, scheme = Swingless(), find_scheme("rk4", "heavy")
+    for name in ("swings", "swing_spacing", "swing_spacing.first"):
+        with pytest.raises(MeasureMisfitError, match=f"'{name}' does not fit: top 'swingless' names no component"):
+            resolve_measures([name], top, scheme)
+    for name in ("error.max", "error.end"):
+        with pytest.raises(MeasureMisfitError, match="needs its Euler-Poisson equations"):
+            resolve_measures([name], top, scheme)
+    with pytest.raises(MeasureMisfitError, match="top 'heavy' under scheme 'rk4' has no counter"):
+        resolve_measures(["counter.iterations"], Heavy(), scheme)
+    assert names(resolve_measures(["drift.energy", "reversal"], top, scheme)) == ["drift.energy", "reversal"]
+    assert not {"swings", "error.max"} & set(names_of(top, scheme))
+
+
+@pytest.mark.slow
+def test_every_measure_that_is_listed_for_a_top_can_be_resolved_and_evaluated() -> None:
+    for form, scene in (("kowalevski", "kowalevski_midpoint"), ("euler", "euler_hk"), ("lagrange", "lagrange_hk")):
+        experiment = load_experiment(scene, ["N=40"])
+        fitting = names_of(experiment.top, experiment.scheme)
+        assert set(fitting) <= set(names(measures_of_form(form)))
+        measures = resolve_measures(fitting, experiment.top, experiment.scheme)
+        found = evaluate(measures, BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0])))
+        assert list(found) == fitting
+        missing = [name for name, values in found.items() if not np.isfinite(values[0])]
+        assert set(missing) <= {"swing_spacing", "swing_spacing.first"}
+
+
+def test_every_measure_has_a_summary_and_a_unit() -> None:
+    assert names(all_measures()) == sorted(MEASURES)
+    for one in all_measures():
+        assert one.summary
+        assert "\n" not in one.summary
+        assert one.unit
+        assert one.origin == "topcli"
+    assert MEASURES["drift.NAME"].member("energy").summary == "fitted slope of energy per unit time"
+
+
+@pytest.fixture
+def registered() -> Iterator[None]:
+    before = dict(MEASURES)
+    yield
+    MEASURES.clear()
+    MEASURES.update(before)
+
+
+def test_names_of_a_plugin_are_checked(registered: None) -> None:
+    with pytest.raises(ValueError, match="'seconds' is already registered by topcli"):
+        measure("seconds", summary="again")
+    for taken in ("row", "outcome", "cpu", "h", "T", "top.c0", "initial.NAME", "scheme.tol", "sample"):
+        with pytest.raises(ValueError, match="a column of the results has this name already"):
+            measure(taken, summary="clash")
+    with pytest.raises(ValueError, match="no spaces"):
+        measure("two words", summary="odd")
+    with pytest.raises(ValueError, match="a family ends in"):
+        measure("odd.NAME", summary="odd")
+    with pytest.raises(ValueError, match="a family ends in"):
+        measure("odd", summary="odd", names=lambda top, scheme, options: ["a"])
+    measure("odd", summary="odd", needs=["gamma7"])(lambda batch: None)
+    with pytest.raises(MeasureMisfitError, match="it needs 'gamma7', which top 'kowalevski' under scheme 'hk'"):
+        resolve_measures(["odd"], Kowalevski(), HK)
+
+
+def test_the_decorator_s_example_works_and_every_parameter_is_documented(registered: None) -> None:
+    text = inspect.getdoc(topcli.measure) or ""
+    for parameter in inspect.signature(topcli.measure).parameters:
+        assert f"\n{parameter} : " in text
+    (example,) = doctest.DocTestFinder(recurse=False).find(topcli.measure, "measure", globs={})
+    assert not doctest.DocTestRunner(optionflags=doctest.FAIL_FAST).run(example).failed
+    experiment = load_experiment("kowalevski_rk4", ["N=500", "h=0.05"])
+    measures = resolve_measures(["gamma3.min"], experiment.top, experiment.scheme)
+    found = evaluate(measures, BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0])))
+    assert found["gamma3.min"][0] == topcli.simulate(experiment.resolved())["gamma3"].min()
+
+
+FILE = """
+import topcli
+
+@topcli.measure("omega1.top", summary="largest omega1", unit="rate", needs=["omega1"])
+def largest(batch):
+    return batch.columns["omega1"].max(axis=1)
+
+@topcli.measure("last.NAME", summary="last value of NAME", needs=["states"], noun="component",
+                names=lambda top, scheme, options: top.components)
+def last(batch, name):
+    return batch.states[:, -1, batch.experiment.top.components.index(name)]
+"""
+
+
+def load(path: Path) -> None:
+    schemes.load_scheme_file.__wrapped__(path)
+
+
+def test_measures_from_a_file(tmp_path: Path, registered: None) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(FILE)
+    load(path)
+    assert MEASURES["omega1.top"].origin == str(path)
+    experiment = load_experiment("kowalevski_rk4", ["N=200", "h=0.01"])
+    wanted = ["omega1.top", "last.gamma2", "last.omega3"]
+    measures = resolve_measures(wanted, experiment.top, experiment.scheme)
+    batch = BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0]))
+    found = evaluate(measures, batch)
+    assert found["omega1.top"][0] == max(batch.states[0, :, 0])
+    assert (found["last.gamma2"][0], found["last.omega3"][0]) == (batch.last[0, 4], batch.last[0, 2])
+    with pytest.raises(UnknownNameError, match="has no component 'gamma4'; did you mean 'gamma"):
+        resolve_measures(["last.gamma4"], experiment.top, experiment.scheme)
+
+
+def test_a_file_that_fails_leaves_no_measure(tmp_path: Path, registered: None) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(FILE + "\nraise RuntimeError('too late')\n")
+    with pytest.raises(UsageError, match="too late"):
+        load(path)
+    assert "omega1.top" not in MEASURES
+    assert "seconds" in MEASURES
+
+
+def free(scheme: str, h: float, N: int, **top: float) -> Experiment:
+    kind = {"kind": "euler", "A": 3.0, "B": 2.0, "C": 1.0, **top}
+    return experiment_from({"top": kind, "initial": {"omega": [0.3, 0.4, 1.5]}, "scheme": scheme, "h": h, "N": N})
+
+
+def shared(monkeypatch: pytest.MonkeyPatch, max_bytes: int = 1 << 20) -> SharedReferences:
+    found = SharedReferences(max_bytes)
+    monkeypatch.setattr("topcli.studies.measures.batch.REFERENCES", found)
+    return found
+
+
+def max_error(experiment: Experiment) -> float:
+    measures = resolve_measures(["error.max", "error.end"], experiment.top, experiment.scheme)
+    batch = BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0]))
+    return float(evaluate(measures, batch)["error.max"][0])
+
+
+def kowalevski(scheme: str, h: float, N: int) -> Experiment:
+    return load_experiment("kowalevski_rk4", [f"scheme={scheme}", f"h={h!r}", f"N={N}"])
+
+
+@pytest.mark.slow
+def test_a_reference_is_computed_once_for_all_schemes(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = shared(monkeypatch)
+    alone = [max_error(kowalevski(scheme, 0.125, 80)) for scheme in ("rk4", "hk", "rk2")]
+    assert found.computed == 1
+    max_error(kowalevski("hk", 0.25, 40))  # at times that are among those known
+    assert found.computed == 1
+    max_error(kowalevski("hk", 0.0625, 160))
+    assert found.computed == 2
+    for scheme, error in zip(("rk4", "hk", "rk2"), alone, strict=True):
+        shared(monkeypatch)
+        assert max_error(kowalevski(scheme, 0.125, 80)) == error
+    coarse = max_error(kowalevski("hk", 0.25, 40))
+    fresh = shared(monkeypatch)
+    assert max_error(kowalevski("hk", 0.25, 40)) == coarse
+    assert fresh.computed == 1
+
+
+@pytest.mark.slow
+def test_another_top_state_or_direction_has_another_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = shared(monkeypatch)
+    errors = {
+        max_error(free("rk4", 0.125, 80)),
+        max_error(free("rk4", 0.125, 80, B=2.5)),
+        max_error(free("rk4", -0.125, 80)),
+        max_error(free("rk4", 0.25, 40)),
+    }
+    assert len(errors) == 4
+    assert found.computed == 4
+
+
+def test_threads_wait_for_a_reference_that_another_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    inside: list[int] = []
+
+    def slow(top: Any, y0: Any, t: Any) -> Any:
+        inside.append(1)
+        time.sleep(0.1)
+        return np.zeros((len(t), 6))
+
+    monkeypatch.setattr(references, "reference_states", slow)
+    found = SharedReferences()
+    top, y0, n = Kowalevski(), np.ones(6), np.arange(9)
+    assert references.closed_form(top, HK) is None  # imports what the threads would wait for
+    with ThreadPoolExecutor(4) as pool:
+        states = [pool.submit(found.states, top, HK, y0, 0.5, n) for _ in range(4)]
+        assert all(one.result().shape == (9, 6) for one in states)
+    assert inside == [1]
+    assert found.computed == 1
+
+
+def test_the_references_that_are_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    each = 81 * (1 + 6) * 8
+    found = shared(monkeypatch, 2 * each)
+    scene = ["N=80", "h=0.125"]
+    first, second, third = (
+        load_experiment("kowalevski_hk", [*scene, f"initial.omega=[{omega}, 0, 0]"]) for omega in (1.0, 1.1, 1.2)
+    )
+    for experiment in (first, second, first, third):
+        max_error(experiment)
+    assert found.computed == 3
+    max_error(first)  # used later than the second
+    assert found.computed == 3
+    max_error(second)
+    assert found.computed == 4
+    too_small = shared(monkeypatch, 55)
+    max_error(first)
+    max_error(first)
+    assert too_small.computed == 4  # of the rows and of the end, each time
+    assert too_small._bytes == 0
+
+
+def test_a_motion_that_cannot_be_followed_is_named_and_spoils_only_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    shared(monkeypatch)
+    experiment = load_experiment("kowalevski_rk4", ["N=20", "h=1e7"])
+    measures = resolve_measures(["error.max", "error.end", "steps"], experiment.top, experiment.scheme)
+    states = np.array([experiment.y0, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)])
+    faults: list[tuple[int, str, str]] = []
+    batch = BatchRun(experiment, measures, threads=1).finished(states)
+    found = evaluate(measures, batch, lambda *fault: faults.append(fault))
+    assert np.isnan(found["error.max"]).all()
+    assert {run for run, _, _ in faults} == set(np.flatnonzero(batch.whole).tolist())
+    assert all(reason.startswith("reference: t = ") for _, _, reason in faults)
+    assert found["steps"][1] == 20.0
+
+
+def test_too_many_rows_for_the_memory_are_refused_with_a_way_out() -> None:
+    experiment = load_experiment("kowalevski_rk4", ["N=1e9", "h=1e-3"])
+    measures = resolve_measures(["swings", "error.max"], experiment.top, experiment.scheme)
+    with pytest.raises(UsageError) as caught:
+        BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0]))
+    assert str(caught.value) == (
+        "output.every: 1000000001 recorded rows do not fit in memory for swings, error.max; "
+        "record fewer with output.every: 34 or more"
+    )
+    sparse = load_experiment("kowalevski_rk4", ["N=1e9", "h=1e-3", "output.every=34"])
+    assert bytes_per_run(sparse, measures) <= 1 << 31
+
+
+def test_the_size_of_a_batch_follows_from_its_memory() -> None:
+    experiment = load_experiment("kowalevski_rk4", ["N=999", "h=1e-3"])
+    swings = resolve_measures(["swings"], experiment.top, experiment.scheme)
+    per_run = 1000 * 2 * 8 + 16 * 6 * 8  # the times, the column, and room for the probes
+    assert batch_size(experiment, swings, 10 * per_run) == 10
+    assert batch_size(experiment, swings, 10 * per_run - 1) == 9
+    assert batch_size(experiment, swings, 1) == 1
+    states = resolve_measures(["error.max"], experiment.top, experiment.scheme)
+    assert batch_size(experiment, states, 1 << 22) == (1 << 22) // (1000 * (1 + 7) * 8 + 16 * 6 * 8)
+
+
+def test_a_closed_form_serves_only_its_own_tops() -> None:
+    assert references.closed_form(Kowalevski(), HK) is None
+    assert references.closed_form(Euler(A=3.0, B=2.0, C=1.0), EULER_HK) is not None
+    exact: Scheme = find_scheme("exact", "euler")
+    assert references.closed_form(Euler(A=3.0, B=2.0, C=1.0), exact) is None
+    assert math.isfinite(max_error(free("exact", 0.1, 10)))

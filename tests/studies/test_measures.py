@@ -1,0 +1,422 @@
+"""Measures of finished runs, against closed forms and against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+import topcli
+from topcli.config.load import experiment_from, load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Outcome
+from topcli.engine.endings import Endings
+from topcli.engine.tile import Piece
+from topcli.studies.measures import BatchRun, evaluate, resolve_measures
+from topcli.studies.measures.batch import BatchRecorder
+from topcli.studies.measures.registry import MEASURES, measure
+
+A, C = 2.0, 1.0
+OMEGA = (0.3, 0.4, 1.5)
+SYMMETRIC = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "initial": {"omega": list(OMEGA)}}
+"""A symmetric free top: omega1 + i omega2 turns about the axis at the rate (A - C)/A omega3."""
+
+
+def measured(experiment: Experiment, names: Sequence[str], states: Any = None, **options: Any) -> dict[str, Array]:
+    measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
+    states = np.array([experiment.y0] if states is None else states)
+    return evaluate(measures, BatchRun(experiment, measures, threads=1, **options).finished(states))
+
+
+def one(experiment: Experiment, name: str) -> float:
+    return float(measured(experiment, [name])[name][0])
+
+
+def symmetric(scheme: str, h: float, N: int, **more: Any) -> Experiment:
+    return experiment_from({**SYMMETRIC, "scheme": scheme, "h": h, "N": N, **more})
+
+
+def precession(t: Array) -> Array:
+    """omega (m, 3) of the symmetric free top, by hand."""
+    rate = (A - C) / A * OMEGA[2]
+    turned = (OMEGA[0] + 1j * OMEGA[1]) * np.exp(-1j * rate * t)
+    return np.stack([turned.real, turned.imag, np.full_like(t, OMEGA[2])], axis=1)
+
+
+def test_the_paper_s_time_between_swings_follows_the_law_of_its_separatrix() -> None:
+    """2 sqrt 2 ln(8 sqrt 7/eps) at eps = 1e-3; the next term of the expansion is of the order of eps² ln eps."""
+    law = 2.0 * math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) / 1e-3)
+    experiment = load_experiment("kowalevski_taylor", ["N=5000", "h=0.01", "initial.gamma=[auto, 0, 1e-3]"])
+    found = measured(experiment, ["swings", "swing_spacing", "swing_spacing.first"])
+    assert found["swings"].tolist() == [2.0]
+    assert found["swing_spacing"][0] == pytest.approx(law, abs=1e-3)
+    assert law == pytest.approx(28.172, abs=1e-3)
+    assert found["swing_spacing.first"][0] == found["swing_spacing"][0]
+
+
+def test_swings_of_the_symmetric_top_come_once_per_period() -> None:
+    period = 2.0 * math.pi / ((A - C) / A * OMEGA[2])
+    found = measured(symmetric("exact", 0.01, 5000), ["swings", "swing_spacing"])
+    assert found["swing_spacing"][0] == pytest.approx(period, rel=1e-7)
+    # omega2 sinks first at the phase -pi/2, which is reached at t = (pi/2 + arg) / rate
+    first = (math.pi / 2.0 + math.atan2(OMEGA[1], OMEGA[0])) * period / (2.0 * math.pi)
+    assert found["swings"][0] == math.floor((50.0 - first - period / 4.0) / period) + 1
+
+
+def test_the_spacing_is_the_median_and_the_first_one_the_first() -> None:
+    """Dips at 1, 3, 4, 5.2: the spacings are 2, 1, 1.2; the second run has a single one, the third none."""
+    t = np.arange(0.0, 7.0, 0.01)
+
+    def dips(*places: float) -> Array:
+        return -np.exp(-((t[:, None] - np.array(places)) ** 2) / 0.005).sum(axis=1)
+
+    batch = recorded(
+        symmetric("rk4", 0.01, len(t) - 1),
+        ["swing_spacing", "swing_spacing.first", "swings"],
+        np.stack([dips(1.0, 3.0, 4.0, 5.2), dips(1.0, 2.0), dips(3.0)]),
+        "omega2",
+    )
+    assert batch["swings"].tolist() == [4.0, 2.0, 1.0]
+    np.testing.assert_allclose(batch["swing_spacing"], [1.2, 1.0, math.nan], atol=1e-4)
+    np.testing.assert_allclose(batch["swing_spacing.first"], [2.0, 1.0, math.nan], atol=1e-4)
+
+
+def recorded(
+    experiment: Experiment, names: Sequence[str], values: Array, component: str, pieces: int = 1
+) -> dict[str, Array]:
+    """Measures of made-up runs in which only ``component`` moves: ``values`` (runs, m)."""
+    measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
+    count, m = values.shape
+    states = np.zeros((count, m, len(experiment.top.components)))
+    states[:, :, experiment.top.components.index(component)] = values
+    recorder = BatchRecorder(experiment, measures, states[:, 0])
+    for rows in np.array_split(np.arange(m), pieces):
+        if len(rows):
+            n = rows * experiment.output.every
+            recorder.add(Piece(0, n, states[:, rows], np.full(count, len(rows))))
+    endings = Endings(count, experiment.h, ())
+    for i in range(count):
+        endings.put(i, Outcome.COMPLETED, experiment.N, [])
+    batch = recorder.finish(endings, states[:, -1], np.zeros(count), lambda states, h: states)
+    return evaluate(measures, batch)
+
+
+SLOPE = 3e-4
+
+
+def wavy(rows: int, h: float) -> Array:
+    """omega1 (1, rows) whose contribution A omega1² to m·omega has the slope SLOPE and a fast oscillation."""
+    t = h * np.arange(rows)
+    return np.sqrt((1.0 + SLOPE * t + 1e-3 * np.sin(40.0 * t)) / A)[None]
+
+
+@pytest.mark.parametrize("rows", [8, 9, 127, 128, 129, 1000, 20_001])
+def test_a_drift_is_the_slope_per_unit_time(rows: int) -> None:
+    """Without the oscillation to round-off, whatever the number of blocks."""
+    t = 0.1 * np.arange(rows)
+    values = np.sqrt((1.0 + SLOPE * t) / A)[None]
+    found = recorded(symmetric("rk4", 0.1, rows - 1), ["drift.m_omega", "deviation.m_omega"], values, "omega1")
+    assert found["drift.m_omega"][0] == pytest.approx(SLOPE, rel=1e-9)
+    assert found["deviation.m_omega"][0] == pytest.approx(SLOPE * t[-1], rel=1e-9)
+
+
+def test_a_drift_averages_oscillations_out_and_knows_the_recorded_interval() -> None:
+    values = wavy(20_001, 0.1)
+    found = recorded(symmetric("rk4", 0.1, 20_000), ["drift.m_omega"], values, "omega1")
+    assert found["drift.m_omega"][0] == pytest.approx(SLOPE, rel=1e-4)
+    sparse = symmetric("rk4", 0.02, 100_000, output={"every": 5})
+    assert recorded(sparse, ["drift.m_omega"], values, "omega1")["drift.m_omega"][0] == pytest.approx(SLOPE, rel=1e-4)
+    backwards = recorded(symmetric("rk4", -0.1, 20_000), ["drift.m_omega"], values, "omega1")
+    assert backwards["drift.m_omega"][0] == pytest.approx(-SLOPE, rel=1e-4)
+
+
+def test_too_few_rows_have_no_drift() -> None:
+    found = recorded(symmetric("rk4", 0.1, 6), ["drift.m_omega"], np.full((1, 7), 0.5), "omega1")
+    assert math.isnan(found["drift.m_omega"][0])
+
+
+def test_drifts_do_not_depend_on_the_pieces_in_which_rows_come() -> None:
+    values = wavy(3001, 0.1)
+    experiment = symmetric("rk4", 0.1, 3000)
+    names = ["drift.m_omega", "deviation.m_omega", "drift.m_sq", "error.max"]
+    whole = recorded(experiment, names, values, "omega1")
+    for pieces in (2, 7, 500):
+        cut = recorded(experiment, names, values, "omega1", pieces)
+        assert {name: cut[name].tobytes() for name in names} == {name: whole[name].tobytes() for name in names}
+
+
+@pytest.mark.parametrize("pieces", [1, 3, 21])
+def test_the_largest_error_may_lie_in_any_piece(pieces: int) -> None:
+    """A steady rotation is at rest, so the deviations of made-up rows are their errors."""
+    values = np.full((2, 21), 0.5)
+    values[0, 4], values[1, 15], values[:, 20] = 0.75, 0.125, 0.53125
+    found = recorded(symmetric("rk4", 0.1, 20), ["error.max", "error.end"], values, "omega1", pieces)
+    assert found["error.max"].tolist() == [0.25, 0.375]
+    assert found["error.end"].tolist() == [0.03125, 0.03125]
+
+
+def test_errors_are_distances_from_the_closed_form() -> None:
+    """rk2 of the symmetric top against the rotation written out here."""
+    experiment = symmetric("rk2", 0.05, 403, output={"every": 10})
+    run = topcli.simulate(symmetric("rk2", 0.05, 403).resolved())
+    error = np.linalg.norm(run.states - precession(run.t), axis=1)
+    found = measured(experiment, ["error.max", "error.end"])
+    assert found["error.max"][0] == pytest.approx(error[::10].max(), rel=1e-9)
+    assert found["error.end"][0] == pytest.approx(error[403], rel=1e-9)  # step 403 is not among the recorded rows
+    assert found["error.end"][0] > 1e-3
+
+
+def test_the_closed_form_itself_is_compared_with_another_reference() -> None:
+    found = measured(symmetric("exact", 0.1, 1000), ["error.max"])["error.max"][0]
+    assert 0.0 < found < 1e-13
+
+
+def test_errors_of_a_top_without_a_closed_form() -> None:
+    """Kowalevski's top at c0 = 0 is a free symmetric top: omega1 + i omega2 turns at omega3/2."""
+    data = {"top": {"kind": "kowalevski", "c0": 0.0}, "initial": {"omega": [0.3, 0.4, 1.5], "gamma": [0.0, 0.0, 1.0]}}
+    experiment = experiment_from({**data, "scheme": "rk4", "h": 0.1, "N": 200})
+    run = topcli.simulate(experiment.resolved())
+    turned = (0.3 + 0.4j) * np.exp(-0.75j * run.t)
+    # in a frame that turns with it, gamma turns about omega(0) - 0.75 e3 (Rodrigues' formula)
+    axis = np.array([0.3, 0.4, 0.75])
+    angle = -np.linalg.norm(axis) * run.t[:, None]
+    axis /= np.linalg.norm(axis)
+    start = np.array([0.0, 0.0, 1.0])
+    frame = start * np.cos(angle) + np.cross(axis, start) * np.sin(angle) + axis * axis[2] * (1.0 - np.cos(angle))
+    gamma = (frame[:, 0] + 1j * frame[:, 1]) * np.exp(-0.75j * run.t)
+    exact = np.stack([turned.real, turned.imag, np.full_like(run.t, 1.5), gamma.real, gamma.imag, frame[:, 2]], axis=1)
+    error = np.linalg.norm(run.states - exact, axis=1)
+    assert one(experiment, "error.max") == pytest.approx(error.max(), rel=1e-9)
+    assert error.max() > 1e-5
+
+
+def explicit_midpoint(y: Array, h: float) -> Array:
+    def field(w: Array) -> Array:
+        return np.array([(A - C) / A * w[1] * w[2], (C - A) / A * w[2] * w[0], 0.0])
+
+    return y + h * field(y + 0.5 * h * field(y))
+
+
+@pytest.mark.slow
+def test_the_reversal_is_the_defect_of_a_step_and_its_reverse() -> None:
+    h, N = 0.2, 320
+    run = topcli.simulate(symmetric("rk2", h, N).resolved())
+    probes = run.states[:: (N + 1) // 16][:16]
+    expected = max(np.abs(explicit_midpoint(explicit_midpoint(y, h), -h) - y).max() for y in probes)
+    assert one(symmetric("rk2", h, N), "reversal") == pytest.approx(expected, rel=1e-9)
+    assert expected > 1e-5
+    assert one(symmetric("hk", h, N), "reversal") < 1e-15
+    assert one(symmetric("rk2", -h, N), "reversal") == pytest.approx(expected, rel=0.1)
+
+
+def test_counters_steps_and_seconds() -> None:
+    experiment = load_experiment("kowalevski_bohlin_a", ["N=300"])
+    found = measured(experiment, ["steps", "seconds", "counter.ambiguous_roots"])
+    assert found["steps"].tolist() == [300.0]
+    assert found["counter.ambiguous_roots"].tolist() == [0.0]
+    assert 0.0 < found["seconds"][0] < 5.0
+    rest = load_experiment("kowalevski_bohlin_a", ["N=300", "initial.omega=[0,0,0]", "initial.gamma=[0,0,1]"])
+    assert measured(rest, ["counter.ambiguous_roots"])["counter.ambiguous_roots"].tolist() == [300.0]
+    assert MEASURES["seconds"].reproducible is False
+    assert MEASURES["steps"].reproducible
+    assert MEASURES["error.max"].reproducible
+
+
+def test_rows_that_were_not_reached_are_not_recorded() -> None:
+    experiment = symmetric("rk4", 0.1, 9)
+    measure("test.all", summary="needs all", needs=["omega1", "m_sq", "states"])(lambda batch: np.zeros(len(batch)))
+    try:
+        measures = resolve_measures(["test.all"], experiment.top, experiment.scheme)
+    finally:
+        del MEASURES["test.all"]
+    states = np.random.default_rng(3).normal(size=(2, 10, 3))
+    recorder = BatchRecorder(experiment, measures, states[:, 0])
+    recorder.add(Piece(0, np.arange(10), states, np.array([10, 4])))
+    batch = recorder.finish(Endings(2, 0.1), states[:, -1], np.zeros(2), lambda states, h: states)
+    momentum = states @ np.diag([A, A, C])
+    np.testing.assert_array_equal(batch.states[0], states[0])
+    np.testing.assert_array_equal(batch.states[1, :4], states[1, :4])
+    np.testing.assert_allclose(batch.columns["m_sq"][0], (momentum[0] ** 2).sum(axis=1), rtol=1e-14)
+    for recorded_rows in (batch.states[1, 4:], batch.columns["omega1"][1, 4:], batch.columns["m_sq"][1, 4:]):
+        assert np.isnan(recorded_rows).all()
+
+
+def test_counters_of_the_runs_beside_a_failed_one() -> None:
+    experiment = load_experiment("kowalevski_bohlin_a", ["N=300"])
+    rest = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    states = np.array([(1e200, 1e200, 0.0, 1.0, 0.0, 0.0), experiment.y0, rest])
+    measures = resolve_measures(["counter.ambiguous_roots"], experiment.top, experiment.scheme)
+    faults: list[Any] = []
+    batch = BatchRun(experiment, measures, threads=1).finished(states)
+    found = evaluate(measures, batch, lambda *fault: faults.append(fault))
+    np.testing.assert_array_equal(found["counter.ambiguous_roots"], [math.nan, 0.0, 300.0])
+    assert faults == []
+
+
+@pytest.mark.parametrize("count", [3, 64])
+def test_the_seconds_of_runs_add_up_to_those_of_their_batch(count: int) -> None:
+    experiment = symmetric("rk4", 0.01, 20_000, output={"every": 100})
+    measures = resolve_measures(["seconds"], experiment.top, experiment.scheme)
+    run = BatchRun(experiment, measures, threads=1, count=count)
+    began = time.perf_counter()
+    batch = run.finished(np.tile(OMEGA, (count, 1)))
+    wall = time.perf_counter() - began
+    seconds = evaluate(measures, batch)["seconds"]
+    assert (seconds == seconds[0]).all()
+    assert 0.0 < seconds.sum() <= wall
+
+
+def test_options_and_parameters_have_their_own_code() -> None:
+    """One after the other in one process, each equal to its run elsewhere."""
+    values = []
+    for overrides in (["scheme.tol=1e-6"], ["scheme.tol=1e-10"], ["top.c0=0.5"]):
+        experiment = load_experiment("kowalevski_taylor", ["N=200", "h=0.25", *overrides])
+        run = topcli.simulate(experiment.resolved())
+        values.append(one(experiment, "deviation.two_l"))
+        assert values[-1] == np.abs(run["two_l"] - run["two_l"][0]).max(), overrides
+    assert len(set(values)) == 3
+
+
+ALL = ["swings", "swing_spacing", "error.max", "error.end", "reversal", "steps"]
+
+
+@pytest.mark.parametrize("together", [1, 64])
+def test_failed_runs_have_no_numbers_and_disturb_no_others(together: int) -> None:
+    """rk2 with large steps blows up for a fast top; the slow ones beside it are as they are alone."""
+    experiment = symmetric("rk2", 0.5, 400)
+    states = np.array([OMEGA, (300.0, 400.0, 500.0), (0.1, 0.2, 0.3)])
+    names = [*ALL, "drift.m_sq", "deviation.m_sq"]
+    measures = resolve_measures(names, experiment.top, experiment.scheme)
+    batch = BatchRun(experiment, measures, threads=1, count=together).finished(states)
+    found = evaluate(measures, batch)
+    assert [ending.outcome.value for ending in batch.endings][1] == "blew_up"
+    assert found["steps"].tolist() == [400.0, float(batch.endings[1].step), 400.0]
+    failed = batch.endings[1].step
+    assert failed < 400
+    reached = np.isfinite(batch.columns["omega2"])
+    assert reached[[0, 2]].all()
+    assert reached[1].tolist() == [n < failed for n in range(401)]
+    for name in names:
+        if name != "steps":
+            assert math.isnan(found[name][1]), name
+    for i in (0, 2):
+        alone = measured(experiment, names, states[i : i + 1])
+        for name in names:
+            assert found[name][i : i + 1].tobytes() == alone[name].tobytes(), name
+
+
+def test_a_run_that_left_its_energy_surface_keeps_its_numbers() -> None:
+    """It took all its steps: the error is that of a whole run, and the outcome says what it is worth."""
+    experiment = symmetric("rk2", 2.9, 40)
+    states = np.array([(3.0, 4.0, 1.5)])
+    measures = resolve_measures(["error.end", "deviation.m_omega", "swings"], experiment.top, experiment.scheme)
+    batch = BatchRun(experiment, measures, threads=1).finished(states)
+    assert batch.endings[0].outcome.value == "left_motion"
+    found = evaluate(measures, batch)
+    assert found["deviation.m_omega"][0] > 100.0 * (2.0 * 25.0 + 2.25)
+    assert np.isfinite(found["error.end"][0])
+
+
+def nearby(y0: Sequence[float], count: int, top: Any) -> Array:
+    states = np.tile(np.array(y0), (count, 1))
+    start, stop = top.vectors[next(iter(top.vectors))]
+    states[:, start:stop] *= 1.0 + 0.01 * np.random.default_rng(5).uniform(-1.0, 1.0, (count, 1))
+    return states
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scene", "overrides"),
+    [
+        ("kowalevski_hybrid", ["h=0.02", "output.every=7"]),
+        ("kowalevski_taylor", ["h=0.05"]),
+        ("kowalevski_midpoint", ["h=-0.05"]),
+        ("heavy_rk4", ["h=0.02", "output.every=3"]),
+        ("euler_exact", ["h=0.1"]),
+        ("euler_hk", ["h=0.05"]),
+        ("lagrange_bs", ["h=0.03"]),
+    ],
+)
+def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str]) -> None:
+    experiment = load_experiment(scene, [*overrides, "N=1000"])
+    integrals = [name for family in ("drift", "deviation") for name in (f"{family}.{experiment.top.energy}",)]
+    modified = [f"drift.{integral.name}" for integral in experiment.modified]
+    names = [*ALL, *integrals, *modified]
+    states = nearby(experiment.y0, 21, experiment.top)
+    for count in (21, 64):
+        together = measured(experiment, names, states, count=count)
+        for i in (0, 7, 8, 20):
+            alone = measured(experiment, names, states[i : i + 1])
+            for name in names:
+                assert together[name][i : i + 1].tobytes() == alone[name].tobytes(), (name, i)
+                assert np.isfinite(alone[name][0]) or name == "swing_spacing"
+
+
+def test_only_what_is_needed_is_recorded() -> None:
+    experiment = symmetric("rk4", 0.1, 50)
+
+    def batch(*names: str) -> Any:
+        measures = resolve_measures(names, experiment.top, experiment.scheme)
+        return BatchRun(experiment, measures, threads=1).finished(np.array([OMEGA]))
+
+    bare = batch("steps", "seconds")
+    assert (dict(bare.columns), bare.states.size, bare.probes.size, bare.deviations, bare.drifts) == ({}, 0, 0, {}, {})
+    assert list(batch("swings").columns) == ["omega2"]
+    assert list(batch("drift.m_sq").drifts) == ["m_sq"]
+    assert batch("drift.m_sq").deviations == {}
+    assert batch("reversal").probes.shape == (1, 16, 3)
+
+
+@pytest.fixture
+def lowest() -> Any:
+    """A measure like a plugin's, which cannot cope with runs that start above omega1 = 0.5."""
+    calls: list[int] = []
+
+    @measure("test.lowest", summary="lowest omega1", needs=["omega1", "states"])
+    def evaluate_lowest(batch: Any) -> Any:
+        calls.append(len(batch))
+        if (batch.columns["omega1"][:, 0] > 0.5).any():
+            raise ValueError("too high")
+        np.testing.assert_array_equal(batch.states[:, :, 0], batch.columns["omega1"])
+        return batch.columns["omega1"].min(axis=1)
+
+    yield calls
+    del MEASURES["test.lowest"]
+
+
+def test_a_measure_that_fails_for_one_run_keeps_its_values_for_the_others(lowest: list[int]) -> None:
+    experiment = symmetric("rk4", 0.1, 100)
+    fast = (3e3, 4e3, 5e3)  # it blows up, so that no measure sees it
+    states = np.array([fast, (0.3, 0.4, 1.5), (0.6, 0.8, 1.5), (0.0, 0.5, 1.5)])
+    measures = resolve_measures(["test.lowest", "steps"], experiment.top, experiment.scheme)
+    faults: list[tuple[int, str, str]] = []
+    found = evaluate(
+        measures, BatchRun(experiment, measures, threads=1).finished(states), lambda *fault: faults.append(fault)
+    )
+    np.testing.assert_allclose(found["test.lowest"], [math.nan, -0.5, math.nan, -0.5], atol=2e-3)
+    assert found["steps"].tolist()[1:] == [100.0] * 3
+    ((run, name, reason),) = faults
+    assert (run, name) == (2, "test.lowest")
+    assert reason.endswith("ValueError: too high")
+    assert "test_measures.py:" in reason
+    assert lowest == [3, 1, 1, 1]
+
+
+@pytest.mark.parametrize("wrong", [1.0, [1.0, 2.0], "many", None, [[1.0]]])
+def test_a_measure_that_returns_something_else_is_named(wrong: Any) -> None:
+    measure("test.wrong", summary="wrong")(lambda batch: wrong)
+    try:
+        experiment = symmetric("rk4", 0.1, 10)
+        measures = resolve_measures(["test.wrong"], experiment.top, experiment.scheme)
+        faults: list[tuple[int, str, str]] = []
+        batch = BatchRun(experiment, measures, threads=1).finished(np.array([OMEGA]))
+        assert math.isnan(evaluate(measures, batch, lambda *fault: faults.append(fault))["test.wrong"][0])
+        ((_, _, reason),) = faults
+        assert "'test.wrong'" in reason
+        assert "one number for each run" in reason
+    finally:
+        del MEASURES["test.wrong"]

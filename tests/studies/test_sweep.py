@@ -1,0 +1,308 @@
+"""Sweeps: what runs, what is kept, and that a row has the numbers of a run by itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from sweeping import BASE, DATA, MANY, sweep, table, with_grid, without_origin
+from topcli.config.load import experiment_from
+from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep.rows import RowReader
+from topcli.errors import RunError, UsageError
+from topcli.studies.simulate import trajectory_of
+from topcli.studies.sweep import evaluate as seam
+from topcli.studies.sweep.batches import batches
+from topcli.studies.sweep.evaluate import Results, Work, evaluate_batch
+from topcli.studies.sweep.run import SweepOptions, Watcher, find_row, in_threads, planned, run_sweep
+
+
+def deviation(row: dict[str, Any], out: Path) -> float:
+    """Largest deviation of the energy of a row that is run by itself, by its formula."""
+    one = trajectory_of(experiment_from(find_row(out / "study", row["row"])[1].config("one")))
+    w, g = one.states[:, :3], one.states[:, 3:]
+    energy = w[:, 0] ** 2 + w[:, 1] ** 2 + 0.5 * w[:, 2] ** 2 + g[:, 0]  # A = 2, c0 = 1
+    return float(np.abs(energy - energy[0]).max())
+
+
+def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
+    result = sweep(tmp_path)
+    assert (result.finished, result.ran, result.failed, result.outcomes) == (4, 4, 0, {"completed": 4})
+    found = pq.read_table(tmp_path / "study" / "rows.parquet")
+    names = ["row", "scheme", "h", "outcome", "message", "deviation.energy", "digest", "cpu", "current"]
+    assert found.column_names == names
+    assert [str(kind) for kind in found.schema.types] == [
+        "int64",
+        "string",
+        "double",
+        "string",
+        "string",
+        "double",
+        "string",
+        "string",
+        "bool",
+    ]
+    described = json.loads(found.schema.metadata[b"topcli.sweep"])
+    assert described["name"] == "study"
+    assert described["keys"] == ["scheme", "h"]
+    assert described["measures"] == ["deviation.energy"]
+    assert described["log"] == []
+    rows = found.to_pylist()
+    assert [(row["row"], row["scheme"], row["h"]) for row in rows] == [
+        (0, "hk", 0.01),
+        (1, "hk", 0.02),
+        (2, "rk4", 0.01),
+        (3, "rk4", 0.02),
+    ]
+    assert all(row["current"] and row["message"].startswith("completed 60 steps") for row in rows)
+    assert json.loads((tmp_path / "study" / "manifest.json").read_text())["rows"] == 4
+
+
+def test_finished_rows_never_run_again(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    before = (tmp_path / "study" / "journal.jsonl").read_bytes()
+    result = sweep(tmp_path)
+    assert (result.ran, result.finished) == (0, 4)
+    assert (tmp_path / "study" / "journal.jsonl").read_bytes() == before
+
+
+def test_a_changed_file_runs_only_new_rows_and_keeps_the_others(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    changed = with_grid(h=[0.02, 0.04])
+    plan, changes = planned(sweep_from(changed), tmp_path, SweepOptions())
+    assert (plan.to_run, plan.done, plan.left) == (2, 2, 2)
+    assert plan.reasons() == {"new": 2}
+    assert changes == ["grid.h: [0.01, 0.02] -> [0.02, 0.04]"]
+    assert sweep(tmp_path, changed).ran == 2
+    rows = table(tmp_path)
+    assert [(row["row"], row["h"], row["current"]) for row in rows] == [
+        (0, 0.02, True),
+        (1, 0.04, True),
+        (2, 0.02, True),
+        (3, 0.04, True),
+        (-1, 0.01, False),
+        (-1, 0.01, False),
+    ]
+    assert sweep(tmp_path).ran == 0, "the rows that were kept belong to the first file again"
+
+
+def test_a_new_key_at_the_value_of_the_base_keeps_the_rows(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    assert sweep(tmp_path, with_grid(**{"top.c0": [1.0, 2.0]})).ran == 4
+
+
+def test_a_new_measure_runs_the_rows_again(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    more = {**DATA, "measure": ["deviation.energy", "steps"]}
+    assert planned(sweep_from(more), tmp_path, SweepOptions())[0].reasons() == {"a measure is new": 4}
+    assert sweep(tmp_path, more).ran == 4
+    assert [row["steps"] for row in table(tmp_path)] == [60.0] * 4
+    assert sweep(tmp_path).ran == 0
+
+
+def test_changed_code_of_a_scheme_runs_its_rows_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from topcli.studies.sweep import plan as planning
+
+    sweep(tmp_path)
+    real = planning.method_fingerprint
+    codes: list[str] = []
+
+    def changed(method: Any) -> str:
+        codes.append(real(method))
+        return codes[-1] if len(codes) == 1 else "0" * 64
+
+    monkeypatch.setattr(planning, "method_fingerprint", changed)
+    plan, _ = planned(sweep_from(DATA), tmp_path, SweepOptions())
+    assert plan.reasons() == {"the code of the scheme changed": 2}
+    assert plan.status.tolist() == [0, 0, 2, 2]
+
+
+FAILING = {**DATA, "grid": {"h": [0.01, 3.0, 0.02]}, "base": {**BASE, "scheme": "rk4"}}
+
+
+def test_a_failed_row_stays_a_row(tmp_path: Path) -> None:
+    messages: list[tuple[int, str]] = []
+    result = sweep(tmp_path, FAILING, Watcher(failure=lambda row, outcome, _: messages.append((row.number, outcome))))
+    assert messages == [(1, "blew_up")]
+    assert (result.failed, result.finished) == (1, 3)
+    row = table(tmp_path)[1]
+    assert row["outcome"] == "blew_up"
+    assert row["message"].startswith("blew up at step ")
+    assert np.isnan(row["deviation.energy"])
+    again = sweep(tmp_path, FAILING)
+    assert (again.ran, again.failed) == (0, 1)
+    assert sweep(tmp_path, FAILING, retry_failed=True).ran == 1
+
+
+def test_fail_fast_stops_and_keeps_what_is_finished(tmp_path: Path) -> None:
+    data = {**FAILING, "grid": {"h": [3.0, *[0.001 * k for k in range(1, 41)]]}}
+    result = sweep(tmp_path, data, fail_fast=True, threads=1)
+    assert 1 <= result.finished < 41
+    assert result.failed == 1
+    assert not (tmp_path / "study" / "manifest.json").exists()
+    rest = sweep(tmp_path, data)
+    assert rest.ran == 41 - result.finished
+    assert rest.outcomes == {"blew_up": 1, "completed": 40}
+
+
+def test_a_row_that_cannot_become_a_run_is_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = seam.BatchRun
+
+    class Broken(real):  # type: ignore[misc, valid-type]
+        def finished(self, initial: Any) -> Any:
+            if (initial[:, 0] == 0.25).any():
+                raise RunError("no luck")
+            return super().finished(initial)
+
+    monkeypatch.setattr(seam, "BatchRun", Broken)
+    data = {**DATA, "grid": {"initial.omega1": [0.125, 0.25, 0.5]}}
+    result = sweep(tmp_path, data)
+    assert result.outcomes == {"completed": 2, "failed": 1}
+    assert [(row["outcome"], row["message"] == "no luck") for row in table(tmp_path)] == [
+        ("completed", False),
+        ("failed", True),
+        ("completed", False),
+    ]
+
+
+@pytest.mark.slow
+def test_a_row_beyond_its_time_limit_is_stopped(tmp_path: Path) -> None:
+    data = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9]}}
+    began = time.perf_counter()
+    result = sweep(tmp_path, data, time_limit=0.3)
+    assert time.perf_counter() - began < 10.0
+    assert result.outcomes == {"interrupted": 1}
+    assert not result.interrupted
+    assert table(tmp_path)[0]["message"].endswith("the time limit is 0.3 s")
+    assert sweep(tmp_path, data).ran == 0
+    assert sweep(tmp_path, data, retry_failed=True, time_limit=0.3).ran == 1
+
+
+def test_an_unfinished_sweep_has_no_manifest(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    manifest = tmp_path / "study" / "manifest.json"
+    assert manifest.exists()
+    assert not sweep(tmp_path, with_grid(h=[0.03]), Watcher(stop=lambda: True)).finished
+    assert not manifest.exists()
+
+
+def test_no_batch_begins_after_a_stop() -> None:
+    rows = list(RowReader(sweep_from(MANY)).rows())
+    begun: list[int] = []
+
+    class Counted(Work):
+        def __call__(self, rows: Any, stop: Any = None) -> Results:
+            begun.append(len(rows))
+            return Results()
+
+    made = ([row] for row in rows)
+    assert len(list(in_threads(1)(made, Counted(()), lambda: len(begun) >= 3))) < 8
+    assert next(made)[0].number < 8
+
+
+def test_equal_rows_are_computed_once(tmp_path: Path) -> None:
+    data = {**DATA, "include": [{"scheme": "hk", "h": 0.01}]}
+    result = sweep(tmp_path, data)
+    assert (result.ran, result.finished) == (4, 5)
+    rows = table(tmp_path)
+    assert rows[4]["row"] == 4
+    assert rows[4]["digest"] == rows[0]["digest"]
+    assert rows[4]["deviation.energy"] == rows[0]["deviation.energy"]
+
+
+def test_a_row_has_the_bits_of_a_run_by_itself(tmp_path: Path) -> None:
+    sweep(tmp_path, MANY)
+    rows = table(tmp_path)
+    assert len(rows) == 160
+    for row in rows[::31]:
+        assert row["deviation.energy"] == deviation(row, tmp_path)
+
+
+@pytest.mark.slow
+def test_a_row_does_not_depend_on_the_rest_of_the_sweep(tmp_path: Path) -> None:
+    sweep(tmp_path / "all", MANY, threads=2)
+    rows = table(tmp_path / "all")
+    alone = []
+    for number in (0, 57, 130, 159):
+        data = find_row(tmp_path / "all" / "study", number)[1].config("x")
+        one = {
+            "name": "study",
+            "base": {key: data[key] for key in ("top", "initial", "scheme")},
+            "include": [{"h": data["h"], "N": data["N"]}],
+            "measure": MANY["measure"],
+        }
+        sweep(tmp_path / str(number), one)
+        alone += [
+            {key: row[key] for key in without_origin(rows)[0] if key != "sample"}
+            for row in table(tmp_path / str(number))
+        ]
+    wanted = [{key: rows[number][key] for key in alone[0]} for number in (0, 57, 130, 159)]
+    assert repr(alone) == repr(wanted)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lanes", [1, 10**9])
+def test_lanes_do_not_change_a_bit(lanes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = list(RowReader(sweep_from(MANY)).rows())
+    usual = evaluate_batch(rows, MANY["measure"])
+    monkeypatch.setattr(seam, "LANE_ROWS", lanes)
+    monkeypatch.setattr(seam, "LANE_STEPS", lanes)
+    other = evaluate_batch(list(reversed(rows)), MANY["measure"])
+    for name, values in usual.values.items():
+        assert np.array_equal(values, other.values[name][::-1], equal_nan=True)
+    assert usual.message == other.message[::-1]
+
+
+def test_batches_hold_every_row_once_and_are_bounded() -> None:
+    rows = list(RowReader(sweep_from(MANY)).rows())
+    made = list(batches(iter(rows), 2))
+    assert sorted(row.number for batch in made for row in batch) == list(range(160))
+    assert len(made) >= 8
+    assert max(sum(row.N for row in batch) for batch in made) <= 160 * 60 // 8 + 1
+
+
+def test_work_can_be_done_in_another_process_in_any_order(tmp_path: Path) -> None:
+    def backend(made: Any, work: Work, stop: Any) -> Any:
+        for batch in reversed(list(made)):
+            sent = pickle.loads(pickle.dumps((work, batch)))
+            yield batch, pickle.loads(pickle.dumps(sent[0](sent[1])))
+
+    sweep(tmp_path / "here", MANY)
+    run_sweep(sweep_from(MANY), tmp_path / "there", backend=backend)
+    assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
+
+
+def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="exists and is not a sweep; nothing was written"):
+        sweep(tmp_path)
+    assert os.listdir(tmp_path / "study") == ["notes.txt"]
+
+
+def test_very_many_rows_need_a_confirmation(tmp_path: Path) -> None:
+    data = {**DATA, "grid": {"h": {"from": 0.1, "to": 1.0, "count": 100_001}}}
+    with pytest.raises(UsageError, match="100001 rows; a sweep of more than 100000 needs --yes"):
+        sweep(tmp_path, data)
+    assert not (tmp_path / "study").exists()
+    planned(sweep_from({**data, "grid": {"h": [0.1]}}), tmp_path, SweepOptions())
+    assert not (tmp_path / "study").exists()
+
+
+@pytest.mark.slow
+def test_series_are_stored_where_asked_for(tmp_path: Path) -> None:
+    sweep(tmp_path, {**DATA, "store": "series"})
+    rows = table(tmp_path)
+    for row in rows:
+        series = pq.read_table(tmp_path / "study" / "series" / row["digest"][:16] / "series.parquet")
+        energy = np.array(series["energy"])
+        assert np.abs(energy - energy[0]).max() == row["deviation.energy"]
+    assert len(os.listdir(tmp_path / "study" / "series")) == 4

@@ -1,0 +1,180 @@
+"""Sweeps that are stopped, killed or damaged: nothing finished is lost or run twice."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import time
+from pathlib import Path
+
+import pytest
+
+from attack.command import fork, start
+from sweeping import BASE, DATA, MANY, sweep, table, without_origin
+from topcli.config.sweep.document import sweep_from
+from topcli.errors import RunError, UsageError
+from topcli.studies.sweep.journal import Block, Journal
+from topcli.studies.sweep.run import Watcher
+
+
+def test_an_interrupted_sweep_continues(tmp_path: Path) -> None:
+    data = {**DATA, "grid": {"h": [0.001 * k for k in range(1, 21)]}}
+    asked: list[int] = []
+    watcher = Watcher(progress=lambda done, total, failed: asked.append(done), stop=lambda: bool(asked))
+    result = sweep(tmp_path, data, watcher, threads=1)
+    assert result.interrupted
+    assert 0 < result.finished < 20
+    rest = sweep(tmp_path, data)
+    assert (rest.ran, rest.finished, rest.interrupted) == (20 - result.finished, 20, False)
+    assert [row["row"] for row in table(tmp_path)] == list(range(20))
+
+
+def test_a_full_disk_ends_the_sweep_and_keeps_finished_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = {**DATA, "grid": {"h": [0.001 * k for k in range(1, 21)]}}
+    real, calls = os.pwrite, [0]
+
+    def full(handle: int, content: bytes, offset: int) -> int:
+        calls[0] += 1
+        if calls[0] == 3:
+            real(handle, content[:10], offset)
+            raise OSError(errno.ENOSPC, "no space left on device")
+        return real(handle, content, offset)
+
+    with monkeypatch.context() as patch:
+        # the lock's entry is written in this way, too
+        patch.setattr(os, "pwrite", full)
+        with pytest.raises(RunError, match="no space left on the device; the rows finished before are kept"):
+            sweep(tmp_path, data, threads=1)
+    kept = len(finished_digests(tmp_path / "study"))
+    assert kept > 0
+    assert sweep(tmp_path, data).ran == 20 - kept
+
+
+def test_a_torn_line_of_the_journal_is_cut_off_and_its_rows_run_again(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    path = tmp_path / "study" / "journal.jsonl"
+    whole = path.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    lost = len(json.loads(lines[-1][9:])["digest"])
+    path.write_bytes(whole[:-7])
+    result = sweep(tmp_path)
+    assert (result.ran, result.finished) == (lost, 4)
+    assert all(line.endswith(b"}\n") for line in path.read_bytes().splitlines(keepends=True))
+    assert path.read_bytes().startswith(b"".join(lines[:-1]))
+
+
+def test_a_torn_line_longer_than_what_follows_leaves_nothing(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    path = tmp_path / "study" / "journal.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole + b"0" * 100_000)
+    assert sweep(tmp_path).ran == 0
+    assert path.read_bytes() == whole
+
+
+def test_a_damaged_line_is_reported_and_its_rows_run_again(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    path = tmp_path / "study" / "journal.jsonl"
+    content = bytearray(path.read_bytes())
+    lost = len(json.loads(content.splitlines()[0][9:])["digest"])
+    content[content.index(b'"deviation.energy":[') + 22] ^= 1  # a digit
+    path.write_bytes(content)
+    messages: list[str] = []
+    result = sweep(tmp_path, watcher=Watcher(message=messages.append))
+    assert (result.ran, result.finished) == (lost, 4)
+    assert messages == [f"warning: {path}: 1 damaged lines; their rows run again"]
+
+
+def test_the_later_of_two_entries_of_a_row_counts(tmp_path: Path) -> None:
+    def block(digest: str, outcome: str) -> Block:
+        return Block([digest], [outcome], ["m"], ["c"], {"h": [0.1]}, {"x": [1.0]}, "cpu")
+
+    with Journal(tmp_path, write=True) as journal:
+        journal.append(block("aa" * 32, "blew_up"))
+        journal.append(block("bb" * 32, "completed"))
+        journal.append(block("aa" * 32, "completed"))
+        for index in (journal.index(),):
+            assert index.completed.tolist() == [True, True]
+            assert index.block.tolist() == [2, 1]
+    with Journal(tmp_path) as journal:
+        assert journal.index().block.tolist() == [2, 1]
+        assert journal.block(0).outcome == ["blew_up"]
+
+
+@pytest.mark.slow
+def test_a_second_sweep_in_the_folder_is_refused_while_the_first_lives(tmp_path: Path) -> None:
+    data = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9]}}
+    pid = fork(lambda: sweep(tmp_path, data).failed)
+    try:
+        lock = tmp_path / "study" / "lock"
+        deadline = time.monotonic() + 20.0
+        while not (lock.exists() and lock.stat().st_size) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        with pytest.raises(UsageError, match=rf"another sweep \(process {pid}\) is running in this folder"):
+            sweep(tmp_path)
+    finally:
+        os.kill(pid, 9)
+        os.waitpid(pid, 0)
+    assert sweep(tmp_path).finished == 4, "the lock dies with its process"
+
+
+def test_what_a_process_killed_at_its_start_has_left_is_no_obstacle(tmp_path: Path) -> None:
+    (tmp_path / "study").mkdir()
+    for name in ("lock", ".sweep.123.yaml", ".rows.123.parquet"):
+        (tmp_path / "study" / name).write_text("{")
+    assert sweep(tmp_path).finished == 4
+    found = sorted(os.listdir(tmp_path / "study"))
+    assert found == ["journal.jsonl", "lock", "manifest.json", "rows.parquet", "sweep.yaml"]
+
+
+@pytest.mark.slow
+def test_thirty_kills_lose_nothing_and_run_nothing_twice(tmp_path: Path) -> None:
+    data = {
+        **MANY,
+        "random": {**MANY["random"], "count": 60},
+        "base": {**BASE, "N": 50_000, "output": {"every": 50}},
+        "measure": ["deviation.energy", "drift.energy"],
+    }
+    file = tmp_path / "study.yaml"
+    file.write_text(sweep_from(data).to_yaml())
+    began = time.perf_counter()
+    sweep(tmp_path / "whole", data)
+    began = time.perf_counter()
+    sweep(tmp_path / "timed", data)
+    span = time.perf_counter() - began
+    wanted = without_origin(table(tmp_path / "whole"))
+    draw, kills, resumed = random.Random(12), 0, 0
+    for life in range(100):
+        out, patience, known = tmp_path / f"life{life}", 1.0, 0
+        while True:
+            running = start(
+                ["sweep", str(file), "--out", str(out)], tmp_path, [out, Path(os.environ["NUMBA_CACHE_DIR"])]
+            )
+            if kills < 30:
+                time.sleep(draw.uniform(0.0, 1.2 * patience * span))
+                running.kill()
+            said = running.finish()
+            digests = finished_digests(out / "study")
+            assert len(digests) == len(set(digests)), "a row ran twice"
+            assert len(digests) >= known, "a finished row was lost"
+            resumed += known > 0
+            patience = 1.0 if len(digests) > known else 1.3 * patience
+            known = len(digests)
+            if said.code == 0:
+                break
+            assert said.code == -9, said.err
+            kills += 1
+        assert repr(without_origin(table(out))) == repr(wanted)
+        if kills >= 30:
+            break
+    assert kills >= 30
+    assert resumed >= 5
+
+
+def finished_digests(folder: Path) -> list[str]:
+    """Digests in the complete lines of the journal."""
+    path = folder / "journal.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
+    return [digest for line in lines if line.endswith(b"\n") for digest in json.loads(line[9:])["digest"]]
