@@ -462,8 +462,8 @@ def test_members_beyond_the_domain_end_by_themselves() -> None:
 def test_rounded_tau_makes_its_complements_exact() -> None:
     """2 - tau and 4 - tau have no rounding error, except for a tiny scaled state, where tau itself matters more."""
     for tau in np.random.default_rng(78).uniform(1e-3, 0.9, 200).tolist():
-        rounded = rounded_tau(tau, 4.01e-3)
+        rounded = rounded_tau(tau, 8.01e-3)
         assert abs(rounded - tau) < 3.5e-16
         assert Fraction(2.0 - rounded) == 2 - Fraction(rounded)
         assert Fraction(2.0 + (2.0 - rounded)) == 4 - Fraction(rounded)
-        assert rounded_tau(tau, 3.99e-3) == tau
+        assert rounded_tau(tau, 7.99e-3) == tau

@@ -22,7 +22,7 @@ MARGIN = 0.9
 contracts."""
 CAP = 4.0
 """Longest step times sqrt(|c gamma|), before the margin. R does not vanish near the hanging top."""
-TINY_STATE = 4e-3
+TINY_STATE = 8e-3
 """Size of the scaled state below which tau is not rounded: the rounding would change E visibly."""
 HALVINGS = 50
 FOREVER = 1e300
