@@ -80,6 +80,7 @@ bench-steps: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/beyond.py
 	$(BIN)/python benchmarks/ensemble.py
 	$(BIN)/python benchmarks/large_ensembles.py
+	$(BIN)/python benchmarks/sweeps.py
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist

@@ -31,7 +31,7 @@ from topcli.config.load import load_experiment  # noqa: E402
 from topcli.config.models import Experiment  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine.driver import loop_of  # noqa: E402
-from topcli.studies.compare import under_scheme  # noqa: E402
+from topcli.studies.entries import under_scheme  # noqa: E402
 from topcli.studies.roundoff import roundoff_study  # noqa: E402
 
 BAR = 1.1

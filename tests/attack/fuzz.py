@@ -30,7 +30,7 @@ from attack.command import HEED, LIMIT, Said, Watch, content_of, fork, in_proces
 from attack.judge import Faults, Finding, judged
 from attack.mutations import Mutant, draw_for, mutant
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import load_any
+from topcli.config.load import load_any, load_named
 from topcli.config.models import Experiment
 from topcli.contracts import Stepper
 from topcli.engine.driver import plain_loop
@@ -169,7 +169,7 @@ class Trier:
         said = self.say(["run", case.file, "--out", "out", *(word for one in short for word in ("--set", one))])
         faults = judged(said)
         if not faults and said.code in (0, 1):
-            experiment = load_any(case.file, short)
+            experiment = load_named(case.file, short)
             if isinstance(experiment, Experiment):
                 faults += [("wrong rows", text) for text in [wrong_run(experiment, said, Path("out"))] if text]
         return faults

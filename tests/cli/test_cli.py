@@ -113,7 +113,7 @@ def test_json_is_one_document(cli) -> None:
     said = cli("run", HK, HYBRID, "--set", "N=100", "--json")
     document = said.json()
     assert document["schema_version"] == 1
-    assert [run["name"] for run in document["runs"]] == ["kowalevski_hk", "kowalevski_hybrid"]
+    assert [run["name"].partition("-")[0] for run in document["runs"]] == ["kowalevski_hk", "kowalevski_hybrid"]
 
 
 def test_set_is_validated_after_the_override(cli, in_tmp: Path) -> None:
@@ -123,7 +123,7 @@ def test_set_is_validated_after_the_override(cli, in_tmp: Path) -> None:
     said = cli("run", HK, "--set", "h=0")
     assert said.code == 2
     assert "h" in said.err
-    assert not (in_tmp / "results" / "kowalevski_hk").exists()
+    assert [path.name for path in (in_tmp / "results").iterdir()] == ["mine"]
 
 
 def test_quiet_says_nothing(cli) -> None:
@@ -141,15 +141,26 @@ def test_dry_run_writes_nothing(cli, in_tmp: Path) -> None:
 def test_one_failure_does_not_stop_the_other_runs(cli, in_tmp: Path) -> None:
     said = cli("run", "nonsense.yaml", HK, "--set", "N=50")
     assert said.code == 3
-    assert (in_tmp / "results" / "kowalevski_hk").is_dir()
+    assert list((in_tmp / "results").glob("kowalevski_hk-??????"))
     assert "1 of 2 runs succeeded; 1 failed" in said.err
     said = cli("run", "nonsense.yaml", HYBRID, "--set", "N=50", "--fail-fast")
     assert said.code == 2
-    assert not (in_tmp / "results" / "kowalevski_hybrid").exists()
+    assert not list((in_tmp / "results").glob("kowalevski_hybrid*"))
 
 
 def test_blow_up_is_reported_and_its_rows_kept(cli, in_tmp: Path) -> None:
-    said = cli("run", HK, "--set", "initial.omega=[1e200, 1e200, 1e200]", "--set", "h=1.0", "--set", "N=50")
+    said = cli(
+        "run",
+        HK,
+        "--name",
+        "kowalevski_hk",
+        "--set",
+        "initial.omega=[1e200, 1e200, 1e200]",
+        "--set",
+        "h=1.0",
+        "--set",
+        "N=50",
+    )
     assert said.code == 1
     assert "blew up at step 1 (t = 1)" in said.err
     report = json.loads((in_tmp / "results" / "kowalevski_hk" / "report.json").read_text())
@@ -189,7 +200,7 @@ def test_lists_come_from_the_registries(cli) -> None:
     assert [item["form"] for item in cli("list", "tops", "--json").json()["tops"]] == list(TOPS)
     assert [item["name"] for item in cli("list", "figures", "--json").json()["figures"]] == list(FIGURES)
     assert cli("list", "runs", "--json").json()["runs"] == []
-    cli("run", HK, "--set", "N=20", "--quiet")
+    cli("run", HK, "--name", "kowalevski_hk", "--set", "N=20", "--quiet")
     runs = cli("list", "runs", "--json").json()["runs"]
     assert [(run["name"], run["N"], run["outcome"]) for run in runs] == [("kowalevski_hk", 20, "completed")]
     assert "kowalevski_hk" in cli("list", "runs").out
@@ -246,7 +257,7 @@ def test_mistakes_take_at_most_three_lines(
 
 @pytest.mark.slow
 def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
-    done = process("run", HK, "--set", "N=100", "--json", cwd=tmp_path)
+    done = process("run", HK, "--name", "kowalevski_hk", "--set", "N=100", "--json", cwd=tmp_path)
     assert done.returncode == 0
     assert json.loads(done.stdout)["runs"][0]["outcome"] == "completed"
     assert done.stderr == ""
@@ -254,7 +265,7 @@ def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_output_without_colour_or_boxes_when_piped(tmp_path: Path) -> None:
-    done = process("run", HK, "--set", "N=100", cwd=tmp_path)
+    done = process("run", HK, "--name", "kowalevski_hk", "--set", "N=100", cwd=tmp_path)
     assert "\x1b" not in done.stdout + done.stderr
     assert "━" not in done.stdout
 
@@ -263,7 +274,17 @@ def test_output_without_colour_or_boxes_when_piped(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_keeps_what_was_written(tmp_path: Path, number: signal.Signals) -> None:
-    arguments = ["run", HK, "--set", "N=1000000000000", "--set", "output.every=100000", "--quiet"]
+    arguments = [
+        "run",
+        HK,
+        "--name",
+        "kowalevski_hk",
+        "--set",
+        "N=1000000000000",
+        "--set",
+        "output.every=100000",
+        "--quiet",
+    ]
     running = subprocess.Popen(
         [sys.executable, "-m", "topcli", *arguments], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )
@@ -306,8 +327,8 @@ def test_shell_completion(tmp_path: Path, words: str, expected: str) -> None:
 
 
 def test_dry_run_refuses_what_run_refuses(cli) -> None:
-    cli("run", HK, "--set", "N=50", "--quiet")
-    assert "up to date" in cli("run", HK, "--set", "N=50", "--dry-run").out
+    cli("run", HK, "--name", "kowalevski_hk", "--set", "N=50", "--quiet")
+    assert "up to date" in cli("run", HK, "--name", "kowalevski_hk", "--set", "N=50", "--dry-run").out
     said = cli("run", HK, "--dry-run")
     assert said.code == 2
     assert "holds a different experiment" in said.err
@@ -339,8 +360,8 @@ def test_init_does_not_overwrite_a_file_of_the_users(cli, in_tmp: Path) -> None:
 
 def test_tables_of_several_runs_have_titles(cli) -> None:
     out = cli("run", HK, HYBRID, "--set", "N=100").out
-    assert out.splitlines()[0] == "kowalevski_hk"
-    assert "kowalevski_hybrid" in out.splitlines()
+    assert out.splitlines()[0].startswith("kowalevski_hk-")
+    assert any(line.startswith("kowalevski_hybrid-") for line in out.splitlines())
 
 
 @pytest.mark.slow
@@ -354,7 +375,7 @@ def test_unusable_stdout_is_not_reported_as_a_bug(tmp_path: Path) -> None:
     assert "cannot write to standard output" in done.stderr
     assert "Traceback" not in done.stderr
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = process("run", HK, "--set", "N=50", cwd=tmp_path, env=environment)
+    done = process("run", HK, "--name", "kowalevski_hk", "--set", "N=50", cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr
 
 

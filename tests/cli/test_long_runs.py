@@ -25,7 +25,18 @@ HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> None:
     """Through the command: what SIGTERM or SIGKILL leaves is continued to the end of a run that was never stopped."""
-    arguments = ["run", HK, "--set", "N=12000000", "--set", "output.every=50000", "--checkpoint-every", "0"]
+    arguments = [
+        "run",
+        HK,
+        "--name",
+        "kowalevski_hk",
+        "--set",
+        "N=12000000",
+        "--set",
+        "output.every=50000",
+        "--checkpoint-every",
+        "0",
+    ]
     running = subprocess.Popen(
         [sys.executable, "-m", "topcli", *arguments],
         cwd=tmp_path,
@@ -79,11 +90,11 @@ def test_a_file_that_may_not_grow_is_closed_and_readable(tmp_path: Path, suffix:
         f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}));"
         "from topcli.__main__ import main;"
         f"sys.argv = ['topcli', 'run', {HK!r}, '--out', {str(tmp_path)!r}, '--format', {suffix!r}, '--quiet',"
-        "'--set', 'N=300000']; main()"
+        "'--name', 'x', '--set', 'N=300000']; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1, done.stderr
-    assert f"kowalevski_hk/series.{suffix}: the file would exceed the size limit; the run up to step" in done.stderr
+    assert f"x/series.{suffix}: the file would exceed the size limit; the run up to step" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     (stored,) = stored_runs(tmp_path)
     assert stored.manifest["outcome"] == "interrupted"

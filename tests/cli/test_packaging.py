@@ -53,8 +53,8 @@ def use(python: Path, where: Path, package: Path, **environment: str) -> None:
     found = run_python(python, where, "-c", "import topcli; print(topcli.__file__)", **environment)
     assert Path(found.strip()).resolve().parent == package.resolve()
     for scene in ("kowalevski-hk", "kowalevski_generic_hk"):  # a YAML and a TOML file
-        run_python(python, where, "-m", "topcli", "run", scene, "--set", "N=100", "-q", **environment)
-        assert (where / "results" / scene.replace("-", "_") / "series.parquet").exists()
+        run_python(python, where, "-m", "topcli", "run", scene, "--name", scene, "--set", "N=100", "-q", **environment)
+        assert (where / "results" / scene / "series.parquet").exists()
     assert "hybrid" in run_python(python, where, "-m", "topcli", "list", "schemes", **environment)
 
 

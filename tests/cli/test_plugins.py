@@ -133,7 +133,19 @@ def test_a_step_that_uses_complex_numbers_works_from_the_cache_too(tmp_path: Pat
         1,
     )
     (tmp_path / "turn.py").write_text("import cmath\n" + text)
-    arguments = ["run", HK, "--scheme-file", "turn.py", "--set", "scheme=turn", "--set", "N=50", "--force"]
+    arguments = [
+        "run",
+        HK,
+        "--name",
+        "kowalevski_hk",
+        "--scheme-file",
+        "turn.py",
+        "--set",
+        "scheme=turn",
+        "--set",
+        "N=50",
+        "--force",
+    ]
     arguments += ["--format", "csv"]
     series = []
     for _ in range(2):

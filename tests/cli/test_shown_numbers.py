@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from shown import cells_of, cells_under, changed_result, distinct, named_differently, shows, table_of
-from topcli.studies import compare, lax, order, roundoff
+from topcli.studies import analyse, compare, lax, order, roundoff
 from topcli.studies.bench import run as bench
 
 
@@ -32,7 +32,7 @@ def test_compare_shows_what_it_measured(
     cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, config: str, names: tuple[str, ...]
 ) -> None:
     def change(found: Any) -> Any:
-        figures = distinct(found.figures, 1, keep=("power", "N", "every"))
+        figures = distinct(found.figures, 1, keep=("power", "h", "N", "every"))
         return dataclasses.replace(found, figures=named_differently(figures, ("verdict", "model")))
 
     monkeypatch.setattr(compare, "compare_schemes", changed_result(change, compare.compare_schemes))
@@ -289,6 +289,11 @@ def test_a_run_shows_the_report_that_it_stored(cli: Callable[..., Any]) -> None:
     invariants = report["invariants"]
     numbers = [value for row in invariants for value in row.values() if isinstance(value, float)]
     assert len(set(numbers)) > 0.8 * len(numbers)  # hardly any two fields are equal
+    expect_invariants(rows, invariants)
+
+
+def expect_invariants(rows: list[list[str]], invariants: list[dict[str, Any]]) -> None:
+    """The rows are the report on the invariants, each line once."""
     last, shown = "", []
     for row in rows:
         key = RELATIVE[last] if row[0] == "relative" else INVARIANT_ROWS[row[0]]
@@ -297,6 +302,43 @@ def test_a_run_shows_the_report_that_it_stored(cli: Callable[..., Any]) -> None:
         shown.append(key)
     assert shown == list(dict.fromkeys(shown))
     assert set(shown) == {*INVARIANT_ROWS.values(), *RELATIVE.values()}
+
+
+@pytest.mark.parametrize("swings", [3, 7])
+def test_analyse_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, swings: int) -> None:
+    def change(found: Any) -> Any:
+        report = distinct(found.report, 5)
+        report["swing"]["times"] = [1.25 * i + 0.5 for i in range(swings)]
+        return dataclasses.replace(found, report=named_differently(report, ("verdict", "model", "steps_from")))
+
+    monkeypatch.setattr(analyse, "analyse_series", changed_result(change, analyse.analyse_series))
+    cli("run", "euler_hk", "--quiet")
+    command = ("analyse", "results/euler_hk/series.parquet", "--config", "euler_hk")
+    title, *lines = cli(*command).out.splitlines()
+    found = cli(*command, "--json").json()
+    assert title == f"{found['file']}: {found['top_title']}"
+    gap = lines.index("")
+    rows = iter([cells_of(line) for line in lines[:gap]])
+    swing = found["swing"]
+    expect(next(rows), "rows", [(found["rows"],)])
+    label, times = next(rows)
+    assert label == "times"
+    span, _, kind = times.partition(", ")
+    assert shows(span, found["t_first"], found["t_last"])
+    assert kind == found["times"]
+    expect(next(rows), "steps", [(f"{found['steps']} ({found['steps_from']})",)])
+    expect(next(rows), "reference from", [("the config's initial state",)])
+    expect(next(rows), "first row − config", [(found["reference"]["difference"],)])
+    expect(next(rows), "max error", [(found["max_error"],)])
+    expect(next(rows), "error at the end", [(found["end_error"],)])
+    label, times = next(rows)
+    assert label == f"minima of {swing['component']}"
+    listed, _, more = times.partition(" and ")
+    assert [float(time) for time in listed.split(", ")] == swing["times"][:5]
+    assert more == ("2 more" if swings == 7 else "")
+    expect(next(rows), "their spacing", [(swing["spacing"], swing["reference_spacing"])])
+    assert next(rows, None) is None
+    expect_invariants([cells_of(line) for line in lines[gap + 1 :]], found["invariants"])
 
 
 def test_an_ensemble_shows_the_report_that_it_stored(cli: Callable[..., Any]) -> None:

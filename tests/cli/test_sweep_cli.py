@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -147,6 +148,20 @@ def test_a_mistake_ends_with_file_and_line_before_anything_is_written(cli: Cli, 
     assert not Path("results").exists()
 
 
+def test_threads_and_a_cluster_do_not_go_together(cli: Cli, study: Path) -> None:
+    said = cli("sweep", "study.yaml", "--dask", "local:2", "--threads", "3")
+    assert said.code == 2
+    assert said.err == "error: --threads does not go with --dask: each worker has its own number of threads\n"
+    assert not Path("results").exists()
+
+
+def test_a_wrong_address_of_a_cluster_is_refused_before_anything_is_written(cli: Cli, study: Path) -> None:
+    said = cli("sweep", "study.yaml", "--dask", "nowhere")
+    assert said.code == 2
+    assert said.err.startswith("error: --dask 'nowhere': neither a number of workers nor the address of a scheduler\n")
+    assert not Path("results").exists()
+
+
 def test_very_many_rows_ask_for_a_confirmation(cli: Cli, study: Path) -> None:
     many = "grid.h={from: 0.001, to: 0.01, count: 60000}"
     said = cli("sweep", "study.yaml", "--set", many)
@@ -230,3 +245,45 @@ def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli: Cli, study: P
     assert 0 < len(rows()) < 40
     plan = cli("sweep", "study.yaml", *long, *steps[:2], "--dry-run", "--json").json()
     assert (plan["done"], plan["new"]) == (len(rows()), 40 - len(rows()))
+
+
+@pytest.mark.slow
+def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
+    """Of six rows one fails, two are done before, and one is left over: no two numbers are equal."""
+    failing = ["--set", "base.N=500", "--set", "grid.scheme=[rk4]"]
+    cli("sweep", "study.yaml", *failing, "--set", "grid.h=[0.01, 0.02, 0.07]")
+    steps = ["--set", "grid.h=[0.01, 0.02, 0.03, 0.04, 0.05, 9.0]"]
+    plan = cli("sweep", "study.yaml", *failing, *steps, "--dry-run", "--json").json()
+    numbers = ("rows", "new", "done", "failed", "repeated", "not_current")
+    assert [plan[key] for key in numbers] == [6, 4, 2, 0, 0, 1]
+    said = cli("sweep", "study.yaml", *failing, *steps)
+    place = Path("results/study/rows.parquet")
+    assert f"study: 6 of 6 rows finished; 1 failed -> {place} (4 ran)" in said.err.splitlines()
+    assert "study: 1 earlier rows no longer belong to the sweep; they are not current" in said.err.splitlines()
+    assert said.out.split() == ["outcome", "rows", "blew_up", "1", "completed", "5"]
+    again = cli("sweep", "study.yaml", *failing, *steps, "--retry-failed", "--json").json()
+    counted = {key: again[key] for key in ("rows", "finished", "ran", "failed", "not_current", "outcomes")}
+    outcomes = {"blew_up": 1, "completed": 5}
+    assert counted == {"rows": 6, "finished": 6, "ran": 1, "failed": 1, "not_current": 1, "outcomes": outcomes}
+    manifest = json.loads(Path("results/study/manifest.json").read_text())
+    assert (manifest["rows"], manifest["outcomes"]) == (6, outcomes)
+    for retry, expected in (([], [6, 0, 6, 1, 0, 1]), (["--retry-failed"], [6, 1, 5, 0, 0, 1])):
+        plan = cli("sweep", "study.yaml", *failing, *steps, "--dry-run", "--json", *retry).json()
+        assert [plan[key] for key in numbers] == expected
+        text = cli("sweep", "study.yaml", *failing, *steps, "--dry-run", *retry).out.splitlines()[0]
+        assert text == f"study: {expected[1]} new, {expected[2]} done, {expected[3]} failed, in results/study"
+
+
+@pytest.mark.parametrize(
+    ("finished", "failed", "interrupted", "code"),
+    [(4, 0, False, 0), (4, 1, False, 3), (4, 4, False, 1), (1, 1, False, 1), (1, 1, True, 130), (0, 0, False, 0)],
+)
+def test_exit_codes_count_the_rows_that_finished(finished: int, failed: int, interrupted: bool, code: int) -> None:
+    """Of four rows; with --fail-fast the only one that finished may have failed."""
+    from types import SimpleNamespace
+
+    from topcli.cli.sweep import _exit_code
+
+    plan = SimpleNamespace(survey=SimpleNamespace(count=4))
+    result: Any = SimpleNamespace(finished=finished, failed=failed, interrupted=interrupted, plan=plan)
+    assert _exit_code(result) == code

@@ -27,6 +27,7 @@ COMMANDS = [
     "lax euler hk --set N=40",
     "run euler_hk --set N=40",
     "run euler_ensemble --set N=40",
+    "analyse results/euler_hk/series.parquet --config euler_hk",
     "roundoff hk --config euler_hk --steps 300 --copies 2",
     "order hk rk4 bs --top euler --steps 600",
     "stress rk4 hk --top euler --case spherical --case one-step --case resonance",
@@ -42,6 +43,8 @@ def words(text: str) -> Counter[str]:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_tables_fit_the_terminal(cli, monkeypatch: pytest.MonkeyPatch, command: str, width: int) -> None:
     """Each table as the command hands it over, against the lines printed for it."""
+    if command.startswith("analyse"):
+        assert cli("run", "euler_hk", "--set", "N=4000", "--quiet").code == 0
     tables = []
     monkeypatch.setattr(talk, "screen_width", lambda: width)
     original = talk.table_lines

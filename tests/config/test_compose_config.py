@@ -21,7 +21,8 @@ from topcli.config.starter import starter_config
 from topcli.contracts import Stepper, Top
 from topcli.schemes import registry
 from topcli.schemes.compose import COMPOSITIONS
-from topcli.studies.compare import compare_schemes, under_scheme
+from topcli.studies.compare import compare_schemes
+from topcli.studies.entries import under_scheme
 
 HK = CONFIGS / "kowalevski_hk.yaml"
 GENERIC = str(CONFIGS / "kowalevski_generic_hk.toml")

@@ -164,7 +164,7 @@ def test_overrides_replace_keys() -> None:
 @pytest.mark.parametrize(
     ("override", "says"),
     [
-        ("foo", "--set foo: expected key=value, such as --set h=0.01"),
+        ("foo", "--set foo: expected key=value, such as h=0.01"),
         ("", "--set : expected key=value"),
         ("=3", "--set =3: '' is not a key"),
         ("top..c0=1", "--set top..c0=1: 'top..c0' is not a key"),

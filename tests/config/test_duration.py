@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import re
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,3 +94,28 @@ def test_overrides_and_keywords_replace_the_number_of_steps() -> None:
 def test_a_wrong_keyword_is_named_without_a_place() -> None:
     with pytest.raises(ConfigError, match=r"^h: must not be zero"):
         topcli.simulate("kowalevski_hk", h=0)
+
+
+def test_keywords_replace_keys_of_a_mapping_which_stays_as_it_is() -> None:
+    """In the Python call: the last word is that of an override, then a keyword, then the mapping, a file or a scene."""
+    given: dict[str, Any] = load_experiment("kowalevski_hk", ["N=20", "h=0.01"]).resolved()
+    before = copy.deepcopy(given)
+
+    def ran(config: Any, overrides: Sequence[str] = (), **changes: Any) -> tuple[str, int, float]:
+        found = topcli.simulate(config, overrides=overrides, **changes)
+        return found.scheme, len(found) - 1, float(found.t[-1])
+
+    assert ran(given) == ("hk", 20, 0.2)
+    assert ran(given, h=0.5) == ran(None, **{**given, "h": 0.5}) == ("hk", 20, 10.0)
+    assert ran(given, scheme="rk4", N=30) == ("rk4", 30, 0.3)
+    assert ran(given, ["h=0.25"], h=0.5, N=4) == ("hk", 4, 1.0)
+    assert ran("kowalevski_hk", ["h=0.25"], h=0.5, N=4) == ("hk", 4, 1.0)
+    assert ran(given, initial={"omega": [1, 0, 0], "gamma": [0, 0, 1]}, N=1) == ("hk", 1, 0.01)
+    assert given == before
+    same = topcli.simulate(given, h=0.5)
+    assert same.states.tobytes() == topcli.simulate({**given, "h": 0.5}).states.tobytes()
+    assert same.states.tobytes() == topcli.simulate("kowalevski_hk", h=0.5, N=20).states.tobytes()
+    starts = np.array([load_experiment("kowalevski_hk").y0] * 2)
+    assert topcli.simulate_ensemble(given, states=starts, N=30).n[-1] == 30
+    with pytest.raises(ConfigError, match="hh"):
+        topcli.simulate(given, hh=0.5)

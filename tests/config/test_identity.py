@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from topcli.config.load import experiment_from as single_from
-from topcli.config.load import load_any
+from topcli.config.load import load_any, load_experiment
 from topcli.schemes.registry import all_schemes
 
 PLACES = tuple[str | int, ...]
@@ -35,8 +35,10 @@ def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
             return next(one for one in schema["enum"] if one != value)
         case bool():
             return not value
+        case int() | str() if "enum" in schema:
+            return next(one for one in schema["enum"] if one != value)
         case int():
-            return value + 1
+            return value + 2 if path[-1] == "order" else value + 1  # orders are even
         case float():
             return value * (1.0 + 2.0**-40) if value else 2.0**-40
         case list():
@@ -71,10 +73,10 @@ def one_of_each() -> list[Any]:
 
 @pytest.mark.parametrize(("scene", "scheme"), one_of_each())
 def test_every_key_of_a_run_enters_its_digest(scene: str, scheme: str) -> None:
-    experiment = load_any(scene, [f"scheme={scheme}", "output.every=3"])
+    experiment = load_experiment(scene, [f"scheme={scheme}", "output.every=3"])
     resolved = experiment.resolved()
     options = experiment.scheme.options.model_json_schema().get("properties", {})
-    digests = {(): experiment.digest}
+    digests: dict[PLACES, str] = {(): experiment.digest}
     outside = {}
     for path, value in leaves(resolved):
         if path in NAMES:

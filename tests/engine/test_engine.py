@@ -119,7 +119,7 @@ def test_stop_between_chunks_ends_as_interrupted(monkeypatch: pytest.MonkeyPatch
 def test_negative_h_retraces_to_the_order_of_the_scheme() -> None:
     _, there = rows(Run(Kowalevski(), RK2, GEN, 1e-3, 1000))
     _, back = rows(Run(Kowalevski(), RK2, there[-1], -1e-3, 1000))
-    assert 0 < np.abs(back[-1] - GEN).max() < 1e-6
+    assert 0 < np.abs(back[-1] - GEN).max() < 1e-8  # typically 4e-10
 
 
 SCHEME_FILE = """

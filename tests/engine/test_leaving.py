@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -262,3 +263,21 @@ def test_stress_counts_left_motion_as_broken() -> None:
     assert judged.finding.result is Result.BROKE
     assert judged.finding.figures["largest"] == pytest.approx(7.05e10, rel=0.05)
     assert (judged.finding.step, judged.finding.why) == (14, "left its energy surface at step 14 (t = 28)")
+
+
+class Undefined(Heavy):
+    """A top whose energy is nan where omega1 < 0."""
+
+    def invariants(self) -> tuple[Invariant, ...]:
+        values = {"energy": lambda y: np.sqrt(y[:, 0])}
+        return tuple(replace(one, value=values.get(one.name, one.value)) for one in super().invariants())
+
+
+@pytest.mark.slow
+def test_an_energy_that_is_undefined_at_the_start_is_not_judged() -> None:
+    states = np.tile(np.array(GEN), (1000, 1))
+    states[300:, 0] = 1e12  # its square root is beyond a hundred times the terms
+    with np.errstate(all="ignore"):
+        assert left_by_each(Undefined(), states) == {900}
+        states[:300, 0] = -1.0
+        assert left_by_each(Undefined(), states) == {None}

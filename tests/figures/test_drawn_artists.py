@@ -15,12 +15,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from test_figures import drawn_from
+from topcli.figures.analysis import loaded_analysis
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_comparison
 from topcli.figures.contract import Loaded, Request
 from topcli.figures.make import make_figure, write_figure
 from topcli.figures.picture import draw
+from topcli.studies.analyse import Analysis
 from topcli.studies.compare import Comparison
+from topcli.tops.euler import Euler
 
 GAMMA = [("gamma1", r"$\gamma_1$"), ("gamma2", r"$\gamma_2$"), ("gamma3", r"$\gamma_3$")]
 OMEGA = [("omega1", r"$\omega_1$"), ("omega2", r"$\omega_2$"), ("omega3", r"$\omega_3$")]
@@ -341,7 +344,7 @@ def test_a_comparison_draws_errors_and_swings(tmp_path: Path, monkeypatch: pytes
     for i, name in enumerate(("hk", "rk4", "bs")):
         series[f"error:{name}"] = 10.0 ** (-i) * t
         series[f"swing:{name}"] = np.cos(t + i)
-    figures = {"schemes": [{"scheme": name} for name in ("hk", "rk4", "bs")], "reference": {"swing": "gamma1"}}
+    figures = {"schemes": [{"label": name} for name in ("hk", "rk4", "bs")], "reference": {"swing": "gamma1"}}
     write_figure("compare", loaded_comparison(Comparison({**figures, "config": {}}, series)), tmp_path)
     left, right = seen[0].axes
     assert (left.get_yscale(), right.get_yscale()) == ("log", "linear")
@@ -359,6 +362,42 @@ def test_a_comparison_draws_errors_and_swings(tmp_path: Path, monkeypatch: pytes
     assert shown == {str(line.get_label()): look(line) for line in right.lines}
     assert all(look(line) == shown[str(line.get_label())] for line in left.lines)
     assert len(set(shown.values())) == 4
+
+
+@pytest.mark.parametrize("reference", [True, False])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_an_analysis_draws_errors_swings_and_deviations(reference: bool, direction: float) -> None:
+    """m² never moves here, and a logarithmic axis has no zero: it has no line."""
+    t = direction * np.linspace(3.0, 7.0, 50)
+    series = {"t": t, "swing": np.cos(t), "deviation:m_sq": np.zeros(50), "deviation:m_omega": 1e-6 * np.abs(t - t[0])}
+    if reference:
+        series |= {"error": 1e-4 * np.abs(t - t[0]), "swing:reference": np.cos(1.01 * t)}
+    figure = drawn(loaded_analysis(Analysis({"config": {}, "file": "x.csv", "sha256": ""}, series), Euler()))
+    error = [("error of the state", "log", [("error", "series")])]
+    swing = [("swing:reference", "reference")] if reference else []
+    panels = [
+        *(error if reference else []),
+        (r"$\omega_2$", "linear", [*swing, ("swing", "series")]),
+        ("deviation of the invariants", "log", [("deviation:m_omega", r"$\boldsymbol{m}\cdot\boldsymbol{\omega}$")]),
+    ]
+    looks = {}
+    for axes, (ylabel, scale, lines) in zip(figure.axes, panels, strict=True):
+        assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_yscale()) == ("$t$", ylabel, scale)
+        assert axes.get_xlim() == (t.min(), t.max())
+        for line, (column, label) in zip(axes.lines, lines, strict=True):
+            assert line.get_label() == label
+            looks.setdefault(label, look(line))
+            assert looks[label] == look(line)
+            expected = series[column] if scale == "linear" else np.where(series[column] > 0.0, series[column], np.nan)
+            np.testing.assert_array_equal(data_of(line), np.column_stack([t, expected]))
+            assert in_sight(axes, line)
+        if not reference:
+            assert keys_are_true(axes)
+    if reference:
+        (legend,) = figure.legends
+        shown = {text.get_text(): look(one) for text, one in zip(legend.get_texts(), legend.get_lines(), strict=True)}
+        assert shown == looks
+        assert len(set(looks.values())) == len(looks)
 
 
 def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,7 +26,7 @@ from topcli.figures.heat import cell_edges
 from topcli.figures.make import make_figure
 from topcli.figures.order import loaded_order
 from topcli.figures.picture import draw
-from topcli.figures.sweep import Choice, scale_of, sweep_figure
+from topcli.figures.sweep import Choice, scale_of, sweep_figure, sweep_notes
 from topcli.studies.rows import read_rows
 
 NAN = math.nan
@@ -434,3 +434,16 @@ def test_the_figure_of_orders_is_drawn_from_the_stored_study(tmp_path: Path, mon
     assert len(runs) == 2
     make_figure(FIGURES["order"], Request(results, force=True), tmp_path, ["png"])
     assert len(runs) == 3
+
+
+def test_notes_count_each_outcome_by_itself(folder: Path) -> None:
+    path = folder / "rows.parquet"
+    rows = pq.read_table(path)
+    outcome = ["blew_up", "blew_up", *rows.column("outcome").to_pylist()[2:]]
+    at = rows.schema.get_field_index("outcome")
+    pq.write_table(rows.set_column(at, "outcome", [outcome]), path)
+    said = sweep_notes(read_rows(folder), Choice("h", "error.max", "scheme", aggregate="max"))
+    assert said == [
+        "5 of 81 rows did not complete: 2 blew_up, 3 no_convergence",
+        "3 of 81 values could not be computed (nan)",
+    ]

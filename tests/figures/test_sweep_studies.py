@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,3 +83,13 @@ def test_the_law_of_the_swings() -> None:
     law = figure.views[0].law
     assert law is not None
     assert law(np.array([1e-3])) == pytest.approx([28.1716], abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_view_may_ask_for_a_logarithmic_axis(figure: SweepStudyFigure, tmp_path: Path) -> None:
+    """The few values of top.A alone would not."""
+    lower = figure.views[1]
+    for xlog, scale in ((False, "linear"), (True, "log")):
+        loaded = replace(figure, views=(replace(lower, xlog=xlog),)).load(Request(tmp_path / "results"))
+        (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
+        assert axes.get_xscale() == scale

@@ -144,11 +144,15 @@ def test_gammas_change_is_more_than_a_double() -> None:
 
 
 CARRIED = {
-    "hk/kowalevski": (range(6), range(6, 12)),
-    "hk/heavy": (range(6), range(6, 12)),
-    "bs/euler+gamma": (range(6), range(6, 12)),
-    "midpoint/heavy": (range(6), range(12, 18)),
+    **{f"{name}/euler": (range(3), range(3, 6)) for name in ("hk", "bs", "bs-implicit", "midpoint")},
+    **{f"{name}/euler+gamma": (range(6), range(6, 12)) for name in ("hk", "bs", "bs-implicit", "midpoint")},
+    **{f"hk/{top}": (range(6), range(6, 12)) for top in ("kowalevski", "heavy")},
+    "hk/lagrange": ((0, 1, 3, 4, 5), range(6, 11)),
+    **{f"midpoint/{top}": (range(6), range(12, 18)) for top in ("kowalevski", "heavy")},
+    "midpoint/lagrange": ((0, 1, 3, 4, 5), (12, 13, 15, 16, 17)),
+    **{f"splitting/{top}": (range(6), range(12, 18)) for top in ("kowalevski", "heavy")},
     "hybrid-xi/kowalevski": (range(2, 8), range(10, 16)),
+    "hybrid-sym/kowalevski": (range(2, 8), range(10, 16)),
 }
 """Slots of the working state that are sums, and those of what they have lost."""
 
@@ -160,7 +164,7 @@ def test_every_sum_is_carried_on(name: str) -> None:
     made = built(scheme, top, True)
     assert made.enter is not None
     p, h = top.constants(), 0.01
-    start = made.step(made.enter(GEN, h, p), h, p)
+    start = made.step(made.enter(gen(top), h, p), h, p)
     sums, lost = CARRIED[name]
 
     def after(s: tuple[float, ...], i: int, j: int) -> Fraction:

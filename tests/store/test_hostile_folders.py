@@ -99,7 +99,7 @@ def test_damaged_manifest_is_reported_as_damage(cli, in_tmp: Path, monkeypatch: 
     assert cli("list", "runs").code == 0
     monkeypatch.setattr(run_study, "Run", None)  # refused before anything is computed
     for more in ((), ("--force",), ("--resume",), ("--dry-run",)):
-        said = cli("run", "kowalevski_hk", "--set", "N=300", *more)
+        said = cli("run", "kowalevski_hk", "--name", "kowalevski_hk", "--set", "N=300", *more)
         assert said.code == 2
         assert f"results/{NAME}: holds a damaged run ({MANIFEST}: " in said.err
         assert len(said.err) < 1000
@@ -310,7 +310,9 @@ def test_a_run_looks_at_its_own_name_alone(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.slow
 def test_failed_runs_are_run_again_on_request(cli, in_tmp: Path) -> None:
-    arguments = ["run", "kowalevski_hk"] + [word for key in ("N=300", *BLOW_UP) for word in ("--set", key)]
+    arguments = ["run", "kowalevski_hk", "--name", "kowalevski_hk"] + [
+        word for key in ("N=300", *BLOW_UP) for word in ("--set", key)
+    ]
     assert cli(*arguments).code == 1
     said = cli(*arguments)
     assert said.code == 1

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from topcli.schemes.registry import all_schemes
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint, write_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.series import read_series
+from topcli.studies import resume
 from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
@@ -236,3 +239,31 @@ def test_space_is_reserved_from_the_first_checkpoint_on(tmp_path: Path) -> None:
     assert any(checkpoint for checkpoint, _ in seen)
     assert all(sizes == [262144] for checkpoint, sizes in seen if checkpoint)
     assert not (folder / "reserve").exists()
+
+
+@pytest.mark.parametrize(("cost", "pause"), [(0.05, 10.0), (2.0, None)])
+def test_slow_checkpoints_are_written_less_often(
+    cost: float, pause: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next one is due ten seconds after the end of the last, or COST times as long as that one took."""
+    clock, written = [0.0], []
+
+    def write(folder: Path, checkpoint: Any) -> None:
+        clock[0] += cost
+        written.append(checkpoint.done)
+
+    state = SimpleNamespace(done=7, series=SimpleNamespace(length=1))
+    recorder = SimpleNamespace(series=state.series)
+    monkeypatch.setattr(resume, "write_checkpoint", write)
+    monkeypatch.setattr(resume, "reserve", lambda folder: None)
+    monkeypatch.setattr(resume.Checkpoints, "_remember", lambda self, run, recorder, flush: state)
+    kept: Any = resume.Checkpoints(SimpleNamespace(folder=tmp_path), {}, 10.0, lambda: clock[0])
+    clock[0] = 5.0
+    kept.consider(None, recorder)
+    assert written == [7]
+    ended, pause = clock[0], pause or resume.COST * cost
+    assert pause > 10.0 or cost < 1.0
+    for time, count in ((ended + 0.999 * pause, 1), (ended + 1.001 * pause, 2)):
+        clock[0] = time
+        kept.consider(None, recorder)
+        assert len(written) == count

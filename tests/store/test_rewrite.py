@@ -208,6 +208,11 @@ def test_a_users_files_are_kept(tmp_path: Path) -> None:
     assert made.set_aside is not None
     assert (made.set_aside / "notes.txt").read_text() == "mine"
     assert (made.set_aside / "series.parquet").exists()
+    kept = f"kept the earlier folder of this run, with files that are not topcli's, as {made.set_aside}"
+    assert made.set_aside_message == kept
+    other = run_experiment(experiment("scheme=rk4"), tmp_path, force=True)
+    assert other.set_aside_message == f"renamed the earlier, different run to {other.set_aside}"
+    assert run_experiment(experiment("name=new"), tmp_path).set_aside_message == ""
 
 
 def test_an_unfinished_run_is_continued_in_its_own_format(tmp_path: Path, small_chunks: None) -> None:
@@ -239,3 +244,19 @@ def test_the_plan_says_that_a_run_will_be_rewritten(cli: Any) -> None:
     assert "x: will be rewritten as csv: 51 rows" in cli(*command, "--format", "csv", "--dry-run").out
     assert "(rewritten as csv)" in cli(*command, "--format", "csv").err
     assert cli(*command, "--json").json()["runs"][0]["status"] == "rewritten as parquet"
+
+
+@pytest.mark.slow
+def test_the_step_at_which_a_run_left_its_motion_stays_in_its_tables(tmp_path: Path) -> None:
+    """HK with so long a step that gamma² grows to 2e59, as parquet, csv and parquet again."""
+    big = ["h=2", "N=1000"]
+    first = run_experiment(load_experiment("kowalevski_hk", big), tmp_path)
+    about = pq.read_metadata(first.stored.series).metadata
+    left = first.stored.manifest["left_motion"]
+    assert json.loads(about[b"topcli.left_motion"]) == left
+    assert 0 < left["step"] < 1000
+    assert run_experiment(load_experiment("kowalevski_hk", [*big, CSV]), tmp_path).status == "rewritten as csv"
+    again = run_experiment(load_experiment("kowalevski_hk", big), tmp_path)
+    assert again.status == "rewritten as parquet"
+    assert again.stored.manifest["left_motion"] == left
+    assert pq.read_metadata(again.stored.series).metadata[b"topcli.left_motion"] == about[b"topcli.left_motion"]

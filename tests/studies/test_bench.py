@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 import math
+import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +24,7 @@ from topcli.schemes.registry import find_scheme
 from topcli.studies.bench import competitors as entrants
 from topcli.studies.bench.competitors import FirstCall, NoResultError, SchemeCompetitor
 from topcli.studies.bench.ladder import Rung
-from topcli.studies.bench.measure import Effort, explore, time_all
+from topcli.studies.bench.measure import Effort, Measured, Measurements, as_rows, explore, time_all
 from topcli.studies.bench.run import Entrants, bench, choose
 from topcli.studies.bench.scenes import Problem, bench_problems
 from topcli.studies.peers import PEERS, Peer, find_peers, missing
@@ -207,3 +210,108 @@ def test_scipy_as_a_peer(short: Problem) -> None:
         assert all(row["seconds"] > 0.0 for row in points)
     ours, theirs = (np.array([row["error"] for row in rows[name]["points"]]) for name in list(rows)[1:])
     assert ours == pytest.approx(theirs, rel=0.2, abs=1e-12)  # the same method
+
+
+def test_a_rung_s_figures_are_those_of_its_samples(short: Problem) -> None:
+    """The process with the smallest median counts; times are per unit of simulated time."""
+    samples = [[8.0, 4.0, 7.0, 5.0], [3.0, 9.0, 2.0, 4.0], [6.0, 6.5, 5.5, 1.0]]
+    rung = Measured(Rung(0.25), 1e-3, 2e-4, {"energy": 3e-5, "gamma_sq": 4e-6}, 77.0, 88.0, samples)
+    untimed = Measured(Rung(0.5), 1e-2, 2e-3, {}, 77.0, 88.0)
+    one, other = as_rows(Measurements(Scripted([], [], short), [rung, untimed]), 10.0)
+    assert one["seconds"] == statistics.median(samples[1]) / 10.0
+    assert one["fastest"] == 0.2
+    assert one["quartiles"] == pytest.approx([q / 10.0 for q in (2.75, 5.25)])
+    assert one["repetitions"] == 4
+    assert one["processes"] == pytest.approx([statistics.median(process) / 10.0 for process in samples])
+    assert (one["value"], one["error"], one["end_error"], one["drift"]) == (0.25, 1e-3, 2e-4, 3e-5)
+    assert one["invariants"] == {"energy": 3e-5, "gamma_sq": 4e-6}
+    assert (other["seconds"], other["fastest"], other["quartiles"]) == (7.7, 7.7, [7.7, 7.7])
+    assert (other["repetitions"], other["processes"], other["drift"]) == (0, [], 0.0)
+
+
+@pytest.mark.slow
+def test_stored_figures_are_those_of_the_stored_samples(short: Problem) -> None:
+    """What is stored of a real measurement agrees with itself."""
+    result = bench(short, choose(short, ("rk4", "hk")), [], Effort(0.002, 3))
+    rows = [row for competitor in result["competitors"] for row in competitor["points"]]
+    assert len(rows) > 6
+    for row in rows:
+        low, high = row["quartiles"]
+        assert 0.0 < row["fastest"] <= low <= row["seconds"] <= high
+        if row["repetitions"]:
+            assert row["seconds"] == min(row["processes"])
+        assert row["drift"] == max(row["invariants"].values())
+        assert row["end_error"] <= row["error"]
+
+
+class Answering:
+    """A process of a peer that answers with made-up seconds."""
+
+    def __init__(self, seconds: float, states: np.ndarray) -> None:
+        self.seconds, self.states = seconds, base64.b64encode(states.tobytes()).decode()
+        self.asked: list[dict[str, Any]] = []
+
+    def send(self, request: dict[str, Any]) -> None:
+        self.asked.append(request)
+
+    def answer(self) -> dict[str, Any]:
+        return {"seconds": self.seconds, "compile_seconds": 10.0 * self.seconds, "states": self.states}
+
+
+def test_the_first_call_of_a_peer_counts_its_fastest_process(short: Problem) -> None:
+    states = np.arange(6.0 * (short.intervals + 1)).reshape(-1, 6)
+    processes: Any = [Answering(3.0, states), Answering(2.0, states + 1.0), Answering(5.0, states)]
+    peer = Peer("mine", "", "nowhere", ())
+    mine = entrants.PeerCompetitor(peer, {"name": "v", "parameter": "tol", "values": [1e-3]}, processes, short)
+    first = mine.run(Rung(1e-3))
+    assert (first.seconds, first.compile_seconds) == (2.0, 20.0)
+    assert np.array_equal(first.states, states)
+    assert mine.seconds(Rung(1e-3), 4) == [3.0, 2.0, 5.0]
+    assert processes[1].asked == [{"run": ["v", 1e-3]}, {"time": ["v", 1e-3, 4]}]
+
+
+@pytest.mark.slow
+def test_the_seconds_of_a_closed_form_are_those_of_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    (racket,) = bench_problems((), ("euler_hk",), ("h=0.01", "N=100"), 10)
+    clock = iter([100.0, 107.0])
+    monkeypatch.setattr(entrants.time, "process_time", lambda: next(clock))
+    states, seconds = entrants.closed_form(find_scheme("exact", "euler"), racket, calls=14)
+    assert seconds == 0.5
+    reference = reference_states(racket.top, racket.experiment.y0, racket.times)
+    np.testing.assert_allclose(states, reference, atol=1e-13)  # typically 2e-15
+
+
+PEER = """
+import numpy as np
+from topcli.studies.peers.contract import Variant, checked
+
+def variants(problem):
+    def prepare(value):
+        def call():
+            y = np.tile(problem.y0, (len(problem.times), 1))
+            return checked(y + value, problem)
+        return call
+    return [Variant("mine still", "offset", [0.5, 0.25], prepare)]
+"""
+
+
+@pytest.mark.slow
+def test_a_peer_is_a_file_and_one_entry(short: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``--against`` finds it, and its variants are measured in a process of its own, which has the entry too."""
+    (tmp_path / "peer_of_mine.py").write_text(PEER)
+    monkeypatch.setitem(PEERS, "mine", Peer("mine", "a peer that stands still", "peer_of_mine", ("numpy",)))
+    entry = "from topcli.studies.peers import PEERS, Peer; PEERS['mine'] = Peer('mine', '', 'peer_of_mine', ('numpy',))"
+    lines = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {entry}"
+    start = f"{lines}; from topcli.studies.peers.worker import main; main()"
+    monkeypatch.setattr(
+        entrants.subprocess, "Popen", lambda _, **options: _popen([sys.executable, "-c", start], **options)
+    )
+    result = bench(short, choose(short, ("rk4",)), find_peers(["MINE"]), Effort(0.002, 1))
+    (mine,) = [one for one in result["competitors"] if one["name"] == "mine still"]
+    still = np.abs(reference_states(short.top, short.experiment.y0, short.times) - np.array(short.experiment.y0))
+    assert [row["value"] for row in mine["points"]] == [0.5, 0.25]
+    assert all(row["error"] > still.max() - 0.5 for row in mine["points"])
+    assert mine["points"][0]["invariants"]["gamma_sq"] == pytest.approx(0.0, abs=1e-15)
+    assert all(row["peer"] is None or row["peer"]["name"] != "rk4" for row in result["decades"])
+    with pytest.raises(UnknownNameError, match="did you mean 'mine'"):
+        find_peers(["minee"])

@@ -17,7 +17,8 @@ from topcli.analysis.swings import swing_spacing
 from topcli.config.load import load_experiment
 from topcli.engine.loop import Run
 from topcli.schemes.registry import find_scheme
-from topcli.studies.compare import Comparison, compare_schemes, under_scheme
+from topcli.studies.compare import Comparison, compare_schemes
+from topcli.studies.entries import under_scheme
 from topcli.tops.kowalevski import Kowalevski
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"

@@ -239,3 +239,14 @@ def test_each_group_of_a_grid_has_its_own_top_and_state() -> None:
     assert groups == [(0.5, 0.1), (2.0, 0.1)]
     members = [(found.member(i).top.model_dump()["c0"], found.member(i).y0[0]) for i in range(6)]
     assert members == [(c0, omega1) for c0 in (0.5, 2.0) for omega1 in (0.1, 0.2, 0.3)]
+
+
+def test_the_code_of_every_group_is_part_of_the_identity() -> None:
+    """splitting steps a symmetric top in closed form and any other by its axes: two pieces of code."""
+
+    def code(*moments: float) -> str:
+        top = {"kind": "heavy", "A": 2.0, "B": 1.0, "C": 1.0, "x0": 1.0}
+        grid = {"ensemble": {"grid": {"top.B": list(moments)}}}
+        return study.ensemble_identity(experiment(top=top, scheme="splitting", initial=START, **grid)).code
+
+    assert len({code(1.0, 1.5), code(1.0, 2.0), code(2.0, 1.0), code(2.0)}) == 4

@@ -16,8 +16,10 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome
 from topcli.engine.endings import Endings
 from topcli.engine.tile import Piece
+from topcli.errors import RunError
 from topcli.studies.measures import BatchRun, evaluate, resolve_measures
 from topcli.studies.measures.batch import BatchRecorder
+from topcli.studies.measures.references import REFERENCES
 from topcli.studies.measures.registry import MEASURES, measure
 
 A, C = 2.0, 1.0
@@ -81,8 +83,8 @@ def test_the_spacing_is_the_median_and_the_first_one_the_first() -> None:
         "omega2",
     )
     assert batch["swings"].tolist() == [4.0, 2.0, 1.0]
-    np.testing.assert_allclose(batch["swing_spacing"], [1.2, 1.0, math.nan], atol=1e-4)
-    np.testing.assert_allclose(batch["swing_spacing.first"], [2.0, 1.0, math.nan], atol=1e-4)
+    np.testing.assert_allclose(batch["swing_spacing"], [1.2, 1.0, math.nan], atol=1e-13)  # typically 2e-16
+    np.testing.assert_allclose(batch["swing_spacing.first"], [2.0, 1.0, math.nan], atol=1e-13)
 
 
 def recorded(
@@ -420,3 +422,33 @@ def test_a_measure_that_returns_something_else_is_named(wrong: Any) -> None:
         assert "one number for each run" in reason
     finally:
         del MEASURES["test.wrong"]
+
+
+def test_spacings_of_a_run_backwards_in_time_are_positive() -> None:
+    t = -np.arange(0.0, 7.0, 0.01)
+    values = -np.exp(-((t[:, None] + np.array([1.0, 3.0, 4.0])) ** 2) / 0.005).sum(axis=1)
+    names = ["swing_spacing", "swing_spacing.first"]
+    found = recorded(symmetric("rk4", -0.01, len(t) - 1), names, values[None], "omega2")
+    assert [found[name][0] for name in names] == pytest.approx([1.5, 2.0], abs=1e-13)
+
+
+def test_an_error_without_a_reference_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also for measures of users, which see the batch: not the zero with which the largest error begins."""
+    real = REFERENCES.states
+
+    def states(top: Any, scheme: Any, y0: Array, h: float, n: Any) -> Array:
+        if y0[0] == 0.25:
+            raise RunError("cannot be followed")
+        return real(top, scheme, y0, h, n)
+
+    monkeypatch.setattr(REFERENCES, "states", states)
+    experiment = symmetric("rk4", 0.1, 20)
+    measures = resolve_measures(["error.max", "error.end"], experiment.top, experiment.scheme)
+    batch = BatchRun(experiment, measures, threads=1).finished(np.array([(0.25, 0.5, 1.0), OMEGA]))
+    for errors in (batch.max_error, batch.end_error):
+        assert np.isnan(errors).tolist() == [True, False]
+        assert errors[1] > 0.0
+    assert {need: list(texts) for need, texts in batch.faults.items()} == {
+        "error": ["cannot be followed", ""],
+        "end_error": ["cannot be followed", ""],
+    }

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from topcli.analysis.drift import InvariantRow
 from topcli.studies import report as study
-from topcli.studies.report import REPORT_COLUMNS, ReportColumn, comparison_lines, invariant_table, report_markdown
+from topcli.studies.report import (
+    REPORT_COLUMNS,
+    ReportColumn,
+    comparison_lines,
+    invariant_table,
+    number,
+    report_markdown,
+)
 
 SHOWN = {
     "invariant": ("symbol", "A"),
@@ -114,3 +125,32 @@ def test_a_new_column_is_one_entry(monkeypatch: pytest.MonkeyPatch) -> None:
     assert invariant_table(report())[-1] == ["because", "OF THE TEST", "OF THE TEST"]
     assert "| because | OF THE TEST | OF THE TEST |" in report_markdown(report())
     assert comparison_lines([report()])[-1] == ["  B because", "OF THE TEST"]
+
+
+@pytest.mark.slow
+def test_a_new_column_is_a_field_and_an_entry(
+    cli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From outside: it is in report.json, report.md, what run prints, and the comparison of two schemes."""
+
+    @dataclass(frozen=True)
+    class Wider(InvariantRow):
+        width: float = math.nan
+
+        def __post_init__(self) -> None:
+            object.__setattr__(self, "width", self.max - self.min)
+
+    monkeypatch.setattr("topcli.analysis.drift.InvariantRow", Wider)
+    entry = ReportColumn("width", "max - min", compared="{} max - min")
+    monkeypatch.setattr(study, "REPORT_COLUMNS", (*REPORT_COLUMNS, entry))
+    short = ("--set", "N=200", "--set", "h=0.05")
+    cli("run", "kowalevski_hk", *short, "--out", str(tmp_path))
+    stored = json.loads((tmp_path / "kowalevski_hk" / "report.json").read_text())["invariants"]
+    cells = [number(row["max"] - row["min"]) for row in stored]
+    assert [row["width"] for row in stored] == [row["max"] - row["min"] for row in stored]
+    (line,) = (one for one in (tmp_path / "kowalevski_hk" / "report.md").read_text().splitlines() if "max - min" in one)
+    assert [cell.strip() for cell in line.strip("|").split("|")] == ["max - min", *cells]
+    (shown,) = (one for one in cli("run", "kowalevski_hk", *short, "--force").out.splitlines() if "max - min" in one)
+    assert shown.split()[-len(cells) :] == cells
+    compared = [one for one in cli("compare", "hk", "rk4", *short).out.splitlines() if "max - min" in one]
+    assert [one.split()[-2] for one in compared] == cells

@@ -305,3 +305,38 @@ def test_a_scheme_that_fails_in_the_interpreter_is_a_finding() -> None:
     (one,) = stress(["hk-exact"], ["singular-step"])
     assert one.finding.result is Result.BROKE
     assert "use |h| <" in one.finding.why
+
+
+@pytest.mark.slow
+def test_a_hard_case_is_one_entry(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """From outside: a config, a question and a check; it is listed, completed, tried, judged and can be a limit."""
+    from topcli.cli.stress import complete_case
+    from topcli.studies import stress as cases
+    from topcli.studies.stress import suite
+
+    def upright(trial: Trial) -> Finding:
+        lowest = float(trial.run(N=10).states[:, 5].min())
+        return Finding(
+            Result.HELD if lowest > 0.999 else Result.BROKE, f"gamma3 = {lowest:.6f}", 10, {"lowest": lowest}
+        )
+
+    def config() -> dict[str, Any]:
+        return {"top": "heavy", "initial": {"omega": [0, 0, 1], "gamma": [0, 0, 1]}, "h": 0.01, "N": 20}
+
+    mine = Case("my-case", "heavy", "does it stay upright?", config, upright)
+    wrong = replace(mine, name="my-other", check=lambda trial: Finding(Result.BROKE, "never", 3))
+    for module in (cases, suite):
+        monkeypatch.setattr(module, "CASES", (*CASES, mine, wrong))
+    listed = cli("list", "cases", "--top", "heavy", "--json").json()["cases"]
+    assert listed[-2] == {"name": "my-case", "top": "heavy", "question": "does it stay upright?"}
+    assert complete_case("my-") == ["my-case", "my-other"]
+    tried = cli("stress", "rk4", "--case", "my-case", "--json")
+    (trial,) = tried.json()["trials"]
+    assert (tried.code, trial["scheme"], trial["top"], trial["outcome"], trial["verdict"]) == (
+        0, "rk4", "heavy", "held", "ok",
+    )  # fmt: skip
+    assert 0.999 < trial["figures"]["lowest"] <= 1.0
+    broken = cli("stress", "rk4", "--case", "my-other", "--json")
+    assert (broken.code, broken.json()["trials"][0]["verdict"]) == (4, "unexplained")
+    declared = replace(find_scheme("rk4", "heavy"), limits={"my-other": "a limit of its own"})
+    assert verdict_of(declared, "my-other", Result.BROKE) == "limit"

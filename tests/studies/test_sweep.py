@@ -269,6 +269,15 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
     assert max(sum(row.N for row in batch) for batch in made) <= 160 * 60 // 8 + 1
 
 
+@pytest.mark.slow
+def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = {**MANY, "grid": {"scheme": ["hk"]}, "random": {**MANY["random"], "count": 4000}}
+    rows = list(RowReader(sweep_from(data)).rows())
+    monkeypatch.setattr("topcli.studies.sweep.batches.PER_WORKER", 1)
+    sizes = {scale: max(len(batch) for batch in batches(iter(rows), 1, scale)) for scale in (1, 3)}
+    assert sizes == {1: 1024, 3: 3072}
+
+
 def test_work_can_be_done_in_another_process_in_any_order(tmp_path: Path) -> None:
     def backend(made: Any, work: Work, stop: Any) -> Any:
         for batch in reversed(list(made)):
@@ -306,3 +315,51 @@ def test_series_are_stored_where_asked_for(tmp_path: Path) -> None:
         energy = np.array(series["energy"])
         assert np.abs(energy - energy[0]).max() == row["deviation.energy"]
     assert len(os.listdir(tmp_path / "study" / "series")) == 4
+
+
+@pytest.mark.slow
+def test_columns_of_keys_have_the_type_of_their_values(tmp_path: Path) -> None:
+    grid = {"scheme": ["hk"], "N": [60, 70], "top.c0": [1, 0.5], "initial.gamma": [[0.6, 0.48, 0.64], [0, 0, 1]]}
+    include = [{"scheme": "rk4", "output.every": 20}]
+    base = {key: value for key, value in BASE.items() if key != "N"} | {"N": 60}
+    sweep(tmp_path, {**DATA, "base": base, "grid": grid, "include": include})
+    found = pq.read_schema(tmp_path / "study" / "rows.parquet")
+    kinds = {"scheme": "string", "N": "int64", "top.c0": "double", "initial.gamma": "string", "output.every": "int64"}
+    assert {key: str(found.field(key).type) for key in kinds} == kinds
+
+
+def test_rows_name_the_processor_that_computed_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(seam, "_cpu", lambda: "Abacus 9")
+    sweep(tmp_path, with_grid(h=[0.01]))
+    monkeypatch.setattr(seam, "_cpu", lambda: "Abacus 10")
+    sweep(tmp_path, with_grid(h=[0.01, 0.02]))
+    assert [(row["h"], row["cpu"]) for row in table(tmp_path) if row["scheme"] == "hk"] == [
+        (0.01, "Abacus 9"),
+        (0.02, "Abacus 10"),
+    ]
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_rows_side_by_side_share_their_time_limit(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three seconds for each row: a piece of ``count`` rows is stopped after three times as many."""
+    clock, stopped = [50.0], []
+
+    class Ready:
+        measures, size = (), 64
+        stop: Any = None
+
+        @property
+        def run(self) -> Any:
+            return self
+
+        def finished(self, states: Any) -> Any:
+            while not self.stop():
+                clock[0] += 0.5
+            stopped.append((len(states), clock[0]))
+            raise RunError("stopped")
+
+    monkeypatch.setattr(seam.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(seam._kept, "ready", lambda *arguments: Ready())
+    rows = list(RowReader(sweep_from({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())[:count]
+    evaluate_batch(rows, (), time_limit=3.0)
+    assert stopped[0] == (count, 50.0 + 3.0 * count + 0.5)

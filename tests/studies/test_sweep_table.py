@@ -332,3 +332,24 @@ def test_latex_compiles(tmp_path: Path) -> None:
 def test_titles_name_measure_aggregate_and_conditions(tmp_path: Path) -> None:
     assert title(table(tmp_path, None, ("seed=3",))) == "error.max of mine, seed = 3"
     assert title(table(tmp_path, "max")) == "error.max of mine: max over seed"
+
+
+def test_plain_data_say_what_the_table_is(tmp_path: Path) -> None:
+    spreads = {"median": "quartiles", "mean": "standard error", "max": None, None: None}
+    for aggregate, spread in spreads.items():
+        found = table(tmp_path, aggregate, ("seed=2",))
+        data = found.as_dict()
+        said = {key: data[key] for key in ("sweep", "rows", "columns", "values", "aggregate", "spread", "where")}
+        assert said == {
+            "sweep": "mine",
+            "rows": ["scheme"],
+            "columns": "h",
+            "values": ["error.max"],
+            "aggregate": aggregate,
+            "spread": spread,
+            "where": ["seed = 2"],
+        }
+        assert data["column_values"] == list(SIZES)
+        assert [line["row"] for line in data["table"]] == [[scheme] for scheme in SCHEMES]
+        assert data["left_out"] == 0
+    assert table(tmp_path, "max").as_dict()["over"] == ["seed"]

@@ -301,3 +301,14 @@ def test_a_scheme_of_another_top_is_refused_with_those_that_fit(in_tmp) -> None:
     assert done.exit_code == 2
     assert "does not fit top 'euler'" in done.stderr
     assert "bs-implicit" in done.stderr
+
+
+def test_a_step_that_full_corrections_miss_is_solved_by_halved_ones() -> None:
+    """The midpoint rule with a very long step: Newton's method alone does not converge from here."""
+    moments, h = np.array([3.0, 2.0, 1.0]), 5.0
+    w = np.array([1.3342143375511515, 1.7247667469661203, -0.0030943871338332323])
+    new = Run(Euler(), find_scheme("midpoint", "euler").build(Euler(), None), w, h, 1, 1).collect().states[-1]
+    mean = 0.5 * (w + new)
+    turned = h * np.cross(moments * mean, mean)
+    np.testing.assert_allclose(moments * (new - w), turned, atol=1e-13)  # typically 1e-15
+    assert np.abs(new - w).max() > 0.1

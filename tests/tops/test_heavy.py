@@ -18,6 +18,7 @@ from topcli.contracts import Top
 from topcli.engine.loop import Run
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.registry import find_scheme
+from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy, field
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.kowalevski import field as kowalevski_field
@@ -189,11 +190,23 @@ def test_solve3_solves(m, r) -> None:
 
 
 @pytest.mark.parametrize(
-    ("moments", "named"), [((2.0, 1.5, 1.0), ""), ((1.0, 1.0, 2.0), ""), ((1.0, 3.1, 2.0), "B"), ((9.0, 1, 2), "A")]
+    ("moments", "named"),
+    [
+        ((2.0, 1.5, 1.0), ""),
+        ((1.0, 1.0, 2.0), ""),
+        ((0.1, 0.7, 0.8), ""),  # a flat body, although 0.1 + 0.7 < 0.8 in doubles
+        ((0.8, 0.1, 0.7), ""),
+        ((0.3, 0.1, 0.2), ""),
+        ((0.1, 0.7, 0.8 * (1.0 + 0.9e-12)), ""),
+        ((0.1, 0.7, 0.8 * (1.0 + 1.1e-12)), "C"),
+        ((1.0, 3.1, 2.0), "B"),
+        ((9.0, 1, 2), "A"),
+    ],
 )
-def test_impossible_moments_are_warned_of(moments, named: str) -> None:
+@pytest.mark.parametrize("top", [Heavy, Euler, EulerGamma])
+def test_impossible_moments_are_warned_of(top: type[Heavy | Euler], moments, named: str) -> None:
     A, B, C = moments
-    found = Heavy(A=A, B=B, C=C).warnings()
-    assert bool(found) == bool(named)
+    found = top(A=A, B=B, C=C).warnings()
+    assert len(found) == bool(named)
     for line in found:
         assert f"{named} = {max(moments):g} >" in line

@@ -236,6 +236,7 @@ def test_closed_form_against_the_reference() -> None:
         (0.0, 3.0, 0.0, 0.6, 0.0, 0.8),  # going over the top
         (0.0, 0.0, 2.5, 0.0, 0.0, 1.0),  # asleep
         (1e-5, 0.0, 1.9, 0.0, 0.0, 1.0),  # waking
+        (0.0, 0.0, 0.5, 1e-10, 0.0, 1.0),  # falling from next to the vertical
         (0.0, 0.0, 0.0, 0.0, 0.0, -1.0),  # hanging at rest
         (3.0, 4.0, 0.0, 0.0, 0.0, 1.0),  # thrown off the vertical
         (0.0, 0.0, 20.0, 0.6, 0.0, 0.8),  # fast
@@ -270,12 +271,14 @@ def test_jacobi_functions(kc2: float) -> None:
 
 def test_frames_convert_there_and_back() -> None:
     for top, states in ((t, random_states(30, 8)) for t in random_tops(5, 2) if t.mu > 0.0):
-        states = np.vstack([states, [0.1, 0.2, 0.3, 0.0, 0.0, 1.0]])
+        states = np.vstack([states, [0.1, 0.2, 0.3, 0.0, 0.0, 1.0], [0.1, 0.2, 0.3, 0.0, 0.0, -1.0]])
         precession = np.linspace(-3.0, 3.0, len(states))
         inertial, spin = to_inertial(top, states, precession)
         back, angle = to_body(top, inertial, spin)
         assert np.abs(back - states).max() < 1e-14
-        assert np.abs(np.exp(1j * angle[:-1]) - np.exp(1j * precession[:-1])).max() < 1e-14
+        assert np.abs(np.exp(1j * angle[:-2]) - np.exp(1j * precession[:-2])).max() < 1e-14
+        # with a vertical axis both angles turn about it: the same way if it is upright, against each other if it hangs
+        assert spin[-2:].tolist() == [precession[-2], -precession[-1]]
         momentum, _ = units(top)
         values = {i.name: i.value(states) for i in top.invariants()}
         there = {i.name: i.value(inertial) for i in INERTIAL.invariants()}
@@ -372,3 +375,15 @@ def test_slow_sleeping_top_tilts_and_fast_top_nutates_slightly() -> None:
     assert still.max() < 1.0
     fast = simulate("lagrange_fast")["gamma3"]
     assert 1e-3 < fast.max() - fast.min() < 3e-3
+
+
+def test_the_spin_turns_against_gamma_in_the_body() -> None:
+    """gamma, fixed in space, turns in the body by minus the spin: a sleeping top with a marked direction."""
+    h, omega3 = 0.01, 2.0
+    tilted = (0.0, 0.0, omega3, 1e-9, 0.0, 1.0)
+    for mu in (0.0, -1.0):
+        states = body_states(np.array(tilted), h, np.arange(0, 41, 10), Lagrange(A=1.0, C=1.0, mu=mu).constants())
+        turned = np.unwrap(np.angle(states[:, 3] + 1j * states[:, 4]))
+        if mu == 0.0:  # in a free spherical top gamma turns at exactly minus omega3
+            assert turned == pytest.approx(-omega3 * h * np.arange(0, 41, 10), abs=1e-12)
+        assert (np.diff(turned) < 0.0).all()

@@ -264,6 +264,32 @@ def test_placement_beats_the_sampling() -> None:
     assert errors[-1] < 0.025**3
 
 
+@pytest.mark.parametrize("ratio", [1.0, 0.4, 0.12, 0.08, 1e-6])
+def test_minima_are_placed_between_uneven_samples(ratio: float) -> None:
+    """Intervals of 0.05 and ``ratio`` times that in turn; below a tenth by the parabola, whose error is larger."""
+    t = 0.05 * np.cumsum(np.where(np.arange(600) % 2, ratio, 1.0))
+    for direction in (1.0, -1.0):
+        found = minima_times(direction * t, -np.exp(np.cos(t - 4.123)) * (1 + 0.3 * np.sin(t - 4.123) ** 3))
+        expected = direction * (4.123 + 2.0 * math.pi * np.arange(len(found)))
+        assert len(found) >= 2
+        assert np.abs(found - expected).max() < (1e-5 if ratio > 0.1 else 5e-3)
+        assert np.abs(found - expected).max() > 0.0
+
+
+@pytest.mark.parametrize("y", [[2.0, 0.0, 2.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0, 0.0], [9.0, 1.0, 0.0, 1e-9, 9.0]])
+@pytest.mark.parametrize("gap", [1e-3, 1e-13])
+def test_a_minimum_of_uneven_samples_lies_between_its_neighbours(y: list[float], gap: float) -> None:
+    """Of two samples 1e-13 apart a quartic would have a poorly conditioned fit, with a warning."""
+    t = np.array([0.0, 1.0, 1.0 + gap, 1.0 + 2.0 * gap, 4.0])
+    series = np.concatenate([[10.0, 10.0], y, [10.0, 10.0]])
+    times = np.concatenate([[-9.0, -8.0], t, [5.0, 6.0]])
+    lowest = float(times[np.argmin(series)])
+    (found,) = minima_times(times, series)
+    near = times[np.argmin(series) - 1], times[np.argmin(series) + 1]
+    assert near[0] <= found <= near[1]
+    assert abs(found - lowest) <= 1.0
+
+
 def test_series_without_two_minima_have_no_spacing() -> None:
     assert swing_spacing(np.arange(10.0), np.arange(10.0)) is None
     assert swing_spacing(np.arange(3.0), np.arange(3.0)) is None

@@ -111,31 +111,60 @@ def hann_line(t: Array) -> tuple[Array, Array] | None:
     m = len(t)
     if m < 8 or t[-1] == t[0]:
         return None
-    weight = np.sin(np.pi * (np.arange(m) + 0.5) / m) ** 2
-    weight /= weight.sum()
+    return _line(t, np.sin(np.pi * (np.arange(m) + 0.5) / m) ** 2)
+
+
+def _line(t: Array, weight: Array) -> tuple[Array, Array]:
+    """Normalized weights, and the influence of each point on the slope of the line fitted with them."""
+    weight = weight / weight.sum()
     s = t - weight @ t
     return weight, weight * s / (weight @ s**2)
 
 
-def trend(t: Array, values: Array) -> Trend | None:
-    """Hann-weighted line through ``values`` (m,) at evenly spaced ``t`` (m,); None for fewer than 8 points."""
-    line = hann_line(t)
+def trend(t: Array, values: Array, lengths: Array | None = None) -> Trend | None:
+    """Hann-weighted line through ``values`` (m,) at times ``t`` (m,), rising or falling; None for too few points.
+
+    Points are evenly spaced, unless the ``lengths`` (m,) of time that they represent are given: the weights are then
+    proportional to them, and the increments of a random walk have variances proportional to the spacing. Fewer than
+    eight points, or weights that are worth fewer, are too few.
+    """
+    m = len(t)
+    line, gaps, count = hann_line(t), None, float(m)
     if line is None:
         return None
-    m, (weight, influence) = len(t), line
+    if lengths is not None:
+        weight, gaps = _uneven_weights(t, lengths)
+        line = _line(t, weight)
+        count = min(1.5 / float(line[0] @ line[0]), count)  # of m Hann weights the squares add up to 1.5 / m
+        if not count >= 8:  # nan included
+            return None
+    weight, influence = line
     s = t - weight @ t
     slope = float(influence @ values)
     residual = values - (weight @ values) - slope * s
     scatter = math.sqrt(float(weight @ residual**2))
-    if _walks(residual):
+    if _walks(residual, gaps):
         reach = np.cumsum(influence[::-1])[-2::-1]  # of each increment into the slope
         increments = np.diff(residual)
+        if gaps is not None:
+            reach, increments = reach * np.sqrt(gaps), increments / np.sqrt(gaps)
         variance = _long_run(increments, WALK_LAGS) / (m - 2.0 - WALK_LAGS) * float(reach @ reach)
         return Trend(slope, math.sqrt(max(variance, 0.0)), scatter, WALK)
-    lags = min(LAGS, m // 4)
+    lags = min(LAGS, int(count) // 4)
     variance = _long_run(influence * residual, lags)
-    variance *= m / (m - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
+    variance *= count / (count - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
     return Trend(slope, math.sqrt(max(variance, 0.0)), scatter, LINEAR)
+
+
+def _uneven_weights(t: Array, lengths: Array) -> tuple[Array, Array]:
+    """Weights (m,) of points at times ``t`` (m,) that represent ``lengths`` of time (m,), by a Hann window in time.
+
+    Also their spacings (m - 1,) in units of the mean.
+    """
+    since = np.abs(t - t[0])
+    before, after = 0.5 * lengths[0], 0.5 * lengths[-1]
+    weight = lengths * np.sin(np.pi * (since + before) / (since[-1] + before + after)) ** 2
+    return weight, np.diff(since) * ((len(t) - 1) / since[-1])
 
 
 def _long_run(values: Array, lags: int) -> float:
@@ -146,26 +175,38 @@ def _long_run(values: Array, lags: int) -> float:
     return variance
 
 
-@cache
-def _slow_components(m: int, q: int) -> tuple[Array, Array, float]:
+def _slow_components(m: int, q: int, gaps: Array | None = None) -> tuple[Array, Array, float]:
     """The q slowest polynomials (m, q) orthonormal to each other and to all lines, and a random walk's weights of them.
 
-    The weights are the inverse of the covariance of the walk's components (q, q), for increments of unit variance, and
-    half the logarithm of the determinant of the covariance.
+    The weights are the inverse of the covariance of the walk's components (q, q), and half the logarithm of the
+    determinant of the covariance. The points are evenly spaced and the increments of unit variance, unless spacings are
+    given, ``gaps`` (m - 1,), which are also the variances.
     """
     x = np.linspace(-1.0, 1.0, m)
+    if gaps is not None:
+        since = np.append(0.0, np.cumsum(gaps))
+        x = 2.0 * since / since[-1] - 1.0
     legendre = [np.ones(m), x]  # by their recurrence, without importing numpy.polynomial
     for k in range(1, q + 1):
         legendre.append(((2 * k + 1) * x * legendre[k] - k * legendre[k - 1]) / (k + 1))
     slow = np.linalg.qr(np.stack(legendre, axis=1))[0][:, 2:]
     tails = np.cumsum(slow[::-1], axis=0)[::-1]
+    if gaps is not None:
+        tails[1:] *= np.sqrt(gaps)[:, None]  # tails[0] is zero: the columns are orthogonal to a constant
     covariance = tails.T @ tails
     return slow, np.linalg.inv(covariance), 0.5 * float(np.linalg.slogdet(covariance)[1])
 
 
-def _sizes_in_slow(residual: Array, q: int) -> tuple[float, float, float]:
+@cache
+def _even_components(m: int, q: int) -> tuple[Array, Array, float]:
+    """The slow components of m evenly spaced points."""
+    return _slow_components(m, q)
+
+
+def _sizes_in_slow(residual: Array, q: int, gaps: Array | None) -> tuple[float, float, float]:
     """Squared sizes of the q slowest components of the residual (m,) as white noise and as a walk, and half the log."""
-    slow, inverse, half_log = _slow_components(len(residual), q)
+    m = len(residual)
+    slow, inverse, half_log = _even_components(m, q) if gaps is None else _slow_components(m, q, gaps)
     z = slow.T @ residual
     return float(z @ z), float(z @ inverse @ z), half_log
 
@@ -187,7 +228,7 @@ def _sizes_in_all(residual: Array) -> tuple[float, float, float]:
     return float(off_line @ off_line), float(increments @ increments), 0.5 * math.log(12.0 / (m * m * (m + 1.0)))
 
 
-def _walks(residual: Array) -> bool:
+def _walks(residual: Array, gaps: Array | None) -> bool:
     """True unless the residual (m,) of a line is ``EVIDENCE`` times as likely from white noise as from a random walk.
 
     The test uses the slow components, then all of them. Both likelihoods are those of the components' direction,
@@ -198,7 +239,8 @@ def _walks(residual: Array) -> bool:
         return False
     few = min(LOW, m // 3)
     for q in (few, m - 2):
-        white, walk, half_log = _sizes_in_slow(residual / size, q) if q == few else _sizes_in_all(residual / size)
+        closed = q != few and gaps is None
+        white, walk, half_log = _sizes_in_all(residual / size) if closed else _sizes_in_slow(residual / size, q, gaps)
         if not (white > 0.0 and walk > 0.0):
             return False
         if half_log + 0.5 * q * math.log(walk / white) > math.log(EVIDENCE):
@@ -215,8 +257,8 @@ NUMBERS = 7
 """Scalars in the state of a tally, beside its sums over blocks."""
 
 
-class _Tally:
-    """Running sums of one invariant's deviation."""
+class InvariantSums:
+    """Running sums of one invariant's deviation from its ``first`` value."""
 
     def __init__(self, invariant: Invariant, first: float) -> None:
         self.invariant, self.first, self.limit, self.left = invariant, first, math.inf, math.nan
@@ -225,7 +267,8 @@ class _Tally:
         self.squares = 0.0
         self.sums = np.zeros(2 * BLOCKS)
 
-    def add(self, n: NDArray[np.int64], states: Array, values: Array, block: NDArray[np.int64]) -> None:
+    def add(self, n: NDArray[np.int64], states: Array, values: Array) -> Array:
+        """Add rows with their numbers, states and values; return their deviations (m,)."""
         deviation = values - self.first
         self.low = float(np.minimum(self.low, values.min()))  # unlike min() it keeps a nan
         self.high = float(np.maximum(self.high, values.max()))
@@ -234,7 +277,34 @@ class _Tally:
             self.left = math.nan if at is None else float(n[at])
         self.scale = float(np.maximum(self.scale, self.invariant.scale(states).max()))
         self.squares += float(deviation @ deviation)
-        self.sums += np.bincount(block, weights=deviation, minlength=2 * BLOCKS)
+        return deviation
+
+    def row(self, fit: Trend | None, rows: int, steps: int, span: float) -> InvariantRow:
+        """Report on ``rows`` rows with the line ``fit`` through them, over ``span`` of time and ``steps`` steps."""
+        deviation = float(np.maximum(self.high - self.first, self.first - self.low))
+        rms = math.sqrt(self.squares / rows)
+        bound = float(round_off_bound(max(steps, 1), self.scale))
+        size = abs(self.first)
+        verdict, reason = _verdict(deviation, bound, max(size, TERMS * self.scale), fit, span)
+        return InvariantRow(
+            name=self.invariant.name,
+            symbol=self.invariant.symbol,
+            first=self.first,
+            min=self.low,
+            max=self.high,
+            max_deviation=deviation,
+            max_deviation_relative=deviation / size if size else None,
+            rms_deviation=rms,
+            rms_deviation_relative=rms / size if size else None,
+            drift=fit.slope if fit else None,
+            drift_error=fit.error if fit else None,
+            drift_over_run=fit.slope * span if fit else None,
+            model=fit.model if fit else None,
+            scatter=fit.scatter if fit else None,
+            round_off_bound=bound,
+            verdict=verdict,
+            reason=reason,
+        )
 
     def numbers(self) -> Array:
         """State of the tally, (NUMBERS + 2 * BLOCKS,)."""
@@ -248,6 +318,20 @@ class _Tally:
         self.sums = np.array(numbers[NUMBERS:])
 
 
+def sums_from(invariants: Sequence[Invariant], states: Array, top: Top | None) -> list[InvariantSums]:
+    """Sums of all ``invariants`` that begin with their values in the first of ``states`` (m, d).
+
+    With the ``top``, those of its energy watch for a motion that leaves its energy surface.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = [InvariantSums(invariant, float(invariant.value(states[:1])[0])) for invariant in invariants]
+    if top is not None:
+        limit = float(energy_limits(top, states[:1])[0])
+        for one in found:
+            one.limit = limit if one.invariant.name == top.energy else math.inf
+    return found
+
+
 class InvariantTally:
     """Report on ``invariants`` over a run with step size h, fed with chunks of rows.
 
@@ -258,7 +342,7 @@ class InvariantTally:
     def __init__(self, invariants: Sequence[Invariant], h: float, top: Top | None = None) -> None:
         self._invariants, self._h, self._top = invariants, h, top
         self._width = 1
-        self._tallies: list[_Tally] = []
+        self._tallies: list[InvariantSums] = []
         self._counts = np.zeros(2 * BLOCKS)
         self._steps_in = np.zeros(2 * BLOCKS)
         self._last = 0
@@ -272,13 +356,7 @@ class InvariantTally:
             return
         values = invariant_values(self._invariants, states) if values is None else values
         if not self._tallies:
-            with np.errstate(over="ignore", invalid="ignore"):
-                firsts = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
-            self._tallies = list(map(_Tally, self._invariants, firsts))
-            if self._top is not None:
-                limit = float(energy_limits(self._top, states[:1])[0])
-                for tally in self._tallies:
-                    tally.limit = limit if tally.invariant.name == self._top.energy else math.inf
+            self._tallies = sums_from(self._invariants, states[:1], self._top)
         while int(n[-1]) // self._width >= 2 * BLOCKS:
             self._width *= 2
             for sums in (self._counts, self._steps_in, *(tally.sums for tally in self._tallies)):
@@ -289,7 +367,8 @@ class InvariantTally:
         self._last = int(n[-1])
         with np.errstate(over="ignore", invalid="ignore"):  # huge states: the verdict covers values that are not finite
             for tally in self._tallies:
-                tally.add(n, states, values[tally.invariant.name], block)
+                deviation = tally.add(n, states, values[tally.invariant.name])
+                tally.sums += np.bincount(block, weights=deviation, minlength=2 * BLOCKS)
 
     @property
     def left(self) -> int | None:
@@ -314,43 +393,19 @@ class InvariantTally:
         self._counts, self._steps_in = np.array(state["blocks"])
         self._tallies = []
         for invariant, one in zip(self._invariants, numbers, strict=False):
-            self._tallies.append(_Tally(invariant, math.nan))
+            self._tallies.append(InvariantSums(invariant, math.nan))
             self._tallies[-1].restore(one)
 
-    def rows(self) -> list[InvariantRow]:
-        """Report with one row per invariant, in their order."""
-        with np.errstate(all="ignore"):
-            return [self._row(tally) for tally in self._tallies]
-
-    def _row(self, tally: _Tally) -> InvariantRow:
+    def rows(self, steps: int | None = None) -> list[InvariantRow]:
+        """Report with one row per invariant, in their order; ``steps`` of the method, if not the last step number."""
         filled = self._counts > 0
         counts = self._counts[filled]
-        fit = trend(self._steps_in[filled] / counts * self._h, tally.sums[filled] / counts)
-        deviation = float(np.maximum(tally.high - tally.first, tally.first - tally.low))
-        rms = math.sqrt(tally.squares / float(counts.sum()))
-        bound = float(round_off_bound(max(self._last, 1), tally.scale))
-        span = self._last * self._h
-        size = abs(tally.first)
-        verdict, reason = _verdict(deviation, bound, max(size, TERMS * tally.scale), fit, span)
-        return InvariantRow(
-            name=tally.invariant.name,
-            symbol=tally.invariant.symbol,
-            first=tally.first,
-            min=tally.low,
-            max=tally.high,
-            max_deviation=deviation,
-            max_deviation_relative=deviation / size if size else None,
-            rms_deviation=rms,
-            rms_deviation_relative=rms / size if size else None,
-            drift=fit.slope if fit else None,
-            drift_error=fit.error if fit else None,
-            drift_over_run=fit.slope * span if fit else None,
-            model=fit.model if fit else None,
-            scatter=fit.scatter if fit else None,
-            round_off_bound=bound,
-            verdict=verdict,
-            reason=reason,
-        )
+        taken = self._last if steps is None else steps
+        with np.errstate(all="ignore"):
+            t, span = self._steps_in[filled] / counts * self._h, self._last * self._h
+            fits = [trend(t, tally.sums[filled] / counts) for tally in self._tallies]
+            rows = int(counts.sum())
+            return [tally.row(fit, rows, taken, span) for tally, fit in zip(self._tallies, fits, strict=True)]
 
 
 def _verdict(deviation: float, bound: float, size: float, fit: Trend | None, span: float) -> tuple[str, str]:

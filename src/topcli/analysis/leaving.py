@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,13 @@ def energy_of(top: Top) -> Invariant | None:
     return next((one for one in top.invariants() if one.name == top.energy), None)
 
 
+@cache
+def _along_axes(vectors: tuple[tuple[int, int], ...], d: int) -> NDArray[np.bool_]:
+    """For every choice of an axis for each vector, True at the components (d,) along these axes."""
+    places = np.array(list(itertools.product(*(range(start, stop) for start, stop in vectors))))
+    return (places[:, :, None] == np.arange(d)).any(axis=1)
+
+
 def energy_limits(top: Top, states: Array) -> Array:
     """Deviations of the energy (m,) beyond which motions that start in ``states`` (m, d) have left it.
 
@@ -34,13 +42,12 @@ def energy_limits(top: Top, states: Array) -> Array:
     if energy is None:
         return np.full(len(states), math.inf)
     with np.errstate(all="ignore"):
-        places = list(itertools.product(*(range(start, stop) for start, stop in top.vectors.values())))
-        turned = np.tile(states, (len(places), 1, 1))
-        for i, (start, stop) in enumerate(top.vectors.values()):
-            lengths = np.linalg.norm(states[:, start:stop], axis=1)
-            turned[:, :, start:stop] = 0.0
-            for of_place, place in zip(turned, places, strict=True):
-                of_place[:, place[i]] = lengths
+        vectors = tuple(top.vectors.values())
+        lengths, rest = np.zeros_like(states), states.copy()
+        for start, stop in vectors:
+            lengths[:, start:stop] = np.linalg.norm(states[:, start:stop], axis=1)[:, None]
+            rest[:, start:stop] = 0.0
+        turned = np.where(_along_axes(vectors, states.shape[1])[:, None], lengths, rest)
         tried = np.concatenate([states[None], turned])
         scales = energy.scale(tried.reshape(-1, states.shape[1])).reshape(tried.shape[:2])
         limits = np.maximum(LEFT * scales[0], scales[1:].max(axis=0))

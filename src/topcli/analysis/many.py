@@ -218,6 +218,11 @@ class EnsembleSummary:
             start += 8 * count * len(MEASURES) * rows
         return made
 
+    def _quantiles(self, measure: int, invariant: int) -> dict[str, float | None]:
+        """Quantiles of the magnitudes of a measure of an invariant."""
+        values = self._values(measure, invariant)
+        return quantiles(np.abs(values, out=values), QUANTILES)
+
     def rows(self) -> list[dict[str, Any]]:
         """Quantiles of the measures of each invariant over the trajectories, and the number within round-off."""
         return [
@@ -226,22 +231,21 @@ class EnsembleSummary:
                 "symbol": invariant.symbol,
                 "judged": self._judged,
                 "within_round_off": int(self._within[i]),
-                **{measure: quantiles(self._values(k, i)) for k, measure in enumerate(MEASURES)},
+                **{measure: self._quantiles(k, i) for k, measure in enumerate(MEASURES)},
             }
             for i, invariant in enumerate(self._invariants)
         ]
 
 
-def quantiles(values: Array) -> dict[str, float | None]:
-    """Quantiles of the magnitudes of ``values`` (m,) without nan; None if nothing else is there.
+def quantiles(values: Array, levels: Mapping[str, float]) -> dict[str, float | None]:
+    """Quantiles of ``values`` (m,) without nan at named ``levels`` from 0 to 1; None if nothing else is there.
 
     ``values`` is overwritten.
     """
-    np.abs(values, out=values)
     missing = np.isnan(values)
     known = values[~missing] if missing.any() else values
     if not len(known):
-        return dict.fromkeys(QUANTILES)
+        return dict.fromkeys(levels)
     # observed values instead of means of two, which would be useless beside an infinity
-    found = np.quantile(known, list(QUANTILES.values()), method="inverted_cdf", overwrite_input=True)
-    return dict(zip(QUANTILES, found.tolist(), strict=True))
+    found = np.quantile(known, list(levels.values()), method="inverted_cdf", overwrite_input=True)
+    return dict(zip(levels, found.tolist(), strict=True))

@@ -20,6 +20,7 @@ class _Topcli(LazyGroup):
         "sweep": "sweep.sweep",
         "verify": "verify.verify",
         "compare": "compare.compare",
+        "analyse": "analyse.analyse",
         "bench": "bench.bench",
         "table": "table.table",
         "order": "order.order",

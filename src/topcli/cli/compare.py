@@ -1,14 +1,19 @@
-"""``topcli compare``: run one experiment under several schemes."""
+"""``topcli compare``: run one experiment under several schemes, options or steps."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
-from topcli.cli.talk import print_json, print_table, say, say_warnings
+from topcli.cli.talk import ProgressDisplay, print_json, print_table, say, say_warnings
+from topcli.errors import UsageError
+
+if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
+    from topcli.config.models import Experiment
 
 PAPER_SCENE = "kowalevski_hk"
 
@@ -34,6 +39,31 @@ def _modified_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
     return lines
 
 
+def _one_step(schemes: list[dict[str, Any]]) -> bool:
+    """True if all entries have the same step size."""
+    return len({scheme["h"] for scheme in schemes}) == 1
+
+
+def _step_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
+    """Lines of the step sizes and the numbers of steps if entries differ in them."""
+    if _one_step(schemes):
+        return []
+    return [["h", *(f"{one['h']:g}" for one in schemes)], ["N", *(str(one["N"]) for one in schemes)]]
+
+
+def _reversal_label(schemes: list[dict[str, Any]]) -> str:
+    return "reversal defect" + (f" at h = {abs(schemes[0]['h']):g}" if _one_step(schemes) else "")
+
+
+def _title(name: str, top: str, schemes: list[dict[str, Any]]) -> str:
+    """Title of the table: experiment, top, and the steps, or the time if the steps differ."""
+    first = schemes[0]
+    steps = (
+        f"h = {first['h']:g}, N = {first['N']}" if _one_step(schemes) else f"t from 0 to {first['N'] * first['h']:g}"
+    )
+    return f"{name}: {top}, {steps}"
+
+
 def _lines(figures: dict[str, Any]) -> list[list[str]]:
     """Lines of the comparison: a label, then a cell for each scheme."""
     from topcli.studies.report import comparison_lines, number
@@ -47,14 +77,14 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
     def line(label: str, cell: Any) -> list[str]:
         return [label, *(cell(scheme) for scheme in schemes)]
 
-    h = schemes[0]["reversal"]["h"]
     return [
+        *_step_lines(schemes),
         line("outcome", lambda s: s["outcome"]),
         line("max error", lambda s: number(s["max_error"])),
         line("error at the end", lambda s: number(s["end_error"])),
         *comparison_lines(schemes),
         *_modified_lines(schemes),
-        line(f"reversal defect at h = {h:g}", lambda s: number(s["reversal"]["defect"])),
+        line(_reversal_label(schemes), lambda s: number(s["reversal"]["defect"])),
         line(
             "  its order in h",
             lambda s: "round-off" if s["reversal"]["order"] is None else f"{s['reversal']['order']:.2f}",
@@ -68,7 +98,6 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
 def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     """Options of ``--set scheme.KEY=VALUE`` for all schemes that have them, and the other overrides."""
     from topcli.config.overrides import override_label, parse_override
-    from topcli.errors import UsageError
 
     options, others = {}, []
     for text in sets:
@@ -83,13 +112,79 @@ def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _header(scheme: dict[str, Any]) -> str:
-    """Name of a scheme, with its options other than the defaults."""
-    changed = [f"{key}={value}" for key, value in scheme["changed"].items()]
-    return scheme["scheme"] + (f" ({', '.join(changed)})" if changed else "")
+    """Label of an entry, with the options other than the defaults that it does not name."""
+    changed = [f"{key}={value}" for key, value in scheme["changed"].items() if key not in scheme["own"]]
+    return scheme["label"] + (f" ({', '.join(changed)})" if changed else "")
 
 
-Schemes = Annotated[
-    list[str], typer.Argument(metavar="SCHEME", help="Names of schemes.", autocompletion=complete_scheme)
+def _warn_of_few_rows(figures: dict[str, Any]) -> None:
+    if figures["few_rows"]:
+        say(
+            f"warning: the steps share {figures['rows']} times, at which the errors are compared; "
+            "steps whose ratio is simple, such as 2 or 5, share more"
+        )
+
+
+def _compare_one(
+    experiment: Experiment, entries: list[str], options: dict[str, Any], pictures: Path | None, as_json: bool
+) -> int:
+    """Compare entries on one trajectory, print the result and draw it into ``pictures``; the exit code."""
+    from topcli.studies.compare import compare_schemes
+
+    comparison = compare_schemes(experiment, entries, options)
+    files: list[str] = []
+    if pictures is not None:
+        from topcli.figures.comparison import loaded_comparison
+        from topcli.figures.make import write_figure
+
+        written = write_figure(f"compare_{experiment.name}", loaded_comparison(comparison), pictures)
+        files = [str(path) for path in written]
+    compared = comparison.figures["schemes"]
+    if as_json:
+        print_json("compare", {**comparison.figures, "files": files})
+    else:
+        title = _title(experiment.name, experiment.top.title, compared)
+        print_table(["", *map(_header, compared)], _lines(comparison.figures), title)
+        for file in files:
+            say(f"wrote {file}")
+    _warn_of_few_rows(comparison.figures)
+    failed = [scheme for scheme in compared if scheme["outcome"] != "completed"]
+    for scheme in failed:
+        say(f"error: {scheme['label']}: {scheme['message']}")
+    return 1 if failed else 0
+
+
+def _compare_ensemble(
+    experiment: EnsembleExperiment, entries: list[str], options: dict[str, Any], as_json: bool
+) -> int:
+    """Compare entries on an ensemble and print the result; the exit code."""
+    from topcli.cli.compare_ensemble import ensemble_lines, ensemble_title, say_ensemble_failures
+    from topcli.studies.compare_ensemble import compare_ensemble
+
+    display = ProgressDisplay(1, as_json)
+    display.begin(experiment.name)
+    try:
+        figures = compare_ensemble(experiment, entries, options, display)
+    finally:
+        display.close()
+    compared = figures["schemes"]
+    if as_json:
+        print_json("compare", figures)
+    else:
+        title = _title(experiment.name, experiment.top.title, compared) + ensemble_title(figures)
+        lines = ensemble_lines(figures, _reversal_label(compared))
+        print_table(["", *map(_header, compared)], [*_step_lines(compared), *lines], title)
+    _warn_of_few_rows(figures)
+    return say_ensemble_failures(figures)
+
+
+Entries = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="SCHEME[:KEY=VALUE,...]",
+        help="Name schemes, each with its own h and options.",
+        autocompletion=complete_scheme,
+    ),
 ]
 Config = Annotated[
     str,
@@ -104,7 +199,7 @@ Plot = Annotated[bool, typer.Option("--plot", help="Draw errors and swings over 
 
 
 def compare(
-    schemes: Schemes,
+    entries: Entries,
     config: Config = PAPER_SCENE,
     sets: Sets = None,
     as_json: Json = False,
@@ -112,35 +207,27 @@ def compare(
     out: FigureOut = Path("results/figures"),
     scheme_files: SchemeFiles = None,
 ) -> None:
-    """Compare schemes: errors, drifts, reversal, swings, speed."""
-    from topcli.config.load import load_experiment
+    """Compare schemes: errors, drifts, reversal, swings, speed.
+
+    An entry is a scheme with its own options and step: topcli compare hk hk:h=0.01 hybrid:branch=sign. Entries with
+    different steps cover the same time and are compared at the times that all of them reach. Of an ensemble, median
+    and quantiles over the trajectories are given.
+    """
+    from topcli.config.load import load_any
+    from topcli.config.models import Experiment
     from topcli.store.run_folder import require_writable
-    from topcli.studies.compare import compare_schemes
 
     load_scheme_files(scheme_files)
     options, others = _scheme_options(sets or [])
-    experiment = load_experiment(config, others)
+    experiment = load_any(config, others)
     say_warnings(experiment)
-    if plot:
-        require_writable(out)
-    comparison = compare_schemes(experiment, schemes, options)
-    files: list[str] = []
-    if plot:
-        from topcli.figures.comparison import loaded_comparison
-        from topcli.figures.make import write_figure
-
-        written = write_figure(f"compare_{experiment.name}", loaded_comparison(comparison), out)
-        files = [str(path) for path in written]
-    if as_json:
-        print_json("compare", {**comparison.figures, "files": files})
+    if not isinstance(experiment, Experiment):
+        if plot:
+            raise UsageError(f"--plot draws one trajectory, and {experiment.name} is an ensemble of {experiment.count}")
+        code = _compare_ensemble(experiment, entries, options, as_json)
     else:
-        title = f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}"
-        header = ["", *map(_header, comparison.figures["schemes"])]
-        print_table(header, _lines(comparison.figures), title)
-        for file in files:
-            say(f"wrote {file}")
-    failed = [scheme for scheme in comparison.figures["schemes"] if scheme["outcome"] != "completed"]
-    for scheme in failed:
-        say(f"error: {scheme['scheme']}: {scheme['message']}")
-    if failed:
-        raise typer.Exit(1)
+        if plot:
+            require_writable(out)
+        code = _compare_one(experiment, entries, options, out if plot else None, as_json)
+    if code:
+        raise typer.Exit(code)

@@ -287,7 +287,7 @@ def show(
     scheme_files: SchemeFiles = None,
 ) -> None:
     """Show a config with defaults, a scheme, or a row of a sweep."""
-    from topcli.config.load import load_any
+    from topcli.config.load import load_named
 
     load_scheme_files(scheme_files)
     if row is not None or os.path.isdir(config):
@@ -297,7 +297,7 @@ def show(
         return
     if not sets and not Path(config).suffix and _show_scheme(config, as_json):
         return
-    experiment = load_any(config, sets or [])
+    experiment = load_named(config, sets or [])
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
     else:

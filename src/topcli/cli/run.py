@@ -83,7 +83,7 @@ def _print_result(result: RunResult, labelled: bool) -> None:
 
         warning = warning_of(report)
     if result.set_aside:
-        say(f"renamed the earlier, different run to {result.set_aside}")
+        say(result.set_aside_message)
     status = result.status
     if status == "up to date" and result.outcome.value != "completed":
         status = f"not run again: it ended as {result.outcome.value} before; --retry-failed runs it again"
@@ -189,10 +189,10 @@ def _carry_out(
     config: str, options: RunOptions, display: ProgressDisplay, interruption: Interruption, labelled: bool
 ) -> tuple[int, dict[str, Any]]:
     """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
-    from topcli.config.load import load_any
+    from topcli.config.load import load_named
 
     try:
-        experiment = load_any(config, options.sets, {"name": options.name} if options.name else None)
+        experiment = load_named(config, options.sets, options.name)
         if not options.quiet:
             say_warnings(experiment)
         if options.dry_run:
@@ -226,7 +226,7 @@ Configs = Annotated[
 ]
 Name = Annotated[
     str | None,
-    typer.Option("--name", metavar="NAME", help="Name the run and its folder; by default as its config."),
+    typer.Option("--name", metavar="NAME", help="Name the run; by default as its config, with a digest after --set."),
 ]
 Format = Annotated[str | None, typer.Option("--format", metavar="FORMAT", help="Write the series as parquet or csv.")]
 Resume = Annotated[
@@ -269,7 +269,8 @@ def run(
 ) -> None:
     """Run experiments and report on their conservation laws.
 
-    Each experiment or ensemble gets a folder with its time series and the report.
+    Each experiment or ensemble gets a folder with its time series and the report. It is named after the config; if
+    --set changes what is computed, the first digits of its digest follow.
 
     A long run writes checkpoints. Ctrl-C or SIGTERM ends it as interrupted (exit code 130) and keeps the part that was
     recorded. --resume continues an interrupted or killed run; the result is the same, bit for bit, as without the

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from topcli.config.sweep.document import Sweep
     from topcli.config.sweep.rows import Row
     from topcli.studies.sweep.plan import Plan
-    from topcli.studies.sweep.run import SweepOptions, SweepResult
+    from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher
 
 SHOWN_FAILURES = 20
 SHOWN_ROWS = 20
@@ -46,6 +46,10 @@ FailFast = Annotated[bool, typer.Option("--fail-fast/--keep-going", help="Stop a
 TimeLimit = Annotated[float, typer.Option("--time-limit", metavar="SECONDS", help="Stop a row after so many seconds.")]
 Threads = Annotated[
     int | None, typer.Option("--threads", metavar="COUNT", min=1, help="Set the threads; all CPUs by default.")
+]
+Dask = Annotated[
+    str | None,
+    typer.Option("--dask", metavar="ADDRESS", help="Use a Dask cluster: tcp://host:port, or local:4 on this machine."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
@@ -162,6 +166,7 @@ def sweep(
     fail_fast: FailFast = False,
     time_limit: TimeLimit = 0.0,
     threads: Threads = None,
+    dask: Dask = None,
     as_json: Json = False,
     quiet: Quiet = False,
     scheme_files: SchemeFiles = None,
@@ -172,8 +177,10 @@ def sweep(
     was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
     """
     from topcli.config.sweep.document import load_sweep
-    from topcli.studies.sweep.run import SweepOptions, Watcher, run_sweep
+    from topcli.studies.sweep.run import SweepOptions, Watcher
 
+    if dask is not None and threads is not None:
+        raise UsageError("--threads does not go with --dask: each worker has its own number of threads")
     if not time_limit >= 0.0:
         raise UsageError(f"--time-limit {time_limit:g}: must be a number of seconds, at least 0")
     load_scheme_files(scheme_files)
@@ -192,7 +199,7 @@ def sweep(
             stop=interruption,
         )
         try:
-            result = run_sweep(loaded, out, options, watcher)
+            result = _run(loaded, out, options, watcher, dask)
         finally:
             display.close()
     if as_json:
@@ -201,6 +208,17 @@ def sweep(
         _report(loaded, result)
     if code := _exit_code(result):
         raise typer.Exit(code)
+
+
+def _run(sweep: Sweep, out: Path, options: SweepOptions, watcher: Watcher, dask: str | None) -> SweepResult:
+    """Run a sweep in this process, or on a Dask cluster."""
+    from topcli.studies.sweep.run import run_sweep
+
+    if dask is None:
+        return run_sweep(sweep, out, options, watcher)
+    from topcli.studies.sweep.cluster import run_on_cluster
+
+    return run_on_cluster(dask, sweep, out, options, watcher)
 
 
 def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol
 
@@ -337,6 +337,10 @@ class EnsembleExperiment:
         """Number of rows of the series if no trajectory ends early."""
         each = self.first.N // self.first.output.every + 1
         return self.count * {"trajectories": each, "final": 1, "statistics": 0}[self.store]
+
+    def renamed(self, name: str) -> EnsembleExperiment:
+        """Return the same ensemble under another name."""
+        return replace(self, first=self.first.renamed(name))
 
     def of_group(self, group: Group) -> Experiment:
         """First trajectory of a group as a single experiment, with the group's top."""

@@ -16,6 +16,7 @@ from topcli.config.duration import drop_partner, steps_of
 from topcli.config.models import (
     Config,
     Experiment,
+    changed_name,
     duration_fault,
     name_fault,
     read_columns,
@@ -23,10 +24,19 @@ from topcli.config.models import (
     read_scheme,
     read_top,
 )
-from topcli.config.overrides import apply_overrides
+from topcli.config.overrides import apply_overrides, override_label, parse_override
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
-from topcli.errors import ConfigError, StepTooLongError, UnknownNameError, UsageError, nearest, quoted, shortened
+from topcli.errors import (
+    ConfigError,
+    StepTooLongError,
+    TopcliError,
+    UnknownNameError,
+    UsageError,
+    nearest,
+    quoted,
+    shortened,
+)
 from topcli.tops import TOPS, forms
 
 if TYPE_CHECKING:
@@ -44,9 +54,9 @@ Changes = Mapping[str, Any] | None
 def load_experiment(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> Experiment:
     """Load the experiment of a config file (.yaml, .yml, .toml) or of a packaged scene such as ``kowalevski_hk``.
 
-    ``overrides`` are ``key=value`` texts, applied before the config is validated; ``changes`` then replace whole keys.
-    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right; also for
-    an ensemble, which ``load_any`` loads.
+    ``changes`` replace whole keys; ``overrides``, which are ``key=value`` texts, are applied after them and before the
+    config is validated. Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what
+    would be right; also for an ensemble, which ``load_any`` loads.
     """
     return _single(*_named_document(source, overrides, changes))
 
@@ -56,6 +66,30 @@ def load_any(
 ) -> Experiment | EnsembleExperiment:
     """Load the experiment or ensemble of a config file or of a packaged scene. Raises as ``load_experiment``."""
     return _experiment(*_named_document(source, overrides, changes))
+
+
+def load_named(
+    source: Path | str, overrides: Sequence[str] = (), name: str | None = None
+) -> Experiment | EnsembleExperiment:
+    """Load the experiment or ensemble of a run, under ``name`` or the name that it gets by default.
+
+    That is the name of the config; if the overrides change what is computed or recorded, with the first digits of the
+    digest: ``kowalevski_hybrid-3f2a9c``. An override of the name wins. Raises as ``load_experiment``.
+    """
+    given = next((text for text in overrides if parse_override(text)[0] == ("name",)), None)
+    if name is not None:
+        if given is not None:
+            raise UsageError(f"--name {quoted(name)}: {override_label(given)} names the run too; keep one of them")
+        if fault := name_fault(name):
+            raise UsageError(f"--name {fault}")
+    found = load_any(source, overrides, None if name is None else {"name": name})
+    if name is not None or given is not None or not overrides:
+        return found
+    try:
+        base = load_any(source).digest
+    except TopcliError:  # the overrides complete or correct it
+        base = ""
+    return found if found.digest == base else found.renamed(changed_name(found.name, found.digest))
 
 
 def config_data(source: Path | str, overrides: Sequence[str] = (), changes: Changes = None) -> dict[str, Any]:
@@ -207,10 +241,9 @@ def read_document(path: Path) -> Document:
 
 
 def _named_document(source: Path | str, overrides: Sequence[str], changes: Changes) -> tuple[Document, str]:
-    """Document of a file or scene with overrides and changes, and the default name of its experiment."""
+    """Document of a file or scene with changes and overrides, and the default name of its experiment."""
     path = find_config(source)
     document = read_document(path)
-    apply_overrides(document, overrides)
     if changes:
         new = Document({})
         new.data = plain(changes, new)
@@ -218,6 +251,7 @@ def _named_document(source: Path | str, overrides: Sequence[str], changes: Chang
         document.data |= new.data
         document.places = {key: place for key, place in document.places.items() if not key or key[0] not in new.data}
         document.places |= {(key,): "" for key in new.data}
+    apply_overrides(document, overrides)
     return document, path.stem
 
 
@@ -238,7 +272,7 @@ def _single(document: Document, default_name: str | None) -> Experiment:
         problems.add(
             ("ensemble",),
             f"this is an ensemble of {found.count} trajectories, and a single one is needed here; "
-            "`topcli run` and topcli.simulate_ensemble take ensembles",
+            "`topcli run`, `topcli compare` and topcli.simulate_ensemble take ensembles",
         )
         problems.raise_any()
     assert isinstance(found, Experiment)

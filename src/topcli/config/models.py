@@ -55,6 +55,13 @@ def name_fault(value: str) -> str:
     return ""
 
 
+def changed_name(base: str, digest: str) -> str:
+    """Return the default name of a run with ``digest`` that differs from the config ``base``; long ones are cut."""
+    while name_fault(name := f"{base.rstrip()}-{digest[:6]}") and len(base) > 1:
+        base = base[:-1]
+    return name
+
+
 def _name(value: str) -> str:
     if fault := name_fault(value):
         raise ValueError(fault)
@@ -179,6 +186,10 @@ class Experiment(BaseModel):
     def method(self) -> Method:
         """Build the scheme for the top with the options."""
         return self.scheme.build(self.top, self.options)
+
+    def renamed(self, name: str) -> Experiment:
+        """Return the same experiment under another name."""
+        return self.model_copy(update={"name": name})
 
     @property
     def modified(self) -> tuple[Invariant, ...]:

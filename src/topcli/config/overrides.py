@@ -19,23 +19,25 @@ _EXPERIMENTS = ((), ("base",))
 """Where a document holds a config: as a whole, or in the section ``base`` of a sweep."""
 
 
-def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
+def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
     """Return the path and the value of ``key=value``: a dotted path, and a value in YAML.
+
+    ``label`` names the text in messages, by default as an override.
 
     >>> parse_override("initial.gamma=[auto, 0, 1e-3]")
     (('initial', 'gamma'), ['auto', 0, 0.001])
 
-    Raises ConfigError naming the override.
+    Raises ConfigError naming the text.
     """
     key, equals, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
-    label = override_label(text)
+    label = label or override_label(text)
     if not equals:
-        raise ConfigError(f"{label}: expected key=value, such as --set h=0.01")
+        raise ConfigError(f"{label}: expected key=value, such as h=0.01")
     if not all(_KEY.fullmatch(part) for part in path):
         raise ConfigError(f"{label}: {quoted(key)} is not a key; expected key=value with a key such as h or top.c0")
     if not value.strip():
-        raise ConfigError(f"{label}: no value is given; expected key=value, such as --set h=0.01")
+        raise ConfigError(f"{label}: no value is given; expected key=value, such as h=0.01")
     try:
         data, _ = parse_yaml(value, "")
     except ConfigError as error:

@@ -24,7 +24,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -56,12 +57,22 @@ FIRST_CALL = 4
 Made = TypeVar("Made")
 
 
+_most_threads: int | None = None
+
+
+def limit_threads(count: int) -> None:
+    """Let ``default_threads`` be at most ``count`` in this process."""
+    global _most_threads
+    _most_threads = count
+
+
 def default_threads() -> int:
-    """Number of CPUs that this process may use."""
+    """Number of CPUs that this process may use, or the limit if there is a lower one."""
     try:
-        return len(os.sched_getaffinity(0))
+        cpus = len(os.sched_getaffinity(0))
     except AttributeError:  # not on every system
-        return os.cpu_count() or 1
+        cpus = os.cpu_count() or 1
+    return min(cpus, _most_threads or cpus)
 
 
 def tile_of(count: int) -> int:
@@ -90,6 +101,15 @@ class EnsembleCode:
                 raise step_refused(method, self._d, error) from None
             self.lanes = Lanes(method, code, np.concatenate([self.p, stages_of(method)[1]]), tile)
             self.seconds, self.cached = code.seconds, code.cached
+
+    def with_constants(self, top: Top) -> EnsembleCode:
+        """The same machine code for another top of the same class, under a method equal to this one."""
+        other = copy(self)
+        other.p = np.array(top.constants(), dtype=np.float64)
+        other._lock = threading.Lock()
+        if self.lanes:
+            other.lanes = replace(self.lanes, params=np.concatenate([other.p, self.lanes.params[len(self.p) :]]))
+        return other
 
     def single_loop(self) -> Loop:
         """Time loop of single runs, compiled when the first trajectory needs it."""

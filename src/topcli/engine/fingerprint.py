@@ -24,6 +24,7 @@ import sys
 import types
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import fields
 from opcode import opmap
 from pathlib import Path, PurePath
 from typing import Any, Generic, Protocol
@@ -31,7 +32,7 @@ from typing import Any, Generic, Protocol
 import numpy as np
 from pydantic import BaseModel
 
-from topcli.contracts import stop_asked
+from topcli.contracts import Method, Stepper, stop_asked
 from topcli.engine.source import is_installed, is_versioned, names_in, place_of, plain_function, references, used_names
 from topcli.errors import SchemeCodeError
 
@@ -338,3 +339,37 @@ def fingerprint(*functions: Callable[..., Any] | None, compiled: bool = True) ->
         except _IndescribableError as why:
             raise SchemeCodeError(f"{function!r} is or holds {why}, which cannot be identified by its value") from None
     return walk.digest.hexdigest()
+
+
+def same_method(one: Method, other: Method) -> bool:
+    """True if both methods certainly compile to the same machine code: much cheaper than two fingerprints.
+
+    Closures are compared by their code and by what they hold, so that a scheme may make its functions for each top.
+    """
+    if not isinstance(one, Stepper) or not isinstance(other, Stepper):
+        return one is other
+    return all(_same(getattr(one, part.name), getattr(other, part.name)) for part in fields(one))
+
+
+def _same(one: Any, other: Any, depth: int = 16) -> bool:
+    """True if two values are the same object, equal plain data, or functions of the same code that hold such values."""
+    if one is other:
+        return True
+    if type(one) is not type(other) or not depth:
+        return False
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(_same(a, b, depth - 1) for a, b in zip(one, other, strict=True))
+    if isinstance(one, float):
+        return one.hex() == other.hex()
+    if isinstance(one, (int, str, bool)):
+        return one == other
+    if not isinstance(one, types.FunctionType) or one.__dict__ or other.__dict__:
+        return False
+    if one.__code__ is not other.__code__ or one.__globals__ is not other.__globals__:
+        return False
+    held = [[cell.cell_contents for cell in function.__closure__ or ()] for function in (one, other)]
+    return (
+        _same(tuple(held[0]), tuple(held[1]), depth - 1)
+        and _same(one.__defaults__, other.__defaults__, depth - 1)
+        and one.__kwdefaults__ == other.__kwdefaults__ is None
+    )

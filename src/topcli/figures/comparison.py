@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from topcli.studies.compare import Comparison
 
 
-def _panels(schemes: Sequence[str], component: str) -> tuple[Panel, Panel]:
+def _panels(labels: Sequence[str], component: str) -> tuple[Panel, Panel]:
     """Errors (left) and the swinging component (right)."""
     return (
-        Panel(tuple(Line(f"error:{scheme}", scheme) for scheme in schemes), "error of the state", log=True),
-        Panel(tuple(Line(f"swing:{scheme}", scheme) for scheme in (REFERENCE, *schemes)), component_symbol(component)),
+        Panel(tuple(Line(f"error:{label}", label) for label in labels), "error of the state", log=True),
+        Panel(tuple(Line(f"swing:{label}", label) for label in (REFERENCE, *labels)), component_symbol(component)),
     )
 
 
@@ -35,9 +35,9 @@ def _data(comparison: Comparison) -> dict[str, np.ndarray]:
 def loaded_comparison(comparison: Comparison) -> Loaded:
     """The figure of ``topcli compare``."""
     figures = comparison.figures
-    schemes = [scheme["scheme"] for scheme in figures["schemes"]]
-    source = {"config": figures["config"], "schemes": schemes}
-    return Loaded(_panels(schemes, figures["reference"]["swing"]), lambda: _data(comparison), source)
+    labels = [scheme["label"] for scheme in figures["schemes"]]
+    source = {"config": figures["config"], "schemes": labels}
+    return Loaded(_panels(labels, figures["reference"]["swing"]), lambda: _data(comparison), source)
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class ComparisonFigure(Figure):
         from topcli.analysis.reference import reference_states
         from topcli.config.load import load_experiment
         from topcli.engine.fingerprint import fingerprint
-        from topcli.studies.compare import compare_schemes, under_scheme
+        from topcli.studies.compare import compare_schemes
+        from topcli.studies.entries import under_scheme
         from topcli.studies.identity import method_fingerprint
 
         experiment = load_experiment(scene_config(self.scene, request.configs))

@@ -75,7 +75,7 @@ class SceneFigure(Figure):
             raise UsageError(f"{self.name}: the config of {scene} does not record {', '.join(missing)}")
         run = run_experiment(experiment, request.results, force=request.force, feedback=Feedback(request.on_progress))
         if run.set_aside:
-            request.on_message(f"renamed the earlier, different run to {run.set_aside}")
+            request.on_message(run.set_aside_message)
         if run.outcome is not Outcome.COMPLETED:
             raise RunError(f"{self.name}: the run {run.stored.folder} {run.report['message']}")
         packaged = load_experiment(scene)

@@ -47,6 +47,20 @@ def registering_origin() -> str:
 
 
 @dataclass(frozen=True)
+class SchemeFile:
+    """Loaded scheme file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
+
+    path: str
+    folder: str
+    content: dict[str, bytes]
+
+
+_scheme_files: list[SchemeFile] = []
+_before_files: list[tuple[MutableMapping[Any, Any], dict[Any, Any]]] = []
+"""The tables that plugins extend, each with its content before the first scheme file."""
+
+
+@dataclass(frozen=True)
 class PluginFailure:
     """Plugin that could not be imported, with the reason in one line."""
 
@@ -242,10 +256,15 @@ def _checked(build: Build, name: str) -> Build:
     return checked
 
 
+def _tables() -> list[MutableMapping[Any, Any]]:
+    """Tables that plugins extend."""
+    return [_schemes, TOPS, _for_every_top, *(table for table, _ in _other_tables)]
+
+
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import a plugin; if that fails, remove what it had registered and return the failure."""
     global _origin
-    tables: list[MutableMapping[Any, Any]] = [_schemes, TOPS, _for_every_top, *(table for table, _ in _other_tables)]
+    tables = _tables()
     before, previous = [dict(table) for table in tables], _origin
     _origin = origin
     try:
@@ -300,7 +319,10 @@ def load_scheme_file(path: Path) -> None:
     sys.modules[name] = module
     known = _registered()
     loader = spec.loader
-    with modules_beside(path.resolve().parent):
+    if not _before_files:
+        _before_files.extend((table, dict(table)) for table in _tables())
+    folder = path.resolve().parent
+    with modules_beside(folder) as imported:
         failure = _import_plugin(str(path), str(path), lambda: loader.exec_module(module))
     if failure:
         raise UsageError(f"scheme file {path}: {failure.reason}")
@@ -309,6 +331,23 @@ def load_scheme_file(path: Path) -> None:
             f"scheme file {path}: registers no scheme or measure; decorate a function with @topcli.scheme(...) "
             "or @topcli.measure(...)"
         )
+    modules = {found.relative_to(folder).as_posix(): found.read_bytes() for found in imported}
+    _scheme_files.append(SchemeFile(str(path), str(folder), {path.name: path.read_bytes(), **modules}))
+
+
+def loaded_scheme_files() -> tuple[SchemeFile, ...]:
+    """Scheme files that have been loaded, in that order."""
+    return tuple(_scheme_files)
+
+
+def unload_scheme_files() -> None:
+    """Forget what scheme files have registered."""
+    for table, content in _before_files:
+        table.clear()
+        table.update(content)
+    _before_files.clear()
+    _scheme_files.clear()
+    load_scheme_file.cache_clear()
 
 
 def _registered() -> int:

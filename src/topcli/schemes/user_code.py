@@ -32,11 +32,12 @@ class FromSource(importlib.machinery.SourceFileLoader):
 
 
 class _Beside(importlib.abc.MetaPathFinder):
-    """Finds the modules and packages of one folder, and keeps the names of what it found."""
+    """Finds the modules and packages of one folder, and keeps the names and the files of what it found."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = str(folder)
         self.found: set[str] = set()
+        self.files: list[Path] = []
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: types.ModuleType | None = None
@@ -51,14 +52,17 @@ class _Beside(importlib.abc.MetaPathFinder):
         if type(spec.loader) is importlib.machinery.SourceFileLoader:
             spec.loader = FromSource(spec.loader.name, spec.loader.path)
         self.found.add(fullname)
+        if spec.has_location and spec.origin:
+            self.files.append(Path(spec.origin))
         return spec
 
 
 @contextmanager
-def modules_beside(folder: Path) -> Iterator[None]:
+def modules_beside(folder: Path) -> Iterator[list[Path]]:
     """Make the modules of ``folder`` importable, before all others but those of the standard library and topcli.
 
-    They are forgotten at the end: a module of the same name beside another scheme file is another module.
+    The value is the growing list of the files of those that are imported. The modules are
+    forgotten at the end: a module of the same name beside another scheme file is another module.
     """
     beside = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
     beside -= _NOT_BESIDE
@@ -69,7 +73,7 @@ def modules_beside(folder: Path) -> Iterator[None]:
     importlib.invalidate_caches()
     sys.meta_path.insert(0, finder)
     try:
-        yield
+        yield finder.files
     finally:
         sys.meta_path.remove(finder)
         for name in finder.found:

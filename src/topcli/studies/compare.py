@@ -1,4 +1,4 @@
-"""One experiment under several schemes, measured against an independent reference."""
+"""One experiment under several schemes, options or steps, measured against an independent reference."""
 
 from __future__ import annotations
 
@@ -13,41 +13,24 @@ from topcli.analysis.order import probe_rows, reversal
 from topcli.analysis.reference import distances, reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
-from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Method, Outcome
+from topcli.contracts import Array, Method, Outcome, Top
 from topcli.engine.loop import nanoseconds_per_step
-from topcli.errors import UsageError, nearest, quoted
-from topcli.schemes.registry import find_scheme
+from topcli.studies.entries import Entry, few_rows, read_entries
 from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
-
-MAX_ROWS = 2_000_000
 
 
 @dataclass(frozen=True)
 class Comparison:
     """One experiment under several schemes: the measured ``figures`` and the ``series`` behind them.
 
-    ``series`` has ``t`` (m,), and for each scheme ``error:<scheme>`` and ``swing:<scheme>`` (m,), the latter also
-    for ``reference``; rows after a blow-up are nan.
+    ``series`` has the compared times ``t`` (m,), and for each entry ``error:<label>`` and ``swing:<label>`` (m,), the
+    latter also for ``reference``; rows after a blow-up are nan.
     """
 
     figures: dict[str, Any]
     series: dict[str, Array]
-
-
-def under_scheme(experiment: Experiment, name: str, options: Mapping[str, Any] | None = None) -> Experiment:
-    """``experiment`` with another scheme, and with those of ``options`` that this scheme has.
-
-    If it is the same scheme, composed or not, it keeps the other options of the experiment.
-    """
-    resolved = experiment.resolved()
-    own = name.lower().partition("+")[0] == experiment.scheme.name.partition("+")[0]
-    resolved["scheme"] = (resolved["scheme"] if own else {}) | {"name": name}
-    known = find_scheme(name, experiment.top.form).options.model_fields
-    resolved["scheme"] |= {key: value for key, value in (options or {}).items() if key in known}
-    return experiment_from(resolved)
 
 
 def _padded(values: Array, rows: int) -> Array:
@@ -79,20 +62,18 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
 
 
 def _figures(
-    experiment: Experiment,
+    entry: Entry,
     method: Method,
     trajectory: Trajectory,
     error: Array,
     probes: Array,
     nanoseconds: float,
 ) -> dict[str, Any]:
-    top = experiment.top
+    experiment, top = entry.experiment, entry.experiment.top
     back = reversal(top, method, probes, experiment.h)
     reached_end = trajectory.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
     return {
-        "scheme": experiment.scheme.name,
-        "options": experiment.options.model_dump(mode="json"),
-        "changed": experiment.options.model_dump(mode="json", exclude_defaults=True),
+        **settings(entry),
         "outcome": trajectory.ending.outcome.value,
         "message": trajectory.ending.message,
         "left_motion": left_motion(trajectory.ending),
@@ -118,50 +99,71 @@ def _figures(
     }
 
 
+def settings(entry: Entry) -> dict[str, Any]:
+    """First figures of an entry: its label, scheme, options and steps; ``compared_every`` steps are compared."""
+    experiment = entry.experiment
+    return {
+        "label": entry.label,
+        "scheme": experiment.scheme.name,
+        "options": experiment.options.model_dump(mode="json"),
+        "changed": experiment.options.model_dump(mode="json", exclude_defaults=True),
+        "own": list(entry.own),
+        "h": experiment.h,
+        "N": experiment.N,
+        "every": experiment.output.every,
+        "compared_every": entry.stride,
+    }
+
+
+class _References:
+    """Reference states at the rows of several entries, followed once for each set of times."""
+
+    def __init__(self, top: Top, y0: Sequence[float]) -> None:
+        self._top, self._y0 = top, y0
+        self._known: dict[tuple[float, int, int], Array] = {}
+
+    def at(self, experiment: Experiment, every: int) -> Array:
+        """States (m, d) at every ``every``-th step of an experiment."""
+        key = (experiment.h, experiment.N, every)
+        if key not in self._known:
+            times = np.arange(0, experiment.N + 1, every) * experiment.h
+            self._known[key] = reference_states(self._top, self._y0, times)
+        return self._known[key]
+
+
 def compare_schemes(
-    experiment: Experiment, names: Sequence[str], options: Mapping[str, Any] | None = None
+    experiment: Experiment, entries: Sequence[str], options: Mapping[str, Any] | None = None
 ) -> Comparison:
-    """Run ``experiment`` under each of the schemes ``names`` and measure them.
+    """Run ``experiment`` under each of the ``entries``, names of schemes with their own settings, and measure them.
 
     Each of the ``options`` is set for the schemes that have it, of which there must be one.
 
-    Errors are Euclidean norms of the difference of states from the Taylor reference at the recorded times. The
-    reversal defect is the largest over states spread along the reference. Raises UsageError for a repeated or
-    unknown scheme, or for more rows than fit in memory.
+    Errors are Euclidean norms of the difference of states from the Taylor reference at the compared times. The
+    reversal defect is the largest over states spread along the reference. Raises UsageError as ``read_entries``.
     """
-    experiments = [under_scheme(experiment, name, options) for name in names]
-    for key in options or ():
-        if not any(key in one.scheme.options.model_fields for one in experiments):
-            known = {key for one in experiments for key in one.scheme.options.model_fields}
-            raise UsageError(f"--set scheme.{key}: none of the schemes has this option; {nearest(key, known)}")
-    used = [one.scheme.name for one in experiments]
-    repeated = sorted({name for name in used if used.count(name) > 1})
-    if repeated:
-        raise UsageError(f"scheme {quoted(repeated[0])} is named twice")
-    rows = experiment.N // experiment.output.every + 1
-    if rows > MAX_ROWS:
-        raise UsageError(
-            f"output.every: {rows} rows to compare in memory; "
-            f"record fewer with --set output.every={experiment.N // MAX_ROWS + 1} or more"
-        )
+    compared = read_entries(experiment, entries, options)
     top = experiment.top
-    methods = [one.method() for one in experiments]
-    trajectories = [trajectory_of(one) for one in experiments]
-    n = np.arange(0, experiment.N + 1, experiment.output.every)
-    reference = reference_states(top, experiment.y0, n * experiment.h)
-    probes = reference[probe_rows(len(reference))]
+    methods = [one.experiment.method() for one in compared]
+    trajectories = [trajectory_of(one.experiment) for one in compared]
+    references = _References(top, experiment.y0)
+    finest = max((one.experiment for one in compared), key=lambda one: one.N // one.output.every)
+    finest_rows = references.at(finest, finest.output.every)
+    probes = finest_rows[probe_rows(len(finest_rows))]
     timed = nanoseconds_per_step(
-        [(top, method, experiment.y0, experiment.h) for method in methods],
+        [(top, method, experiment.y0, one.experiment.h) for one, method in zip(compared, methods, strict=True)],
         steps=min(max(experiment.N, 1000), 50_000),
     )
-    swing = top.components.index(top.swing)
-    series = {"t": n * experiment.h, "swing:reference": reference[:, swing]}
+    swing, first = top.components.index(top.swing), compared[0]
+    t = np.arange(0, first.experiment.N + 1, first.stride) * first.experiment.h
+    series = {"t": t, "swing:reference": references.at(first.experiment, first.stride)[:, swing]}
     figures = []
-    for one, method, trajectory, nanoseconds in zip(experiments, methods, trajectories, timed, strict=True):
-        error = distances(trajectory.states, reference[: len(trajectory)])
+    for one, method, trajectory, nanoseconds in zip(compared, methods, trajectories, timed, strict=True):
+        states = trajectory.states[:: one.rows_apart]
+        error = distances(states, references.at(one.experiment, one.stride)[: len(states)])
         figures.append(_figures(one, method, trajectory, error, probes, nanoseconds))
-        series[f"error:{one.scheme.name}"] = _padded(error, len(n))
-        series[f"swing:{one.scheme.name}"] = _padded(trajectory.states[:, swing], len(n))
+        series[f"error:{one.label}"] = _padded(error, len(t))
+        series[f"swing:{one.label}"] = _padded(states[:, swing], len(t))
+    times = np.arange(len(finest_rows)) * finest.output.every * finest.h
     return Comparison(
         finite(
             {
@@ -169,8 +171,10 @@ def compare_schemes(
                 "reference": {
                     "method": "Taylor series in double-double arithmetic",
                     "swing": top.swing,
-                    "swing_spacing": swing_spacing(series["t"], series["swing:reference"]),
+                    "swing_spacing": swing_spacing(times, finest_rows[:, swing]),
                 },
+                "rows": len(t),
+                "few_rows": few_rows(compared, experiment),
                 "schemes": figures,
             }
         ),

@@ -27,7 +27,7 @@ from topcli.contracts import Array, Top, checked_equations
 from topcli.errors import UsageError, shortened
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
-from topcli.studies.compare import under_scheme
+from topcli.studies.entries import under_scheme
 from topcli.studies.report import finite
 from topcli.studies.simulate import trajectory_of
 from topcli.tops import forms

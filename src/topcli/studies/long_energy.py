@@ -16,7 +16,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Run
-from topcli.studies.compare import under_scheme
+from topcli.studies.entries import under_scheme
 from topcli.studies.identity import method_fingerprint
 
 STEPS = 1 << 20

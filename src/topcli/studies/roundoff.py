@@ -26,7 +26,7 @@ from topcli.contracts import Array, Ending, Invariant, Outcome, Sampler
 from topcli.engine.loop import Run, nanoseconds_per_step
 from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes
-from topcli.studies.compare import under_scheme
+from topcli.studies.entries import under_scheme
 from topcli.studies.report import finite
 
 SCENES = {

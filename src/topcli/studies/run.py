@@ -13,7 +13,7 @@ from topcli.contracts import Method, Outcome
 from topcli.engine.loop import Run
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import Checkpoint, write_checkpoint
-from topcli.store.manifest import StoredRun
+from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter, io_failure
 from topcli.studies.identity import Identity, Origin, store_run
@@ -47,13 +47,25 @@ class RunResult:
     """A run folder, its report, and the ``status`` of the call.
 
     The status is ``"ran"``, ``"resumed"``, ``"up to date"`` or, with the format, ``"rewritten as csv"``.
-    ``set_aside`` is the new folder of an earlier, different run that was moved away.
+    ``set_aside`` is the new folder of an earlier run that was moved away, because it is a different one or holds files
+    that this one does not.
     """
 
     stored: StoredRun
     report: dict[str, Any]
     status: str
     set_aside: Path | None = None
+
+    @property
+    def set_aside_message(self) -> str:
+        """Message about the folder that was moved away; empty if none was."""
+        if self.set_aside is None:
+            return ""
+        earlier = stored_run(self.set_aside)
+        new = self.stored.manifest
+        if earlier is not None and all(earlier.manifest.get(key) == new.get(key) for key in ("digest", "code")):
+            return f"kept the earlier folder of this run, with files that are not topcli's, as {self.set_aside}"
+        return f"renamed the earlier, different run to {self.set_aside}"
 
     @property
     def outcome(self) -> Outcome:

@@ -32,7 +32,8 @@ def simulate(
         Config file (YAML or TOML), name of a packaged scene such as ``"kowalevski_hybrid"``, or the content of a
         config as nested mappings.
     overrides : sequence of str
-        Texts ``"key=value"`` as for ``--set`` on the command line, such as ``"output.every=10"``.
+        Texts ``"key=value"`` as for ``--set`` on the command line, such as ``"output.every=10"``; applied after the
+        ``changes``.
     **changes
         Values that replace whole top-level keys of the config: ``top``, ``initial``, ``scheme``, ``h``,
         ``N`` or ``T``, ``output``.

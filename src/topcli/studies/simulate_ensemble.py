@@ -91,7 +91,7 @@ def simulate_ensemble(
         Initial states, with the components in the order of the top's. By default those of the config's ``ensemble``:
         a list ``states``, a ``grid``, or ``random`` draws.
     overrides : sequence of str
-        Texts ``"key=value"`` as for ``--set`` on the command line.
+        Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
     threads : int, optional
         Number of threads, which does not change the results; all CPUs by default.
     **changes

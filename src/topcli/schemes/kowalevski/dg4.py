@@ -52,7 +52,7 @@ MIDPOINT_ITERATIONS = 40
 """Maximum number of iterations for the midpoint rule, after which the step fails."""
 COUNTERS = ("iterations", "midpoint_steps", "short_corrections", "unmet")
 """Number of iterations; of midpoint steps used instead; of steps in which an integral was omitted or its correction
-shortened, because the gradients were nearly dependent; of midpoint steps that did not restore all four values."""
+shortened, because the gradients were nearly dependent; of projected steps that did not restore all four values."""
 FLOOR = 2.0**10
 """Factor by which an iteration may stall above ``SETTLED``."""
 SETTLED = 4.0 * EPS
@@ -123,7 +123,7 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         r = subtract(f, z)
         before = off
         off = abs(r[0]) + abs(r[1]) + abs(r[2]) + abs(r[3]) + abs(r[4]) + abs(r[5])
-        # near a degenerate torus the iteration stalls at the magnified rounding errors of D^T f
+        # near a degenerate torus the iteration stalls at the magnified rounding errors of D^T f; it is projected below
         if off <= tolerance or (0.25 * before < off <= FLOOR * tolerance and i > 0):
             z = f
             status = 0.0
@@ -132,8 +132,8 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         # written out: with a call of add the step takes a tenth longer
         z = (z[0] + b[0], z[1] + b[1], z[2] + b[2], z[3] + b[3], z[4] + b[4], z[5] + b[5])
     new: Floats = add(y, z)
-    if not four:
-        midpoint_steps += 1.0
+    if not four or off > tolerance:
+        midpoint_steps += 0.0 if four else 1.0
         new, missed = project_unless_worse(new, (reach * reach) * dot(z, z), c, (i1, i2, i3, k))
         unmet += missed
     if short > 0.0:
@@ -169,7 +169,8 @@ def build(top: Top, options: NoOptions) -> Stepper:
 
     Self-adjoint; all four integrals are conserved. On degenerate tori, where the gradients are linearly dependent, only
     independent integrals are used. For k = 0 (Delone's motion), and if the iteration does not converge, the step is
-    that of the midpoint rule, projected as in hk-projected; the numbers of such steps and of those that did not restore
-    all four values are reported. If the midpoint rule does not converge either, the run ends as `no_convergence`.
+    that of the midpoint rule, projected as in hk-projected; a step whose iteration stalls at magnified round-off is
+    projected too. The numbers of midpoint steps and of those that did not restore all four values are reported. If the
+    midpoint rule does not converge either, the run ends as `no_convergence`.
     """
     return Stepper(dg4_step, 15, enter, first6, COUNTERS, iterative=True)

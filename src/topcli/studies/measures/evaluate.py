@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from topcli.analysis.order import PROBES
 from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
+from topcli.engine.fingerprint import same_method
 from topcli.engine.tile import Piece
 from topcli.errors import TopcliError, UsageError
 from topcli.schemes.user_code import users_error
@@ -106,17 +108,30 @@ def batch_size(experiment: Experiment, measures: Sequence[Measure], budget: int 
 
 MAX_CODES = 256
 _codes: dict[tuple[Any, ...], EnsembleCode] = {}
+_latest: dict[tuple[Any, ...], EnsembleCode] = {}
+"""The latest code by everything but the parameters of the top."""
 
 
 def _code(experiment: Experiment, tile: int, side_by_side: bool) -> EnsembleCode:
-    """Code of the experiment's method, kept for other experiments with the same scheme, options and top."""
+    """Code of the experiment's method, kept for other experiments with the same scheme, options and class of top.
+
+    Tops whose methods are equal share the machine code; constants of the top are its arguments.
+    """
     one = experiment
-    key = (one.scheme.build, type(one.top), one.top.model_dump_json(), one.options.model_dump_json())
-    found = _codes.get((*key, tile, side_by_side))
+    kind = (one.scheme.build, type(one.top), one.options.model_dump_json(), tile, side_by_side)
+    key = (*kind, one.top.model_dump_json())
+    found = _codes.get(key)
     if found is None:
         if len(_codes) >= MAX_CODES:
             _codes.clear()
-        found = _codes.setdefault((*key, tile, side_by_side), EnsembleCode(one.top, one.method(), tile, side_by_side))
+            _latest.clear()
+        method, known = one.method(), _latest.get(kind)
+        if known is not None and same_method(method, known.method):
+            found = known.with_constants(one.top)
+        else:
+            found = _latest[kind] = EnsembleCode(one.top, method, tile, side_by_side)
+            found.single_loop()  # so that no run has to wait for it
+        found = _codes.setdefault(key, found)
     return found
 
 
@@ -150,8 +165,8 @@ class BatchRun:
         self.experiment, self.measures = experiment, tuple(measures)
         self._recorder: BatchRecorder | None = None
         self._recording = 0.0
+        self._initial: Piece | None = None
         self._code = _code(experiment, tile_of(count), count >= SIDE_BY_SIDE)
-        self._code.single_loop()  # so that no run has to wait for it
         self._stepping: dict[float, EnsembleRun[None]] = {}
         self._run = EnsembleRun(
             experiment.top,
@@ -167,17 +182,38 @@ class BatchRun:
     def _record(self, piece: Piece) -> None:
         assert self._recorder is not None
         began = time.thread_time()
-        self._recorder.add(piece)
+        if self._run.side_by_side:
+            self._recorder.add(piece)
+        elif len(piece.n) == 1 and piece.n[0] == 0 and self.experiment.N:
+            self._flush()
+            self._initial = replace(piece, states=piece.states.copy())
+        else:
+            self._recorder.add(self._joined(piece))
         self._recording += time.thread_time() - began
+
+    def _joined(self, piece: Piece) -> Piece:
+        """``piece`` after the initial state of its run, which is held back: one row costs as much as hundreds."""
+        initial, self._initial = self._initial, None
+        if initial is None:
+            return piece
+        n, states = np.concatenate([initial.n, piece.n]), np.concatenate([initial.states, piece.states], axis=1)
+        return Piece(initial.first, n, states, initial.kept + piece.kept)
+
+    def _flush(self) -> None:
+        """Record an initial state that no other row followed."""
+        if self._initial is not None and self._recorder is not None:
+            self._recorder.add(self._initial)
+        self._initial = None
 
     def finished(self, initial: Array) -> Batch:
         """Run from the states ``initial`` (runs, d) and return what was recorded."""
         self._run.begin(initial)
-        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0)
+        self._recorder, self._initial = BatchRecorder(self.experiment, self.measures, self._run.y0), None
         before, self._recording = self._run.run_seconds, 0.0
         began = time.perf_counter()
         for _ in self._run:
             pass
+        self._flush()
         seconds = self._run.run_seconds - before
         if self._run.side_by_side:  # these include what ``_record`` does
             seconds = max(0.0, seconds - self._recording / self._run.threads)

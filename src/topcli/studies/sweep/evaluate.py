@@ -22,11 +22,11 @@ from topcli.config.document import Document
 from topcli.config.models import Experiment, Output, read_scheme
 from topcli.config.problems import Problems
 from topcli.config.sweep.rows import Row
-from topcli.contracts import Outcome, Scheme
+from topcli.contracts import Outcome, Scheme, Top
 from topcli.errors import TopcliError
 from topcli.schemes.user_code import users_error
 from topcli.store.provenance import cpu_name
-from topcli.studies.measures import BatchRun, batch_size, evaluate, resolve_measures
+from topcli.studies.measures import BatchRun, Measure, batch_size, evaluate, resolve_measures
 from topcli.tops import TOPS
 
 FAILED = "failed"
@@ -136,12 +136,24 @@ def _scheme(text: str, form: str) -> tuple[Scheme, Any]:
 
 
 @lru_cache(maxsize=256)
+def _top(text: str, form: str) -> Top:
+    """Top of a resolved section."""
+    section = json.loads(text)
+    del section["kind"]
+    return TOPS[form].model_validate(section)
+
+
+@lru_cache(maxsize=256)
+def _measures(names: tuple[str, ...], top: str, scheme: str, form: str) -> tuple[Measure, ...]:
+    """Measures of rows with this top and scheme."""
+    return resolve_measures(names, _top(top, form), *_scheme(scheme, form))
+
+
+@lru_cache(maxsize=256)
 def shared_experiment(shared: Shared) -> Experiment:
     """Experiment of rows that share these values; its initial state has no meaning."""
-    section = json.loads(shared.top)
-    del section["kind"]
     scheme, options = _scheme(shared.scheme, shared.form)
-    top = TOPS[shared.form].model_validate(section)
+    top = _top(shared.top, shared.form)
     return Experiment.model_construct(
         name="row",
         top=top,
@@ -159,7 +171,7 @@ class _Ready:
 
     def __init__(self, shared: Shared, measures: tuple[str, ...], count: int) -> None:
         one = shared_experiment(shared)
-        self.measures = resolve_measures(measures, one.top, one.scheme, one.options)
+        self.measures = _measures(measures, shared.top, shared.scheme, shared.form)
         self.size = batch_size(one, self.measures)
         self.stop: Callable[[], bool] = lambda: False
         self.run = BatchRun(one, self.measures, count=min(count, self.size), threads=1, stop=lambda: self.stop())
@@ -185,6 +197,14 @@ class _Kept(threading.local):
 
 
 _kept = _Kept()
+
+
+def forget() -> None:
+    """Forget what is kept for later batches, after the registered schemes or measures have changed."""
+    global _kept
+    for cached in (_scheme, _top, _measures, shared_experiment):
+        cached.cache_clear()
+    _kept = _Kept()
 
 
 @dataclass

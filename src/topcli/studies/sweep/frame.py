@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.config.sweep.document import load_sweep, sweep_from
-from topcli.studies.sweep.results import ROWS
+from topcli.studies.rows import ROWS
 from topcli.studies.sweep.run import SweepOptions, run_sweep
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ def sweep(
     overrides: Sequence[str] = (),
     retry_failed: bool = False,
     threads: int | None = None,
+    dask: str | None = None,
 ) -> pd.DataFrame:
     """Run what is new in a sweep and return the table of its rows.
 
@@ -37,6 +38,9 @@ def sweep(
         True to run rows that failed before again.
     threads : int, optional
         Number of threads, which does not change the results; all CPUs by default.
+    dask : str, optional
+        Address of a Dask cluster that runs the rows, as for ``--dask`` on the command line; ``threads`` is then
+        ignored.
 
     Returns
     -------
@@ -70,6 +74,11 @@ def sweep(
 
     loaded = sweep_from(file, overrides) if isinstance(file, Mapping) else load_sweep(file, overrides)
     options = SweepOptions(confirmed=True, retry_failed=retry_failed, threads=threads)
-    result = run_sweep(loaded, Path(out), options)
+    if dask is None:
+        result = run_sweep(loaded, Path(out), options)
+    else:
+        from topcli.studies.sweep.cluster import run_on_cluster
+
+        result = run_on_cluster(dask, loaded, Path(out), options)
     table = pd.read_parquet(result.folder / ROWS)
     return table[table["current"]].drop(columns="current").set_index("row")

@@ -16,11 +16,10 @@ from topcli.config.sweep.rows import RowReader
 from topcli.store.manifest import MANIFEST, SWEEP, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import write_whole
+from topcli.studies.rows import METADATA, ROWS
 from topcli.studies.sweep.journal import Index, Journal
 from topcli.studies.sweep.plan import DONE, REPEATED, Plan
 
-ROWS = "rows.parquet"
-METADATA = "topcli.sweep"
 ROW_GROUP = 1 << 14
 Columns = dict[str, list[Any]]
 

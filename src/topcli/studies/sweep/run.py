@@ -26,11 +26,12 @@ from topcli.store.manifest import MANIFEST
 from topcli.store.parts import LOCK, lock_folder, owner
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import io_failure, require_real, require_writable, write_whole
+from topcli.studies.rows import ROWS
 from topcli.studies.sweep.batches import batches
 from topcli.studies.sweep.evaluate import Results, Work
 from topcli.studies.sweep.journal import COMPLETED, JOURNAL, Block, Journal
 from topcli.studies.sweep.plan import CODE, MEASURE, NEW, RETRY, Plan, Survey, changes, plan_sweep, survey
-from topcli.studies.sweep.results import ROWS, write_manifest, write_rows
+from topcli.studies.sweep.results import write_manifest, write_rows
 
 SWEEP_FILE = "sweep.yaml"
 SERIES = "series"
@@ -60,6 +61,9 @@ class SweepOptions:
     fail_fast: bool = False
     time_limit: float = 0.0
     threads: int | None = None
+    """Batches that are evaluated at the same time."""
+    batch_scale: int = 1
+    """Size of a batch in units of about a second of work."""
 
 
 @dataclass
@@ -254,7 +258,7 @@ class _Runner:
         (self.folder / MANIFEST).unlink(missing_ok=True)
         if self.plan.to_run:
             rows = (row for row, _ in rows_to_run(self.plan))
-            made = batches(rows, threads)
+            made = batches(rows, threads, self.options.batch_scale)
             work = Work(self.sweep.measures, self.options.time_limit)
             for batch, results in (backend or in_threads(threads))(made, work, self._stop):
                 self._keep(batch, results)

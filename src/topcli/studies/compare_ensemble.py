@@ -1,0 +1,149 @@
+"""An ensemble under several schemes, options or steps: quantiles over the trajectories that reached the end."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.many import quantiles
+from topcli.config.ensemble import EnsembleExperiment, Group
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Top
+from topcli.studies.compare import settings
+from topcli.studies.ensemble_report import EndingTally
+from topcli.studies.entries import Entry, few_rows, read_entries
+from topcli.studies.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
+from topcli.studies.report import finite
+
+QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
+MEASURED = ("error.max", "error.end", "reversal", "swing_spacing.first")
+"""Measures of every entry that they fit, beside deviation and drift of its invariants."""
+
+
+def compare_ensemble(
+    experiment: EnsembleExperiment,
+    entries: Sequence[str],
+    options: Mapping[str, Any] | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Run an ensemble under each of the ``entries`` and measure the trajectories; plain data, ready for JSON.
+
+    Parameters
+    ----------
+    experiment : EnsembleExperiment
+        Ensemble, whose initial states all entries share.
+    entries : sequence of str
+        Names of schemes with their own settings, as ``read_entries`` takes them.
+    options : mapping, optional
+        Options of all schemes that have them.
+    on_progress : callable, optional
+        ``on_progress(done, total)`` is called with the number of steps taken.
+
+    Returns
+    -------
+    dict
+        ``schemes`` holds for each entry the counted outcomes, the first failures, and the quantiles of each measure
+        over the trajectories that took all their steps and have a value, with the ``count`` of these.
+
+    Raises
+    ------
+    UsageError
+        As ``read_entries``, and for more rows than fit in memory.
+    """
+    compared = read_entries(experiment.first, entries, options)
+    columns = [_Column(entry, experiment.top) for entry in compared]
+    done, total = 0, experiment.count * sum(column.experiment.N for column in columns)
+    for group in experiment.members.groups:
+        size = min(column.prepare(group) for column in columns)
+        for initial in group.source.blocks(size):
+            for column in columns:  # one block under all entries, so that they share its references
+                column.add(initial)
+                done += len(initial) * column.experiment.N
+                on_progress(done, total)
+    first = compared[0]
+    return finite(
+        {
+            "kind": "ensemble",
+            "config": experiment.resolved(),
+            "trajectories": experiment.count,
+            "quantiles": QUANTILES,
+            "swing": getattr(experiment.top, "swing", None),
+            "rows": first.experiment.N // first.stride + 1,
+            "few_rows": few_rows(compared, experiment.first),
+            "schemes": [column.figures() for column in columns],
+        }
+    )
+
+
+class _Column:
+    """One entry, fed with blocks of initial states."""
+
+    def __init__(self, entry: Entry, top: Top) -> None:
+        one = entry.experiment
+        output = one.output.model_copy(update={"every": entry.stride})
+        self.entry, self.experiment = entry, one.model_copy(update={"top": top, "output": output})
+        self.measures = _measures(self.experiment)
+        self._values: dict[str, list[Array]] = {one.name: [] for one in self.measures}
+        self._faults: dict[str, list[tuple[int, str]]] = defaultdict(list)
+        self._endings = EndingTally(self.experiment.N)
+        self._reached, self._steps, self._seconds = 0, 0, 0.0
+        self._run: BatchRun | None = None
+
+    def prepare(self, group: Group) -> int:
+        """Get ready to run trajectories of a group; return the largest number of them at a time."""
+        one: Experiment = self.experiment.model_copy(update={"top": group.top})
+        size = batch_size(one, self.measures)
+        self._run = BatchRun(one, self.measures, count=min(group.count, size))
+        return size
+
+    def add(self, initial: Array) -> None:
+        """Run the trajectories from ``initial`` (m, d) and measure them."""
+        assert self._run is not None
+        offset = self._endings.total
+        batch = self._run.finished(initial)
+        found = evaluate(self.measures, batch, lambda i, name, reason: self._faults[name].append((offset + i, reason)))
+        for name, values in found.items():
+            self._values[name].append(values)  # nan for those that failed
+        self._reached += int(np.count_nonzero(batch.whole))
+        self._endings.add(batch.endings)
+        self._steps += int(batch.endings.step.sum())
+        self._seconds += float(batch.seconds.sum())
+
+    def figures(self) -> dict[str, Any]:
+        """Outcomes and quantiles as plain data."""
+        measured = {}
+        for name, parts in self._values.items():
+            values = np.concatenate(parts)
+            measured[name] = {"count": int(np.count_nonzero(~np.isnan(values))), **quantiles(values, QUANTILES)}
+        return {
+            **settings(self.entry),
+            "outcomes": self._endings.outcomes,
+            "message": self._endings.message,
+            "reached_end": self._reached,
+            "failures": [
+                {"trajectory": i, "outcome": ending.outcome.value, "message": ending.message}
+                for i, ending in self._endings.failures
+            ],
+            "faults": {
+                name: {"count": len(found), "trajectory": found[0][0], "reason": found[0][1]}
+                for name, found in self._faults.items()
+            },
+            "invariants": [
+                {"name": one.name, "symbol": one.symbol}
+                for one in (*self.experiment.top.invariants(), *self.experiment.modified)
+            ],
+            "measures": measured,
+            "nanoseconds_per_step": 1e9 * self._seconds / max(self._steps, 1),
+        }
+
+
+def _measures(experiment: Experiment) -> tuple[Measure, ...]:
+    """Measures of an entry: those of ``MEASURED`` that fit, and deviation and drift of each invariant."""
+    top, scheme, options = experiment.top, experiment.scheme, experiment.options
+    fitting = names_of(top, scheme, options)
+    names = [name for name in MEASURED if name in fitting]
+    names += [name for name in fitting if name.partition(".")[0] in ("deviation", "drift")]
+    return resolve_measures(names, top, scheme, options)

@@ -1,0 +1,207 @@
+"""Entries of a comparison: schemes with options and a step size of their own, such as ``hybrid:branch=sign,h=0.01``.
+
+All entries cover the same time. Entries with different steps are compared at times that all of them reach exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+from topcli.config.document import describe
+from topcli.config.duration import steps_over
+from topcli.config.load import experiment_from
+from topcli.config.models import Experiment, number_of
+from topcli.config.overrides import parse_override
+from topcli.errors import UnknownNameError, UsageError, nearest, printable, quoted, shortened
+from topcli.schemes.registry import find_scheme
+
+STEP = "h"
+"""Key of an entry's own step size; all other keys are options of its scheme."""
+MAX_ROWS = 2_000_000
+FEW_ROWS = 300
+"""Entries have at least as many rows if the config asks for them and the numbers of steps allow it."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One column of a comparison.
+
+    Attributes
+    ----------
+    label : str
+        Name of the scheme and the entry's own settings; no two entries of a comparison have the same.
+    own : tuple of str
+        Keys of these settings.
+    experiment : Experiment
+        Experiment under this scheme and step; ``output.every`` divides ``stride``.
+    stride : int
+        Number of steps between compared rows.
+    """
+
+    label: str
+    own: tuple[str, ...]
+    experiment: Experiment
+    stride: int
+
+    @property
+    def rows_apart(self) -> int:
+        """Number of recorded rows from one compared row to the next."""
+        return self.stride // self.experiment.output.every
+
+
+def under_scheme(experiment: Experiment, name: str, options: Mapping[str, Any] | None = None) -> Experiment:
+    """``experiment`` with another scheme, and with those of ``options`` that this scheme has.
+
+    If it is the same scheme, composed or not, it keeps the other options of the experiment.
+    """
+    resolved = experiment.resolved()
+    own = name.lower().partition("+")[0] == experiment.scheme.name.partition("+")[0]
+    resolved["scheme"] = (resolved["scheme"] if own else {}) | {"name": name}
+    known = find_scheme(name, experiment.top.form).options.model_fields
+    resolved["scheme"] |= {key: value for key, value in (options or {}).items() if key in known}
+    return experiment_from(resolved)
+
+
+def read_entries(
+    experiment: Experiment, texts: Sequence[str], options: Mapping[str, Any] | None = None
+) -> tuple[Entry, ...]:
+    """Return the entries ``NAME[:key=value[,key=value]...]`` of a comparison.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Experiment that all entries share but for scheme, options, step size and recorded rows.
+    texts : sequence of str
+        Names of schemes, each with its own options and its own ``h``.
+    options : mapping, optional
+        Options of all schemes that have them; an entry's own options come first.
+
+    Returns
+    -------
+    tuple of Entry
+        If all have the ``h`` of the experiment, its rows are compared; otherwise common times, about as many.
+
+    Raises
+    ------
+    UsageError
+        For an unknown scheme or key, a step that does not divide the time, equal entries, or more rows than fit in
+        memory. The message names the entry.
+    """
+    entries = [_entry(experiment, text, options or {}) for text in texts]
+    for key in options or ():
+        if not any(key in one.experiment.scheme.options.model_fields for one in entries):
+            known = {key for one in entries for key in one.experiment.scheme.options.model_fields}
+            raise UsageError(f"--set scheme.{key}: none of the schemes has this option; {nearest(key, known)}")
+    _require_different(entries)
+    if any(one.experiment.h != experiment.h for one in entries):
+        entries = _at_common_times(entries, max(1, experiment.N // experiment.output.every))
+    rows = max(one.experiment.N // one.experiment.output.every + 1 for one in entries)
+    if rows > MAX_ROWS:
+        raise UsageError(
+            f"output.every: {rows} rows to compare in memory; "
+            f"record fewer with --set output.every={experiment.N // MAX_ROWS + 1} or more"
+        )
+    return tuple(entries)
+
+
+def few_rows(entries: Sequence[Entry], experiment: Experiment) -> bool:
+    """True if the entries share fewer times than ``experiment`` has rows, and fewer than ``FEW_ROWS``."""
+    shared = entries[0].experiment.N // entries[0].stride
+    return shared < min(FEW_ROWS, experiment.N // experiment.output.every)
+
+
+def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Entry:
+    name, colon, settings = text.partition(":")
+    with _named(text if colon else ""):
+        found = find_scheme(name, experiment.top.form)
+        own, shown = _settings(settings) if colon else ({}, {})
+        known = (STEP, *found.options.model_fields)
+        for key in own:
+            if key not in known:
+                raise UnknownNameError(f"scheme {found.name!r} has no option {quoted(key)}; {nearest(key, known)}")
+        h = _step(own.pop(STEP), experiment.h) if STEP in own else experiment.h
+        made = under_scheme(experiment, name, {**options, **own})
+        N = experiment.N if h == experiment.h else steps_over(experiment.duration, h)
+    if STEP in shown:
+        shown[STEP] = f"{h:g}" if float(f"{h:g}") == h else repr(h)
+    label = made.scheme.name + (":" if shown else "") + ",".join(f"{key}={value}" for key, value in shown.items())
+    every = experiment.output.every
+    return Entry(printable(label), tuple(shown), made.model_copy(update={"h": h, "N": N}), every)
+
+
+@contextmanager
+def _named(entry: str) -> Iterator[None]:
+    """Let messages of errors begin with the ``entry``, unless that is empty."""
+    try:
+        yield
+    except UsageError as error:
+        if not entry:
+            raise
+        first, *others = error.lines
+        raise type(error)(f"{shortened(entry)}: {first}", *others) from None
+
+
+def _settings(text: str) -> tuple[dict[str, Any], dict[str, str]]:
+    """Values of ``key=value,...`` and their texts, by key."""
+    values: dict[str, Any] = {}
+    shown: dict[str, str] = {}
+    for part in text.split(","):
+        path, value = parse_override(part, quoted(part))
+        key = ".".join(path)
+        if key in values:
+            raise UsageError(f"sets {key} twice; set it once")
+        values[key], shown[key] = value, part.partition("=")[2].strip()
+    return values, shown
+
+
+def _step(value: Any, base: float) -> float:
+    """Step size of an entry, with the sign of that of the experiment."""
+    h = number_of(value)
+    if h is None or not math.isfinite(h) or h == 0.0:
+        raise UsageError(f"h must be a finite number other than zero, not {describe(value)}")
+    if (h > 0.0) != (base > 0.0):
+        raise UsageError(f"h = {h:g} must have the sign of {base:g}, the step of the experiment")
+    return h
+
+
+def _require_different(entries: Sequence[Entry]) -> None:
+    """Raise UsageError if two entries compute the same."""
+    seen: dict[tuple[str, str, float], Entry] = {}
+    for one in entries:
+        made = one.experiment
+        earlier = seen.setdefault((made.scheme.name, made.options.model_dump_json(), made.h), one)
+        if earlier is one:
+            continue
+        if not (one.own or earlier.own):
+            raise UsageError(f"scheme {quoted(one.label)} is named twice")
+        if one.label == earlier.label:
+            raise UsageError(f"{one.label} is named twice")
+        raise UsageError(f"{one.label}: computes the same as {earlier.label}; keep one of them")
+
+
+def _at_common_times(entries: Sequence[Entry], wanted: int) -> list[Entry]:
+    """Entries that record rows at common times, about ``wanted`` after time 0, and rows between if these are few."""
+    least = min(FEW_ROWS, wanted)
+    divisors = _divisors(math.gcd(*(one.experiment.N for one in entries)))
+    count = max(divisor for divisor in divisors if divisor <= wanted)
+    if count < least:
+        count = min((divisor for divisor in divisors if divisor >= least), default=count)
+    made = []
+    for one in entries:
+        N = one.experiment.N
+        stride = every = N // count
+        if count < least:
+            between = [every for every in _divisors(stride) if min(least, N) <= N // every < MAX_ROWS]
+            every = max(between, default=stride)
+        output = one.experiment.output.model_copy(update={"every": every})
+        made.append(replace(one, stride=stride, experiment=one.experiment.model_copy(update={"output": output})))
+    return made
+
+
+def _divisors(number: int) -> list[int]:
+    low = [divisor for divisor in range(1, math.isqrt(number) + 1) if number % divisor == 0]
+    return low + [number // divisor for divisor in low]

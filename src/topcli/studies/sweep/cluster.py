@@ -1,0 +1,371 @@
+"""A sweep on a Dask cluster: batches as tasks, a bounded number in flight, results back to the one writer.
+
+The scheduler never holds more than a few batches for each thread of a worker. The key of a task is the digest of what
+it computes. A batch whose workers are lost again and again is divided; a single row that ends its workers becomes a
+failed row.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import logging
+import pickle
+import queue
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from topcli.config.sweep.document import Sweep
+from topcli.config.sweep.rows import Row
+from topcli.errors import RunError, UsageError, quoted
+from topcli.schemes.registry import loaded_scheme_files
+from topcli.schemes.user_code import reason_of
+from topcli.studies.sweep.evaluate import FAILED, Results, Work
+from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, run_sweep
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+    from topcli.studies.sweep.worker import Job
+
+LOCAL = "local:"
+CONNECT_SECONDS = 5
+"""Time in which a scheduler must answer."""
+WORKER_SECONDS = 60.0
+"""Time in which the first worker must have joined the scheduler."""
+POLL_SECONDS = 0.2
+COUNT_SECONDS = 2.0
+"""Time between two counts of the workers."""
+IN_FLIGHT = 3
+"""Batches in flight for each thread of a worker."""
+BATCH_SCALE = 3
+"""Seconds of work in a batch: much longer than the scheduler's time for a task."""
+_LOCAL_CLUSTER: dict[str, Any] = {
+    "threads_per_worker": 1,
+    "dashboard_address": "127.0.0.1:0",  # any port: the default one may be in use
+    "worker_dashboard_address": None,
+    "silence_logs": logging.CRITICAL,
+    # Ctrl-C in a terminal is for the process that writes; it ends the workers
+    "preload": "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)",
+}
+Batch = list[Row]
+Stop = Callable[[], bool]
+
+
+def require_dask() -> None:
+    """Raise UsageError if the packages of the extra ``dask`` are missing."""
+    try:
+        import distributed  # noqa: F401
+    except ImportError as error:
+        raise UsageError(
+            f"--dask: the package {error.name or 'distributed'} is missing", "pip install 'topcli[dask]' installs it"
+        ) from None
+
+
+def local_workers(address: str) -> int:
+    """Number of workers of ``local:N``; 0 for the address of a scheduler.
+
+    Raises UsageError if ``address`` is neither.
+    """
+    if address.startswith(LOCAL):
+        count = address.removeprefix(LOCAL)
+        if count.isascii() and count.isdigit() and int(count) > 0:
+            return int(count)
+    else:
+        protocol, _, rest = address.rpartition("://")
+        _, colon, port = rest.rpartition(":")
+        if (protocol or "tcp").isalnum() and colon and port.rstrip("/").isdigit():
+            return 0
+    raise UsageError(
+        f"--dask {quoted(address)}: neither a number of workers nor the address of a scheduler",
+        "give local:4 for four workers on this machine, or an address such as tcp://host:8786",
+    )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the log of the library from stderr: what matters is reported by us."""
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
+
+
+def run_on_cluster(
+    address: str,
+    sweep: Sweep,
+    out: Path,
+    options: SweepOptions | None = None,
+    watcher: Watcher | None = None,
+) -> SweepResult:
+    """Run what is new in ``sweep`` on the Dask cluster at ``address``; otherwise as ``run_sweep``."""
+    options, watcher = options or SweepOptions(), watcher or Watcher()
+    with connected(address, watcher.message, watcher.stop) as cluster:
+        divided = replace(options, threads=cluster.threads, batch_scale=BATCH_SCALE)
+        return run_sweep(sweep, out, divided, watcher, cluster)
+
+
+def _require_answer(address: str) -> None:
+    """Raise the library's error, or TimeoutError, if no scheduler answers; the client itself waits forever for one
+    that accepts a connection and is silent."""
+    from distributed.comm.core import connect
+    from distributed.security import Security
+
+    async def ask() -> None:
+        options = Security().get_connection_args("client")
+        comm = await asyncio.wait_for(connect(address, timeout=CONNECT_SECONDS, **options), CONNECT_SECONDS)
+        comm.abort()
+
+    with ThreadPoolExecutor(1) as pool:  # this thread may have a running event loop
+        pool.submit(asyncio.run, ask()).result()
+
+
+@contextmanager
+def connected(
+    address: str, on_message: Callable[[str], None] = lambda line: None, stop: Stop = lambda: False
+) -> Iterator[Cluster]:
+    """Connect to the scheduler at ``address``, or start one for ``local:N``, and prepare its workers.
+
+    Parameters
+    ----------
+    address : str
+        ``local:N`` for N worker processes on this machine, or the address of a scheduler, ``tcp://host:port``.
+    on_message : callable, optional
+        Called with each warning.
+    stop : callable, optional
+        Once it returns true, workers are waited for no longer.
+
+    Yields
+    ------
+    Cluster
+        Back end for ``run_sweep``.
+
+    Raises
+    ------
+    UsageError
+        If dask is missing, no scheduler answers, it has no workers, or a worker has other versions.
+    """
+    count = local_workers(address)
+    require_dask()
+    from distributed import Client, LocalCluster
+
+    with ExitStack() as stack:
+        stack.enter_context(_quiet())
+        target: Any = address
+        if count:
+            target = stack.enter_context(LocalCluster(n_workers=count, **_LOCAL_CLUSTER))
+        try:
+            if not count:
+                _require_answer(address)
+            client = stack.enter_context(Client(target, timeout=CONNECT_SECONDS, set_as_default=False))
+        except Exception as error:
+            reason = "what answers there is something else"
+            if isinstance(error, OSError | TimeoutError):
+                reason = str(error)[:200] or f"no answer within {CONNECT_SECONDS} s"
+            raise UsageError(
+                f"--dask {address}: no Dask scheduler can be reached ({reason})",
+                "dask scheduler starts one; --dask local:4 uses this machine",
+            ) from None
+        yield _prepared(client, address, on_message, stop, stack)
+
+
+def _prepared(client: Client, address: str, on_message: Callable[[str], None], stop: Stop, stack: ExitStack) -> Cluster:
+    """Cluster whose workers have the same versions and are ready for the sweep."""
+    from topcli.studies.sweep.worker import Job, Preparation, versions
+
+    threads = _wait_for_workers(client, address, on_message, stop)
+    job = Job(uuid.uuid4().hex[:16], versions(), loaded_scheme_files())
+    for line in _check_workers(client, job):
+        on_message(line)
+    plugin = Preparation(job)
+    client.register_plugin(plugin, name=plugin.name)
+
+    def unregister() -> None:
+        with suppress(Exception):  # the scheduler may be gone
+            client.unregister_worker_plugin(plugin.name)
+
+    stack.callback(unregister)
+    return Cluster(client, address, job, threads, on_message)
+
+
+def _threads(client: Client) -> int:
+    """Number of threads of all workers."""
+    return sum(cast(dict[str, int], client.nthreads()).values())
+
+
+def _wait_for_workers(client: Client, address: str, on_message: Callable[[str], None], stop: Stop) -> int:
+    """Number of threads of all workers, of which there is at least one."""
+    deadline, said = time.monotonic() + WORKER_SECONDS, False
+    while not (threads := _threads(client)):
+        if stop() or time.monotonic() > deadline:
+            raise UsageError(
+                f"--dask {address}: the scheduler has no workers", f"dask worker {address} starts one on this machine"
+            )
+        if not said:
+            on_message(f"{address} has no workers; waiting for one")
+            said = True
+        time.sleep(POLL_SECONDS)
+    return threads
+
+
+def _check_workers(client: Client, job: Job) -> list[str]:
+    """Compare the workers with this process; return warnings. Raises UsageError that names a worker that differs."""
+    from topcli.studies.sweep.worker import describe, difference
+
+    found = cast(dict[str, Any], client.run(describe, on_error="return"))
+    cpus: dict[str, int] = {}
+    for worker, answer in sorted(found.items()):
+        if isinstance(answer, BaseException):
+            raise UsageError(
+                f"worker {worker}: topcli cannot be imported there ({reason_of(answer)[:200]})",
+                f"install topcli {job.versions['topcli']} there",
+            )
+        if fault := difference(job.versions, answer["versions"]):
+            raise UsageError(f"worker {worker}: {fault}", "install the same versions there")
+        cpus[answer["cpu"]] = cpus.get(answer["cpu"], 0) + 1
+    if len(cpus) < 2:
+        return []
+    kinds = ", ".join(f"{count} with {cpu}" for cpu, count in cpus.items())
+    return [f"warning: the workers have different processors ({kinds}); results may differ in the last digits"]
+
+
+@dataclass
+class Cluster:
+    """Back end of a sweep on the prepared workers of a scheduler; ``threads`` is the number of their threads."""
+
+    client: Client
+    address: str
+    job: Job
+    threads: int
+    on_message: Callable[[str], None]
+    _flying: dict[Any, tuple[Future[Any], Batch]] = field(default_factory=dict)
+    _ended: queue.SimpleQueue[Future[Any]] = field(default_factory=queue.SimpleQueue)
+    _pieces: deque[Batch] = field(default_factory=deque)
+    """Parts of batches that were divided."""
+    _counted: float = field(default_factory=time.monotonic)
+
+    def __call__(self, made: Iterable[Batch], work: Work, stop: Stop) -> Iterator[tuple[Batch, Results]]:
+        """Yield each batch and its results; the rows in flight are given up once ``stop()`` returns true."""
+        source = iter(made)
+        try:
+            while not stop():
+                while len(self._flying) < IN_FLIGHT * max(1, self.threads):
+                    batch = self._pieces.popleft() if self._pieces else next(source, None)
+                    if batch is None:
+                        break
+                    self._submit(batch, work)
+                if not self._flying:
+                    return
+                yield from self._arrived(work)
+                self._count()
+            yield from self._last()
+        finally:
+            self._give_up()
+
+    def _submit(self, batch: Batch, work: Work) -> None:
+        from topcli.studies.sweep.worker import evaluate
+
+        key = f"topcli-{batch_digest(batch, work, self.job.token)}"
+        # pickled here: the library would look at every number for what it has to wait for
+        future = self.client.submit(evaluate, self.job.token, work, pickle.dumps(batch), key=key)
+        self._flying[key] = (future, batch)
+        future.add_done_callback(self._ended.put)
+
+    def _arrived(self, work: Work, seconds: float = POLL_SECONDS) -> Iterator[tuple[Batch, Results]]:
+        """Yield what has ended, after waiting for at most ``seconds``."""
+        from distributed import TimeoutError
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
+
+        while True:
+            try:
+                future = self._ended.get(timeout=seconds)
+            except queue.Empty:
+                return
+            seconds = 0.0
+            found = self._flying.pop(future.key, None)
+            if found is None:
+                continue
+            _, batch = found
+            if future.cancelled() or self.client.status == "closed":
+                raise self._disconnected()
+            try:
+                results = future.result(timeout=COUNT_SECONDS)
+            except TimeoutError:  # its worker was lost after the end: the scheduler has it computed again
+                self._flying[future.key] = found
+                future.add_done_callback(self._ended.put)
+                continue
+            except KilledWorker:
+                if len(batch) > 1:
+                    self._pieces.extend((batch[: len(batch) // 2], batch[len(batch) // 2 :]))
+                    continue
+                results = _lost(work)
+            except CommClosedError:
+                raise self._disconnected() from None
+            except UsageError:
+                raise
+            except Exception as error:
+                raise RunError(
+                    f"--dask {self.address}: a worker failed: {reason_of(error)}", "finished rows are kept"
+                ) from None
+            yield batch, results
+
+    def _disconnected(self) -> RunError:
+        return RunError(
+            f"--dask {self.address}: the connection to the scheduler was lost; finished rows are kept",
+            "run the sweep again to continue",
+        )
+
+    def _last(self) -> Iterator[tuple[Batch, Results]]:
+        """Yield the batches that have ended when the sweep is stopped."""
+        for future, batch in list(self._flying.values()):
+            if future.status == "finished":
+                with suppress(Exception):
+                    yield batch, future.result(timeout=COUNT_SECONDS)
+
+    def _count(self) -> None:
+        """Count the threads of the workers, so that new workers get work, too."""
+        if time.monotonic() - self._counted < COUNT_SECONDS:
+            return
+        self._counted = time.monotonic()
+        with suppress(OSError):
+            threads = _threads(self.client)
+            if not threads and self.threads:
+                self.on_message(f"warning: {self.address} has no workers left; waiting for new ones")
+            self.threads = threads
+
+    def _give_up(self) -> None:
+        """Cancel what is in flight, and end the rows that are being evaluated."""
+        from topcli.studies.sweep.worker import stop
+
+        if not self._flying:
+            return
+        with suppress(Exception):
+            self.client.cancel([future for future, _ in self._flying.values()])
+            self.client.run(stop, self.job.token, on_error="ignore")
+        self._flying.clear()
+
+
+def batch_digest(batch: Sequence[Row], work: Work, token: str) -> str:
+    """Digest of a task: its rows, measures and time limit, and the job."""
+    content = [[row.digest for row in batch], list(work.measures), work.time_limit, token]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+def _lost(work: Work) -> Results:
+    """Results of a row whose workers were lost each time."""
+    message = "each worker that computed this row was lost; see its log, or its limit of memory"
+    return Results([FAILED], [message], {name: [float("nan")] for name in work.measures}, [True])

@@ -1,0 +1,189 @@
+"""Entries of a comparison: schemes with options and steps of their own, compared at common times."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import topcli
+from topcli.config.load import load_experiment
+from topcli.errors import UsageError
+from topcli.studies.compare import Comparison, compare_schemes
+from topcli.studies.entries import Entry, few_rows, read_entries
+
+SCENE = "kowalevski_generic_hk"
+MIXED = ("hk", "hk:h=0.02", "hybrid:branch=sign", "hk+kahan-li6:h=0.04")
+
+
+def entries(*texts: str, sets: tuple[str, ...] = (), options: dict[str, Any] | None = None) -> tuple[Entry, ...]:
+    return read_entries(load_experiment(SCENE, ["h=0.01", "N=2000", *sets]), texts, options)
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Comparison:
+    return compare_schemes(load_experiment(SCENE, ["h=0.01", "N=2000"]), MIXED)
+
+
+def test_an_entry_has_its_own_options_and_step() -> None:
+    first, second, third = entries("hybrid", "Hybrid: branch=sign , h=2e-2", "hk+Kahan-Li6:h=4e-02")
+    assert [one.label for one in (first, second, third)] == [
+        "hybrid",
+        "hybrid:branch=sign,h=0.02",
+        "hk+kahan-li6:h=0.04",
+    ]
+    assert [one.experiment.options.model_dump() for one in (first, second)] == [
+        {"branch": "nearest"},
+        {"branch": "sign"},
+    ]
+    assert [(one.experiment.h, one.experiment.N) for one in (first, second, third)] == [
+        (0.01, 2000),
+        (0.02, 1000),
+        (0.04, 500),
+    ]
+
+
+def test_own_options_come_before_those_of_all() -> None:
+    found = entries("hybrid", "hybrid:branch=nearest", "hk", options={"branch": "sign"})
+    assert [one.experiment.options.model_dump().get("branch") for one in found] == ["sign", "nearest", None]
+
+
+def test_entries_of_the_same_step_keep_the_rows_of_the_experiment() -> None:
+    for one in entries("hk", "hybrid", sets=("output.every=7",)):
+        assert (one.experiment.N, one.experiment.output.every, one.stride, one.rows_apart) == (2000, 7, 7, 1)
+
+
+@pytest.mark.parametrize(
+    ("texts", "every", "strides", "recorded"),
+    [
+        (("hk", "hk:h=0.02"), 1, [2, 1], [2, 1]),
+        (("hk", "hk:h=0.02", "hk:h=0.04"), 1, [4, 2, 1], [4, 2, 1]),
+        # 400 rows are wanted; 250 and 500 divide both numbers of steps, and 250 are few
+        (("hk", "hk:h=0.02"), 5, [4, 2], [4, 2]),
+        (("hk:h=0.02", "hybrid:h=0.02"), 1, [1, 1], [1, 1]),
+        (("hk", "hk:h=0.05"), 1000, [1000, 200], [1000, 200]),
+        # 2000 and 400 * 3 = 1200 steps share 400; 2000 and 1875 share 125, fewer than 300: rows between
+        (("hk", f"hk:h={20 / 1200!r}"), 1, [5, 3], [5, 3]),
+        (("hk", f"hk:h={20 / 1875!r}"), 1, [16, 15], [4, 5]),
+        (("hk", f"hk:h={20 / 1999!r}"), 1, [2000, 1999], [5, 1]),
+    ],
+)
+def test_rows_are_recorded_at_common_times(texts, every, strides, recorded) -> None:
+    found = entries(*texts, sets=(f"output.every={every}",))
+    assert [one.stride for one in found] == strides
+    assert [one.experiment.output.every for one in found] == recorded
+    times = [np.arange(0, one.experiment.N + 1, one.stride) * one.experiment.h for one in found]
+    for one in times:
+        np.testing.assert_allclose(one, times[0], rtol=1e-14)
+        assert one[-1] == pytest.approx(20.0, rel=1e-14)
+
+
+def test_a_warning_is_due_if_few_times_are_shared() -> None:
+    experiment = load_experiment(SCENE, ["h=0.01", "N=2000"])
+    assert few_rows(read_entries(experiment, ["hk", f"hk:h={20 / 1999!r}"]), experiment)
+    assert not few_rows(read_entries(experiment, ["hk", "hk:h=0.02"]), experiment)
+    sparse = load_experiment(SCENE, ["h=0.01", "N=2000", "output.every=1000"])
+    assert not few_rows(read_entries(sparse, ["hk", "hk:h=0.02"]), sparse)
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["hk:h=0.03"], "hk:h=0.03: T/h = 20/0.03 = 666.666667 is not a whole number of steps; nearest: h = "),
+        (["hk:hh=1"], "hk:hh=1: scheme 'hk' has no option 'hh'; did you mean 'h'?"),
+        (["hybrid:brunch=sign"], "hybrid:brunch=sign: scheme 'hybrid' has no option 'brunch'; did you mean 'branch'?"),
+        (["hybrid:branch=sing"], "hybrid:branch=sing: scheme.branch: must be 'nearest' or 'sign'"),
+        (["hkk:h=0.02"], "hkk:h=0.02: unknown scheme 'hkk'; did you mean 'hk'?"),
+        (["hk:"], "hk:: '': expected key=value, such as h=0.01"),
+        (["hk:h"], "hk:h: 'h': expected key=value, such as h=0.01"),
+        (["hk:h=0.02,h=0.04"], "hk:h=0.02,h=0.04: sets h twice; set it once"),
+        (["hk:h=0"], "hk:h=0: h must be a finite number other than zero, not 0"),
+        (["hk:h=.inf"], "hk:h=.inf: h must be a finite number other than zero"),
+        (["hk:h=-0.02"], "hk:h=-0.02: h = -0.02 must have the sign of 0.01, the step of the experiment"),
+        (["hk", "hk:h=1e-2"], "hk:h=0.01: computes the same as hk; keep one of them"),
+        (["hybrid:branch=nearest", "hybrid"], "hybrid: computes the same as hybrid:branch=nearest; keep one of them"),
+        (["hk:h=0.02", "HK:h=2e-2"], "hk:h=0.02 is named twice"),
+        (["hk", "HK"], "scheme 'hk' is named twice"),
+    ],
+)
+def test_errors_name_the_entry(texts: list[str], message: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        entries(*texts)
+    assert str(refused.value).startswith(message)
+
+
+def test_errors_of_mixed_steps_are_those_of_single_runs(mixed: Comparison) -> None:
+    """Each entry is compared at t = 0, 0.04, ..., 20; here with a Taylor series in double precision."""
+    labels = [one["label"] for one in mixed.figures["schemes"]]
+    assert labels == list(MIXED)
+    assert mixed.figures["rows"] == len(mixed.series["t"]) == 501
+    assert not mixed.figures["few_rows"]
+    fine = topcli.simulate(SCENE, scheme="taylor", h=0.04, N=500)
+    for one in mixed.figures["schemes"]:
+        run = topcli.simulate(SCENE, scheme={"name": one["scheme"], **one["options"]}, h=one["h"], N=one["N"])
+        states = run.states[:: one["N"] // 500]
+        wanted = np.linalg.norm(states - fine.states, axis=1)
+        assert one["max_error"] == pytest.approx(wanted.max(), rel=1e-6)
+        assert one["end_error"] == pytest.approx(wanted[-1], rel=1e-6)
+        np.testing.assert_allclose(mixed.series[f"error:{one['label']}"], wanted, rtol=1e-5, atol=1e-11)
+
+
+def test_rows_between_the_common_times_are_not_compared() -> None:
+    """2000 and 1875 steps share 126 times; each entry records more rows, and errors are those of the shared ones."""
+    texts = ["hk", f"hk:h={20 / 1875!r}"]
+    found = compare_schemes(load_experiment(SCENE, ["h=0.01", "N=2000"]), texts)
+    assert [one["every"] for one in found.figures["schemes"]] == [4, 5]
+    fine = topcli.simulate(SCENE, scheme="taylor", h=0.16, N=125)
+    for one, label in zip(found.figures["schemes"], texts, strict=True):
+        states = topcli.simulate(SCENE, scheme="hk", h=one["h"], N=one["N"]).states[:: one["N"] // 125]
+        wanted = np.linalg.norm(states - fine.states, axis=1)
+        np.testing.assert_allclose(found.series[f"error:{label}"], wanted, rtol=1e-5, atol=1e-11)
+
+
+def test_a_larger_step_makes_a_larger_error(mixed: Comparison) -> None:
+    errors = {one["label"]: one["max_error"] for one in mixed.figures["schemes"]}
+    assert errors["hk:h=0.02"] / errors["hk"] == pytest.approx(4.0, rel=0.05)
+
+
+def test_a_plain_comparison_has_the_same_figures_as_an_entry_alone() -> None:
+    """A step given by an entry changes nothing but the label."""
+    own = compare_schemes(load_experiment(SCENE, ["h=0.01", "N=1000"]), ["hk:h=0.02"])
+    given = compare_schemes(load_experiment(SCENE, ["h=0.02", "N=500"]), ["hk"])
+    outside = ("label", "own", "nanoseconds_per_step", "compile_seconds")
+    first, second = ({k: v for k, v in one.figures["schemes"][0].items() if k not in outside} for one in (own, given))
+    assert first == second
+    assert np.array_equal(own.series["error:hk:h=0.02"], given.series["error:hk"])
+
+
+def test_the_table_names_each_entry_once(cli: Any) -> None:
+    said = cli("compare", *MIXED, "--config", SCENE, "--set", "h=0.01", "--set", "N=2000")
+    title, header, *lines = said.out.splitlines()
+    assert title.endswith("t from 0 to 20")
+    assert header.split() == list(MIXED)
+    assert lines[0].split() == ["h", "0.01", "0.02", "0.01", "0.04"]
+    assert lines[1].split() == ["N", "2000", "1000", "2000", "500"]
+    assert said.err == ""
+    few = cli("compare", "hk", f"hk:h={1 / 99!r}", "--config", SCENE, "--set", "h=0.01", "--set", "N=100")
+    assert "warning: the steps share 2 times" in few.err
+
+
+def test_options_of_all_are_shown_beside_the_label(cli: Any) -> None:
+    sets = ("--config", SCENE, "--set", "N=20", "--set", "scheme.branch=sign")
+    header = cli("compare", "hybrid", "hybrid:branch=nearest", "hybrid:h=0.002", *sets).out.splitlines()[1]
+    assert header.split("  ")[-3:] == ["hybrid (branch=sign)", "hybrid:branch=nearest", "hybrid:h=0.002 (branch=sign)"]
+
+
+@pytest.mark.slow
+def test_the_figure_has_a_curve_for_each_entry(cli: Any) -> None:
+    said = cli("compare", *MIXED, "--config", SCENE, "--set", "h=0.01", "--set", "N=2000", "--plot", "--json")
+    names = pq.read_schema(said.json()["files"][-1]).names
+    assert {f"error:{label}" for label in MIXED} <= set(names)
+
+
+def test_a_failure_names_the_entry(cli: Any) -> None:
+    said = cli("compare", "rk4", "rk4:h=2", "--config", SCENE, "--set", "h=0.01", "--set", "N=20000")
+    assert said.code == 1
+    assert "error: rk4:h=2: " in said.err
+    assert "error: rk4: " not in said.err

@@ -1,0 +1,383 @@
+"""Sweeps on a Dask cluster: a real scheduler and real workers, some of which are killed, differ or join late."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import topcli
+from dask_processes import Processes, processes, wait_until
+from sweeping import BASE, DATA, MANY, sweep, table
+from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep.rows import RowReader
+from topcli.errors import RunError, UsageError
+from topcli.schemes.registry import load_scheme_file, unload_scheme_files
+from topcli.studies.sweep.cluster import (
+    IN_FLIGHT,
+    Cluster,
+    batch_digest,
+    connected,
+    local_workers,
+    require_dask,
+    run_on_cluster,
+)
+from topcli.studies.sweep.evaluate import Work, forget
+from topcli.studies.sweep.run import SweepOptions, Watcher, run_sweep
+
+LONG = {
+    **MANY,
+    "base": {**BASE, "N": 200_000, "output": {"every": 100}},
+    "measure": ["deviation.energy", "drift.energy"],
+}
+"""Some seconds of work."""
+ENDLESS = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9, 2e-9]}}
+SCHEME = """\
+import os
+import topcli
+from weights import WEIGHT
+from topcli.contracts import Stepper
+from topcli.tops.euler import field
+
+
+def step(y, h, p):
+    f = field(y, p)
+    return (y[0] + WEIGHT * h * f[0], y[1] + h * f[1], y[2] + h * f[2])
+
+
+@topcli.scheme("weighted-euler", top="euler", title="Euler's rule", order=1, explicit=True, self_adjoint=False,
+               citation="none", equations="y' = y + h f(y)")
+def build(top, options):
+    '''Euler's rule with a weight.'''
+    if top.A == 2.75:
+        raise ValueError("no such top")
+    if top.A == 2.875:
+        os._exit(1)
+    return Stepper(step, 3)
+"""
+OF_FILE: dict[str, Any] = {
+    "name": "study",
+    "base": {
+        "top": {"kind": "euler", "A": 2.5, "B": 2.0, "C": 1.5},
+        "initial": {"omega": [0.7, -0.4, 1.3]},
+        "scheme": "weighted-euler",
+        "N": 500,
+    },
+    "grid": {"top.A": [2.25, 2.5, 2.75], "h": [0.01, 0.02]},
+    "measure": ["deviation.m_sq"],
+}
+
+
+@pytest.fixture
+def dask() -> None:
+    pytest.importorskip("distributed", reason="the extra dask is not installed")
+
+
+@pytest.fixture
+def cluster(dask: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+    with processes(tmp_path_factory.mktemp("cluster")) as found:
+        yield found
+
+
+@pytest.fixture
+def scheme_file(tmp_path: Path) -> Iterator[Path]:
+    path = tmp_path / "mine.py"
+    path.write_text(SCHEME)
+    (tmp_path / "weights.py").write_text("WEIGHT = 0.5\n")
+    _unload()
+    yield path
+    _unload()
+
+
+def _unload() -> None:
+    unload_scheme_files()
+    forget()
+
+
+@pytest.mark.parametrize(
+    ("address", "count"), [("local:1", 1), ("local:12", 12), ("tcp://host:8786", 0), ("host:8786", 0)]
+)
+def test_an_address_is_a_number_of_local_workers_or_a_scheduler(address: str, count: int) -> None:
+    assert local_workers(address) == count
+
+
+@pytest.mark.parametrize("address", ["local:0", "local:-1", "local:", "local:two", "host", "tcp://host", "", ":"])
+def test_anything_else_is_refused_with_examples(address: str) -> None:
+    with pytest.raises(UsageError, match=r"neither a number of workers.*\n.*local:4.*tcp://host:8786"):
+        local_workers(address)
+
+
+def test_a_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match=r"--dask: the package distributed is missing\npip install 'topcli\[dask\]'"):
+        require_dask()
+
+
+def test_a_task_is_named_after_what_it_computes() -> None:
+    rows = list(RowReader(sweep_from(DATA)).rows())
+    one = Work(("deviation.energy",))
+    names = [
+        batch_digest(rows, one, "a"),
+        batch_digest(rows[1:], one, "a"),
+        batch_digest(rows, Work(("drift.energy",)), "a"),
+        batch_digest(rows, Work(("deviation.energy",), 1.0), "a"),
+        batch_digest(rows, one, "b"),
+    ]
+    assert len(set(names)) == 5
+    assert batch_digest(list(rows), Work(("deviation.energy",)), "a") == names[0]
+
+
+@pytest.mark.slow
+def test_rows_are_those_of_a_local_sweep_and_few_are_in_flight(cluster: Processes, tmp_path: Path) -> None:
+    sweep(tmp_path / "here", MANY)
+    flying: list[int] = []
+    with connected(cluster.address) as found:
+        watcher = Watcher(progress=lambda *counts: flying.append(len(found._flying)))
+        assert found.threads == 2
+        options = SweepOptions(threads=12)  # many small batches
+        result = run_sweep(sweep_from(MANY), tmp_path / "there", options, watcher, found)
+    assert result.ran == 160
+    assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
+    assert len(flying) > 4 * IN_FLIGHT
+    assert 0 < max(flying) < IN_FLIGHT * 2
+    assert run_on_cluster(cluster.address, sweep_from(MANY), tmp_path / "there").ran == 0
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_loses_no_row(cluster: Processes, tmp_path: Path) -> None:
+    sweep(tmp_path / "here", LONG)
+    _, victim, _ = cluster.running
+    done: list[int] = []
+
+    def progress(count: int, total: int, failed: int) -> None:
+        if not done:
+            victim.kill()
+        done.append(count)
+
+    options = SweepOptions(threads=4)
+    with connected(cluster.address) as found:
+        result = run_sweep(sweep_from(LONG), tmp_path / "there", options, Watcher(progress=progress), found)
+    assert victim.wait() == -signal.SIGKILL
+    assert done[0] < 160 == done[-1] == result.ran, "it was killed during the sweep, and each row came once"
+    assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
+
+
+@pytest.mark.slow
+def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_path: Path, scheme_file: Path) -> None:
+    load_scheme_file(scheme_file)
+    sweep(tmp_path / "here", OF_FILE)
+    messages = [row["message"] for row in table(tmp_path / "here")]
+    assert [str(scheme_file) in text for text in messages] == [False] * 4 + [True] * 2
+    with connected(cluster.address) as found:
+        for worker in cluster.running[1:]:
+            worker.kill()
+        new = cluster.worker()
+        wait_until(lambda: list(found.client.nthreads().values()) == [1], "the new worker does not join")
+        run_sweep(sweep_from(OF_FILE), tmp_path / "there", backend=found)
+        assert new.poll() is None
+    assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here")), "messages name the same file"
+    first = [row["deviation.m_sq"] for row in table(tmp_path / "here")]
+
+    # the file is edited: the same worker, which has loaded it before, computes with the new content
+    _unload()
+    (tmp_path / "weights.py").write_text("WEIGHT = 1.0\n")
+    load_scheme_file(scheme_file)
+    sweep(tmp_path / "here2", OF_FILE)
+    run_on_cluster(cluster.address, sweep_from(OF_FILE), tmp_path / "there2")
+    assert repr(table(tmp_path / "there2")) == repr(table(tmp_path / "here2"))
+    second = [row["deviation.m_sq"] for row in table(tmp_path / "here2")]
+    assert all(a != b for a, b in zip(first[:4], second[:4], strict=True))
+
+
+@pytest.mark.slow
+def test_a_row_that_ends_its_workers_fails_alone(dask: None, tmp_path: Path, scheme_file: Path) -> None:
+    load_scheme_file(scheme_file)
+    data = {**OF_FILE, "grid": {"top.A": [2.25, 2.5]}, "base": {**OF_FILE["base"], "h": 0.01}}
+    sweep(tmp_path / "here", data)
+    deadly = {**data, "grid": {"top.A": [2.25, 2.875, 2.5]}}
+    result = run_on_cluster("local:1", sweep_from(deadly), tmp_path / "there")
+    rows = table(tmp_path / "there")
+    assert result.outcomes == {"completed": 2, "failed": 1}
+    assert rows[1]["message"].startswith("each worker that computed this row was lost")
+    good = [row["deviation.m_sq"] for row in rows if row["outcome"] == "completed"]
+    assert good == [row["deviation.m_sq"] for row in table(tmp_path / "here")]
+
+
+@pytest.mark.slow
+def test_workers_with_other_versions_are_refused_by_name(cluster: Processes, tmp_path: Path) -> None:
+    numba = tmp_path / "site" / "numba-0.0.1.dist-info"
+    numba.mkdir(parents=True)
+    (numba / "METADATA").write_text("Metadata-Version: 2.1\nName: numba\nVersion: 0.0.1\n")
+    with connected(cluster.address) as found:
+        other = cluster.worker(tmp_path / "site")
+        wait_until(lambda: len(found.client.nthreads()) == 3, "the other worker does not join")
+        with pytest.raises(UsageError, match=r"worker tcp://127\.0\.0\.1:\d+: numba is 0\.0\.1 there and"):
+            run_sweep(sweep_from(MANY), tmp_path, SweepOptions(threads=12), backend=found)
+    with (
+        pytest.raises(UsageError, match=r"worker tcp://127\.0\.0\.1:\d+: numba is 0\.0\.1 there and"),
+        connected(cluster.address),
+    ):
+        pass
+    other.kill()
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "topcli.py").write_text("raise ImportError('broken')\n")
+    with closing_client(cluster) as client:
+        wait_until(lambda: len(client.nthreads()) == 2, "the other worker does not leave")
+        cluster.worker(tmp_path / "broken")
+        wait_until(lambda: len(client.nthreads()) == 3, "the broken worker does not join")
+    with (
+        pytest.raises(UsageError, match=r"worker tcp://127\.0\.0\.1:\d+: topcli cannot be imported there.*broken"),
+        connected(cluster.address),
+    ):
+        pass
+
+
+def closing_client(cluster: Processes) -> Any:
+    from distributed import Client
+
+    return Client(cluster.address, set_as_default=False)
+
+
+@pytest.mark.slow
+def test_a_sweep_that_is_stopped_keeps_what_is_finished_and_frees_the_workers(
+    cluster: Processes, tmp_path: Path
+) -> None:
+    began = time.monotonic()
+    with connected(cluster.address) as found:
+        watcher = Watcher(stop=lambda: time.monotonic() > began + 3.0)
+        result = run_sweep(sweep_from(ENDLESS), tmp_path / "endless", SweepOptions(), watcher, found)
+        assert (result.interrupted, result.finished) == (True, 0)
+        client = found.client
+        wait_until(lambda: not any(client.processing().values()), "the workers do not become free")
+    done: list[int] = []
+    watcher = Watcher(progress=lambda count, total, failed: done.append(count), stop=lambda: bool(done))
+    with connected(cluster.address) as found:
+        result = run_sweep(sweep_from(MANY), tmp_path, SweepOptions(threads=12), watcher, found)
+    assert result.interrupted
+    assert 0 < result.finished < 160
+    rest = run_on_cluster(cluster.address, sweep_from(MANY), tmp_path)
+    assert (rest.ran, rest.finished) == (160 - result.finished, 160)
+
+
+@pytest.mark.slow
+def test_a_lost_scheduler_is_reported_and_finished_rows_are_kept(cluster: Processes, tmp_path: Path) -> None:
+    done: list[int] = []
+
+    def progress(count: int, total: int, failed: int) -> None:
+        if not done:
+            cluster.running[0].kill()
+        done.append(count)
+
+    with (
+        pytest.raises(RunError, match="connection to the scheduler was lost; finished rows are kept"),
+        connected(cluster.address) as found,
+    ):
+        run_sweep(sweep_from(LONG), tmp_path, SweepOptions(threads=4), Watcher(progress=progress), found)
+    assert 0 < sweep(tmp_path, LONG).ran < 160
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_does_not_answer_is_reported_within_ten_seconds(dask: None, tmp_path: Path) -> None:
+    with closing(socket.socket()) as held:
+        held.bind(("127.0.0.1", 0))
+        held.listen()  # accepts, and never answers
+        address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
+        began = time.monotonic()
+        with pytest.raises(UsageError, match=f"--dask {address}: no Dask scheduler can be reached"):
+            run_on_cluster(address, sweep_from(DATA), tmp_path)
+        assert time.monotonic() - began < 10.0
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_a_sweep_on_local_workers_as_interrupted(dask: None, tmp_path: Path) -> None:
+    data = {**LONG, "base": {**LONG["base"], "N": 2_000_000, "output": {"every": 1000}}}
+    (tmp_path / "study.yaml").write_text(sweep_from(data).to_yaml())
+    command = [sys.executable, "-m", "topcli", "sweep", "study.yaml", "--out", "out", "--dask", "local:2"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(topcli.__file__).parents[1])}
+    running = subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    )
+    journal = tmp_path / "out" / "study" / "journal.jsonl"
+    wait_until(
+        lambda: (journal.exists() and journal.stat().st_size) or running.poll() is not None, "no row is finished"
+    )
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130, said.decode()
+    assert b"interrupted; run it again to continue" in said
+    assert b"Traceback" not in said
+    assert 0 < len(table(tmp_path / "out")) < 160
+
+
+def test_the_back_end_is_bounded_by_its_threads() -> None:
+    """Without workers a batch is still submitted, so that the sweep waits for them instead of ending."""
+
+    class Alone(Cluster):
+        def __init__(self) -> None:
+            self.threads, self._flying, self._pieces = 0, {}, deque()
+            self.sent: list[int] = []
+
+        def _submit(self, batch: Any, work: Any) -> None:
+            self.sent.append(len(self._flying))
+            self._flying[len(self.sent)] = (None, batch)  # type: ignore[assignment]
+
+        def _arrived(self, work: Any, seconds: float = 0.0) -> Any:
+            key = next(iter(self._flying))
+            yield self._flying.pop(key)[1], None
+
+        def _count(self) -> None: ...
+
+        def _last(self) -> Any:
+            return iter(())
+
+        def _give_up(self) -> None: ...
+
+    alone = Alone()
+    batches = [[k] for k in range(10)]
+    assert [batch for batch, _ in alone(batches, Work(()), lambda: False)] == batches  # type: ignore[arg-type]
+    assert max(alone.sent) == IN_FLIGHT - 1
+
+
+def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: None) -> None:
+    from distributed.scheduler import KilledWorker
+
+    class Lost:
+        """A task that ends its workers if it holds the fatal row."""
+
+        def __init__(self, key: str, batch: list[int]) -> None:
+            self.key, self.batch = key, batch
+
+        def cancelled(self) -> bool:
+            return False
+
+        def result(self, timeout: float) -> list[int]:
+            if 5 in self.batch:
+                raise KilledWorker(self.key, None, 3)
+            return self.batch
+
+    class Fatal(Cluster):
+        def _submit(self, batch: Any, work: Any) -> None:
+            future: Any = Lost(str(batch), batch)
+            self._flying[future.key] = (future, batch)
+            self._ended.put(future)
+
+    client: Any = type("Client", (), {"status": "running"})()
+    nothing: Any = None
+    cluster = Fatal(client, "here", nothing, 1, lambda line: None)
+    batches: Any = [[0, 1, 2], [3, 4, 5, 6, 7]]
+    found: list[Any] = list(cluster(batches, Work(("swings",)), lambda: False))
+    assert sorted(row for batch, _ in found for row in batch) == list(range(8))
+    (failed,) = [results for batch, results in found if batch == [5]]
+    assert (failed.outcome, failed.done) == (["failed"], [True])
+    assert all(results == batch for batch, results in found if batch != [5])
