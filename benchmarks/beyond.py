@@ -32,9 +32,20 @@ from topcli.tops.kowalevski import Kowalevski  # noqa: E402
 
 GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
 PAPER = (2.0, 0.0, 0.0, (1.0 - 1e-6) ** 0.5, 0.0, 1e-3)
-NAMES = ("hk", "hybrid", "hybrid-xi", "hybrid-sym", "midpoint", "hk-projected", "hk-symproj", "dg4", "midpoint4")
+NAMES = (
+    "hk",
+    "hybrid",
+    "hybrid-xi",
+    "hybrid-sym",
+    "midpoint",
+    "hk-projected",
+    "hk-symproj",
+    "dg4",
+    "midpoint4",
+    "backlund",
+)
 SIZES = (0.001, 0.01, 0.1)
-LONG = ("hybrid", "hybrid-sym", "hk-symproj", "dg4", "midpoint4")
+LONG = ("hybrid", "hybrid-sym", "hk-symproj", "dg4", "midpoint4", "backlund")
 STATES = {
     "generic": GEN,
     "paper": PAPER,

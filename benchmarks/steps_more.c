@@ -347,3 +347,46 @@ void hk_euler_gamma(double *y, const double *p, double h, long long n)
     }
     STORE;
 }
+
+/* ------------------------------------------------------------------------------------------- backlund */
+
+void backlund(double *y, const double *p, double h, long long n_steps)
+{
+    const double D = (0.125 * p[0]) * (h * h), tau = y[6];
+    double a = y[0], b = y[1], n = y[2], g1 = y[3], g2 = y[4], g3 = y[5];
+    for (long long i = 0; i < n_steps; i++) {
+        const double d2 = D * g2, d3 = D * g3, t = 2.0 - tau;
+        const double tm = fma(-D, g1, t), tp = fma(D, g1, t), f = fma(-D, g1, 2.0 + t);
+        const double bm = b - d3, bp = b + d3, r3 = fma(2.0, n, d2);
+        const double c00 = fma(tp, f, bm * bp), c01 = fma(d2, f, -(a * bp)), c02 = -fma(a, tp, d2 * bm);
+        const double c10 = fma(d2, f, -(a * bm)), c11 = fma(tm, f, a * a), c12 = -fma(tm, bm, d2 * a);
+        const double c20 = fma(a, tp, d2 * bp), c21 = fma(tm, bp, a * d2), c22 = fma(tm, tp, -(d2 * d2));
+        const double e0 = fma(tm, c00, -fma(d2, c01, a * c02)), e1 = fma(bm, c01, fma(r3, c21, -(a * c11)));
+        const double e2 = fma(a, c10, -fma(bm, c00, r3 * c20)), e3 = fma(a, c12, -fma(bm, c02, r3 * c22));
+        const double um = fma(-D, g1, tau), up = fma(D, g1, tau);
+        const double half_x = fma(e0, fma(up, e3, -fma(d3, e1, (n + d2) * e0)), e3 * fma(n, e3, fma(a, e1, b * e2)));
+        const double X = half_x + half_x, e00 = e0 * e0, e33 = e3 * e3, e03 = e0 * e3;
+        const double cc = e00 + e33, pp = fma(e1, e1, e2 * e2), N = cc + pp, rest = pp + e33;
+        const double f1 = fma(e0, e1, -(e3 * e2)), f2 = fma(e0, e2, e3 * e1), Y = t * N, XX = X * X, YY = Y * Y;
+        const double inverse = 1.0 / fma(XX, N, YY * N);
+        const double q1 = fma(um, e1, -fma(d2, e2, bp * e3)), q2 = fma(up, e2, -(d2 * e1)) + fma(a, e3, d3 * e0);
+        const double q3 = fma(up, e3, -(a * e2)) + fma(bm, e1, -(d2 * e0));
+        const double xs = fma(e0, q3, 2.0 * fma(n, e33, fma(a, f2, -(b * f1))));
+        const double u1 = fma(e0, q1, fma(a, rest, 2.0 * (e2 * e3))), u2 = fma(e0, q2, fma(b, rest, -2.0 * (e1 * e3)));
+        const double lift = fma(e03, fma(8.0, e33, fma(4.0, pp, -2.0 * (tau * N))), -(xs * (e00 - e33)));
+        const double scale = -2.0 * (t * N), m = -2.0 * Y, mf1 = m * f1, mf2 = m * f2;
+        const double v0 = fma(-XX, N, YY * (cc - pp)), v1 = fma(X, mf2, Y * mf1), v2 = fma(-X, mf1, Y * mf2);
+        const double v3 = X * (m * cc);
+        const double s1 = fma(v2, g3, -(v3 * g2)), s2 = fma(v3, g1, -(v1 * g3)), s3 = fma(v1, g2, -(v2 * g1));
+        const double x1 = scale * fma(Y, u1, X * u2), x2 = scale * fma(Y, u2, -(X * u1)), x3 = (-2.0 * scale) * lift;
+        const double y1 = 2.0 * fma(v0, s1, fma(v2, s3, -(v3 * s2))), y2 = 2.0 * fma(v0, s2, fma(v3, s1, -(v1 * s3)));
+        const double y3 = 2.0 * fma(v0, s3, fma(v1, s2, -(v2 * s1)));
+        a = fma(x1, inverse, a);
+        b = fma(x2, inverse, b);
+        n = fma(x3, inverse, n);
+        g1 = fma(y1 * inverse, inverse, g1);
+        g2 = fma(y2 * inverse, inverse, g2);
+        g3 = fma(y3 * inverse, inverse, g3);
+    }
+    y[0] = a; y[1] = b; y[2] = n; y[3] = g1; y[4] = g2; y[5] = g3;
+}

@@ -44,6 +44,7 @@ CASES: dict[str, tuple[str, str, dict[str, bool]]] = {
     "hk_compensated": ("hk", GENERIC, {"compensated": True}),
     "hybrid_xi": ("hybrid-xi", GENERIC, {}),
     "hybrid_xi_compensated": ("hybrid-xi", GENERIC, {"compensated": True}),
+    "backlund": ("backlund", GENERIC, {}),
     "bohlin_a": ("bohlin-a", GENERIC, {}),
     "bohlin_b": ("bohlin-b", GENERIC, {}),
     "bohlin_c": ("bohlin-c", GENERIC, {}),

@@ -305,6 +305,9 @@ class Stepper:
     stages : tuple, optional
         For a composition: the base step and the fractions of h of its stages, in order. The composition stops after
         the first stage whose state is not finite. Ensembles then advance by one stage at a time.
+    composable : Stepper, optional
+        The same method on a working state that does not depend on h, for compositions and substeps. None if this
+        working state does not depend on h either, or if there is no such form.
     """
 
     step: StepFunction
@@ -317,6 +320,7 @@ class Stepper:
     checked: int = 0
     advice: Callable[[Sequence[float], float], str] | None = None
     stages: tuple[StepFunction, tuple[float, ...]] | None = None
+    composable: Stepper | None = None
 
 
 @dataclass(frozen=True)
@@ -402,6 +406,9 @@ class Scheme:
     """Conditions under which the scheme fails, each with the reason in a sentence. A key that names a hard case
     (``topcli stress``) is checked against the result of that case in both directions; any other key is a condition in
     words."""
+    longest_step: Callable[[Any, Floats, Any], float] | None = None
+    """``longest_step(top, y0, options)`` returns the largest |h| with which the scheme can start from the state ``y0``;
+    a longer one is refused before the run. None if every h can be tried."""
     doc: str = ""
     """Description, from the docstring of ``build``."""
     origin: str = "topcli"

@@ -84,6 +84,10 @@ class ConfigError(UsageError):
     """Error in a config; the message names file, line and key (exit code 2)."""
 
 
+class StepTooLongError(ConfigError):
+    """Step size beyond the domain of the scheme; the message names the longest admissible one (exit code 2)."""
+
+
 class UnknownNameError(UsageError):
     """Unknown scheme, top or figure; the message names the nearest ones (exit code 2)."""
 

@@ -165,12 +165,15 @@ def test_order_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pyte
             assert shows(cell, *error) if error else cell == "–"
 
 
-def test_lax_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("top", "schemes"), [("euler", ("hk", "bs")), ("kowalevski", ("hk", "backlund"))])
+def test_lax_shows_what_it_measured(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, top: str, schemes: tuple[str, ...]
+) -> None:
     def change(found: Any) -> Any:
         return distinct(found, 3)
 
     monkeypatch.setattr(lax, "lax_study", changed_result(change, lax.lax_study))
-    command = ("lax", "euler", "hk", "bs", "--set", "N=40")
+    command = ("lax", top, *schemes, "--set", "N=40")
     out = cli(*command).out
     found = cli(*command, "--json").json()
     forms, names = found["forms"], [form["form"] for form in found["forms"]]
@@ -200,11 +203,13 @@ def test_lax_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest
     for row, path in zip(rows, paths, strict=True):
         expect(row, row[0], [(path(form),) for form in forms])
     below = out.partition("largest relative drift of the spectrum of L\n")[2].splitlines()
-    assert cells_of(below[0]) == [f"{name}: {kind}" for name in names for kind in ("tr L^k", "eigenvalues")]
+    header = [f"{name}: {kind}" for name in names for kind in ("tr L^k", "eigenvalues")]
+    discrete = ["L'U - UL"] if top == "kowalevski" else []
+    assert cells_of(below[0]) == header + discrete
     for line, run in zip(below[1:], found["runs"], strict=True):
         assert [form["form"] for form in run["forms"]] == names
         values = [(form[key],) for form in run["forms"] for key in ("drift", "eigenvalue_shift")]
-        expect(cells_of(line), run["scheme"], values)
+        expect(cells_of(line), run["scheme"], values + [(run["discrete_lax_defect"],) for _ in discrete])
 
 
 def test_bench_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,6 +40,16 @@ def test_four_integrals_do_not_drift(y0: Floats) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("y0", STATES)
+@pytest.mark.parametrize("h", [0.05, 0.4])
+def test_integrable_map_does_not_drift(y0: Floats, h: float) -> None:
+    for row in drifts("backlund", y0, h).values():
+        assert row.max_deviation < 1e-12 * max(1.0, abs(row.first))
+        assert row.verdict == "exact"
+        assert in_errors(row) < 5.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("y0", STATES)
 def test_self_adjoint_hybrid_does_not_drift(y0: Floats) -> None:
     rows = drifts("hybrid-sym", y0)
     assert all(in_errors(row) < 5.0 for row in rows.values())

@@ -7,6 +7,7 @@ import pytest
 
 from conftest import ROOT, random_states
 from steppers import RK2
+from topcli.analysis.backlund_lax import discrete_lax_defect
 from topcli.analysis.isospectral import (
     LAMBDAS,
     commutator_residual,
@@ -32,6 +33,8 @@ from topcli.contracts import EulerPoisson
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.any_top.midpoint import midpoint
+from topcli.schemes.kowalevski.backlund_constants import frozen_constants, longest_step
+from topcli.schemes.registry import find_scheme
 from topcli.studies.lax import lax_experiment, lax_study
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -231,6 +234,45 @@ def test_study_of_unusual_experiments(sets: list[str]) -> None:
     found = lax_study(lax_experiment("heavy", None, sets), ["midpoint"])
     for run in found["runs"]:
         assert all(form["drift"] < 1e-13 for form in run["forms"])
+
+
+def runs_of(name: str, y0, h: float, top: Kowalevski) -> np.ndarray:
+    scheme = find_scheme(name, "kowalevski")
+    return Run(top, scheme.build(top, scheme.options()), y0, h, 60).collect().states
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("c0", [2.0, -3.0, 0.0])
+def test_discrete_lax_pair(c0: float) -> None:
+    """Round-off along runs of backlund, for real and complex pairs of eigenvalues; of order h³ along HK's."""
+    top, pair = Kowalevski(c0=c0, A=3.0), kowalevski_form(Kowalevski(c0=c0, A=3.0).euler_poisson())
+    complex_pairs = []
+    for y0 in random_states(12, seed=81):
+        longest = longest_step(*frozen_constants(tuple(y0), top.constants())[:4])
+        for fraction in (0.1, -0.5, 0.99):
+            h = fraction * min(2.0, longest)
+            states = runs_of("backlund", y0, h, top)
+            values = np.linalg.eigvals(pair.L(states[:1], -2.0 / h))[0]
+            complex_pairs.append(bool((np.abs(values.imag) > 1e-8).any()))
+            for lam in (*LAMBDAS, 2.0 / h):
+                assert discrete_lax_defect(pair, states, h, lam) < 1e-12
+    assert (True in complex_pairs) == (c0 != 0.0)
+    assert False in complex_pairs
+    wrong = [discrete_lax_defect(pair, runs_of("hk", STATES[0], h, top)[:2], h, 1.0) for h in (0.04, 0.02)]
+    assert np.log2(wrong[0] / wrong[1]) == pytest.approx(3.0, abs=0.1)
+    assert wrong[1] > 1e-11
+
+
+def test_discrete_lax_pair_of_other_schemes() -> None:
+    """Along HK's run its defect is 5.6e-5, along backlund's round-off; a state that is not finite has none."""
+    pair = kowalevski_form(Kowalevski().euler_poisson())
+    found = {name: runs_of(name, (0.7, -0.4, 1.3, 0.6, 0.48, 0.64), 0.1, Kowalevski()) for name in ("hk", "backlund")}
+    assert discrete_lax_defect(pair, found["hk"], 0.1, 1.0) == pytest.approx(5.65e-5, rel=0.01)
+    assert discrete_lax_defect(pair, found["backlund"], 0.1, 1.0) < 1e-13
+    assert discrete_lax_defect(pair, found["backlund"], 0.1001, 1.0) > 1e-6  # control: another step
+    broken = found["backlund"].copy()
+    broken[3, 2] = np.nan
+    assert np.isnan(discrete_lax_defect(pair, broken, 0.1, 1.0))
 
 
 @pytest.mark.slow

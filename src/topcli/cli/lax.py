@@ -54,6 +54,11 @@ def _report(found: dict[str, Any], title: str) -> None:
         [run["scheme"], *(number(form[key]) for form in run["forms"] for key in ("drift", "eigenvalue_shift"))]
         for run in runs
     ]
+    if any(run["discrete_lax_defect"] is not None for run in runs):
+        header.append("L'U - UL")
+        for line, run in zip(lines, runs, strict=True):
+            line.append(number(run["discrete_lax_defect"]))
+        say("L'U - UL: defect of the discrete Lax pair of backlund, over the first steps of a run")
     print_table(header, lines, "largest relative drift of the spectrum of L")
     for form in forms:
         if form["why_not"]:
@@ -80,7 +85,8 @@ def lax(
 ) -> None:
     """Check the Lax forms of a top and the spectrum of L.
 
-    Test dL/dt = [M, L] along the motion, and measure the drift of the spectrum of L under each scheme.
+    Test dL/dt = [M, L] along the motion, and measure the drift of the spectrum of L under each scheme; for the
+    Kowalevski top, also the discrete Lax pair L' U = U L.
     """
     from topcli.studies.lax import default_schemes, lax_experiment, lax_study
 

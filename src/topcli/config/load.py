@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 import os
 import stat
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +29,16 @@ from topcli.config.overrides import apply_overrides, override_label, parse_overr
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
 from topcli.engine.precise.numbers import DOUBLE, MAX_DIGITS, RATIONAL
-from topcli.errors import ConfigError, TopcliError, UnknownNameError, UsageError, nearest, quoted, shortened
+from topcli.errors import (
+    ConfigError,
+    StepTooLongError,
+    TopcliError,
+    UnknownNameError,
+    UsageError,
+    nearest,
+    quoted,
+    shortened,
+)
 from topcli.tops import TOPS, forms
 
 if TYPE_CHECKING:
@@ -340,11 +350,29 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         exact=exact,
     )
     if members is None:
+        _require_short_step(experiment, document)
         return experiment
     from topcli.config.ensemble import EnsembleExperiment
 
     first = experiment.model_copy(update={"top": members.groups[0].top})
     return EnsembleExperiment(first, members, experiment.top)
+
+
+def _require_short_step(experiment: Experiment, document: Document) -> None:
+    """Raise StepTooLongError if the scheme cannot take the step h from the initial state."""
+    scheme, h = experiment.scheme, experiment.h
+    longest = (
+        scheme.longest_step(experiment.top, experiment.y0, experiment.options) if scheme.longest_step else math.inf
+    )
+    if abs(h) <= longest:
+        return
+    auto = ", or set scheme.substeps: auto" if "substeps" in scheme.options.model_fields else ""
+    text = f"no step is possible under {scheme.name} from this state"
+    if longest > 0.0:
+        digit = 10.0 ** (math.floor(math.log10(longest)) - 3)
+        most = math.floor(longest / digit) * digit  # rounded down, so that it is admissible
+        text = f"|h| must be at most {most:.4g} under {scheme.name} from this state, not {abs(h):g}{auto}"
+    raise StepTooLongError(": ".join(part for part in (document.place(("h",)), "h", text) if part))
 
 
 def _config(data: dict[str, Any], problems: Problems) -> Config | None:

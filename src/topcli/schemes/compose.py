@@ -140,12 +140,17 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         raise UsageError(f"scheme {base.name!r} cannot be composed: it {reason}")
 
     def build(top: Any, options: Any) -> Method:
-        method = base.build(top, options)
+        method = _composable(base.build(top, options))
         reason = _method_obstacle(method, top)
         if reason or not isinstance(method, Stepper):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
         weights = composition.weights
         return replace(method, step=composed_step(method.step, weights), stages=(method.step, weights))
+
+    alone, largest = base.longest_step, max(map(abs, composition.weights))
+
+    def longest_step(top: Any, y0: Floats, options: Any) -> float:
+        return alone(top, y0, options) / largest if alone else math.inf
 
     stages = f"{composition.stages} steps of {base.name} with different step sizes: {composition.title}"
     return replace(
@@ -157,6 +162,7 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         citation=f"{composition.citation}; {base.citation}",
         build=build,
         modified=None,
+        longest_step=longest_step if alone else None,
         doc=f"{stages} ({composition.citation}).\n\n{CONSERVED}\n\n{base.name}: {base.doc}",
     )
 
@@ -182,12 +188,17 @@ def obstacle(base: Scheme) -> str:
             options = None
         if options is not None:
             top = TOPS[base.top].new()
-            reason = _method_obstacle(base.build(top, options), top)
+            reason = _method_obstacle(_composable(base.build(top, options)), top)
             if reason:
                 return reason
     if base.order != BASE_ORDER:
         return f"has order {base.order}, but compositions need order {BASE_ORDER}"
     return ""
+
+
+def _composable(method: Method) -> Method:
+    """The form of ``method`` whose stages may have different lengths, if it has one; otherwise itself."""
+    return method.composable or method if isinstance(method, Stepper) else method
 
 
 def _method_obstacle(method: Method, top: Top) -> str:

@@ -20,7 +20,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.contracts import Block, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
+from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.schemes.user_code import ENTRY_POINT_GROUP, FromSource, modules_beside, reason_of, users_error, users_place
@@ -83,6 +83,7 @@ def scheme(
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
     limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
+    longest_step: Callable[[Any, Floats, Any], float] | None = None,
     order_with: Callable[[Any], int | None] | None = None,
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
@@ -121,6 +122,9 @@ def scheme(
     limits : mapping of str to str or callable, optional
         Conditions under which the scheme fails, each with the reason in a sentence, or a function ``limits(top)``
         returning them. A key that names a hard case (``topcli stress``) is checked against the result of that case.
+    longest_step : callable, optional
+        ``longest_step(top, y0, options)`` returns the largest |h| with which the scheme can start from ``y0``. A longer
+        one is refused before the run. The step itself has to refuse it for a member of an ensemble.
     order_with : callable, optional
         ``order_with(options)`` returns the order if it depends on the options; ``order`` is that of the defaults.
 
@@ -168,6 +172,7 @@ def scheme(
             options=options,
             modified=modified,
             adaptive=adaptive,
+            longest_step=longest_step,
             doc=_description(name, title, build, options),
             origin=origin,
             order_with=order_with,

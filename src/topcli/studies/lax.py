@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.analysis.backlund_lax import discrete_lax_defect
 from topcli.analysis.isospectral import (
     LAMBDAS,
     commutator_residual,
@@ -37,6 +38,8 @@ ROWS = 1000
 DIFFERENCES = 40
 """Times at which dL/dt is computed by differences of the reference."""
 MIDPOINT_STEPS = 200
+DISCRETE_STEPS = 200
+"""Steps over which the discrete Lax pair is checked."""
 ROUND_OFF = 1e-13
 """Conjugation defects below this are rounding errors, without an order in h."""
 INITIAL = {"omega": (0.7, -0.4, 1.3), "gamma": (0.6, 0.48, 0.64)}
@@ -182,6 +185,19 @@ def _drift(name: str, label: str, found: Sequence[LaxForm], states: Array) -> di
     }
 
 
+def _discrete_lax(experiment: Experiment, found: Sequence[LaxForm]) -> float | None:
+    """Largest defect of ``backlund``'s discrete Lax pair over the first steps of a run; None for another top."""
+    form = next((form for form in found if form.name == "kowalevski"), None)
+    if form is None:
+        return None
+    N = min(experiment.N, DISCRETE_STEPS)
+    output = experiment.output.model_copy(update={"every": 1})
+    states = _body(trajectory_of(experiment.model_copy(update={"N": N, "output": output})).states)
+    return (
+        max(_each(lambda lam: discrete_lax_defect(form, states, experiment.h, lam), form)) if len(states) > 1 else None
+    )
+
+
 def _thinned(trajectory: Trajectory) -> Array:
     rows = np.unique(np.linspace(0, len(trajectory) - 1, ROWS).astype(int))
     return _body(trajectory.states[rows])
@@ -193,7 +209,8 @@ def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
     For each form: dL/dt - [M, L] along the motion, with dL/dt from the equations and from differences on the
     reference; which integrals the spectrum carries; the spectrum at the start; how far a step of the midpoint rule
     is from L' = U L U^-1. Then the drift of the spectrum along the exact flow and along a run of each scheme:
-    deviations of tr L^k relative to ||L||^k, and of the eigenvalues relative to ||L||, the largest over lambda.
+    deviations of tr L^k relative to ||L||^k, and of the eigenvalues relative to ||L||, the largest over lambda. For the
+    Kowalevski top also the defect L' U - U L of the discrete Lax pair of ``backlund`` along each run.
     """
     top = experiment.top
     found = lax_forms(checked_equations(top, NAME))
@@ -201,12 +218,13 @@ def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
     n = np.arange(0, experiment.N + 1, every)
     reference = _body(reference_states(top, experiment.y0, n * experiment.h))
     windows, step = _windows(experiment)
-    runs = [_drift("exact flow", "completed", found, reference)]
+    runs = [{**_drift("exact flow", "completed", found, reference), "discrete_lax_defect": None}]
     for name in dict.fromkeys(schemes):
         one = under_scheme(experiment, name)
         trajectory = trajectory_of(one.model_copy(update={"output": one.output.model_copy(update={"every": every})}))
         with np.errstate(all="ignore"):  # the run may blow up
             runs.append(_drift(one.scheme.name, trajectory.ending.outcome.value, found, _thinned(trajectory)))
+        runs[-1]["discrete_lax_defect"] = _discrete_lax(one, found)
         runs[-1]["message"] = trajectory.ending.message
     return finite(
         {

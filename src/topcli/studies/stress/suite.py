@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Scheme
-from topcli.errors import ConfigError, RunError, UsageError, nearest, shortened
+from topcli.errors import ConfigError, RunError, StepTooLongError, UsageError, nearest, shortened
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress import CASES, case_names, cases_named
 from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
@@ -72,6 +72,8 @@ def tried(case: Case, scheme: Scheme, cache: CaseCache, options: Mapping[str, An
         with np.errstate(all="ignore"):
             finding = case.check(trial)
         counters = trial.counters
+    except StepTooLongError as error:
+        finding = Finding(Result.BROKE, f"refused: {str(error).splitlines()[0]}", 0)
     except ConfigError:
         raise
     except RunError as error:
