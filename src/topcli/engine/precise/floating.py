@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from fractions import Fraction
+from functools import reduce
 from types import ModuleType
 from typing import Any, cast
 
@@ -50,7 +51,14 @@ class Floating:
         made = ModuleType("math")
         for name in FUNCTIONS:
             made.__dict__[name] = getattr(context, name)
+
+        def hypot(*values: Any) -> Any:
+            with context.extraprec(16):
+                length = context.sqrt(context.fsum(values, squared=True))
+            return +length
+
         made.__dict__.update(
+            hypot=hypot,
             sqrt=self.root,
             fabs=abs,
             copysign=lambda x, y: abs(x) if y >= 0 else -abs(x),
@@ -120,6 +128,7 @@ class Mpfr:
         for name in FUNCTIONS:
             self.math.__dict__[name] = getattr(gmpy2, name)
         self.math.__dict__.update(
+            hypot=lambda *values: reduce(gmpy2.hypot, values, gmpy2.mpfr(0)),
             sqrt=gmpy2.sqrt,
             fabs=abs,
             copysign=gmpy2.copy_sign,
