@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import os
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from conftest import GEN
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
 from topcli.errors import RunError
+from topcli.schemes.kowalevski.exact import _motion
 from topcli.schemes.kowalevski.phase import TURN, Phase
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
@@ -172,3 +175,16 @@ def test_phases_are_reduced_exactly() -> None:
         exact = Fraction((phase.start + k * phase.step) % TURN, TURN)
         exact -= exact >= Fraction(1, 2)
         assert abs(Fraction(float(found)) - exact) < Fraction(1, 2**53)
+
+
+@pytest.mark.slow
+def test_threads_do_not_share_the_precision_of_mpmath() -> None:
+    """Set-ups at the same time give the bits of set-ups one after the other, and leave mpmath's precision alone."""
+    starts = [random_state(seed)[0] for seed in range(40, 46)]
+    n = np.arange(0, 10**6, 99_991)
+    with ThreadPoolExecutor(6) as pool:
+        together = list(pool.map(lambda y: states(y, 0.5, n), starts))
+    assert mpmath.mp.dps == 15
+    _motion.cache_clear()
+    for y, found in zip(starts, together, strict=True):
+        np.testing.assert_array_equal(found, states(y, 0.5, n))

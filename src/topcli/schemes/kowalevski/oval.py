@@ -32,10 +32,10 @@ TAIL = 2.0**-64
 @cache
 def _gauss_legendre() -> tuple[list[Real], list[Real]]:
     """Nodes and weights on [-1, 1]."""
-    from topcli.schemes.kowalevski.multiprecision import mp, mpf
+    from topcli.schemes.kowalevski.multiprecision import digits, mpf
 
     nodes, weights = [], []
-    with mp.workdps(DIGITS):
+    with digits(DIGITS):
         for start in np.polynomial.legendre.leggauss(NODES)[0]:
             x, slope = mpf(float(start)), mpf(1)
             for _ in range(4):
@@ -184,12 +184,12 @@ class Oval:
 
     def integrals(self, anchor: int, direction: int, begin: Real, end: Real) -> tuple[Real, Real]:
         """Integrals of the densities over offsets from an anchor."""
-        from topcli.schemes.kowalevski.multiprecision import mp, mpf
+        from topcli.schemes.kowalevski.multiprecision import cos_sin, mpf
 
         middle, half = (begin + end) / 2, (end - begin) / 2
         time = weighted = mpf(0)
         for x, weight in zip(*_gauss_legendre(), strict=True):
-            C, S = mp.cos_sin(self.anchors[anchor] + direction * (middle + half * x))
+            C, S = cos_sin(self.anchors[anchor] + direction * (middle + half * x))
             one, other = self.densities(S, C)
             time += weight * one
             weighted += weight * other

@@ -53,9 +53,9 @@ class Pendulum:
             atan2,
             atanh,
             cos,
+            digits,
             ellipf,
             ellipk,
-            mp,
             mpc,
             sign,
             sin,
@@ -65,7 +65,7 @@ class Pendulum:
         w1, _, w3, g1, g2, _ = map(Fraction, y)
         square = (w1 * w1 - Fraction(c) * g1, -Fraction(c) * g2)
         energy, k_sq = w3 * w3 - 2 * square[0], square[0] ** 2 + square[1] ** 2
-        with mp.workdps(DIGITS):
+        with digits(DIGITS):
             k = sqrt(real(k_sq))
             half, v, n = arg(mpc(real(square[0]), real(square[1]))) / 2, -real(w3), sqrt(k)
             size = sqrt(v * v / (4 * k) + sin(half) ** 2)
@@ -98,9 +98,9 @@ class Pendulum:
 
     def _functions(self, n: NDArray[np.int64], h: float) -> tuple[Array, Array, Array]:
         """Jacobi's sn, cn, dn after ``n`` steps; the phase is reduced exactly."""
-        from topcli.schemes.kowalevski.multiprecision import mp, mpf
+        from topcli.schemes.kowalevski.multiprecision import digits, mpf
 
-        with mp.workdps(DIGITS):
+        with digits(DIGITS):
             if self.quarter is None:
                 u = add(multiple(_pair(self.rate * mpf(h)), n.astype(np.float64)), _pair(self.start))
                 return jacobi(u, None, 0.0)

@@ -54,11 +54,11 @@ class SeparatedMotion:
     course: Course
 
     def __init__(self, y: Floats, c: float) -> None:
-        from topcli.schemes.kowalevski.multiprecision import mp
+        from topcli.schemes.kowalevski.multiprecision import digits
 
         self.y, self.c = y, c
         of = integrals(y, c)
-        with mp.workdps(2 * DIGITS):
+        with digits(2 * DIGITS):
             self.curve = curve(of)
         self.gamma_sq, self.two_l = float(of.G / Fraction(c) ** 2), float(2 * of.L / Fraction(c))
         self.near = NEAR * float(max(abs(v) for v in self.curve.e))
@@ -77,15 +77,15 @@ class SeparatedMotion:
 
     def _start(self, of: Integrals, shift: int) -> None:
         """Set up ovals, tables, phases and signs from the state ``shift``/32 after the start."""
-        from topcli.schemes.kowalevski.multiprecision import mp, mpf
+        from topcli.schemes.kowalevski.multiprecision import digits, mpf
 
-        with mp.workdps(2 * DIGITS):
+        with digits(2 * DIGITS):
             time = mpf(shift) / 32
             start = [mpf(v) for v in self.y]
             if shift:
                 start = series_step(start, mpf(self.c), time, 90)
             s1, s2 = separated(of, start)
-        with mp.workdps(DIGITS):
+        with digits(DIGITS):
             first, second = ovals = _ovals(self.curve)
             angles = first.angle(s1), second.angle(s2)
             begun = [oval.from_regular_end(angle) for oval, angle in zip(ovals, angles, strict=True)]
@@ -178,11 +178,12 @@ class SeparatedMotion:
 
     def states(self, n: NDArray[np.int64], h: float) -> Array:
         """States (m, 6) after ``n`` (m,) steps of ``h``."""
-        from topcli.schemes.kowalevski.multiprecision import mp, mpf
+        from topcli.schemes.kowalevski.multiprecision import digits, mpf
 
-        with mp.workdps(DIGITS), np.errstate(all="ignore"):
+        with digits(DIGITS):
             positions = self.course.positions(n, mpf(h))
-            found = np.empty((len(n), 6))
+        found = np.empty((len(n), 6))
+        with np.errstate(all="ignore"):
             for begin in range(0, len(n), CHUNK):
                 part = slice(begin, begin + CHUNK)
                 found[part] = self._evaluate(self.course, tuple(one[part] for one in positions))
