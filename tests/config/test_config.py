@@ -41,7 +41,7 @@ def test_the_paper_scene() -> None:
     }
     papers = {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid"}
     beyond = {"hk_projected", "hk_symproj", "dg4", "midpoint4", "hybrid_sym", "hybrid_xi", "backlund"}
-    assert set(schemes) == papers | beyond | {"midpoint", "rk2", "rk4", "dop853", "taylor", "splitting", "dmv"}
+    assert set(schemes) == papers | beyond | {"midpoint", "rk2", "rk4", "dop853", "taylor", "splitting", "dmv", "exact"}
     for stem, experiment in schemes.items():
         assert experiment.scheme_name == stem.replace("_", "-")
         assert experiment.y0 == (2.0, 0.0, 0.0, *PAPER_GAMMA)

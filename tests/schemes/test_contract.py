@@ -121,7 +121,9 @@ def test_declared_self_adjointness(scheme: Scheme) -> None:
         stepper = scheme.build(top, options)
         defects = [worst_defect(top, stepper, h) for h in (0.2, 0.1, 0.05)]
         if scheme.self_adjoint:
-            assert max(defects) < 1e-14
+            # a closed form has the round-off of two states, not of small increments: 1.1e-14 at |omega| = 3 for the
+            # Kowalevski top, whose gamma is a difference of terms of the size of |omega|²
+            assert max(defects) < (3e-14 if scheme.order is None else 1e-14)
         else:
             assert 3.8e-8 < min(defects) < 0.13
             assert max(defects) < 10.0  # 3.3 at most; a step that fails has an infinite one

@@ -125,7 +125,7 @@ def test_bench_measures_and_draws_end_to_end(cli: Any) -> None:
         (("--scene", "eulr"), "did you mean 'euler'"),
         (("--against", "heyok"), "did you mean 'heyoka'"),
         (("hybrid", "--scene", "euler"), "does not fit top 'euler'"),
-        (("exact", "--scene", "kowalevski-paper"), "exact"),
+        (("exact", "--config", "heavy_rk4"), "exact"),
         (("--scene", "euler", "--set", "h=1"), "none is given"),
     ],
 )

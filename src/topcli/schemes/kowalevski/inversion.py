@@ -1,0 +1,213 @@
+"""Angles of the separated Kowalevski top at any time: linear phases, reduced exactly, and one scalar equation.
+
+With the integrals A0, B0 of ds/|w| and p, q of |s - sigma| ds/|w|, all growing, the equations of motion are
+
+    p + q = t + const,    A0(p) - B0(q) = const.
+
+Whole periods of both are removed in integers; p is the zero of a monotone function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.contracts import Array
+from topcli.schemes.kowalevski.oval_table import OvalTable, Place
+from topcli.schemes.kowalevski.phase import Phase
+from topcli.schemes.kowalevski.separation import Real
+
+Positions = tuple[Array, ...]
+Equation = Callable[[Array, NDArray[np.intp]], tuple[Array, Array, Array]]
+"""Value, slope and size of the terms of an equation for arguments (m,) at the given indices."""
+ITERATIONS = 400
+EPS = float(np.finfo(float).eps)
+
+
+class Course(Protocol):
+    """Course of the two angles in time."""
+
+    def started(self, total: Real, difference: Real, time: Real) -> Course:
+        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
+        ...
+
+    def positions(self, n: NDArray[np.int64], h: Real) -> Positions:
+        """Reduced phases after ``n`` (m,) steps of ``h``."""
+        ...
+
+    def places(self, at: Positions, near: float) -> tuple[Place, Place]:
+        """Places on the two ovals, signed; |s - sigma| below ``near`` is taken from A0 or B0."""
+        ...
+
+
+def solved(equation: Equation, x: Array, low: Array, high: Array, scale: float) -> Array:
+    """Zero (m,) of a growing function between ``low`` and ``high``, by Newton's method in a bracket, from ``x``."""
+    x, low, high = x.copy(), low.copy(), high.copy()
+    left = np.arange(len(x))
+    width = high - low
+    for iteration in range(ITERATIONS):
+        here = x[left]
+        value, slope, size = equation(here, left)
+        lo, hi = np.where(value > 0.0, low[left], here), np.where(value > 0.0, here, high[left])
+        step = value / slope
+        new = here - step
+        scaled = np.abs(here) + scale
+        done = (np.abs(step) <= 2.0 * EPS * scaled) | (np.abs(value) <= EPS * size) | (hi - lo <= EPS * scaled)
+        bisect = ~((new >= lo) & (new <= hi))
+        if iteration % 3 == 2:  # Newton's steps may be short on one side of a logarithm
+            bisect |= hi - lo > 0.5 * width[left]
+            width[left] = hi - lo
+        new = np.where(bisect, np.where(done, here, 0.5 * (lo + hi)), new)
+        x[left], low[left], high[left] = new, lo, hi
+        left = left[~done]
+        if not len(left):
+            break
+    return x
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The ovals of s1 and s2; s2 moves on the unbounded one."""
+
+    first: OvalTable
+    second: OvalTable
+
+    def refined(self, one: Place, two: Place, u1: Array, u2: Array, times: tuple[Array, Array], near: float) -> Any:
+        """Signed places, of which the one next to sigma is determined by the integral of ds/|w| of the other."""
+        by_second = (u1 <= u2) & (u1 < near)
+        by_first = (u2 < u1) & (u2 < near)
+        if by_second.any() and not self.first.at_root:
+            one = _replaced(one, by_second, self.first.at_time(times[0][by_second]))
+        if by_first.any() and not self.second.at_root:
+            two = _replaced(two, by_first, self.second.at_time(times[1][by_first]))
+        return one.signed(), two.signed()
+
+    def gap_of_second(self, two: Place, gap: Array) -> Array:
+        """|s2 - sigma|, infinite where s2 is."""
+        return gap / np.maximum(two.C * two.C, 1e-300)
+
+
+@dataclass(frozen=True)
+class Lattice(Pair):
+    """Course of angles that turn independently; ``periods`` are (P, a) of (p, A0) and (Q, b) of (q, B0).
+
+    An angle that tends to a double root does not turn; its P and a are one and the slope of A0 there.
+    """
+
+    periods: tuple[Real, Real, Real, Real]
+    starts: tuple[Real, Real] = (0, 0)
+
+    @property
+    def rates(self) -> tuple[Real, Real]:
+        """Turns of the two angles per unit of time."""
+        P, a, Q, b = self.periods
+        determinant = 4 * (P * b + Q * a)
+        return b / determinant, a / determinant
+
+    def started(self, total: Real, difference: Real, time: Real) -> Lattice:
+        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
+        P, a, Q, b = self.periods
+        determinant = 4 * (P * b + Q * a)
+        one, two = self.rates
+        first = (total * b + Q * difference) / determinant - one * time
+        return Lattice(
+            self.first, self.second, self.periods, (first, (total * a - P * difference) / determinant - two * time)
+        )
+
+    def positions(self, n: NDArray[np.int64], h: Real) -> Positions:
+        """Phases in turns after ``n`` (m,) steps of ``h``; reduced if the angle turns."""
+        found = []
+        for table, start, rate in zip((self.first, self.second), self.starts, self.rates, strict=True):
+            step = rate * h
+            turns = any(table.touched)
+            found.append(float(start) + float(step) * n if turns else Phase.of(start, step).turns(n))
+        return tuple(found)
+
+    def places(self, at: Positions, near: float) -> tuple[Place, Place]:
+        """Places on the two ovals, signed."""
+        P, _, Q, b = (float(v) for v in self.periods)
+        p, q = 4.0 * P * at[0], 4.0 * Q * at[1]
+        first, second = self.first, self.second
+        slope = first.slope + second.slope
+
+        def equation(x: Array, index: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+            _, excess, gap = first.at(p[index] + x)
+            two, other, other_gap = second.at(q[index] - x)
+            size = np.abs(excess) + np.abs(other) + first.slope * np.abs(x)
+            return slope * x + excess - other, 1.0 / gap + two.C * two.C / other_gap, size
+
+        bound = np.full_like(p, 1.01 * (first.largest_excess + second.largest_excess) / slope)
+        x = solved(equation, np.zeros_like(p), -bound, bound, 0.1 * P)
+        one, A, u1 = first.at(p + x)
+        two, B, u2 = second.at(q - x)
+        # A0 and B0 up to the same multiples of the periods as p and q
+        B_zero, A_zero = 4.0 * b * at[1], first.slope * p
+        times = B - second.slope * x + A_zero, A + first.slope * x + B_zero
+        return self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
+
+
+@dataclass(frozen=True)
+class Pinch(Pair):
+    """Course on ovals that meet in a double root, which s1 and s2 pass together every 2 (P + Q).
+
+    At each passage A0 - B0 changes by -2 ``jump``; ``stands`` is 1 or 2 if s1 or s2 rests in the double root.
+    """
+
+    periods: tuple[Real, Real]
+    jump: Real
+    stands: int
+    total: Real = 0
+    difference: Real = 0
+
+    def started(self, total: Real, difference: Real, time: Real) -> Pinch:
+        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
+        return Pinch(self.first, self.second, self.periods, self.jump, self.stands, total - time, difference)
+
+    def positions(self, n: NDArray[np.int64], h: Real) -> Positions:
+        """p + q reduced to [-(P + Q), P + Q], A0 - B0, and the number of passages."""
+        period = 4 * (self.periods[0] + self.periods[1])
+        start, step = self.total / period, h / period
+        turns = Phase.of(start, step).turns(n)  # of two passages each
+        half = np.floor(2.0 * turns + 0.5)
+        whole = np.rint(float(start) + float(step) * n.astype(np.float64) - turns)
+        passages = 2.0 * whole + half
+        reduced = float(period) * (turns - 0.5 * half)
+        return reduced, float(self.difference) - 2.0 * float(self.jump) * passages, passages
+
+    def places(self, at: Positions, near: float) -> tuple[Place, Place]:
+        """Places on the two ovals, signed."""
+        total, difference, passages = at
+        P, Q = (float(v) for v in self.periods)
+
+        def equation(x: Array, index: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+            _, A, gap = self.first.at(x)
+            two, B, other_gap = self.second.at(total[index] - x)
+            slope = 1.0 / gap + two.C * two.C / other_gap
+            c = difference[index]
+            return A - B - c, slope, np.abs(A) + np.abs(B) + np.abs(c)
+
+        low, high = np.maximum(-P, total - Q), np.minimum(P, total + Q)
+        p = solved(equation, 0.5 * (low + high), low, high, 0.1 * P)
+        one, A, u1 = self.first.at(p)
+        two, B, u2 = self.second.at(total - p)
+        times = B + difference, A - difference
+        one, two = self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
+        sign = 1.0 - 2.0 * np.mod(passages, 2.0)
+        return one._replace(S=one.S * sign, C=one.C * sign), two._replace(S=two.S * sign, C=two.C * sign)
+
+
+def _replaced(place: Place, where: NDArray[np.bool_], by: Place) -> Place:
+    """Copy of ``place`` with the points ``by`` at the positions ``where``."""
+    copies = []
+    for old, new in zip(place, by, strict=True):
+        if old is None or new is None:
+            copies.append(None)
+            continue
+        copy = old.copy()
+        copy[where] = new
+        copies.append(copy)
+    return Place(*copies)

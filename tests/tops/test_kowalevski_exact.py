@@ -1,0 +1,190 @@
+"""The closed form of the Kowalevski top against the double-double reference, closed forms and its symmetries.
+
+``TOPCLI_RANDOM_TOPS=1000 pytest tests/tops/test_kowalevski_exact.py`` compares 1000 random states (minutes).
+Errors are compared with the sensitivity: the change of the reference when the largest component of the initial state
+changes by one ulp. Typical errors at t = 100 are 1e-15.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+from conftest import GEN
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Sampler
+from topcli.errors import RunError
+from topcli.schemes.kowalevski.exact import _motion
+from topcli.schemes.kowalevski.phase import TURN, Phase
+from topcli.schemes.registry import find_scheme
+from topcli.tops.kowalevski import Kowalevski
+
+RANDOM_STATES = int(os.environ.get("TOPCLI_RANDOM_TOPS", "24"))
+TIMES = np.array([1, 7, 30, 100])
+
+FAMILIES = {
+    "pinch, m.gamma = 0": lambda d: (0.5, 0.25, d, 0.0, 0.1 * d, 1.0),
+    "at rest": lambda d: (0.0, 0.0, d, 0.6, 0.0, 0.8),
+    "gamma on the third axis": lambda d: (0.7, 0.3, 1.0, d, 0.0, 1.0),
+    "pendulum about the second axis": lambda d: (d, 1.0, 0.0, 0.6, 0.0, 0.8),
+    "pendulum about the third axis": lambda d: (0.0, d, 1.0, 0.6, 0.8, d),
+    "equilibrium, spinning": lambda d: (2.0, d, 0.0, 1.0, d, d),
+    "hanging": lambda d: (d, 0.0, d, -1.0, d, d),
+    "upright": lambda d: (d, 0.0, d, 1.0, d, d),
+    "Delone, k = 0": lambda d: (0.5 + d, 0.5, 1.75, 0.0, 0.5, 0.75),
+    "stable spin about the first axis": lambda d: (0.5, d, d, 1.0, d, 0.0),
+    "Bobylev-Steklov": lambda d: (0.75, d, 0.5, 0.0, 0.75, 0.375),
+}
+
+
+def states(y0, h: float, n, c: float = 1.0) -> np.ndarray:
+    method = find_scheme("exact", "kowalevski").build(Kowalevski(c0=c), None)
+    assert isinstance(method, Sampler)
+    return method.states(np.array(y0, dtype=float), h, np.array(n, dtype=np.int64), (c,))
+
+
+def assert_is_the_motion(y0, c: float = 1.0, times: np.ndarray = TIMES, factor: float = 8.0) -> None:
+    """Within 1e-13 times the square of omega and a few times the sensitivity of the double-double reference."""
+    y = np.array(y0, dtype=float)
+    top = Kowalevski(c0=c)
+    exact = reference_states(top, y.tolist(), times.astype(float))
+    moved = y.copy()
+    largest = int(np.argmax(np.abs(y)))
+    moved[largest] = np.nextafter(y[largest], np.inf)
+    sensitivity = np.abs(reference_states(top, moved.tolist(), times.astype(float)) - exact).max(axis=1)
+    error = np.abs(states(y, 1.0, times, c) - exact).max(axis=1)
+    allowed = 2e-14 * max(1.0, float((y[:3] ** 2).sum())) / min(1.0, abs(c)) + factor * sensitivity
+    assert (error <= allowed).all(), (y, c, error, allowed)
+
+
+def test_a_generic_motion() -> None:
+    assert_is_the_motion(GEN)
+
+
+def random_state(seed: int) -> tuple[list[float], float]:
+    random = np.random.default_rng(seed)
+    gamma = random.normal(size=3)
+    omega = random.normal(size=3) * (0.5, 1.0, 1.5, 3.0)[seed % 4]
+    return [*omega, *(gamma / np.linalg.norm(gamma))], (1.0, -0.7, 2.5)[seed % 3]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(RANDOM_STATES))
+def test_random_motions(seed: int) -> None:
+    assert_is_the_motion(*random_state(seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_degenerate_motions_and_their_neighbours(family: str) -> None:
+    for distance in (0.0, 1e-3, 1e-6, 1e-9, 1e-12):
+        assert_is_the_motion(FAMILIES[family](distance))
+
+
+@pytest.mark.slow
+def test_long_times() -> None:
+    """The double-double reference at t = 3e4; phases in double precision would be off by 1e-12."""
+    assert_is_the_motion(GEN, times=np.array([30_000]), factor=0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("y0", [GEN, (2.0, 0.0, 0.0, 0.8, 0.0, 0.6), (0.0, 0.0, 0.0, 0.6, 0.0, 0.8)])
+def test_states_at_very_long_times_follow_each_other(y0) -> None:
+    """The reference from the state at t = 1e8 is at t = 1e8 + 5 where the closed form is."""
+    begin = 100_000_000
+    found = states(y0, 1.0, [begin, begin + 5])
+    later = reference_states(Kowalevski(), found[0], np.array([5.0]))[0]
+    np.testing.assert_allclose(found[1], later, atol=1e-13)
+
+
+@pytest.mark.slow
+def test_the_flow_is_a_group() -> None:
+    direct = states(GEN, 0.5, [26])[0]
+    middle = states(GEN, 0.5, [10])[0]
+    np.testing.assert_allclose(states(middle, 0.5, [16])[0], direct, atol=1e-13)
+
+
+@pytest.mark.slow
+def test_symmetries() -> None:
+    """c -> -c with (omega1, omega2, gamma1, gamma2) -> -(...), and the reversal of time with omega -> -omega."""
+    n = np.array([1, 20, 500])
+    found = states(GEN, 0.5, n, 1.3)
+    turned = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
+    # gamma1, gamma2 keep their sign relative to c, so that c gamma1 = (-c)(-gamma1)
+    np.testing.assert_allclose(states(np.array(GEN) * turned, 0.5, n, -1.3) * turned, found, atol=1e-13)
+    backwards = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(states(np.array(GEN) * backwards, -0.5, n, 1.3) * backwards, found, atol=1e-13)
+
+
+@pytest.mark.slow
+def test_swings_next_to_the_homoclinic_orbit() -> None:
+    """The top first swings down at sqrt 2 ln(8 sqrt 7/eps), and again after twice that."""
+    for eps in (1e-3, 1e-6):
+        n = np.arange(100_000)
+        gamma1 = states((2.0, 0.0, 0.0, math.sqrt(1.0 - eps * eps), 0.0, eps), 1e-3, n)[:, 3]
+        low = np.flatnonzero((gamma1[1:-1] < gamma1[:-2]) & (gamma1[1:-1] <= gamma1[2:]) & (gamma1[1:-1] < 0.0)) + 1
+        law = math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) / eps)
+        assert low[0] * 1e-3 == pytest.approx(law, abs=2e-3)
+        assert (low[1] - low[0]) * 1e-3 == pytest.approx(2.0 * law, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_the_pendulum_separatrix() -> None:
+    """omega3²/2 + gamma1 = 1: towards the upright position, from which a rounding error of the start grows like e^t."""
+    t = np.arange(0.0, 20.0, 0.5)
+    found = states((0.0, 0.0, math.sqrt(2.0), 0.0, 1.0, 0.0), 0.5, np.arange(40))
+    exact = reference_states(Kowalevski(), (0.0, 0.0, math.sqrt(2.0), 0.0, 1.0, 0.0), t)
+    np.testing.assert_allclose(found[:12], exact[:12], atol=2e-13)
+
+
+def test_equilibria_and_the_free_top() -> None:
+    np.testing.assert_array_equal(states((2.0, 0.0, 0.0, 1.0, 0.0, 0.0), 1.0, [10**9])[0], (2, 0, 0, 1, 0, 0))
+    free = reference_states(Kowalevski(c0=0.0), GEN, np.array([50.0]))[0]
+    np.testing.assert_allclose(states(GEN, 0.5, [100], 0.0)[0], free, atol=2e-14)
+
+
+@pytest.mark.slow
+def test_units_of_time_round_nothing() -> None:
+    fast = states([4.0 * v for v in GEN[:3]] + list(GEN[3:]), 0.25, [3, 400], 16.0)
+    slow = states(GEN, 1.0, [3, 400])
+    np.testing.assert_array_equal(fast[:, :3], 4.0 * slow[:, :3])
+    np.testing.assert_array_equal(fast[:, 3:], slow[:, 3:])
+
+
+@pytest.mark.parametrize("y0", [(0.0, 0.0, 1.5, 0.0, 0.0, 1.0), (0.0, 0.0, -9.25, 0.0, 0.0, -1.0)])
+def test_the_triple_root_is_refused_by_name(y0) -> None:
+    with pytest.raises(RunError, match="triple root"):
+        states(y0, 0.1, [1])
+
+
+def test_gravity_too_weak_to_resolve_is_refused() -> None:
+    with pytest.raises(RunError, match="too weak"):
+        states([1e110 * v for v in GEN[:3]] + list(GEN[3:]), 0.1, [1])
+
+
+def test_phases_are_reduced_exactly() -> None:
+    phase = Phase(start=TURN // 3, step=(TURN * 5) // 7 + 12345)
+    n = np.array([0, 1, -1, 10**6 + 1, -(10**9) - 7, 2**52 + 1], dtype=np.int64)
+    for found, k in zip(phase.turns(n), n.tolist(), strict=True):
+        exact = Fraction((phase.start + k * phase.step) % TURN, TURN)
+        exact -= exact >= Fraction(1, 2)
+        assert abs(Fraction(float(found)) - exact) < Fraction(1, 2**53)
+
+
+@pytest.mark.slow
+def test_threads_do_not_share_the_precision_of_mpmath() -> None:
+    """Set-ups at the same time give the bits of set-ups one after the other, and leave mpmath's precision alone."""
+    starts = [random_state(seed)[0] for seed in range(40, 46)]
+    n = np.arange(0, 10**6, 99_991)
+    with ThreadPoolExecutor(6) as pool:
+        together = list(pool.map(lambda y: states(y, 0.5, n), starts))
+    assert mpmath.mp.dps == 15
+    _motion.cache_clear()
+    for y, found in zip(starts, together, strict=True):
+        np.testing.assert_array_equal(found, states(y, 0.5, n))
