@@ -25,7 +25,7 @@ COMMANDS = [
     "compare hk hybrid bohlin-a rk4 taylor --set N=40",
     "lax kowalevski hk rk4 --set N=40",
     "lax euler hk --set N=40",
-    "run euler_hk --set N=40",
+    "run euler_hk --set N=40 --name euler_hk",
     "run euler_ensemble --set N=40",
     "analyse results/euler_hk/series.parquet --config euler_hk",
     "roundoff hk --config euler_hk --steps 300 --copies 2",

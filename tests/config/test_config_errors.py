@@ -50,7 +50,7 @@ WRONG = [
     ("hk", "{name: hk, branch: sign}", 6, "scheme.branch", "unknown key"),
     ("hk", "{name: hybrid, brunch: sign}", 6, "scheme.brunch", "did you mean 'branch'?"),
     ("hk", "{name: hybrid, branch: sgn}", 6, "scheme.branch", "must be 'nearest' or 'sign', not the text 'sgn'"),
-    ("hk", "[hk]", 6, "scheme", "must be a name (bohlin-a"),
+    ("hk", "[hk]", 6, "scheme", "must be a name (backlund"),
     ("scheme", "shceme", 6, "shceme", "unknown key; did you mean 'scheme'?"),
     (GAMMA, "[1, 0, 1e-3]", 5, "initial.gamma", "gamma² = 1.000001 is off by 1e-06"),
     (GAMMA, "[1, 0, 1e-3]", 5, "initial.gamma", "initial.normalize: true"),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, example, given, reject, settings
 from hypothesis import strategies as st
 
 from config_texts import CONFIGS
@@ -19,7 +19,7 @@ from topcli.config.models import name_fault
 from topcli.config.overrides import parse_override
 from topcli.config.toml_text import key_lines
 from topcli.config.yaml_text import parse_yaml, to_yaml
-from topcli.errors import ConfigError, TopcliError
+from topcli.errors import ConfigError, StepTooLongError, TopcliError
 from topcli.schemes.registry import all_schemes
 
 settings.register_profile(
@@ -232,7 +232,10 @@ def bits(values: tuple[float, ...]) -> bytes:
 @settings(CONFIG)
 @given(data=experiments())
 def test_valid_experiments_round_trip(folder: Path, data: dict[str, Any]) -> None:
-    first = experiment_from(data)
+    try:
+        first = experiment_from(data)
+    except StepTooLongError:
+        reject()  # a step beyond the domain of its scheme
     path = folder / "round.yaml"
     path.write_text(first.to_yaml(), encoding="utf-8")
     for other in (load_experiment(path), experiment_from(first.resolved())):

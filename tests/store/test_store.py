@@ -260,7 +260,7 @@ def test_nothing_is_integrated_for_a_refusal(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.slow
 def test_concurrent_different_experiments_are_both_kept(tmp_path: Path) -> None:
     """Both start on an empty folder; the one that ends second gives way, and says so even under -q."""
-    command = [sys.executable, "-m", "topcli", "run", str(HK), "--out", str(tmp_path), "--quiet"]
+    command = [sys.executable, "-m", "topcli", "run", str(HK), "--out", str(tmp_path), "--quiet", "--name", "one"]
     running = [
         subprocess.Popen([*command, "--set", f"N={N}"], stderr=subprocess.PIPE, text=True) for N in (400_000, 400_001)
     ]

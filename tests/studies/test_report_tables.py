@@ -144,7 +144,7 @@ def test_a_new_column_is_a_field_and_an_entry(
     entry = ReportColumn("width", "max - min", compared="{} max - min")
     monkeypatch.setattr(study, "REPORT_COLUMNS", (*REPORT_COLUMNS, entry))
     short = ("--set", "N=200", "--set", "h=0.05")
-    cli("run", "kowalevski_hk", *short, "--out", str(tmp_path))
+    cli("run", "kowalevski_hk", *short, "--name", "kowalevski_hk", "--out", str(tmp_path))
     stored = json.loads((tmp_path / "kowalevski_hk" / "report.json").read_text())["invariants"]
     cells = [number(row["max"] - row["min"]) for row in stored]
     assert [row["width"] for row in stored] == [row["max"] - row["min"] for row in stored]

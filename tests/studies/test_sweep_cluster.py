@@ -90,12 +90,18 @@ def cluster(dask: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pr
 
 
 @pytest.fixture
-def scheme_file(tmp_path: Path) -> Iterator[Path]:
+def scheme_file(tmp_path: Path, no_scheme_files: None) -> Path:
     path = tmp_path / "mine.py"
     path.write_text(SCHEME)
     (tmp_path / "weights.py").write_text("WEIGHT = 0.5\n")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def no_scheme_files() -> Iterator[None]:
+    """Files that other tests have loaded would be sent to the workers."""
     _unload()
-    yield path
+    yield
     _unload()
 
 

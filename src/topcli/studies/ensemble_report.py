@@ -24,6 +24,7 @@ WORDS = {
     Outcome.BLEW_UP: "blew up",
     Outcome.NO_CONVERGENCE: "did not converge",
     Outcome.INTERRUPTED: "interrupted",
+    Outcome.DIGIT_LIMIT: "reached the limit of digits",
 }
 """Outcomes as words of a sentence."""
 
