@@ -25,7 +25,7 @@ COMMANDS = [
     "compare hk hybrid bohlin-a rk4 taylor --set N=40",
     "lax kowalevski hk rk4 --set N=40",
     "lax euler hk --set N=40",
-    "run euler_hk --set N=40 --name euler_hk",
+    "run euler_hk --set N=40",
     "run euler_ensemble --set N=40",
     "analyse results/euler_hk/series.parquet --config euler_hk",
     "roundoff hk --config euler_hk --steps 300 --copies 2",
@@ -44,7 +44,7 @@ def words(text: str) -> Counter[str]:
 def test_tables_fit_the_terminal(cli, monkeypatch: pytest.MonkeyPatch, command: str, width: int) -> None:
     """Each table as the command hands it over, against the lines printed for it."""
     if command.startswith("analyse"):
-        assert cli("run", "euler_hk", "--set", "N=4000", "--quiet").code == 0
+        assert cli("run", "euler_hk", "--set", "N=4000", "--name", "euler_hk", "--quiet").code == 0
     tables = []
     monkeypatch.setattr(talk, "screen_width", lambda: width)
     original = talk.table_lines
