@@ -2,6 +2,9 @@
 
 from importlib.metadata import version as version_of
 
+from pygments.lexers.special import TextLexer
+from sphinx.application import Sphinx
+
 project = "topcli"
 author = "the topcli authors"
 copyright = author
@@ -33,3 +36,8 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+
+def setup(app: Sphinx) -> None:
+    """Show blocks of CSV as plain text."""
+    app.add_lexer("csv", TextLexer)
