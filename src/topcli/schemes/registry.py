@@ -123,8 +123,8 @@ def scheme(
         Conditions under which the scheme fails, each with the reason in a sentence, or a function ``limits(top)``
         returning them. A key that names a hard case (``topcli stress``) is checked against the result of that case.
     longest_step : callable, optional
-        ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A longer
-        one is refused before the run. The step itself has to refuse it for a member of an ensemble.
+        ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A
+        longer one is refused before the run. The step itself has to refuse it for a member of an ensemble.
     order_with : callable, optional
         ``order_with(options)`` returns the order if it depends on the options; ``order`` is that of the defaults.
 
