@@ -43,7 +43,9 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the plan: which r
 Yes = Annotated[bool, typer.Option("--yes", help="Run a sweep of more than 100000 rows.")]
 RetryFailed = Annotated[bool, typer.Option("--retry-failed", help="Run rows that failed before again.")]
 FailFast = Annotated[bool, typer.Option("--fail-fast/--keep-going", help="Stop at the first row that fails.")]
-TimeLimit = Annotated[float, typer.Option("--time-limit", metavar="SECONDS", help="Stop a row after so many seconds.")]
+TimeLimit = Annotated[
+    float, typer.Option("--time-limit", metavar="SECONDS", help="Stop a row after this number of seconds.")
+]
 Threads = Annotated[
     int | None, typer.Option("--threads", metavar="COUNT", min=1, help="Set the threads; all CPUs by default.")
 ]

@@ -124,7 +124,7 @@ class Output(BaseModel):
     )
     digits: Annotated[int, Field(ge=1, le=MOST_WRITTEN), BeforeValidator(as_integer)] | None = Field(
         default=None,
-        description="with a precision other than double: also write every column as a decimal text of so many digits",
+        description="with a precision other than double: also write decimal texts of this many digits",
     )
 
     def resolved(self) -> dict[str, Any]:

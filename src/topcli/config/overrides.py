@@ -16,7 +16,7 @@ _POSITION = re.compile(r"^(:\d+)*: ")
 BARE = {"top": "kind", "scheme": "name"}
 """Sections that may be given as a bare name, each with the key whose value the name is."""
 _EXPERIMENTS = ((), ("base",))
-"""Where a document holds a config: as a whole, or in the section ``base`` of a sweep."""
+"""Places of a config in a document: as a whole, or in the section ``base`` of a sweep."""
 
 
 def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:

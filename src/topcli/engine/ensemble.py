@@ -123,7 +123,7 @@ class EnsembleCode:
 
 @dataclass(frozen=True)
 class Execution:
-    """How an ensemble is carried out; none of it changes the bits of a trajectory.
+    """Execution of an ensemble; none of it changes the bits of a trajectory.
 
     ``stop()`` is called between chunks and within long ones; once it returns true, the unfinished trajectories are
     ``interrupted``, not all of them at the same step. ``threads`` is the number of threads, by default all CPUs.

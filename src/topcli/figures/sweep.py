@@ -29,7 +29,7 @@ DEEPEST = 1e-10
 
 @dataclass(frozen=True)
 class Choice:
-    """What to draw of a sweep: the measure ``y`` over ``x`` for each value of ``by``; or ``colour`` over x and y."""
+    """Content of the figure: the measure ``y`` over ``x`` for each value of ``by``; or ``colour`` over x and y."""
 
     x: str
     y: str
@@ -39,7 +39,7 @@ class Choice:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Keys whose values are told apart."""
+        """Keys whose values are distinguished."""
         return (self.x, self.y) if self.colour else (self.x, self.by) if self.by else (self.x,)
 
     @property
@@ -219,7 +219,7 @@ def figure_name(rows: SweepRows, choice: Choice) -> str:
 
 @dataclass(frozen=True)
 class SweepFigure(Figure):
-    """What ``choice`` names of the ``rows`` of a sweep."""
+    """Figure of the part of the ``rows`` of a sweep that ``choice`` names."""
 
     rows: SweepRows
     choice: Choice

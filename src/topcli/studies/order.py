@@ -60,7 +60,7 @@ class _Ladder(SchemeCompetitor):
 
 @dataclass(frozen=True)
 class Ladders:
-    """What a study of orders runs: the ``schemes`` on a ``problem``, those left out with the reasons, the settings.
+    """Plan of a study of orders: the ``schemes`` on a ``problem``, those left out with the reasons, the settings.
 
     ``sizes`` are the step sizes asked for, none for the ladder of each scheme, of at most ``steps`` steps a run.
     """

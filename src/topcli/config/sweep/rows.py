@@ -28,7 +28,7 @@ Part = TypeVar("Part")
 
 
 class Row(NamedTuple):
-    """What a row computes, as plain data that can be sent to another process.
+    """Computation of a row, as plain data that can be sent to another process.
 
     ``top`` and ``scheme`` are canonical JSON of the resolved sections, ``form`` is the form of the top, and ``initial``
     the state in the order of its components; ``digest`` identifies all of it. ``keys`` are the values of the varied

@@ -117,7 +117,7 @@ def _range(raw: dict[str, Any], key: str, path: KeyPath, problems: Problems) -> 
 
 
 class Spread(BaseModel):
-    """How a parameter of the top is drawn: uniformly between ``first`` and ``last``, or in their logarithms."""
+    """Distribution of a parameter of the top: uniform between ``first`` and ``last``, or in their logarithms."""
 
     model_config = ConfigDict(frozen=True)
 

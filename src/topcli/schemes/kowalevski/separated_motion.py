@@ -27,7 +27,7 @@ SHIFTS = (0, 2, 3, 5)
 FIT = 1e-7
 """Largest difference, relative to the state, between the initial state and that of the right signs."""
 NEAR = 0.05
-"""Where |s - sigma| is smaller than this part of the roots, the angle is found from the integral of ds/|w|."""
+"""Part of the roots; if |s - sigma| is smaller than it, the angle is found from the integral of ds/|w|."""
 CHUNK = 4096
 """States evaluated together, so that the arrays stay in the cache."""
 PROBES = (-12, 0, 105, 1311, 16543, 195_201, 2_336_007, 28_480_001)

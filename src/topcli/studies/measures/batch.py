@@ -148,7 +148,7 @@ def rows_fault(experiment: Experiment, measures: Sequence[Measure]) -> str:
 
 
 class BatchRecorder:
-    """What ``measures`` need of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
+    """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
 
     Pieces of different runs may be added from different threads, those of a run in the order of time.
     """

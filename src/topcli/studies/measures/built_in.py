@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from topcli.analysis.swings import minima_times
+from topcli.analysis.swings import swing_spacing as spacing_of_first
 from topcli.contracts import Array
 from topcli.studies.measures.batch import Batch
 from topcli.studies.measures.references import obstacle
@@ -47,7 +48,9 @@ def swing_spacing(batch: Batch) -> Array:
 @measure("swing_spacing.first", summary="time from the first swing to the second", unit=TIME, needs=[SWING])
 def first_spacing(batch: Batch) -> Array:
     """Distance of the first two deep minima; nan for fewer than two."""
-    return _of_swings(batch, lambda times: abs(float(times[1] - times[0])) if len(times) > 1 else np.nan)
+    values = batch.columns[batch.experiment.top.swing]
+    found = [spacing_of_first(batch.t, of_one) for of_one in values]
+    return np.array([np.nan if spacing is None else spacing for spacing in found])
 
 
 @measure(

@@ -43,7 +43,7 @@ def _closed_form(form: str) -> Scheme | None:
 
 
 def closed_form(top: Top, scheme: Scheme) -> Sampler | None:
-    """Closed-form solution to compare runs of ``scheme`` with; None if there is none but the scheme itself."""
+    """Closed-form solution to compare runs of ``scheme`` with; None if the only one is the scheme itself."""
     found = _closed_form(top.form)
     if found is None or found.name == scheme.name:
         return None

@@ -66,7 +66,7 @@ class Measure:
     evaluate: Evaluation
     """``evaluate(batch)`` returns an array (runs,); that of a family also takes a name."""
     needs: tuple[str, ...] = ()
-    """What has to be recorded of a run: names of columns, or words of ``RECORDED``."""
+    """Records that it needs of a run: names of columns, or words of ``RECORDED``."""
     names: Names | None = None
     """For a family: ``names(top, scheme, options)`` returns the names that it has."""
     noun: str = "name"

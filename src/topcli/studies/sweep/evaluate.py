@@ -39,7 +39,7 @@ KEPT_RUNS = 16
 
 
 class Shared(NamedTuple):
-    """What rows must have in common to be stepped side by side: all but the initial state."""
+    """Properties that rows must have in common to be stepped side by side: all but the initial state."""
 
     form: str
     top: str
@@ -50,7 +50,7 @@ class Shared(NamedTuple):
 
     @classmethod
     def of(cls, row: Row) -> Shared:
-        """What ``row`` shares."""
+        """Shared properties of ``row``."""
         return cls(row.form, row.top, row.scheme, row.h, row.N, row.every)
 
 

@@ -57,7 +57,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do with each row of a survey: ``status`` is DONE, REPEATED (an earlier row is equal) or a reason to run.
+    """Plan for each row of a survey: ``status`` is DONE, REPEATED (an earlier row is equal) or a reason to run.
 
     ``failed`` is the number of rows that are done and did not complete; ``left`` is the number of finished rows in the
     journal that no longer belong to the sweep.

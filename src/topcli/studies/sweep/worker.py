@@ -1,4 +1,4 @@
-"""What runs on the workers of a Dask cluster: preparation, the check of versions, and the evaluation of batches."""
+"""Work on the workers of a Dask cluster: preparation, the check of versions, and the evaluation of batches."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def describe() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker needs before it evaluates rows of a sweep; ``token`` identifies the job."""
+    """Data that a worker needs before it evaluates rows of a sweep; ``token`` identifies the job."""
 
     token: str
     versions: Versions
