@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -24,6 +23,7 @@ from topcli.config.sweep.rows import RowReader
 from topcli.errors import RunError, UsageError
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.studies.sweep.cluster import (
+    ALONE,
     IN_FLIGHT,
     Cluster,
     batch_digest,
@@ -331,10 +331,10 @@ def test_the_back_end_is_bounded_by_its_threads() -> None:
 
     class Alone(Cluster):
         def __init__(self) -> None:
-            self.threads, self._flying, self._pieces = 0, {}, deque()
+            super().__init__(None, "", None, 0, print)  # type: ignore[arg-type]
             self.sent: list[int] = []
 
-        def _submit(self, batch: Any, work: Any) -> None:
+        def _submit(self, batch: Any, work: Any, *, alone: bool = False) -> None:
             self.sent.append(len(self._flying))
             self._flying[len(self.sent)] = (None, batch)  # type: ignore[assignment]
 
@@ -358,8 +358,8 @@ def test_the_back_end_is_bounded_by_its_threads() -> None:
 def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: None) -> None:
     from distributed.scheduler import KilledWorker
 
-    class Lost:
-        """A task that ends its workers if it holds the fatal row."""
+    class Task:
+        """A task that is lost if it, or one that is in flight with it, holds the fatal row."""
 
         def __init__(self, key: str, batch: list[int]) -> None:
             self.key, self.batch = key, batch
@@ -368,13 +368,13 @@ def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: N
             return False
 
         def result(self, timeout: float) -> list[int]:
-            if 5 in self.batch:
+            if any(7 in batch for batch in [self.batch, *(batch for _, batch in cluster._flying.values())]):
                 raise KilledWorker(self.key, None, 3)
             return self.batch
 
     class Fatal(Cluster):
-        def _submit(self, batch: Any, work: Any) -> None:
-            future: Any = Lost(str(batch), batch)
+        def _submit(self, batch: Any, work: Any, *, alone: bool = False) -> None:
+            future: Any = Task(f"{batch}{ALONE if alone else ''}", batch)
             self._flying[future.key] = (future, batch)
             self._ended.put(future)
 
@@ -384,6 +384,6 @@ def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: N
     batches: Any = [[0, 1, 2], [3, 4, 5, 6, 7]]
     found: list[Any] = list(cluster(batches, Work(("swings",)), lambda: False))
     assert sorted(row for batch, _ in found for row in batch) == list(range(8))
-    (failed,) = [results for batch, results in found if batch == [5]]
+    (failed,) = [results for batch, results in found if batch == [7]]
     assert (failed.outcome, failed.done) == (["failed"], [True])
-    assert all(results == batch for batch, results in found if batch != [5])
+    assert all(results == batch for batch, results in found if batch != [7])

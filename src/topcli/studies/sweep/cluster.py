@@ -1,7 +1,8 @@
 """A sweep on a Dask cluster: batches as tasks, a bounded number in flight, results back to the one writer.
 
 The scheduler never holds more than a few batches for each thread of a worker. The key of a task is the digest of what
-it computes. A batch whose workers are lost again and again is divided; a single row that ends its workers becomes a
+it computes. A batch whose workers are lost again and again is divided. The scheduler blames all tasks of a lost worker,
+so a single row is tried once more at the end with nothing else in flight; if that ends its workers, too, it becomes a
 failed row.
 """
 
@@ -46,6 +47,8 @@ COUNT_SECONDS = 2.0
 """Time between two counts of the workers."""
 IN_FLIGHT = 3
 """Batches in flight for each thread of a worker."""
+ALONE = "-alone"
+"""End of the key of a row that is in flight alone."""
 BATCH_SCALE = 3
 """Seconds of work in a batch: much longer than the scheduler's time for a task."""
 _LOCAL_CLUSTER: dict[str, Any] = {
@@ -255,6 +258,8 @@ class Cluster:
     _ended: queue.SimpleQueue[Future[Any]] = field(default_factory=queue.SimpleQueue)
     _pieces: deque[Batch] = field(default_factory=deque)
     """Parts of batches that were divided."""
+    _suspects: deque[Batch] = field(default_factory=deque)
+    """Single rows whose workers were lost while other rows were there, too."""
     _counted: float = field(default_factory=time.monotonic)
 
     def __call__(self, made: Iterable[Batch], work: Work, stop: Stop) -> Iterator[tuple[Batch, Results]]:
@@ -268,17 +273,19 @@ class Cluster:
                         break
                     self._submit(batch, work)
                 if not self._flying:
-                    return
+                    if not self._suspects:
+                        return
+                    self._submit(self._suspects.popleft(), work, alone=True)
                 yield from self._arrived(work)
                 self._count()
             yield from self._last()
         finally:
             self._give_up()
 
-    def _submit(self, batch: Batch, work: Work) -> None:
+    def _submit(self, batch: Batch, work: Work, *, alone: bool = False) -> None:
         from topcli.studies.sweep.worker import evaluate
 
-        key = f"topcli-{batch_digest(batch, work, self.job.token)}"
+        key = f"topcli-{batch_digest(batch, work, self.job.token)}{ALONE if alone else ''}"
         # pickled here: the library would look at every number for what it has to wait for
         future = self.client.submit(evaluate, self.job.token, work, pickle.dumps(batch), key=key)
         self._flying[key] = (future, batch)
@@ -311,6 +318,9 @@ class Cluster:
             except KilledWorker:
                 if len(batch) > 1:
                     self._pieces.extend((batch[: len(batch) // 2], batch[len(batch) // 2 :]))
+                    continue
+                if not str(future.key).endswith(ALONE):
+                    self._suspects.append(batch)
                     continue
                 results = _lost(work)
             except CommClosedError:
