@@ -33,7 +33,7 @@ from topcli.studies.sweep.evaluate import FAILED, Results, Work
 from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, run_sweep
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, LocalCluster
 
     from topcli.studies.sweep.worker import Job
 
@@ -42,6 +42,8 @@ CONNECT_SECONDS = 5
 """Time in which a scheduler must answer."""
 WORKER_SECONDS = 60.0
 """Time in which the first worker must have joined the scheduler."""
+RESTART_SECONDS = 10.0
+"""Time in which a lost worker of this machine is started again."""
 POLL_SECONDS = 0.2
 COUNT_SECONDS = 2.0
 """Time between two counts of the workers."""
@@ -169,7 +171,8 @@ def connected(
         stack.enter_context(_quiet())
         target: Any = address
         if count:
-            target = stack.enter_context(LocalCluster(n_workers=count, **_LOCAL_CLUSTER))
+            target = LocalCluster(n_workers=count, **_LOCAL_CLUSTER)
+            stack.callback(_close, target)
         try:
             if not count:
                 _require_answer(address)
@@ -182,7 +185,23 @@ def connected(
                 f"--dask {address}: no Dask scheduler can be reached ({reason})",
                 "dask scheduler starts one; --dask local:4 uses this machine",
             ) from None
+        if count:
+            stack.callback(_wait_for_restarts, client, count)
         yield _prepared(client, address, on_message, stop, stack)
+
+
+def _wait_for_restarts(client: Client, count: int) -> None:
+    """Wait until ``count`` workers are there: to close the cluster while one is being restarted is an error."""
+    deadline = time.monotonic() + RESTART_SECONDS
+    with suppress(Exception):
+        while len(cast(dict[str, int], client.nthreads())) < count and time.monotonic() < deadline:
+            time.sleep(POLL_SECONDS)
+
+
+def _close(cluster: LocalCluster) -> None:
+    """Close ``cluster``; the rows are finished, and what fails here concerns processes that end with this one."""
+    with suppress(Exception):
+        cluster.close()
 
 
 def _prepared(client: Client, address: str, on_message: Callable[[str], None], stop: Stop, stack: ExitStack) -> Cluster:
