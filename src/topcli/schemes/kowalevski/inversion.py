@@ -31,7 +31,17 @@ ZERO = Fraction(0)
 
 
 class Course(Protocol):
-    """Course of the two angles in time."""
+    """Course of the two angles in time, on the ovals ``first`` and ``second`` of s1 and s2."""
+
+    @property
+    def first(self) -> OvalTable:
+        """Oval of s1."""
+        ...
+
+    @property
+    def second(self) -> OvalTable:
+        """Oval of s2."""
+        ...
 
     def started(self, total: Real, difference: Real, time: Real) -> Course:
         """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""

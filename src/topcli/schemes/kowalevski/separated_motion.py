@@ -99,7 +99,7 @@ class SeparatedMotion:
             angles = first.angle(s1), second.angle(s2)
             begun = [oval.from_regular_end(angle) for oval, angle in zip(ovals, angles, strict=True)]
             course, begun = _course(ovals, begun)
-            self.first, self.second = course.first, course.second
+            self.course = course
             self.apart = float(first.a - second.a)
             self.formula = _formula(roots, self.c)
             self._choose(course, begun, angles, np.array([float(v) for v in start]), elapsed)
@@ -130,6 +130,16 @@ class SeparatedMotion:
             raise _UnfitError("no choice of the signs of the square roots gives the initial state")
         self.course = found[0].lasting()
         self._set_signs(found[1])
+
+    @property
+    def first(self) -> OvalTable:
+        """Oval of s1."""
+        return self.course.first
+
+    @property
+    def second(self) -> OvalTable:
+        """Oval of s2."""
+        return self.course.second
 
     def _set_signs(self, signs: tuple[int, ...]) -> None:
         """Set the signs of f1, f2, f3; those of A and B follow, because both angles grow."""
