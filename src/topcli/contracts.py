@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -323,6 +323,44 @@ class Stepper:
     composable: Stepper | None = None
 
 
+class Setup(Protocol):
+    """Part of a closed form that depends on the initial state and the top alone; the engine keeps it on disk.
+
+    ``y0`` is an initial state, shape (d,), ``p`` the constants of the top. A class of topcli whose objects need no
+    arguments is also used in other processes.
+    """
+
+    seconds: float
+    """Typical time to compute the set-up of one initial state."""
+
+    def needed(self, y0: Array, p: Floats) -> bool:
+        """True if the motion has a set-up, and this process does not have it yet."""
+        ...
+
+    def compute(self, y0: Array, p: Floats) -> bytes:
+        """Compute the set-up, use it from then on, and return it. Raises RunError."""
+        ...
+
+    def use(self, y0: Array, p: Floats, data: bytes) -> None:
+        """Use a set-up that ``compute`` has returned, in any process. Raises ValueError for other data."""
+        ...
+
+    def code(self) -> str:
+        """Text that changes with everything on which the set-up depends besides ``y0`` and ``p``."""
+        ...
+
+
+class Accuracy(NamedTuple):
+    """Limits of the accuracy of a closed form along one motion, in the units of the state."""
+
+    round_off: float
+    """Bound of the round-off in the states."""
+    reason: str
+    """Formula of the bound, with the components that it concerns."""
+    sensitivity: float | None
+    """Largest change of the states if each component of the initial state changes by one ulp; None if unknown."""
+
+
 @dataclass(frozen=True)
 class Sampler:
     """Closed-form solution, evaluated at the times of the steps instead of being iterated.
@@ -332,9 +370,15 @@ class Sampler:
     states : callable
         ``states(y0, h, n, p)`` takes the initial state, shape (d,), the step size, the step numbers, shape (m,), and
         the constants of the top; it returns the states after these numbers of steps, shape (m, d).
+    setup : Setup, optional
+        Work done once for each initial state, if it takes time. ``states`` does it by itself where nobody else has.
+    accuracy : callable, optional
+        ``accuracy(y0, h, n, p)`` returns the limits of the accuracy over the steps ``n`` (m,).
     """
 
     states: Callable[[Array, float, NDArray[np.int64], Floats], Array]
+    setup: Setup | None = None
+    accuracy: Callable[[Array, float, NDArray[np.int64], Floats], Accuracy] | None = None
 
 
 @dataclass(frozen=True)

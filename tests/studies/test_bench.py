@@ -275,10 +275,19 @@ def test_the_seconds_of_a_closed_form_are_those_of_one_call(monkeypatch: pytest.
     (racket,) = bench_problems((), ("euler_hk",), ("h=0.01", "N=100"), 10)
     clock = iter([100.0, 107.0])
     monkeypatch.setattr(entrants.time, "process_time", lambda: next(clock))
-    states, seconds = entrants.closed_form(find_scheme("exact", "euler"), racket, calls=14)
-    assert seconds == 0.5
+    states, seconds, setup = entrants.closed_form(find_scheme("exact", "euler"), racket, calls=14)
+    assert (seconds, setup) == (0.5, None)
     reference = reference_states(racket.top, racket.experiment.y0, racket.times)
     np.testing.assert_allclose(states, reference, atol=1e-13)  # typically 2e-15
+
+
+@pytest.mark.slow
+def test_the_set_up_of_a_closed_form_is_timed_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    (paper,) = bench_problems((), ("kowalevski_hk",), ("h=0.01", "N=100"), 10)
+    clock = iter([100.0, 107.0, 200.0, 200.25])
+    monkeypatch.setattr(entrants.time, "process_time", lambda: next(clock))
+    found = entrants.closed_form(find_scheme("exact", "kowalevski"), paper, calls=14)
+    assert (found.seconds, found.setup_seconds) == (0.5, 0.25)
 
 
 PEER = """

@@ -11,6 +11,7 @@ import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
+from itertools import product
 
 import mpmath
 import numpy as np
@@ -20,7 +21,8 @@ from conftest import GEN
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.exact import _motion
+from topcli.schemes.kowalevski.delone import has_triple_root
+from topcli.schemes.kowalevski.exact import _kept
 from topcli.schemes.kowalevski.phase import TURN, Phase
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
@@ -157,10 +159,38 @@ def test_units_of_time_round_nothing() -> None:
     np.testing.assert_array_equal(fast[:, 3:], slow[:, 3:])
 
 
-@pytest.mark.parametrize("y0", [(0.0, 0.0, 1.5, 0.0, 0.0, 1.0), (0.0, 0.0, -9.25, 0.0, 0.0, -1.0)])
-def test_the_triple_root_is_refused_by_name(y0) -> None:
-    with pytest.raises(RunError, match="triple root"):
-        states(y0, 0.1, [1])
+SIGNS = list(product((1.0, -1.0), repeat=3))
+TRIPLE_ROOTS = [
+    (0.0, 0.0, 1.5, 0.0, 0.0, 1.0),  # spin about the vertical third axis
+    (0.0, 0.0, -9.25, 0.0, 0.0, -1.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+    (0.0, 0.0, 2.0 - 2.0**-20, 0.0, 0.0, 1.0),  # next to the separatrix omega3 = 2
+    (0.0, 0.0, 2.0 + 2.0**-20, 0.0, 0.0, 1.0),
+    # elsewhere on such orbits, with sin phi = 3/5: parameters m below and above one, in both directions, mirrored
+    *[(s * 3.0, s * u * 3.0, v * 8.0, 0.0, u * 18.0, s * v * 24.0) for s, u, v in SIGNS],
+    *[(s * 6.0, s * u * 3.0, v * 16.0, 27.0, u * 36.0, s * v * 60.0) for s, u, v in SIGNS],
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("c", [1.0, -1.0])
+@pytest.mark.parametrize("y0", TRIPLE_ROOTS)
+def test_motions_with_a_triple_root(y0, c: float) -> None:
+    """k = 0 and E = 2 l²/gamma²; the typical error is 1e-16 of the largest component."""
+    turned = (*y0[:3], c * y0[3], c * y0[4], c * y0[5])
+    assert has_triple_root(turned, c)
+    assert_is_the_motion(turned, c)
+
+
+def test_the_separatrix_of_the_triple_root() -> None:
+    """omega3 = 2: towards rest with gamma on the first axis; cn = sech(t/sqrt 2) in the formulas of ``delone``."""
+    t = np.array([0.5, 3.0, 10.0, 1000.0])
+    found = states((0.0, 0.0, 2.0, 0.0, 0.0, 1.0), 0.5, [1, 6, 20, 2000])
+    s = 1.0 / np.cosh(t / math.sqrt(2.0))
+    below = 1.0 + s * s
+    np.testing.assert_allclose(found[:, 0], (1.0 - s * s) / below, atol=1e-15)
+    np.testing.assert_allclose(found[:, 1], math.sqrt(2.0) * np.sqrt(1.0 - s * s) * s / below, atol=1e-15)
+    np.testing.assert_allclose(found[:, 2], 4.0 * s / below, atol=1e-15)
 
 
 def test_gravity_too_weak_to_resolve_is_refused() -> None:
@@ -185,6 +215,6 @@ def test_threads_do_not_share_the_precision_of_mpmath() -> None:
     with ThreadPoolExecutor(6) as pool:
         together = list(pool.map(lambda y: states(y, 0.5, n), starts))
     assert mpmath.mp.dps == 15
-    _motion.cache_clear()
+    _kept().clear()
     for y, found in zip(starts, together, strict=True):
         np.testing.assert_array_equal(found, states(y, 0.5, n))

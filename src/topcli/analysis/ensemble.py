@@ -53,8 +53,8 @@ class Ensemble:
         Columns of ``trajectories()``.
     modified : tuple of tuple of Invariant
         Integrals of the scheme itself, for each trajectory.
-    compile_seconds, run_seconds : float
-        Wall time of compiling or loading the machine code, and of the steps.
+    compile_seconds, run_seconds, setup_seconds : float
+        Wall time of compiling or loading the machine code, of the steps, and of the set-ups of a closed form.
 
     Examples
     --------
@@ -83,6 +83,7 @@ class Ensemble:
     modified: tuple[tuple[Invariant, ...], ...]
     compile_seconds: float
     run_seconds: float
+    setup_seconds: float = 0.0
 
     @property
     def t(self) -> Array:

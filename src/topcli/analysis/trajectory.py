@@ -40,8 +40,8 @@ class Trajectory:
         States in the order of ``top.components``.
     ending : Ending
         Outcome of the run, its last or failing step, and the counts of its events.
-    compile_seconds, run_seconds : float
-        Wall time of compiling or loading the machine code, and of the steps.
+    compile_seconds, run_seconds, setup_seconds : float
+        Wall time of compiling or loading the machine code, of the steps, and of the set-up of a closed form.
     modified : tuple of Invariant
         Integrals of the scheme itself, which depend on h.
     rows : tuple of InvariantRow or None
@@ -70,13 +70,16 @@ class Trajectory:
     run_seconds: float
     modified: tuple[Invariant, ...] = ()
     rows: tuple[InvariantRow, ...] | None = None
+    setup_seconds: float = 0.0
 
     @classmethod
     def of_run(cls, run: Run, scheme: str, modified: tuple[Invariant, ...] = ()) -> Trajectory:
         """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface."""
         n, states, ending = run.collect()
         ending = ending.having_left(step_of_leaving(run.top, n, states), run.h)
-        return cls(run.top, scheme, run.h, n, states, ending, run.compile_seconds, run.run_seconds, modified)
+        seconds = run.compile_seconds, run.run_seconds
+        ready = run.setup.seconds if run.setup else 0.0
+        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready)
 
     @property
     def t(self) -> Array:

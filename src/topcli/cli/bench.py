@@ -25,7 +25,7 @@ def _complete_scene(incomplete: str) -> list[str]:
 
 def _print_result(result: dict[str, Any], all_points: bool) -> None:
     """Print the result of one scene: the table of decades, the front in words, and with ``all_points`` every point."""
-    from topcli.studies.bench.stored import decade_lines, ladder_lines, microseconds, point_lines
+    from topcli.studies.bench.stored import decade_lines, ladder_lines, microseconds, point_lines, setup_words
     from topcli.studies.report import number
 
     span = f"t from 0 to {result['duration']:g}, CPU time per unit of time"
@@ -40,7 +40,9 @@ def _print_result(result: dict[str, Any], all_points: bool) -> None:
         emit_prose(f"{goal} at {met} of the {len(reached)} decades that a peer reaches")
     for row in result["closed_forms"]:
         error, time = number(row["error"]), microseconds(row["seconds_per_state"])
-        emit_prose(f"in closed form, {row['name']}: distance from the reference {error}, {time} µs a state")
+        emit_prose(
+            f"in closed form, {row['name']}: distance from the reference {error}, {time} µs a state{setup_words(row)}"
+        )
     emit()
     if all_points:
         print_table(*point_lines(result), numbers=(2, 3, 4, 5, 6), keys=2, title=f"{result['name']}: every point")

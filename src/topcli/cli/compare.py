@@ -9,13 +9,14 @@ import typer
 
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, print_json, print_table, say, say_warnings
-from topcli.errors import UsageError
+from topcli.errors import UsageError, quoted
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
 
 PAPER_SCENE = "kowalevski_hk"
+DEFAULT_REFERENCE = "taylor"
 
 
 def _modified_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
@@ -55,6 +56,10 @@ def _reversal_label(schemes: list[dict[str, Any]]) -> str:
     return "reversal defect" + (f" at h = {abs(schemes[0]['h']):g}" if _one_step(schemes) else "")
 
 
+def _cost_label(schemes: list[dict[str, Any]]) -> str:
+    return "ns per step" + (", of a closed form per state" if any(one["closed_form"] for one in schemes) else "")
+
+
 def _title(name: str, top: str, schemes: list[dict[str, Any]]) -> str:
     """Title of the table: experiment, top, and the steps, or the time if the steps differ."""
     first = schemes[0]
@@ -77,6 +82,10 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
     def line(label: str, cell: Any) -> list[str]:
         return [label, *(cell(scheme) for scheme in schemes)]
 
+    def setup(scheme: dict[str, Any]) -> str:
+        seconds = scheme["setup_seconds"]
+        return "–" if seconds is None else f"{seconds:.3f}"
+
     return [
         *_step_lines(schemes),
         line("outcome", lambda s: s["outcome"]),
@@ -90,8 +99,9 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
             lambda s: "round-off" if s["reversal"]["order"] is None else f"{s['reversal']['order']:.2f}",
         ),
         line(swing, lambda s: "–" if s["swing_spacing"] is None else f"{s['swing_spacing']:.4f}"),
-        line("ns per step", lambda s: f"{s['nanoseconds_per_step']:.1f}"),
+        line(_cost_label(schemes), lambda s: f"{s['nanoseconds_per_step']:.1f}"),
         line("compile or load, s", lambda s: f"{s['compile_seconds']:.3f}"),
+        *([line("set-up, s", setup)] if any(one["setup_seconds"] is not None for one in schemes) else []),
     ]
 
 
@@ -126,12 +136,17 @@ def _warn_of_few_rows(figures: dict[str, Any]) -> None:
 
 
 def _compare_one(
-    experiment: Experiment, entries: list[str], options: dict[str, Any], pictures: Path | None, as_json: bool
+    experiment: Experiment,
+    entries: list[str],
+    options: dict[str, Any],
+    reference: str,
+    pictures: Path | None,
+    as_json: bool,
 ) -> int:
     """Compare entries on one trajectory, print the result and draw it into ``pictures``; the exit code."""
     from topcli.studies.compare import compare_schemes
 
-    comparison = compare_schemes(experiment, entries, options)
+    comparison = compare_schemes(experiment, entries, options, reference)
     files: list[str] = []
     if pictures is not None:
         from topcli.figures.comparison import loaded_comparison
@@ -145,6 +160,8 @@ def _compare_one(
     else:
         title = _title(experiment.name, experiment.top.title, compared)
         title += "" if experiment.exact is None else f", precision {experiment.precision}"
+        if reference != DEFAULT_REFERENCE:
+            title += f", errors from the {comparison.figures['reference']['method']}"
         print_table(["", *map(_header, compared)], _lines(comparison.figures), title)
         for file in files:
             say(f"wrote {file}")
@@ -196,6 +213,10 @@ Config = Annotated[
         autocompletion=complete_config,
     ),
 ]
+Reference = Annotated[
+    str,
+    typer.Option("--reference", metavar="KIND", help="Take errors from taylor (series) or exact (closed form)."),
+]
 Plot = Annotated[bool, typer.Option("--plot", help="Draw errors and swings over time.")]
 
 
@@ -203,6 +224,7 @@ def compare(
     entries: Entries,
     config: Config = PAPER_SCENE,
     sets: Sets = None,
+    reference: Reference = DEFAULT_REFERENCE,
     as_json: Json = False,
     plot: Plot = False,
     out: FigureOut = Path("results/figures"),
@@ -225,10 +247,15 @@ def compare(
     if not isinstance(experiment, Experiment):
         if plot:
             raise UsageError(f"--plot draws one trajectory, and {experiment.name} is an ensemble of {experiment.count}")
+        if reference != DEFAULT_REFERENCE:
+            raise UsageError(
+                f"--reference {quoted(reference)}: chooses the reference of one trajectory, and {experiment.name} is "
+                f"an ensemble of {experiment.count}"
+            )
         code = _compare_ensemble(experiment, entries, options, as_json)
     else:
         if plot:
             require_writable(out)
-        code = _compare_one(experiment, entries, options, out if plot else None, as_json)
+        code = _compare_one(experiment, entries, options, reference, out if plot else None, as_json)
     if code:
         raise typer.Exit(code)

@@ -75,20 +75,21 @@ class RunOptions:
 
 def _print_result(result: RunResult, labelled: bool) -> None:
     """Print the message and the table of a run."""
-    report, warning, note = result.report, "", ""
+    report, warning, notes = result.report, "", []
     if report.get("kind") == "ensemble":
         from topcli.studies.ensemble_report import ensemble_table as invariant_table
     else:
+        from topcli.studies.accuracy import accuracy_note
         from topcli.studies.report import invariant_table, precision_note, warning_of
 
-        warning, note = warning_of(report), precision_note(report)
+        warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
     if result.set_aside:
         say(result.set_aside_message)
     status = result.status
     if status == "up to date" and result.outcome.value != "completed":
         status = f"not run again: it ended as {result.outcome.value} before; --retry-failed runs it again"
     say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
-    if note:
+    for note in filter(None, notes):
         say(f"{report['name']}: {note}")
     if warning:
         say(f"warning: {report['name']}: {warning}")
@@ -164,6 +165,7 @@ def _run(
         threads=options.threads,
         progress=display,
         stop=interruption,
+        **({} if options.quiet else {"on_message": say}),
     )
 
 

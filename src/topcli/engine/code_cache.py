@@ -1,9 +1,9 @@
-"""Object code on disk, used only if its owner alone can have written it.
+"""Object code and set-ups of closed forms on disk, used only if their owner alone can have written them.
 
 A user who can write a file here decides what later processes execute. The folder and each file are therefore opened
 without following a symbolic link at the end of the path, and used only if they are a folder and a regular file, owned
 by the effective user, that nobody else may write. The folders above are not checked: a temporary folder is open to all,
-and some systems make folders writable by the group. Code whose stored form is not trusted is compiled and not stored.
+and some systems make folders writable by the group. What is stored and not trusted is computed again and not stored.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CACHE_ENTRIES = 512
-"""Number of entries that the cache keeps; the oldest ones are removed."""
+"""Number of entries of each kind that the cache keeps; the oldest ones are removed."""
+CODE, SETUP = ".o", ".setup"
+"""Suffixes of object code and of set-ups of closed forms."""
 _DIRECTORY = getattr(os, "O_DIRECTORY", 0)
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 
@@ -86,70 +88,101 @@ def _key(words: str) -> str:
     return hashlib.sha256(words.encode()).hexdigest()
 
 
-def stored_code(words: str, signature: str) -> ObjectCode | None:
-    """Stored object code identified by ``words``, for a function of this signature; None if absent or damaged."""
-    key = _key(words)
+def stored_content(name: str) -> bytes | None:
+    """Content of the file ``name`` of the cache; None if it is absent, not trusted, or not as it was stored."""
     try:
         with _opened(cache_folder()) as folder:
-            digest, _, rest = _content(folder, f"{key}.o").partition(b"\n")
+            digest, _, rest = _content(folder, name).partition(b"\n")
             if hashlib.sha256(rest).hexdigest().encode() != digest:
                 return None
-            header, _, code = rest.partition(b"\n")
-            about = json.loads(header)
-            if about["key"] != key or about["signature"] != signature:
-                return None
-            found = ObjectCode(code, str(about["symbol"]), signature, tuple(map(str, about["needs"])))
             with suppress(OSError):
-                os.utime(f"{key}.o", dir_fd=folder)
-            return found
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+                os.utime(name, dir_fd=folder)
+            return rest
+    except OSError:
         return None
 
 
-def store_code(words: str, made: ObjectCode) -> None:
-    """Store object code atomically; do nothing if the folder cannot be used."""
-    key, path = _key(words), cache_folder()
-    about = {"key": key, "signature": made.signature, "symbol": made.symbol, "needs": made.needs}
-    rest = json.dumps(about).encode() + b"\n" + made.code
+def store_content(name: str, rest: bytes) -> None:
+    """Store a file atomically in the cache, with its checksum; do nothing if the folder cannot be used."""
+    path = cache_folder()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
             path.mkdir(mode=0o700)
         with _opened(path) as folder:
-            temporary = f"{key}.{os.getpid()}.{os.urandom(4).hex()}.tmp"
+            temporary = f"{name.partition('.')[0]}.{os.getpid()}.{os.urandom(4).hex()}.tmp"
             handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NOFOLLOW, 0o600, dir_fd=folder)
             try:
                 with os.fdopen(handle, "wb") as file:
                     file.write(hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
-                os.replace(temporary, f"{key}.o", src_dir_fd=folder, dst_dir_fd=folder)
+                os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
             except BaseException:
                 with suppress(OSError):
                     os.unlink(temporary, dir_fd=folder)
                 raise
-            _remove_oldest(folder)
+            _remove_oldest(folder, name[name.index(".") :])
     except OSError:
         pass
 
 
-def _entries(folder: int) -> list[tuple[str, os.stat_result]]:
-    """Names and ``lstat`` results of the object files, newest first."""
+def stored_code(words: str, signature: str) -> ObjectCode | None:
+    """Stored object code identified by ``words``, for a function of this signature; None if absent or damaged."""
+    key = _key(words)
+    rest = stored_content(f"{key}{CODE}")
+    if rest is None:
+        return None
+    header, _, code = rest.partition(b"\n")
+    try:
+        about = json.loads(header)
+        if about["key"] != key or about["signature"] != signature:
+            return None
+        return ObjectCode(code, str(about["symbol"]), signature, tuple(map(str, about["needs"])))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def store_code(words: str, made: ObjectCode) -> None:
+    """Store object code atomically; do nothing if the folder cannot be used."""
+    key = _key(words)
+    about = {"key": key, "signature": made.signature, "symbol": made.symbol, "needs": made.needs}
+    store_content(f"{key}{CODE}", json.dumps(about).encode() + b"\n" + made.code)
+
+
+def stored_setup(words: str) -> bytes | None:
+    """Stored set-up of a closed form identified by ``words``; None if absent or damaged."""
+    key = _key(words)
+    rest = stored_content(f"{key}{SETUP}")
+    if rest is None:
+        return None
+    header, _, data = rest.partition(b"\n")
+    return data if header == key.encode() else None
+
+
+def store_setup(words: str, data: bytes) -> None:
+    """Store a set-up of a closed form atomically; do nothing if the folder cannot be used."""
+    key = _key(words)
+    store_content(f"{key}{SETUP}", key.encode() + b"\n" + data)
+
+
+def _entries(folder: int, suffixes: tuple[str, ...]) -> list[tuple[str, os.stat_result]]:
+    """Names and ``lstat`` results of the files with one of the ``suffixes``, newest first."""
     found = []
     for name in os.listdir(folder):
-        if name.endswith(".o"):
+        if name.endswith(suffixes):
             with suppress(OSError):
                 found.append((name, os.stat(name, dir_fd=folder, follow_symlinks=False)))
     return sorted(found, key=lambda entry: entry[1].st_mtime_ns, reverse=True)
 
 
-def _remove_oldest(folder: int) -> None:
-    for name, _ in _entries(folder)[CACHE_ENTRIES:]:
+def _remove_oldest(folder: int, suffix: str) -> None:
+    for name, _ in _entries(folder, (suffix,))[CACHE_ENTRIES:]:
         with suppress(OSError):
             os.unlink(name, dir_fd=folder)
 
 
 @dataclass(frozen=True)
 class CacheState:
-    """Number and total size of the usable object files, and the reasons for not using the others."""
+    """Number and total size of the usable files, and the reasons for not using the others."""
 
     entries: int
     size: int
@@ -162,7 +195,7 @@ def cache_state() -> CacheState:
     try:
         with _opened(path) as folder:
             used, problems = [], []
-            for name, found in _entries(folder):
+            for name, found in _entries(folder, (CODE, SETUP)):
                 reason = _distrust(found) if stat.S_ISREG(found.st_mode) else "it is not a regular file"
                 if reason:
                     problems.append(f"{path / name} is not used: {reason}; remove it")

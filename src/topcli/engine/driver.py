@@ -16,6 +16,7 @@ import numpy as np
 from topcli.arithmetic.branches import unlikely
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
 from topcli.engine.native import CompileError, native, native_text
+from topcli.engine.setups import SetupTime, prepare
 from topcli.engine.source import place_of, plain_function
 from topcli.errors import SchemeCodeError
 
@@ -128,6 +129,10 @@ class Loop:
     compiled: bool = True
     returns_early: bool = False
     advice: Callable[[Sequence[float], float], str] | None = None
+    prepare: Callable[[Array, Array], SetupTime] | None = None
+    """``prepare(y0, p)`` loads or computes the set-up of a closed form."""
+    sampled: bool = False
+    """True for a closed form: the time of a call is that of the states that it records."""
 
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
@@ -166,7 +171,9 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     """
     if isinstance(method, Sampler):
         enter, sample = _sampled_loop(method, d)
-        return Loop(enter, sample, d + 1, returns_early=True)  # it takes no steps
+        setup = method.setup
+        ready = None if setup is None else lambda y0, p: prepare(setup, y0, tuple(p.tolist()))
+        return Loop(enter, sample, d + 1, returns_early=True, prepare=ready, sampled=True)  # it takes no steps
     if isinstance(method, Block):
         code = native_text(method.text(), "advance", SIGNATURE)
         loop = Loop(method.enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)

@@ -22,7 +22,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
@@ -36,6 +36,7 @@ from topcli.engine.endings import Endings
 from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of
 from topcli.engine.loop import Run
 from topcli.engine.native import CompileError, native
+from topcli.engine.setups import Setups, SetupTime
 from topcli.engine.tile import Lanes, Piece, RowBuffer, Tile, TileContext, advance_together
 
 TILE = 64
@@ -170,6 +171,10 @@ class EnsembleRun(TileContext, Generic[Made]):
         self.begin(y0)
         self.code = execution.code or EnsembleCode(top, method, execution.tile or tile_of(len(self.y0)))
         self.p, self.tile, self.run_seconds = self.code.p, self.code.tile, 0.0
+        self.setup: SetupTime | None = None
+        """Time waited for the set-ups of a closed form; None for a method that has none."""
+        if isinstance(method, Sampler) and method.setup is not None:
+            self.setup = SetupTime()
         self.buffer = RowBuffer()
 
     def begin(self, y0: Array) -> None:
@@ -290,8 +295,12 @@ class EnsembleRun(TileContext, Generic[Made]):
     def _one_by_one(self) -> Iterator[tuple[Made, int]]:
         """Run trajectory after trajectory in the time loop of single runs."""
         stride = math.gcd(self.every, self.N)  # so that step N is among the rows
-        for i, y0 in enumerate(self.y0):
-            run = Run(self.top, self.single_loop(), y0, self.h, self.N, stride, self.stop)
+        setup = self.method.setup if isinstance(self.method, Sampler) else None
+        order: Iterable[int] = range(len(self.y0))
+        if setup is not None:
+            order = Setups(setup, self.y0, tuple(self.p.tolist()), self.threads, self.setup)
+        for i in order:
+            run = Run(self.top, self.single_loop(), self.y0[i], self.h, self.N, stride, self.stop)
             for chunk in run:
                 asked = chunk.n % self.every == 0
                 if len(chunk.n) and (asked[-1] or chunk.n[-1] == self.N):

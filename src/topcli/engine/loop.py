@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, stop_asked
 from topcli.engine.driver import Loop, loop_of
+from topcli.engine.setups import SetupTime
 
 CHUNK_ROWS = 8192
 CHUNK_STEPS = 1 << 19
@@ -25,6 +26,8 @@ PRECISE_STEPS = 1 << 4
 """The same for steps in another arithmetic."""
 CALL_SECONDS = 0.25
 """Approximate longest time between two calls of ``stop``."""
+SAMPLED_STATES = 5000
+"""States of a closed form that are timed together."""
 FIRST_CALL = 64
 """Steps of the first call of compiled code; later calls take up to eight times those of the one before."""
 
@@ -107,6 +110,8 @@ class Run:
         self.compile_seconds = self._loop.seconds
         self.cached = self._loop.cached
         self.run_seconds = 0.0
+        self.setup: SetupTime | None = None
+        """Time to load or compute the set-up of a closed form; None for a method that has none."""
         self.ending: Ending | None = None
         chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
         if self._type is np.object_:
@@ -140,6 +145,8 @@ class Run:
             self._position.chunk_steps,
         )
         out = np.empty(chunk_rows * d, dtype=self._type)
+        if self._loop.prepare is not None:
+            self.setup = self._loop.prepare(self._y0, self._p)
         if self._position.done < 0:
             self._loop.enter(self._y0, work, self._p, self._step)
             self._position = Position(0, work, chunk_rows, chunk_steps)
@@ -220,20 +227,25 @@ def nanoseconds_per_step(
 
     Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the machine's
     speed affects all of them. A trajectory that blows up is timed up to that point; a step that runs in the interpreter
-    is timed over fewer steps.
+    is timed over fewer steps. Of a closed form the time of one state is returned.
     """
     prepared = []
     for top, method, y0, h in runs:
         p = np.array(top.constants(), dtype=np.float64)
         loop = loop_of(method, len(y0), len(p))
         prepared.append((loop, np.array(y0, dtype=np.float64), p, h, np.zeros(loop.width)))
+    sampled = np.empty(SAMPLED_STATES * max((len(y0) for _, y0, *_ in prepared), default=0))
     times: list[list[float]] = [[] for _ in prepared]
     for repetition in range(repetitions + 1):
         for i, (loop, y0, p, h, work) in enumerate(prepared):
             loop.enter(y0, work, p, h)
             start = clock()
             count = steps if loop.compiled else min(steps, PLAIN_STEPS)
-            taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
+            if loop.sampled:
+                count = min(steps, SAMPLED_STATES)
+                taken = loop.drive(work, sampled[: count * len(y0)], p, h, count, 1, 1)
+            else:
+                taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
             elapsed = clock() - start
             if repetition:
                 times[i].append(elapsed / max(1, abs(taken)))

@@ -13,9 +13,12 @@ from topcli.analysis.reference import distances, reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Method, Outcome, Top
+from topcli.contracts import Array, Method, Outcome, Sampler, Top
 from topcli.engine.loop import nanoseconds_per_step
+from topcli.engine.setups import prepare
+from topcli.errors import UsageError, quoted
 from topcli.studies.entries import Entry, few_rows, read_entries
+from topcli.studies.measures.references import exact_method
 from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
 
@@ -93,6 +96,8 @@ def _figures(
         "swing_times": minima_times(trajectory.t, trajectory[top.swing]).tolist(),
         "nanoseconds_per_step": nanoseconds,
         "compile_seconds": trajectory.compile_seconds,
+        "closed_form": isinstance(method, Sampler),
+        "setup_seconds": trajectory.setup_seconds if isinstance(method, Sampler) and method.setup else None,
     }
 
 
@@ -112,10 +117,22 @@ def settings(entry: Entry) -> dict[str, Any]:
     }
 
 
-class _References:
-    """Reference states at the rows of several entries, followed once for each set of times."""
+REFERENCES = {"taylor": "Taylor series in double-double arithmetic", "exact": "closed form (scheme exact)"}
+"""References of the errors, with what they are."""
 
-    def __init__(self, top: Top, y0: Sequence[float]) -> None:
+
+class _References:
+    """Reference states at the rows of several entries, computed once for each set of times.
+
+    ``kind`` is one of ``REFERENCES``. Raises UsageError if the top has no closed form.
+    """
+
+    def __init__(self, top: Top, y0: Sequence[float], kind: str) -> None:
+        if kind not in REFERENCES:
+            raise UsageError(f"unknown reference {quoted(kind)}; use {' or '.join(REFERENCES)}")
+        self._closed = exact_method(top) if kind == "exact" else None
+        if kind == "exact" and self._closed is None:
+            raise UsageError(f"the top {top.form} has no scheme exact to compare with; use the reference taylor")
         self._top, self._y0 = top, y0
         self._known: dict[tuple[float, int, int], Array] = {}
 
@@ -123,26 +140,36 @@ class _References:
         """States (m, d) at every ``every``-th step of an experiment."""
         key = (experiment.h, experiment.N, every)
         if key not in self._known:
-            times = np.arange(0, experiment.N + 1, every) * experiment.h
-            self._known[key] = reference_states(self._top, self._y0, times)
+            n = np.arange(0, experiment.N + 1, every)
+            if self._closed is None:
+                self._known[key] = reference_states(self._top, self._y0, n * experiment.h)
+            else:
+                start, p = np.array(self._y0), self._top.constants()
+                if self._closed.setup is not None:
+                    prepare(self._closed.setup, start, p)
+                self._known[key] = self._closed.states(start, experiment.h, n, p)
         return self._known[key]
 
 
 def compare_schemes(
-    experiment: Experiment, entries: Sequence[str], options: Mapping[str, Any] | None = None
+    experiment: Experiment,
+    entries: Sequence[str],
+    options: Mapping[str, Any] | None = None,
+    reference: str = "taylor",
 ) -> Comparison:
     """Run ``experiment`` under each of the ``entries``, names of schemes with their own settings, and measure them.
 
     Each of the ``options`` is set for the schemes that have it, of which there must be one.
 
-    Errors are Euclidean norms of the difference of states from the Taylor reference at the compared times. The
-    reversal defect is the largest over states spread along the reference. Raises UsageError as ``read_entries``.
+    Errors are Euclidean norms of the difference of states from the ``reference`` at the compared times: Taylor series
+    or the closed form (``REFERENCES``). The reversal defect is the largest over states spread along the reference.
+    Raises UsageError as ``read_entries``, and for a reference that the top does not have.
     """
     compared = read_entries(experiment, entries, options)
     top = experiment.top
     methods = [one.experiment.method() for one in compared]
     trajectories = [trajectory_of(one.experiment) for one in compared]
-    references = _References(top, experiment.y0)
+    references = _References(top, experiment.y0, reference)
     finest = max((one.experiment for one in compared), key=lambda one: one.N // one.output.every)
     finest_rows = references.at(finest, finest.output.every)
     probes = finest_rows[probe_rows(len(finest_rows))]
@@ -168,7 +195,7 @@ def compare_schemes(
             {
                 "config": experiment.resolved(),
                 "reference": {
-                    "method": "Taylor series in double-double arithmetic",
+                    "method": REFERENCES[reference],
                     "swing": top.swing,
                     "swing_spacing": swing_spacing(times, finest_rows[:, swing]),
                 },

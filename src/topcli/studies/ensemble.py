@@ -20,6 +20,7 @@ from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter
+from topcli.studies.accuracy import setup_message
 from topcli.studies.ensemble_report import EndingTally, ensemble_markdown, ensemble_report
 from topcli.studies.identity import Identity, Origin, store_run
 from topcli.studies.plan import plan_run
@@ -192,6 +193,9 @@ class _Record:
     def _add_seconds(self, run: EnsembleRun[Any]) -> None:
         self.seconds["compile"] += run.compile_seconds
         self.seconds["compile_cached"] &= run.cached
+        if run.setup is not None:
+            self.seconds["setup"] = self.seconds.get("setup", 0.0) + run.setup.seconds
+            self.seconds["setup_cached"] = self.seconds.get("setup_cached", True) and run.setup.cached
         self.seconds["run"] += run.run_seconds
         self.seconds["threads"] = run.threads
 
@@ -257,6 +261,7 @@ def run_ensemble(
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
+    on_message: Callable[[str], None] = lambda line: None,
 ) -> RunResult:
     """Run an ensemble into the folder ``out/<name>``, unless it has been run before; see ``run_experiment``.
 
@@ -270,6 +275,8 @@ def run_ensemble(
     plan = plan_run(identity, out, force=force, retry_failed=retry_failed)
     if plan.up_to_date and plan.existing is not None:
         return existing_result(plan.existing, identity, out, plan.rewrite)
+    if message := setup_message(experiment, threads):
+        on_message(f"{identity.name}: {message}")
     with Commit() as commit, RunWriter(out, identity.name, displace=force or retry_failed) as writer:
         origin = Origin(identity, experiment.first.scheme.origin, now(), environment(), commit)
         try:

@@ -11,6 +11,7 @@ from topcli.analysis.many import QUANTILES
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.contracts import Ending, Outcome
 from topcli.engine.endings import NO_FAILURE, Endings
+from topcli.studies.accuracy import seconds_note
 from topcli.studies.report import SCHEMA_VERSION, finite, heading, markdown_table, number, report_head
 
 SHOWN = 20
@@ -131,6 +132,8 @@ def ensemble_markdown(report: dict[str, Any]) -> str:
         "Deviations of each trajectory are from its own first value, over its recorded rows; the lines give quantiles "
         "over the trajectories. *Within round-off*: trajectories whose largest deviation stays below "
         f"{ROUND_OFF_ULPS:g} ulp × √steps of the invariant's terms.",
+        "",
+        seconds_note(report["seconds"]),
         "",
     ]
     return "\n".join(lines)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from topcli.analysis.drift import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 from topcli.contracts import Ending
+from topcli.studies.accuracy import accuracy_note, seconds_note
 
 if TYPE_CHECKING:
     from topcli.analysis.digit_growth import DigitGrowth
@@ -222,7 +223,8 @@ def report_markdown(report: dict[str, Any]) -> str:
         "error is that of the model: a linear trend with noise that does not grow, or a random walk, which has a slope "
         "in any one run.",
         "",
-        f"Compiled or loaded in {report['seconds']['compile']:.3g} s, ran in {report['seconds']['run']:.3g} s.",
+        seconds_note(report["seconds"]),
+        *(["", f"{note[0].upper()}{note[1:]}."] if (note := accuracy_note(report)) else []),
         "",
     ]
     return "\n".join(lines)

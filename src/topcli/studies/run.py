@@ -16,6 +16,7 @@ from topcli.store.checkpoint import Checkpoint, write_checkpoint
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter, io_failure
+from topcli.studies.accuracy import accuracy_data, seconds_of
 from topcli.studies.identity import Identity, Origin, store_run
 from topcli.studies.plan import plan_run
 from topcli.studies.recorder import Recorder
@@ -117,7 +118,8 @@ def _summary(job: _Job, run: Run, precision: dict[str, Any]) -> dict[str, Any]:
         "t": ending.t,
         "left_motion": left_motion(ending),
         "counters": dict(ending.counters),
-        "seconds": {"compile": run.compile_seconds, "compile_cached": run.cached, "run": run.run_seconds},
+        "seconds": seconds_of(run),
+        **accuracy_data(job.method, experiment, ending.step),
         **precision,
     }
 

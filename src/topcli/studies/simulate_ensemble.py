@@ -68,6 +68,7 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
         modified=tuple(one.modified for one in runs for _ in range(one.group.count)),
         compile_seconds=sum(one.run.compile_seconds for one in runs),
         run_seconds=sum(one.run.run_seconds for one in runs),
+        setup_seconds=sum(one.run.setup.seconds for one in runs if one.run.setup),
     )
 
 

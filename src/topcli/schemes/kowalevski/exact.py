@@ -7,28 +7,79 @@ then costs the solution of one scalar equation (``separated_motion``) and a rati
 
 from __future__ import annotations
 
+import hashlib
 import math
+import platform
+import sys
+import threading
 from fractions import Fraction
-from functools import lru_cache
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
+from topcli.contracts import Accuracy, Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
+from topcli.schemes.kowalevski.delone import TripleRoot, has_triple_root
+from topcli.schemes.kowalevski.inversion import EPS
 from topcli.schemes.kowalevski.pendulum import Pendulum, is_pendulum
 from topcli.schemes.kowalevski.separated_motion import SeparatedMotion
+from topcli.schemes.kowalevski.stored_motion import Motion, motion_bytes, motion_from
 from topcli.schemes.registry import scheme
 
-TRIPLE_ROOT = (
-    "At k = 0 and E = 2 l²/gamma² three roots of the curve coincide, for example for a body that spins about the "
-    "vertical third axis; these motions are refused."
-)
+KEPT = 64
+"""Motions kept in memory."""
+WEAK = 1e-9
+"""Round-off eps |omega|²/c, relative to gamma, from which on gravity is too weak for a motion that was refused."""
 
 
-@lru_cache(maxsize=64)
-def _motion(y: Floats, c: float) -> Pendulum | SeparatedMotion:
-    return Pendulum.of(y, c) if is_pendulum(y, c) else SeparatedMotion(y, c)
+@cache
+def _kept() -> dict[tuple[Floats, float], Motion]:
+    """Motions by initial state and c; not a global, whose content would count as code of the scheme."""
+    return {}
+
+
+@cache
+def _lock() -> Any:
+    return threading.Lock()
+
+
+_lock()
+
+
+def _keep(key: tuple[Floats, float], motion: Motion) -> Motion:
+    with _lock():
+        known = _kept()
+        known.pop(key, None)
+        known[key] = motion
+        while len(known) > KEPT:
+            del known[next(iter(known))]
+    return motion
+
+
+def _made(y: Floats, c: float) -> Motion:
+    """Set up the motion from the state ``y`` (6,), of the order of one. Raises RunError."""
+    if is_pendulum(y, c):
+        return Pendulum.of(y, c)
+    if has_triple_root(y, c):
+        return TripleRoot.of(y, c)
+    try:
+        return SeparatedMotion(y, c)
+    except RunError:
+        off = EPS * sum(v * v for v in y[:3]) / abs(c)
+        if off < WEAK * math.hypot(*y[3:]):
+            raise
+        raise RunError(
+            "kowalevski, scheme exact: gravity is too weak to be resolved: gamma would be uncertain by "
+            f"eps |omega|²/c = {off:.0e}; use scheme 'taylor'"
+        ) from None
+
+
+def _motion(y: Floats, c: float) -> Motion:
+    """Motion from the state ``y`` (6,), of the order of one; set up if it is not in memory."""
+    return _kept().get((y, c)) or _keep((y, c), _made(y, c))
 
 
 def _at_rest(y: Floats, c: float) -> bool:
@@ -36,6 +87,32 @@ def _at_rest(y: Floats, c: float) -> bool:
     w1, w2, w3, g1, g2, g3 = map(Fraction, y)
     f = Fraction(c)
     return not any((w2 * w3, f * g3 - w3 * w1, f * g2, g2 * w3 - g3 * w2, g3 * w1 - g1 * w3, g1 * w2 - g2 * w1))
+
+
+def _is_free(y: Floats, c: float) -> bool:
+    """True if the motion is that of a free symmetric top."""
+    return c == 0.0 or not any(y[3:])
+
+
+class _Units(NamedTuple):
+    """Motion in units of time of 2^-``unit``, in which omega and c gamma are of the order of one: state and c."""
+
+    unit: int
+    y: Floats
+    c: float
+
+
+def _in_units(y: Floats, c: float) -> _Units:
+    """Motion from the state ``y`` (6,) in units of its own; powers of two round nothing. Raises RunError."""
+    size = max(*(abs(v) for v in y[:3]), math.sqrt(abs(c)) * math.sqrt(max(abs(v) for v in y[3:])))
+    unit = math.frexp(size)[1]
+    try:
+        scaled, omega = math.ldexp(c, -2 * unit), tuple(math.ldexp(v, -unit) for v in y[:3])
+    except OverflowError:
+        scaled, omega = 0.0, y[:3]
+    if abs(scaled) < 1e-200:
+        raise RunError("kowalevski, scheme exact: gravity is too weak to be resolved; use scheme 'taylor'")
+    return _Units(unit, (*omega, *y[3:]), scaled)
 
 
 def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
@@ -46,24 +123,77 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     y, c = tuple(float(v) for v in y0), float(p[0])
     if _at_rest(y, c):
         return np.tile(np.array(y), (len(n), 1))
-    if c == 0.0 or not any(y[3:]):
+    if _is_free(y, c):
         from topcli.schemes.euler.exact import exact_states as free_states
 
         return free_states(np.array(y), h, n, (2.0, 2.0, 1.0))  # the free symmetric top
-    # in units of time of 2^-unit the state is of the order of one; powers of two round nothing
-    size = max(*(abs(v) for v in y[:3]), math.sqrt(abs(c)) * math.sqrt(max(abs(v) for v in y[3:])))
-    unit = math.frexp(size)[1]
+    unit, scaled, gravity = _in_units(y, c)
     try:
-        scaled = math.ldexp(c, -2 * unit)
-        omega = tuple(math.ldexp(v, -unit) for v in y[:3])
         step = math.ldexp(h, unit)
     except OverflowError:
-        scaled, omega, step = 0.0, y[:3], h
-    if abs(scaled) < 1e-200:
-        raise RunError("kowalevski, scheme exact: gravity is too weak to be resolved; use scheme 'taylor'")
-    found = _motion((*omega, *y[3:]), scaled).states(n, step)
+        raise RunError(f"kowalevski, scheme exact: a step of {h:g} is too long for |omega| of 2^{unit}") from None
+    found = _motion(scaled, gravity).states(n, step)
     found[:, :3] = np.ldexp(found[:, :3], unit)
     return found
+
+
+def exact_accuracy(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Accuracy:
+    """Bound of the round-off of a motion, and its sensitivity at the steps ``n`` (m,)."""
+    y, c = tuple(float(v) for v in y0), float(p[0])
+    gamma = math.hypot(*y[3:])
+    # omega1² + omega2² + omega3²/2 = E - c gamma1
+    speed_sq = 2.0 * (y[0] ** 2 + y[1] ** 2 + 0.5 * y[2] ** 2 + abs(c) * (abs(y[3]) + gamma))
+    reason, round_off = "eps |omega|²/c in gamma", 0.0
+    if _is_free(y, c):
+        reason, round_off = "eps |omega|", EPS * math.sqrt(speed_sq)
+    elif not _at_rest(y, c):
+        round_off = EPS * max(1.0, math.sqrt(speed_sq), gamma, speed_sq / abs(c))
+    moved = np.nextafter(y0, np.where(y0 == 0.0, 0.0, np.inf))
+    try:
+        change = exact_states(moved, h, n, p) - exact_states(np.array(y), h, n, p)
+    except RunError:
+        return Accuracy(round_off, reason, None)
+    return Accuracy(round_off, reason, float(np.abs(change).max()))
+
+
+class ExactSetup:
+    """Set-up of the closed form: half periods and tables of a motion."""
+
+    seconds = 0.06
+
+    def _key(self, y0: Array, p: Floats) -> tuple[Floats, float] | None:
+        """State and c in the units of the motion; None if it has no set-up."""
+        y, c = tuple(float(v) for v in y0), float(p[0])
+        if _at_rest(y, c) or _is_free(y, c):
+            return None
+        _, scaled, gravity = _in_units(y, c)
+        return scaled, gravity
+
+    def needed(self, y0: Array, p: Floats) -> bool:
+        """True if the motion has a set-up that is not in memory."""
+        key = self._key(y0, p)
+        return key is not None and key not in _kept()
+
+    def compute(self, y0: Array, p: Floats) -> bytes:
+        """Set up the motion and return it as bytes. Raises RunError."""
+        key = self._key(y0, p)
+        return b"" if key is None else motion_bytes(_keep(key, _made(*key)))
+
+    def use(self, y0: Array, p: Floats, data: bytes) -> None:
+        """Take a stored motion. Raises ValueError."""
+        key = self._key(y0, p)
+        if key is not None:
+            _keep(key, motion_from(data))
+
+    def code(self) -> str:
+        """Digest of the sources of this package and of topcli's arithmetic, and the versions that they use."""
+        from importlib.metadata import version
+
+        here, digest = Path(__file__).parent, hashlib.sha256()
+        for path in sorted((*here.glob("*.py"), *here.parents[1].glob("arithmetic/*.py"))):
+            digest.update(path.name.encode() + path.read_bytes())
+        versions = sys.version.split()[0], np.__version__, version("mpmath"), platform.machine()
+        return " ".join((digest.hexdigest(), *versions))
 
 
 @scheme(
@@ -77,8 +207,6 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     citation="Kowalevski 1889; Kötter 1893; Golubev, Lectures on Integration of the Equations of Motion",
     equations="(K1), (K2), solved by hyperelliptic integrals of genus two",
     limits={
-        "delone-sleeping": TRIPLE_ROOT,
-        "rest-on-axis": TRIPLE_ROOT,
         "huge": "c gamma is found as a difference of terms of the size of |omega|², with an error of eps |omega|²/c in "
         "gamma; beyond |omega| of about 1e100 sqrt(c) the motion is refused.",
         "weak gravity": "The error eps |omega|²/c of gamma is 1e-10 for c = 1e-6 and |omega| = 1. A motion is refused "
@@ -90,6 +218,6 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
 def build_exact(top: Top, options: NoOptions) -> Sampler:
     """Every state directly from the initial one, at any time, by Kowalevski's variables; no time stepping.
 
-    The set-up of an initial state takes some tenths of a second.
+    The set-up of an initial state takes about a tenth of a second, and is kept on disk.
     """
-    return Sampler(exact_states)
+    return Sampler(exact_states, ExactSetup(), exact_accuracy)

@@ -10,7 +10,8 @@ Whole periods of both are removed in integers; p is the zero of a monotone funct
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,16 +27,31 @@ Equation = Callable[[Array, NDArray[np.intp]], tuple[Array, Array, Array]]
 """Value, slope and size of the terms of an equation for arguments (m,) at the given indices."""
 ITERATIONS = 400
 EPS = float(np.finfo(float).eps)
+ZERO = Fraction(0)
 
 
 class Course(Protocol):
-    """Course of the two angles in time."""
+    """Course of the two angles in time, on the ovals ``first`` and ``second`` of s1 and s2."""
+
+    @property
+    def first(self) -> OvalTable:
+        """Oval of s1."""
+        ...
+
+    @property
+    def second(self) -> OvalTable:
+        """Oval of s2."""
+        ...
 
     def started(self, total: Real, difference: Real, time: Real) -> Course:
         """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
         ...
 
-    def positions(self, n: NDArray[np.int64], h: Real) -> Positions:
+    def lasting(self) -> Course:
+        """The same without numbers of mpmath."""
+        ...
+
+    def positions(self, n: NDArray[np.int64], h: Fraction) -> Positions:
         """Reduced phases after ``n`` (m,) steps of ``h``."""
         ...
 
@@ -95,30 +111,31 @@ class Pair:
 class Lattice(Pair):
     """Course of angles that turn independently; ``periods`` are (P, a) of (p, A0) and (Q, b) of (q, B0).
 
-    An angle that tends to a double root does not turn; its P and a are one and the slope of A0 there.
+    An angle that tends to a double root does not turn; its P and a are one and the slope of A0 there. ``rates`` are the
+    turns of the two angles per unit of time, ``starts`` the turns at the time zero.
     """
 
     periods: tuple[Real, Real, Real, Real]
-    starts: tuple[Real, Real] = (0, 0)
-
-    @property
-    def rates(self) -> tuple[Real, Real]:
-        """Turns of the two angles per unit of time."""
-        P, a, Q, b = self.periods
-        determinant = 4 * (P * b + Q * a)
-        return b / determinant, a / determinant
+    rates: tuple[Fraction, Fraction] = (ZERO, ZERO)
+    starts: tuple[Fraction, Fraction] = (ZERO, ZERO)
 
     def started(self, total: Real, difference: Real, time: Real) -> Lattice:
         """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
+        from topcli.schemes.kowalevski.multiprecision import fraction
+
         P, a, Q, b = self.periods
         determinant = 4 * (P * b + Q * a)
-        one, two = self.rates
-        first = (total * b + Q * difference) / determinant - one * time
-        return Lattice(
-            self.first, self.second, self.periods, (first, (total * a - P * difference) / determinant - two * time)
-        )
+        rates = b / determinant, a / determinant
+        one = (total * b + Q * difference) / determinant - rates[0] * time
+        two = (total * a - P * difference) / determinant - rates[1] * time
+        return replace(self, rates=(fraction(rates[0]), fraction(rates[1])), starts=(fraction(one), fraction(two)))
 
-    def positions(self, n: NDArray[np.int64], h: Real) -> Positions:
+    def lasting(self) -> Lattice:
+        """The same without numbers of mpmath."""
+        P, a, Q, b = (float(v) for v in self.periods)
+        return replace(self, periods=(P, a, Q, b))
+
+    def positions(self, n: NDArray[np.int64], h: Fraction) -> Positions:
         """Phases in turns after ``n`` (m,) steps of ``h``; reduced if the angle turns."""
         found = []
         for table, start, rate in zip((self.first, self.second), self.starts, self.rates, strict=True):
@@ -160,23 +177,32 @@ class Pinch(Pair):
     periods: tuple[Real, Real]
     jump: Real
     stands: int
-    total: Real = 0
-    difference: Real = 0
+    period: Fraction = ZERO
+    total: Fraction = ZERO
+    difference: float = 0.0
 
     def started(self, total: Real, difference: Real, time: Real) -> Pinch:
         """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
-        return Pinch(self.first, self.second, self.periods, self.jump, self.stands, total - time, difference)
+        from topcli.schemes.kowalevski.multiprecision import fraction
 
-    def positions(self, n: NDArray[np.int64], h: Real) -> Positions:
+        period = fraction(4 * (self.periods[0] + self.periods[1]))
+        return replace(self, period=period, total=fraction(total - time), difference=float(difference))
+
+    def lasting(self) -> Pinch:
+        """The same without numbers of mpmath."""
+        P, Q = (float(v) for v in self.periods)
+        return replace(self, periods=(P, Q), jump=float(self.jump))
+
+    def positions(self, n: NDArray[np.int64], h: Fraction) -> Positions:
         """p + q reduced to [-(P + Q), P + Q], A0 - B0, and the number of passages."""
-        period = 4 * (self.periods[0] + self.periods[1])
+        period = self.period
         start, step = self.total / period, h / period
         turns = Phase.of(start, step).turns(n)  # of two passages each
         half = np.floor(2.0 * turns + 0.5)
         whole = np.rint(float(start) + float(step) * n.astype(np.float64) - turns)
         passages = 2.0 * whole + half
         reduced = float(period) * (turns - 0.5 * half)
-        return reduced, float(self.difference) - 2.0 * float(self.jump) * passages, passages
+        return reduced, self.difference - 2.0 * float(self.jump) * passages, passages
 
     def places(self, at: Positions, near: float) -> tuple[Place, Place]:
         """Places on the two ovals, signed."""

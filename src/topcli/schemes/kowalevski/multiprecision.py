@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from functools import cache
 from typing import Any
 
@@ -39,6 +40,13 @@ def digits(count: int) -> Iterator[None]:
             yield
         finally:
             context.dps = before
+
+
+def fraction(x: Any) -> Fraction:
+    """Real number of mpmath as an exact fraction, for use without mpmath."""
+    sign, mantissa, exponent, _ = x.real._mpf_
+    value = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return -value if sign else value
 
 
 def __getattr__(name: str) -> Any:

@@ -6,20 +6,15 @@ xi = omega1² - c (gamma1 + i gamma2) then satisfies theta' = -omega3, theta'' =
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.elliptic import add, jacobi, multiple
 from topcli.contracts import Array, Floats
-from topcli.schemes.kowalevski.phase import Phase
-from topcli.schemes.kowalevski.separation import DIGITS, Real, real
-
-Pair = tuple[float, float]
+from topcli.schemes.kowalevski.jacobi_phase import JacobiPhase
+from topcli.schemes.kowalevski.separation import DIGITS, real
 
 
 def is_pendulum(y: Floats, c: float) -> bool:
@@ -30,18 +25,12 @@ def is_pendulum(y: Floats, c: float) -> bool:
 
 @dataclass(frozen=True)
 class Pendulum:
-    """Pendulum with sin(theta/2) = size sn u, u = start + rate t.
-
-    ``quarter`` is the quarter period of sn, None on the separatrix; ``m1`` the complementary parameter.
-    """
+    """Pendulum with sin(theta/2) = size sn of the ``phase``."""
 
     omega1: float
     c: float
     k: float
-    start: Real
-    rate: Real
-    quarter: Real
-    m1: float
+    phase: JacobiPhase
     size: float
     rotates: bool
 
@@ -71,50 +60,29 @@ class Pendulum:
             size = sqrt(v * v / (4 * k) + sin(half) ** 2)
             if energy >= 0 and energy**2 == 4 * k_sq:
                 way = sign(v)
-                return cls(float(w1), c, float(k), atanh(sin(half)), way * n, None, 0.0, 1.0, False)
+                phase = JacobiPhase.of(atanh(sin(half)), way * n, None, 0)
+                return cls(float(w1), c, float(k), phase, 1.0, False)
             past = (cos(half) ** 2 - v * v / (4 * k)).real  # 1 - size²
             if past > 0:
                 start = ellipf(atan2(sin(half) / size, v / (2 * n * size)), size**2)
-                return cls(float(w1), c, float(k), start, n, ellipk(size**2), float(past), float(size), False)
+                phase = JacobiPhase.of(start, n, ellipk(size**2), past)
+                return cls(float(w1), c, float(k), phase, float(size), False)
             m = 1 / size**2
             start, rate = ellipf(half, m), sign(v) * n * size
-            return cls(float(w1), c, float(k), start, rate, ellipk(m), float(-past * m), float(size), True)
+            return cls(float(w1), c, float(k), JacobiPhase.of(start, rate, ellipk(m), -past * m), float(size), True)
 
     def states(self, n: NDArray[np.int64], h: float) -> Array:
         """States (m, 6) after ``n`` (m,) steps of ``h``."""
-        sn, cn, dn = self._functions(n, h)
+        sn, cn, dn = self.phase.functions(n, h)
         if self.rotates:
             sine, cosine = sn, cn
-            speed = 2.0 * float(self.rate) * dn
+            speed = 2.0 * float(self.phase.rate) * dn
         else:
             sine, cosine = self.size * sn, dn
-            speed = 2.0 * float(self.rate) * self.size * cn
+            speed = 2.0 * float(self.phase.rate) * self.size * cn
         found = np.zeros((len(n), 6))
         found[:, 0], found[:, 2] = self.omega1, -speed
         found[:, 3] = (self.omega1**2 - self.k * (1.0 - 2.0 * sine * sine)) / self.c
         found[:, 4] = -self.k * 2.0 * sine * cosine / self.c
         found[:, 5] = -self.omega1 * speed / self.c
         return found
-
-    def _functions(self, n: NDArray[np.int64], h: float) -> tuple[Array, Array, Array]:
-        """Jacobi's sn, cn, dn after ``n`` steps; the phase is reduced exactly."""
-        from topcli.schemes.kowalevski.multiprecision import digits, mpf
-
-        with digits(DIGITS):
-            if self.quarter is None:
-                u = add(multiple(_pair(self.rate * mpf(h)), n.astype(np.float64)), _pair(self.start))
-                return jacobi(u, None, 0.0)
-            turn = 4 * self.quarter
-            turns = Phase.of(self.start / turn, self.rate * mpf(h) / turn).turns(n)
-            quarter = _pair(self.quarter)
-        far = np.abs(turns) > 0.25
-        near = np.where(far, np.copysign(0.5, turns) - turns, turns)
-        u = multiple(quarter, 4.0 * near)
-        sn, cn, dn = jacobi(u, quarter, self.m1)
-        return sn, np.where(far, -cn, cn), dn
-
-
-def _pair(x: Any) -> Pair:
-    """Return ``x`` as a sum of two doubles."""
-    high = float(x)
-    return (high, float(x - high)) if math.isfinite(high) else (high, 0.0)

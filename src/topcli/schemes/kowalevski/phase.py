@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +26,9 @@ class Phase:
     step: int
 
     @classmethod
-    def of(cls, start: Any, step: Any) -> Phase:
-        """Phase from numbers of mpmath, in turns."""
-        from topcli.schemes.kowalevski.multiprecision import floor
-
-        return cls(int(floor((start - floor(start)) * TURN)) % TURN, int(floor((step - floor(step)) * TURN)) % TURN)
+    def of(cls, start: Fraction, step: Fraction) -> Phase:
+        """Phase from numbers of turns."""
+        return cls(math.floor(start * TURN) % TURN, math.floor(step * TURN) % TURN)
 
     def turns(self, n: NDArray[np.int64]) -> Array:
         """Phases after ``n`` (m,) steps of either sign, in [-1/2, 1/2) turns; the error is less than 2^-64 + ulp."""

@@ -19,7 +19,15 @@ from topcli.errors import RunError
 from topcli.schemes.kowalevski.inversion import EPS, Course, Lattice, Pinch, Positions
 from topcli.schemes.kowalevski.oval import Oval
 from topcli.schemes.kowalevski.oval_table import OvalTable, Place
-from topcli.schemes.kowalevski.separation import DIGITS, Curve, Integrals, curve, integrals, separated, series_step
+from topcli.schemes.kowalevski.separation import (
+    DIGITS,
+    Curve,
+    curve,
+    integrals,
+    real,
+    separated,
+    series_step,
+)
 from topcli.schemes.kowalevski.state_of_factors import Formula
 
 SHIFTS = (0, 2, 3, 5)
@@ -59,13 +67,13 @@ class SeparatedMotion:
         self.y, self.c = y, c
         of = integrals(y, c)
         with digits(2 * DIGITS):
-            self.curve = curve(of)
+            roots = curve(of)
         self.gamma_sq, self.two_l = float(of.G / Fraction(c) ** 2), float(2 * of.L / Fraction(c))
-        self.near = NEAR * float(max(abs(v) for v in self.curve.e))
+        self.near = NEAR * float(max(abs(v) for v in roots.e))
         failed = ""
         for shift in SHIFTS:
             try:
-                self._start(of, shift)
+                self._start(roots, shift)
             except ZeroDivisionError:
                 failed = "the separated variables are undetermined"
             except _UnfitError as error:
@@ -75,27 +83,28 @@ class SeparatedMotion:
                 return
         raise RunError(REFUSED.format(failed))
 
-    def _start(self, of: Integrals, shift: int) -> None:
+    def _start(self, roots: Curve, shift: int) -> None:
         """Set up ovals, tables, phases and signs from the state ``shift``/32 after the start."""
         from topcli.schemes.kowalevski.multiprecision import digits, mpf
 
+        elapsed = Fraction(shift, 32)
         with digits(2 * DIGITS):
             time = mpf(shift) / 32
             start = [mpf(v) for v in self.y]
             if shift:
                 start = series_step(start, mpf(self.c), time, 90)
-            s1, s2 = separated(of, start)
+            s1, s2 = separated(roots.of, start)
         with digits(DIGITS):
-            first, second = ovals = _ovals(self.curve)
+            first, second = ovals = _ovals(roots)
             angles = first.angle(s1), second.angle(s2)
             begun = [oval.from_regular_end(angle) for oval, angle in zip(ovals, angles, strict=True)]
             course, begun = _course(ovals, begun)
-            self.first, self.second = course.first, course.second
+            self.course = course
             self.apart = float(first.a - second.a)
-            self.formula = _formula(self.curve, self.c)
-            self._choose(course, begun, angles, np.array([float(v) for v in start]), time)
+            self.formula = _formula(roots, self.c)
+            self._choose(course, begun, angles, np.array([float(v) for v in start]), elapsed)
 
-    def _choose(self, course: Lattice | Pinch, begun: Any, angles: Any, start: Array, time: Any) -> None:
+    def _choose(self, course: Lattice | Pinch, begun: Any, angles: Any, start: Array, time: Fraction) -> None:
         """Choose directions and signs so that the state and its change over a short time are the right ones."""
         (A, p), (B, q) = begun
         size = 1.0 + float(np.abs(start).max())
@@ -106,21 +115,31 @@ class SeparatedMotion:
             # a variable that rests in the double root is there at the end of its half period
             ends = one if stands != 1 else -1, two if stands != 2 else 1
             difference = -2 * (A + B) if stands else one * A - two * B
-            begin = course.started(ends[0] * p + ends[1] * q, difference, time)
+            begin = course.started(ends[0] * p + ends[1] * q, difference, real(time))
             for signs in product((1, -1), repeat=3):
                 self._set_signs(signs)
                 with np.errstate(all="ignore"):
                     missed = float(np.abs(self._at_angles(angles, (one, two)) - start).max())
                     if not missed < FIT * size:
                         continue
-                    ahead = self._evaluate(begin, begin.positions(np.array([0, 1]), PROBE_STEP + time))[1]
+                    ahead = self._evaluate(begin, begin.positions(np.array([0, 1]), Fraction(PROBE_STEP) + time))[1]
                 missed = max(missed, float(np.abs(ahead - later).max()))
                 if missed < best:
                     best, found = missed, (begin, signs)
         if found is None or not best < FIT * size:
             raise _UnfitError("no choice of the signs of the square roots gives the initial state")
-        self.course = found[0]
+        self.course = found[0].lasting()
         self._set_signs(found[1])
+
+    @property
+    def first(self) -> OvalTable:
+        """Oval of s1."""
+        return self.course.first
+
+    @property
+    def second(self) -> OvalTable:
+        """Oval of s2."""
+        return self.course.second
 
     def _set_signs(self, signs: tuple[int, ...]) -> None:
         """Set the signs of f1, f2, f3; those of A and B follow, because both angles grow."""
@@ -178,10 +197,7 @@ class SeparatedMotion:
 
     def states(self, n: NDArray[np.int64], h: float) -> Array:
         """States (m, 6) after ``n`` (m,) steps of ``h``."""
-        from topcli.schemes.kowalevski.multiprecision import digits, mpf
-
-        with digits(DIGITS):
-            positions = self.course.positions(n, mpf(h))
+        positions = self.course.positions(n, Fraction(h))
         found = np.empty((len(n), 6))
         with np.errstate(all="ignore"):
             for begin in range(0, len(n), CHUNK):

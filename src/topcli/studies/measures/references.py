@@ -32,9 +32,7 @@ Motion = tuple[str, str, float, bytes]
 
 
 @cache
-def _closed_form(form: str) -> Scheme | None:
-    if form in LESS_ACCURATE:
-        return None
+def _exact_scheme(form: str) -> Scheme | None:
     try:
         found = find_scheme(EXACT, form)
     except UsageError:
@@ -42,13 +40,16 @@ def _closed_form(form: str) -> Scheme | None:
     return found if found.order is None and not found.options.model_fields else None
 
 
+def exact_method(top: Top) -> Sampler | None:
+    """Closed-form solution of a top; None if it has none."""
+    found = _exact_scheme(top.form)
+    method = found.build(top, found.options()) if found else None
+    return method if isinstance(method, Sampler) else None
+
+
 def closed_form(top: Top, scheme: Scheme) -> Sampler | None:
     """Closed-form solution to compare runs of ``scheme`` with; None if the only one is the scheme itself."""
-    found = _closed_form(top.form)
-    if found is None or found.name == scheme.name:
-        return None
-    method = found.build(top, found.options())
-    return method if isinstance(method, Sampler) else None
+    return None if top.form in LESS_ACCURATE or scheme.name == EXACT else exact_method(top)
 
 
 def obstacle(top: Top, scheme: Scheme) -> str:
