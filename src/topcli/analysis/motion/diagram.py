@@ -79,24 +79,24 @@ class Level:
         from topcli.schemes.kowalevski.multiprecision import sqrt
 
         k, middle = sqrt(self.k_sq), 2 * self.L**2 / self.G
-        double = _real_zeros([1, 0, 0, -2 * self.L, self.G - self.k_sq])
+        double = _real_zeros([self.G - self.k_sq, -2 * self.L, 0, 0, 1])
         return [middle + k, middle - k, *(x * x + self.L / x for x in double if x)]
 
     def critical_k_sq(self) -> list[Real]:
         """Values of k² at which two roots coincide for the same E, L and G."""
         E = 3 * self.l1
-        curve = (self.G + x**4 - 2 * self.L * x for x in _real_zeros([1, 0, -E, self.L]))
+        curve = (self.G + x**4 - 2 * self.L * x for x in _real_zeros([self.L, -E, 0, 1]))
         return [0 * E, (E - 2 * self.L**2 / self.G) ** 2, *(value for value in curve if value > 0)]
 
 
 def _real_zeros(coefficients: Sequence[Real]) -> list[Real]:
-    """Real zeros of a polynomial, highest power first; a double zero may be missing."""
+    """Real zeros of a polynomial, constant term first; a double zero may be missing."""
     from topcli.schemes.kowalevski.multiprecision import mp, mpf, polyroots
 
-    if not any(coefficients[1:]):
+    if not any(coefficients[:-1]):
         return [mpf(0)]
     try:
-        found = polyroots(coefficients, maxsteps=400, extraprec=4 * mp.prec)
+        found = polyroots(coefficients, maxsteps=400, extraprec=4 * mp.prec, asc=True)
     except mp.NoConvergence:
         return []
     size = max(abs(x) for x in found)

@@ -213,8 +213,8 @@ def _torus(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantit
         ]
     both = (value * top.C for value in actions(ovals.first, ovals.second, ovals.turns))
     for i, value in enumerate(both, 1):
-        which = " (up to a function of 2l and γ²)" if i == 2 else ""
-        quantities.append(Quantity(f"action.{i}", value, f"action of the angle {i}{which}; dE/dJ = 2π frequency.{i}"))
+        meaning = f"action J of this angle, up to multiples of 2l; dE/dJ = 2π frequency.{i}"
+        quantities.append(Quantity(f"action.{i}", value, meaning))
     neighbours = critical_neighbours(ovals.curve.of, top.C)
     quantities += _distances(ovals.curve.of, neighbours, top.C)
     return Motion(top.form, f"torus {where.name}", torus_title(where, ovals), y, tuple(quantities), tuple(neighbours))
@@ -282,32 +282,39 @@ def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity
 
 def _degenerate(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantity], c: float) -> Motion:
     """Motion on a critical curve of the bifurcation diagram, decided exactly."""
-    one, two = ovals.periods
-    if ovals.kind in (DELONE, PERIODIC):
-        what = "Delone's class, k = 0" if ovals.kind == DELONE else "E - 2 l²/γ² = -k"
-        small = 1.0 / (ovals.turns[0] * one)
-        quantities = (
-            *conserved,
-            Quantity("frequency", 1.0 / (HALVES * two), "cycles per unit time"),
-            Quantity("frequency.normal", small, "cycles per unit time of small deviations"),
-            Quantity("period", HALVES * two, "time of one cycle: s2 oscillates twice, s1 is constant"),
-            Quantity("time_between_swings", HALVES * two, "time of a full oscillation of ω2"),
-        )
-        return Motion(top.form, ovals.kind, f"periodic: {what}; s1 is constant", y, quantities)
+    kind = ovals.kind
+    if kind in (DELONE, PERIODIC):
+        what = "Delone's class, k = 0" if kind == DELONE else "E - 2 l²/γ² = -k"
+        return Motion(top.form, kind, f"periodic: {what}; s1 is constant", y, (*conserved, *_cycle(ovals)))
+    if all(ovals.touched) and kind == SEPARATRIX:
+        period = Quantity("period", math.inf, "the motion is homoclinic or heteroclinic")
+        title = "separatrix: s1 and s2 tend to double roots; asymptotic to an equilibrium"
+        return Motion(top.form, kind, title, y, (*conserved, period))
     rests = ovals.rests(y, c)
-    if ovals.kind == PINCH:
-        period = Quantity("period", 2.0 * one if rests else one, "time from one passage of the double root to the next")
-        period = period._replace(meaning="time of one cycle") if rests else period
-        title = "pinch: s1 and s2 meet in a double root between their ovals; asymptotic to a periodic motion"
+    if kind == PINCH:
+        between = ovals.periods[0]
+        time = Quantity("period.passages", between, "time from one passage of the double root to the next")
+        what = "pinch: s1 and s2 meet in a double root between their ovals"
+        period = Quantity("period", 2.0 * between, "time of one cycle")
     else:
-        moving = two if ovals.touched[0] else one
-        which = "s1" if ovals.touched[0] else "s2"
-        period = Quantity("period", math.inf, "time of one cycle")
-        if all(ovals.touched):
-            title = "separatrix: s1 and s2 tend to double roots; asymptotic to an equilibrium"
-        else:
-            period = Quantity("period.s1" if which == "s2" else "period.s2", moving, "time of one oscillation")
-            title = f"separatrix: {which} tends to a double root; asymptotic to a periodic motion"
+        i, which = (1, "s1") if ovals.touched[0] else (0, "s2")
+        cycle = ovals.turns[i] * ovals.periods[i]
+        time = Quantity("period.limit", cycle, "period of the motion that this one tends to")
+        what = f"separatrix: {which} tends to a double root"
+        period = Quantity("period", cycle, "time of one cycle")
     if rests:
         title = "unstable periodic motion: a separated variable stays in a double root"
-    return Motion(top.form, "unstable" if rests else ovals.kind, title, y, (*conserved, period))
+        return Motion(top.form, "unstable", title, y, (*conserved, period))
+    return Motion(top.form, kind, f"{what}; asymptotic to a periodic motion", y, (*conserved, time))
+
+
+def _cycle(ovals: Ovals) -> list[Quantity]:
+    """Frequencies of a motion with constant s1."""
+    one, two = ovals.periods
+    cycle = HALVES * two
+    return [
+        Quantity("frequency", 1.0 / cycle, "cycles per unit time"),
+        Quantity("frequency.normal", 1.0 / (ovals.turns[0] * one), "cycles per unit time of small deviations"),
+        Quantity("period", cycle, "time of one cycle: s2 oscillates twice"),
+        Quantity("time_between_swings", cycle, "time of a full oscillation of ω2"),
+    ]
