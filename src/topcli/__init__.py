@@ -15,20 +15,35 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from topcli.analysis.ensemble import Ensemble as Ensemble
+    from topcli.analysis.motion.result import Motion as Motion
     from topcli.analysis.trajectory import Trajectory as Trajectory
     from topcli.schemes.registry import scheme as scheme
     from topcli.studies.measures import measure as measure
+    from topcli.studies.motion import motion as motion
     from topcli.studies.simulate import simulate as simulate
     from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
     from topcli.studies.sweep.frame import sweep as sweep
 
 __version__ = "0.1.0"
-__all__ = ["Ensemble", "Trajectory", "__version__", "measure", "scheme", "simulate", "simulate_ensemble", "sweep"]
+__all__ = [
+    "Ensemble",
+    "Motion",
+    "Trajectory",
+    "__version__",
+    "measure",
+    "motion",
+    "scheme",
+    "simulate",
+    "simulate_ensemble",
+    "sweep",
+]
 
 _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
+    "Motion": "topcli.analysis.motion.result",
     "Trajectory": "topcli.analysis.trajectory",
     "measure": "topcli.studies.measures",
+    "motion": "topcli.studies.motion",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.studies.simulate",
     "simulate_ensemble": "topcli.studies.simulate_ensemble",

@@ -240,6 +240,7 @@ def test_closed_form_against_the_reference() -> None:
         (0.0, 0.0, 0.0, 0.0, 0.0, -1.0),  # hanging at rest
         (3.0, 4.0, 0.0, 0.0, 0.0, 1.0),  # thrown off the vertical
         (0.0, 0.0, 20.0, 0.6, 0.0, 0.8),  # fast
+        (0.4, 0.7, 1.3, 0.6, 0.8, 0.0),  # level
         (0.0, 0.0, 1.99, 0.1, 0.0, 0.99498743710662),  # close to a sleeping top's separatrix
     ],
 )

@@ -282,6 +282,9 @@ def show(
     row: Annotated[
         int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a sweep as a config.")
     ] = None,
+    motion: Annotated[
+        bool, typer.Option("--motion", help="Show the class, frequencies and periods of the exact motion.")
+    ] = False,
     sets: Sets = None,
     as_json: Json = False,
     scheme_files: SchemeFiles = None,
@@ -290,6 +293,10 @@ def show(
     from topcli.config.load import load_named
 
     load_scheme_files(scheme_files)
+    if motion:
+        from topcli.cli.motion import show_motion
+
+        return show_motion(config, row, sets or [], as_json)
     if row is not None or os.path.isdir(config):
         from topcli.cli.sweep import show_sweep
 

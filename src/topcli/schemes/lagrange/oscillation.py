@@ -113,7 +113,7 @@ def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, s
         a0, a1, a2, a3, a4 = q[0], q[1] / 4, q[2] / 6, q[3] / 4, q[4]
         here, tilt = horner(q, x0), horner(slope, x0)
         tiny = Decimal(10) ** (10 - DIGITS)
-        size = sum(abs(c * x0 ** (4 - i)) for i, c in enumerate(q)) + abs(a4)
+        size = horner([abs(c) for c in q], abs(x0)) + abs(a4)
         if abs(here) <= tiny * size and abs(tilt) <= tiny * sum(map(abs, slope)):
             return Oscillation(x0, x0, 0.0, 0.0, 1.0, 1.0, 1.0, 0, 0)  # at rest
         e1, e2, e3 = cubic_roots(

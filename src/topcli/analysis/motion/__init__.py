@@ -1,0 +1,1 @@
+"""Class, periods, frequencies and neighbourhood of a motion from its closed form, without integrating."""

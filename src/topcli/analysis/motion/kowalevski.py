@@ -1,0 +1,320 @@
+"""Motion of the Kowalevski top: class of the torus, frequencies, actions, and the nearest separatrix.
+
+All from the roots of Kowalevski's curve and integrals over its two real ovals (``schemes.kowalevski.separation`` and
+``oval``). With a, b the integrals of ds/|w| over the ovals of s1 and s2, and P, Q those of |s - sigma| ds/|w|, the
+periods of s1 and s2 are 2 (P b + Q a)/b and 2 (P b + Q a)/a.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+from topcli.analysis.motion.actions import actions
+from topcli.analysis.motion.diagram import DELONE, PERIODIC, PINCH, SEPARATRIX, Region, nearest_critical, region
+from topcli.analysis.motion.result import Motion, Neighbour, Quantity, integrals_of
+from topcli.contracts import Floats
+from topcli.errors import RunError
+from topcli.schemes.kowalevski.oval import Oval
+from topcli.schemes.kowalevski.pendulum import Pendulum, is_pendulum
+from topcli.schemes.kowalevski.separation import (
+    DIGITS,
+    Curve,
+    Integrals,
+    Real,
+    curve,
+    integrals,
+    real,
+    separated,
+    series_step,
+)
+from topcli.tops.kowalevski import Kowalevski
+
+SHIFTS = (0, 3, 5)
+"""Times, in units of 1/32, at which s1 and s2 are computed until they are determined."""
+HALVES = 2
+"""Half periods of s2 after which all signs of the state are those of the start."""
+
+
+@dataclass(frozen=True)
+class Ovals:
+    """Curve of a motion and the ovals of s1 and s2."""
+
+    curve: Curve
+    first: Oval
+    second: Oval
+
+    @classmethod
+    def of(cls, integrals: Integrals) -> Ovals | None:
+        """Ovals of the given integrals; None if three roots of the curve coincide at an end of an oval."""
+        from topcli.schemes.kowalevski.multiprecision import digits
+
+        with digits(2 * DIGITS):
+            found = curve(integrals)
+        top, low, high = found.occupied()
+        if any(sum(one == found.e[i] for one in found.e) > 2 for i in (top, low)):
+            return None
+        with digits(DIGITS):
+            sigma = (found.e[top].real + found.e[low].real) / 2
+            return cls(found, Oval(found, low, high, sigma), Oval(found, top, None, sigma))
+
+    @property
+    def turns(self) -> tuple[int, int]:
+        """Half periods of s1 and of s2 after which all signs of the state are those of the start."""
+        return 1 if self.first.low == 4 else 2, HALVES
+
+    @cached_property
+    def kind(self) -> str:
+        """``separatrix``, ``pinch``, ``delone``, ``periodic`` or ``torus``."""
+        if self.touched[0] and self.touched[1] and self.first.a == self.second.a:
+            return PINCH
+        if any(self.touched):
+            return SEPARATRIX
+        if not self.first.length:
+            return DELONE if "k" in self.curve.of.double_roots else PERIODIC
+        return "torus"
+
+    @property
+    def touched(self) -> tuple[bool, bool]:
+        """For s1 and s2, true if an end of the oval is a double root."""
+        return any(self.first.touched), any(self.second.touched)
+
+    @cached_property
+    def periods(self) -> tuple[float, float]:
+        """Periods of s1 and s2, infinite for a variable that tends to a double root."""
+        if self.kind == PINCH:
+            total = 2 * (self.first.half_periods[1] + self.second.half_periods[1])
+            return float(total), float(total)
+        if all(self.touched):
+            return math.inf, math.inf
+        (a, P), (b, Q) = (
+            _slope(oval) if any(oval.touched) else oval.half_periods for oval in (self.first, self.second)
+        )
+        determinant = 2 * (P * b + Q * a)
+        one, two = (math.inf if away else float(determinant / v) for away, v in zip(self.touched, (b, a), strict=True))
+        return one, two
+
+    def half_periods(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Integrals of ds/|w| and s ds/|w| over the oval of s1 and that of s2."""
+        (a, P), (b, Q) = self.first.half_periods, self.second.half_periods
+        sigma = self.first.sigma
+        return (float(a), float(P + sigma * a)), (float(b), float(sigma * b - Q))
+
+    def rests(self, y: Floats, c: float) -> bool:
+        """True if s1 or s2 of the state ``y`` is in the double root at an end of its oval, for ever."""
+        from topcli.schemes.kowalevski.multiprecision import digits, mpf
+
+        for shift in SHIFTS:
+            with digits(2 * DIGITS):
+                start = series_step([mpf(v) for v in y], mpf(c), mpf(shift) / 32, 90)
+                try:
+                    both = separated(self.curve.of, start)
+                except ZeroDivisionError:
+                    continue
+            with digits(DIGITS):
+                return any(
+                    touched and _is_end(oval, s)
+                    for touched, oval, s in zip(self.touched, (self.first, self.second), both, strict=True)
+                )
+        return False
+
+
+def _slope(oval: Oval) -> tuple[Real, Real]:
+    """Ratio of the integrals of ds/|w| and |s - sigma| ds/|w| of a variable that tends to the end of its oval."""
+    root = oval.a if oval.touched[0] else oval.b
+    return 1 / abs(root - oval.sigma), 1
+
+
+def _is_end(oval: Oval, s: Real) -> bool:
+    try:
+        return oval.from_regular_end(oval.angle(s)) is None
+    except RunError:  # too close to be distinguished
+        return False
+
+
+def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
+    """Motion of the Kowalevski top from the state ``y`` (6,)."""
+    c = float(top.constants()[0])
+    if c == 0.0 or not any(y[3:]):
+        return _free(top, y)
+    of = integrals(y, c)
+    conserved = _integrals(top, of, c)
+    if _at_rest(y, c):
+        return Motion(top.form, "equilibrium", "equilibrium: omega and gamma are constant", y, conserved)
+    if is_pendulum(y, c):
+        return _pendulum(top, y, c, conserved)
+    ovals = Ovals.of(of)
+    if ovals is None:
+        note = "no frequencies: at k = 0 and E = 2 l²/gamma² three roots of the curve coincide"
+        return Motion(top.form, "triple root", "Delone's class at its triple root", y, conserved, notes=(note,))
+    if ovals.kind == "torus":
+        return _torus(top, y, ovals, conserved, c)
+    return _degenerate(top, y, ovals, conserved, c)
+
+
+def _free(top: Kowalevski, y: Floats) -> Motion:
+    from topcli.analysis.motion.euler import free_motion_of
+
+    note = "without gravity: the free symmetric top"
+    return free_motion_of(top.form, (top.A, top.A, top.C), y, integrals_of(top, y), (note,))
+
+
+def _at_rest(y: Floats, c: float) -> bool:
+    """True if the state is an equilibrium, exactly."""
+    from topcli.schemes.kowalevski.exact import _at_rest
+
+    return _at_rest(y, c)
+
+
+def _integrals(top: Kowalevski, of: Integrals, c: float) -> tuple[Quantity, ...]:
+    """Place in the bifurcation diagram."""
+    unit = Fraction(top.C)
+    return (
+        Quantity("energy", float(3 * of.l1 * unit), "E"),
+        Quantity("two_l", float(2 * of.L / Fraction(c) * unit), "2l, angular momentum about the vertical"),
+        Quantity("gamma_sq", float(of.G / Fraction(c) ** 2), "γ²"),
+        Quantity("k_sq", float(of.k_sq), "k², Kowalevski's integral"),
+    )
+
+
+def _frequencies(ovals: Ovals) -> list[Quantity]:
+    one, two = ovals.periods
+    n1, n2 = ovals.turns
+    about = {1: "once", 2: "twice"}
+    first, second = 1.0 / (n1 * one), 1.0 / (n2 * two)
+    found = [
+        Quantity("frequency.1", first, f"cycles per unit time of the first angle: s1 oscillates {about[n1]}"),
+        Quantity("frequency.2", second, f"cycles per unit time of the second angle: s2 oscillates {about[n2]}"),
+    ]
+    if second:
+        found.append(Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"))
+    return [
+        *found,
+        Quantity("period.s1", one, "time of one oscillation of s1"),
+        Quantity("period.s2", two, "time of one oscillation of s2, from one zero of ω2 to the next"),
+        Quantity("time_between_swings", n2 * two, "mean time of a full oscillation of ω2"),
+    ]
+
+
+def _torus(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantity], c: float) -> Motion:
+    where = region(ovals.curve)
+    quantities = [
+        *conserved,
+        Quantity("tori", where.tori, "number of tori with these integrals"),
+        *_frequencies(ovals),
+    ]
+    for name, both in zip(("s1", "s2"), ovals.half_periods(), strict=True):
+        quantities += [
+            Quantity(f"half_period.{name}.0", both[0], f"integral of ds/|w| over the oval of {name}"),
+            Quantity(f"half_period.{name}.1", both[1], f"integral of s ds/|w| over the oval of {name}"),
+        ]
+    both = (value * top.C for value in actions(ovals.first, ovals.second, ovals.turns))
+    for i, value in enumerate(both, 1):
+        meaning = f"action J of this angle, up to multiples of 2l; dE/dJ = 2π frequency.{i}"
+        quantities.append(Quantity(f"action.{i}", value, meaning))
+    neighbours = critical_neighbours(ovals.curve.of, top.C)
+    quantities += _distances(ovals.curve.of, neighbours, top.C)
+    return Motion(top.form, f"torus {where.name}", torus_title(where, ovals), y, tuple(quantities), tuple(neighbours))
+
+
+def torus_title(where: Region, ovals: Ovals) -> str:
+    """Class of a torus in words."""
+    number = "the only torus" if where.tori == 1 else f"one of {where.tori} tori"
+    names = _root_names(ovals)
+    ends = f"s1 in [{names[ovals.first.low]}, e4], s2 in (-∞, {names[ovals.second.low]}]"
+    return f"quasi-periodic on {number} in region {where.name} of the bifurcation diagram; {ends}"
+
+
+def _root_names(ovals: Ovals) -> dict[int, str]:
+    """Names of the real roots: e4, e5, and e1 > e2 > e3 of the cubic."""
+    roots = ovals.curve.e
+    cubic = sorted((i for i in range(3) if roots[i].imag == 0), key=lambda i: -roots[i].real)
+    return {3: "e4", 4: "e5"} | {i: f"e{n}" for n, i in enumerate(cubic, 1)}
+
+
+def critical_neighbours(of: Integrals, unit: float) -> list[Neighbour]:
+    """Nearest critical motions along E and along k²; ``unit`` is the third moment of inertia."""
+    scale = {"energy": unit, "k_sq": 1.0}
+    return [
+        Neighbour(name, float(one.value) * scale[name], float(one.distance) * scale[name], one.kind)
+        for name, found in nearest_critical(of).items()
+        for one in found
+    ]
+
+
+def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> list[Quantity]:
+    """Distances to the nearest separatrix in the plane of E/C and k, along either axis."""
+    from topcli.schemes.kowalevski.multiprecision import digits, mpf, sqrt
+
+    found = []
+    for one in neighbours:
+        if one.kind not in (SEPARATRIX, PINCH):
+            continue
+        if one.along == "energy":
+            found.append(abs(one.distance) / unit)
+        else:
+            with digits(DIGITS):
+                k = of.k()
+                found.append(float(abs(mpf(one.distance) / (sqrt(real(of.k_sq) + mpf(one.distance)) + k))))
+    meaning = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
+    return [Quantity("separatrix.distance", min(found), meaning)] if found else []
+
+
+def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
+    pendulum = Pendulum.of(y, c)
+    what = "pendulum (Bobylev-Steklov): ω2 = 0 for ever"
+    if pendulum.quarter is None:
+        period = Quantity("period", math.inf, "time of the homoclinic motion")
+        return Motion(top.form, "separatrix", f"{what}; homoclinic to its upper equilibrium", y, (*conserved, period))
+    halves = 2 if pendulum.rotates else 4
+    time = abs(float(halves * pendulum.quarter / pendulum.rate))
+    way = "rotates" if pendulum.rotates else "oscillates"
+    quantities = (
+        *conserved,
+        Quantity("frequency", 1.0 / time, "cycles per unit time"),
+        Quantity("period", time, "time of one rotation" if pendulum.rotates else "time of one oscillation"),
+    )
+    return Motion(top.form, "pendulum", f"{what}; it {way}", y, quantities)
+
+
+def _degenerate(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantity], c: float) -> Motion:
+    """Motion on a critical curve of the bifurcation diagram, decided exactly."""
+    kind = ovals.kind
+    if kind in (DELONE, PERIODIC):
+        what = "Delone's class, k = 0" if kind == DELONE else "E - 2 l²/γ² = -k"
+        return Motion(top.form, kind, f"periodic: {what}; s1 is constant", y, (*conserved, *_cycle(ovals)))
+    if all(ovals.touched) and kind == SEPARATRIX:
+        period = Quantity("period", math.inf, "the motion is homoclinic or heteroclinic")
+        title = "separatrix: s1 and s2 tend to double roots; asymptotic to an equilibrium"
+        return Motion(top.form, kind, title, y, (*conserved, period))
+    rests = ovals.rests(y, c)
+    if kind == PINCH:
+        between = ovals.periods[0]
+        time = Quantity("period.passages", between, "time from one passage of the double root to the next")
+        what = "pinch: s1 and s2 meet in a double root between their ovals"
+        period = Quantity("period", 2.0 * between, "time of one cycle")
+    else:
+        i, which = (1, "s1") if ovals.touched[0] else (0, "s2")
+        cycle = ovals.turns[i] * ovals.periods[i]
+        time = Quantity("period.limit", cycle, "period of the motion that this one tends to")
+        what = f"separatrix: {which} tends to a double root"
+        period = Quantity("period", cycle, "time of one cycle")
+    if rests:
+        title = "unstable periodic motion: a separated variable stays in a double root"
+        return Motion(top.form, "unstable", title, y, (*conserved, period))
+    return Motion(top.form, kind, f"{what}; asymptotic to a periodic motion", y, (*conserved, time))
+
+
+def _cycle(ovals: Ovals) -> list[Quantity]:
+    """Frequencies of a motion with constant s1."""
+    one, two = ovals.periods
+    cycle = HALVES * two
+    return [
+        Quantity("frequency", 1.0 / cycle, "cycles per unit time"),
+        Quantity("frequency.normal", 1.0 / (ovals.turns[0] * one), "cycles per unit time of small deviations"),
+        Quantity("period", cycle, "time of one cycle: s2 oscillates twice"),
+        Quantity("time_between_swings", cycle, "time of a full oscillation of ω2"),
+    ]

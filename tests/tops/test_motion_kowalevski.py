@@ -1,0 +1,351 @@
+"""Class, frequencies, actions and neighbours of Kowalevski motions, against quadrature, long orbits and formulas."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+from conftest import GEN, PAPER
+from topcli.analysis.motion.actions import actions
+from topcli.analysis.motion.kowalevski import Ovals
+from topcli.analysis.motion.of_top import motion_of
+from topcli.analysis.motion.result import Motion
+from topcli.analysis.reference import reference_states
+from topcli.schemes.kowalevski.separation import Integrals, integrals
+from topcli.tops.kowalevski import Kowalevski
+
+STATES = {
+    "I": (-1.3, 0.2, 1.5, -0.6, 0.48, 0.64),
+    "II": (-1.6, 0.2, -1.3, 0.6, -0.7, 0.5),
+    "III": GEN,
+    "IV": (0.5, 0.0, 0.0, 0.6, 0.0, 0.8),
+    "V": (0.8, 0.1, -1.0, 0.7, 0.1, -0.7),
+}
+"""A state of each region."""
+
+
+def motion(y, c0: float = 1.0, A: float = 2.0) -> Motion:
+    return motion_of(Kowalevski(c0=c0, A=A), tuple(map(float, y)))
+
+
+def constants(y, c: float = 1.0) -> tuple[float, float, float, float]:
+    """E, L = l c, G = c² gamma² and k², from the definitions."""
+    w1, w2, w3, g1, g2, g3 = y
+    xi = complex(w1, w2) ** 2 - c * complex(g1, g2)
+    E = w1 * w1 + w2 * w2 + 0.5 * w3 * w3 + c * g1
+    return E, 0.5 * c * (2 * (w1 * g1 + w2 * g2) + w3 * g3), c * c * (g1 * g1 + g2 * g2 + g3 * g3), abs(xi) ** 2
+
+
+def real_roots(E: float, L: float, G: float, k_sq: float) -> list[tuple[float, str]]:
+    """Real roots of 4 s³ - g2 s - g3 ("e"), and (E/3 ± k)/2 ("4", "5"), in ascending order."""
+    m, k = E / 3, math.sqrt(k_sq)
+    cubic = np.roots([4, 0, -(k_sq - G + 3 * m * m), -(m * (k_sq - G - m * m) + L * L)])
+    found = [(float(z.real), "e") for z in cubic if abs(z.imag) < 1e-9]
+    return sorted([*found, ((m + k) / 2, "4"), ((m - k) / 2, "5")])
+
+
+TORI = {"5e4": 1, "ee5e4": 2, "5eee4": 2, "e5ee4": 2, "e54": 2, "eee54": 4}
+"""Number of tori for each order of the real roots."""
+NAMES = {"5e4": "I", "ee5e4": "II", "5eee4": "II", "e5ee4": "III", "e54": "IV", "eee54": "V"}
+
+
+def order(y, c: float = 1.0) -> str:
+    return "".join(name for _, name in real_roots(*constants(y, c)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STATES)
+def test_regions_and_tori(name: str) -> None:
+    y = STATES[name]
+    found = motion(y)
+    assert found.kind == f"torus {name}" == f"torus {NAMES[order(y)]}"
+    assert found["tori"] == TORI[order(y)]
+
+
+def test_place_in_the_diagram() -> None:
+    E, L, _, k_sq = constants(GEN)
+    found = motion(GEN)
+    assert [found[name] for name in ("energy", "two_l", "gamma_sq", "k_sq")] == pytest.approx(
+        [E, 2 * L, 1.0, k_sq], rel=1e-14
+    )
+
+
+@pytest.mark.slow
+def test_random_states_are_in_the_region_of_their_roots() -> None:
+    random, seen = np.random.default_rng(5), set()
+    for _ in range(16):
+        gamma = random.normal(size=3)
+        y = [*(random.normal(size=3) * 10 ** random.uniform(-1, 0.6)), *(gamma / np.linalg.norm(gamma))]
+        found = motion(y)
+        seen.add(order(y))
+        assert (found.kind, found["tori"]) == (f"torus {NAMES[order(y)]}", TORI[order(y)])
+    assert len(seen) >= 3
+
+
+@pytest.mark.parametrize("name", STATES)
+@pytest.mark.slow
+def test_half_periods_by_quadrature(name: str) -> None:
+    """ds/|w| and s ds/|w| by tanh-sinh over the real ovals, from the roots of the quintic."""
+    y = STATES[name]
+    found = motion(y)
+    with mpmath.workdps(30):
+        E, L, G, k_sq = (mpmath.mpf(v) for v in constants([mpmath.mpf(v) for v in y], mpmath.mpf(1)))
+        m, k = E / 3, mpmath.sqrt(k_sq)
+        cubic = mpmath.polyroots(
+            [-(m * (k_sq - G - m * m) + L * L), -(k_sq - G + 3 * m * m), 0, 4], extraprec=200, asc=True
+        )
+        roots = [*cubic, (m + k) / 2, (m - k) / 2]
+        ends = sorted(mpmath.re(z) for z in roots if abs(mpmath.im(z)) < 1e-20)
+
+        def density(s, power):
+            product = mpmath.mpf(4)
+            for root in roots:
+                product *= s - root
+            return s**power / mpmath.sqrt(abs(product))
+
+        r, a, b = ends[0], ends[-2], ends[-1]
+        for name_of, grid in (("s1", [a, (a + b) / 2, b]), ("s2", [-mpmath.inf, r - 1, r])):
+            for power in (0, 1):
+                value = mpmath.quad(lambda s, power=power: density(s, power), grid)
+                # the ends cancel to half the digits, and s^-3/2 decays slowly
+                assert found[f"half_period.{name_of}.{power}"] == pytest.approx(float(value), rel=1e-9)
+
+
+def fit_residual(y, first: float, second: float, span: float = 700.0) -> float:
+    """Largest misfit of omega1 of the orbit by a Fourier series with the frequencies m first + n second."""
+    t = np.arange(0.0, span, 0.35)
+    states = reference_states(Kowalevski(), list(y), t)
+    pairs = [(m, n) for m in range(-9, 10) for n in range(10) if n or m >= 0]
+    phases = 2.0 * np.pi * np.outer(t, [m * first + n * second for m, n in pairs])
+    basis = np.hstack([np.cos(phases), np.sin(phases)])
+    solution = np.linalg.lstsq(basis, states[:, 2], rcond=1e-12)[0]
+    return float(np.abs(basis @ solution - states[:, 2]).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["I", "II", "III", "V"])
+def test_frequencies_are_those_of_a_long_orbit(name: str) -> None:
+    """The orbit is a Fourier series in both frequencies; none with one of them doubled or off by 1e-3."""
+    y = STATES[name]
+    found = motion(y)
+    one, two = found["frequency.1"], found["frequency.2"]
+    fit = fit_residual(y, one, two)
+    assert fit < 2e-3
+    assert fit_residual(y, 1.001 * one, two) > 10 * fit
+    assert fit_residual(y, one, 1.001 * two) > 10 * fit
+
+
+@pytest.mark.parametrize("name", STATES)
+@pytest.mark.slow
+def test_omega2_vanishes_once_a_period_of_s2(name: str) -> None:
+    y = STATES[name]
+    found = motion(y)
+    span = 200 * found["period.s2"]
+    states = reference_states(Kowalevski(), list(y), np.linspace(0.0, span, 8001))
+    zeros = np.count_nonzero(np.diff(np.signbit(states[:, 1])))
+    assert abs(zeros - 200) <= 1
+    assert found["time_between_swings"] == 2 * found["period.s2"]
+
+
+@pytest.mark.parametrize("eps", [1e-3, 1e-6])
+def test_time_between_swings_near_the_homoclinic_orbit(eps: float) -> None:
+    found = motion((2.0, 0.0, 0.0, math.sqrt(1.0 - eps * eps), 0.0, eps))
+    law = 2.0 * math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) / eps)
+    assert found["time_between_swings"] == pytest.approx(law, rel=10 * eps**2 + 1e-12)
+    if eps == 1e-3:
+        assert round(found["time_between_swings"], 4) == 28.1716
+
+
+@pytest.mark.slow
+def test_swings_of_the_paper_are_that_far_apart() -> None:
+    found = motion(PAPER)
+    t = np.linspace(0.0, 60.0, 60001)
+    gamma1 = reference_states(Kowalevski(), list(PAPER), t)[:, 3]
+    inner = (gamma1[1:-1] < gamma1[:-2]) & (gamma1[1:-1] < gamma1[2:]) & (gamma1[1:-1] < -0.5)
+    minima = t[1:-1][inner]
+    assert minima[1] - minima[0] == pytest.approx(found["time_between_swings"], abs=3e-3)
+
+
+def at_level(of: Integrals, dE: Fraction, dk: Fraction) -> Integrals:
+    """Integrals with E and k² changed."""
+    m, k_sq, L, G = of.l1 + dE / 3, of.k_sq + dk, of.L, of.G
+    return Integrals(m, L, G, k_sq, k_sq - G + 3 * m * m, m * (k_sq - G - m * m) + L * L)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STATES)
+def test_derivative_of_the_energy_by_an_action_is_its_frequency(name: str) -> None:
+    y = STATES[name]
+    found, of = motion(y), integrals(tuple(map(float, y)), 1.0)
+    step = Fraction(1, 4000)
+
+    def both(dE: Fraction, dk: Fraction) -> np.ndarray:
+        ovals = Ovals.of(at_level(of, dE, dk))
+        assert ovals is not None
+        return np.array(actions(ovals.first, ovals.second, ovals.turns))
+
+    slopes = []
+    for one, other in ((1, 0), (0, 1)):  # differences of order four
+        near, far = (both(one * n * step, other * n * step) - both(-one * n * step, -other * n * step) for n in (1, 2))
+        slopes.append((8 * near - far) / (12 * float(step)))
+    (E1, E2), (k1, k2) = slopes
+    determinant = E1 * k2 - E2 * k1
+    assert k2 / determinant == pytest.approx(2 * math.pi * found["frequency.1"], rel=1e-6)
+    assert -k1 / determinant == pytest.approx(2 * math.pi * found["frequency.2"], rel=1e-6)
+
+
+def mean_of_p_dq(y, span: float = 900.0) -> float:
+    """Time average of p_theta theta' + p_phi phi', weighted by a smooth window."""
+    t = np.linspace(0.0, span, 90001)
+    s = reference_states(Kowalevski(), list(y), t)
+    w, g = s[:, :3], s[:, 3:]
+    rate = np.cross(g, w)
+    turn = (g[:, 1] * rate[:, 0] - g[:, 0] * rate[:, 1]) / (g[:, 0] ** 2 + g[:, 1] ** 2)
+    integrand = 2.0 * rate[:, 2] ** 2 / (1.0 - g[:, 2] ** 2) + w[:, 2] * turn
+    u = np.clip(t / span, 1e-9, 1 - 1e-9)
+    window = np.exp(-1.0 / (u * (1.0 - u)))
+    return float((integrand * window).sum() / window.sum())
+
+
+def with_moment(y, two_l: float) -> tuple[float, ...]:
+    """State with omega changed along (2 g1, 2 g2, g3) so that m.gamma = ``two_l``."""
+    w, g = np.array(y[:3]), np.array(y[3:])
+    v = g * [2.0, 2.0, 1.0]
+    return (*(w + v * (two_l - w @ v) / (v @ v)), *g)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", [(0.6, -0.7, 1.1), (0.9, -0.8, 1.3), (1.0, -0.5, 1.5), (0.5, -0.6, 1.4)])
+def test_actions_are_integrals_of_p_dq(start: tuple[float, float, float]) -> None:
+    """The mean of p dq/dt is 2 pi nu.J with the actions in Euler angles, which differ by multiples of 2l."""
+    y = with_moment((*start, 0.6, 0.48, 0.64), 0.9)
+    found = motion(y)
+    assert found.kind == "torus III"
+    turns = 2 * math.pi * np.array([found["frequency.1"], found["frequency.2"]])
+    mean = mean_of_p_dq(y)
+    assert mean == pytest.approx(turns @ [found["action.1"] + 0.9, found["action.2"] + 0.9], abs=2e-6)
+    assert abs(mean - turns @ [found["action.1"] + 0.9, found["action.2"]]) > 0.1
+
+
+def collision_distance(E: float, L: float, G: float, k_sq: float) -> float:
+    """Smallest distance of two roots of Phi, relative to the largest."""
+    m, k = E / 3, math.sqrt(max(k_sq, 0.0))
+    cubic = np.roots([4, 0, -(k_sq - G + 3 * m * m), -(m * (k_sq - G - m * m) + L * L)])
+    roots = np.array([*cubic, (m + k) / 2, (m - k) / 2])
+    apart = np.abs(roots[:, None] - roots[None, :]) + np.eye(5) * 1e9
+    return float(apart.min() / np.abs(roots).max())
+
+
+@pytest.mark.parametrize("name", ["I", "III"])
+def test_two_roots_coincide_at_the_neighbours(name: str) -> None:
+    y = STATES[name]
+    E, L, G, k_sq = constants(y)
+    found = motion(y)
+    assert found.neighbours
+    assert collision_distance(E, L, G, k_sq) > 1e-2
+    for one in found.neighbours:
+        there = (one.value, L, G, k_sq) if one.along == "energy" else (E, L, G, one.value)
+        assert collision_distance(*there) < 1e-6
+        here = E if one.along == "energy" else k_sq
+        assert one.distance == pytest.approx(one.value - here, abs=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STATES)
+def test_periods_grow_like_a_logarithm_at_separatrices_only(name: str) -> None:
+    y = STATES[name]
+    of = integrals(tuple(map(float, y)), 1.0)
+    kinds = set()
+    for one in motion(y).neighbours:
+        periods = []
+        for rest in (1e-4, 1e-6, 1e-8):
+            change = Fraction(one.distance) * (1 - Fraction(rest))
+            ovals = Ovals.of(
+                at_level(of, change, Fraction(0)) if one.along == "energy" else at_level(of, Fraction(0), change)
+            )
+            assert ovals is not None
+            (a, _), (b, _) = ovals.half_periods()
+            periods.append((a, b))
+        first, second = (np.diff(values) for values in zip(*periods, strict=True))
+        growth = max(abs(first[1]), abs(second[1]))
+        kinds.add(one.kind)
+        if one.kind in ("separatrix", "pinch"):  # by the same amount for each factor of 100
+            assert growth > 1e-2
+            grows = first if abs(first[1]) > 1e-2 else second
+            assert grows[1] == pytest.approx(grows[0], rel=2e-3)
+            assert (one.kind == "pinch") == (min(abs(first[1]), abs(second[1])) > 1e-2)
+        else:
+            assert growth < 1e-4
+    assert kinds
+
+
+def test_distance_to_the_separatrix_of_the_paper() -> None:
+    """Next to the homoclinic orbit at the distance eps, by eps² to first order: eps²/8 in E, eps² in k²."""
+    found = motion(PAPER)
+    along = {(one.along, one.kind): one.distance for one in found.neighbours}
+    assert along["energy", "separatrix"] == pytest.approx(-1e-6 / 8.0, rel=1e-5)
+    assert along["k_sq", "separatrix"] == pytest.approx(1e-6, rel=1e-4)
+    assert found["separatrix.distance"] == pytest.approx(1e-6 / 8.0, rel=1e-5)
+
+
+PERIODIC = {
+    "pendulum that rotates about the third axis": ((0.0, 0.0, 1.0, 0.6, 0.8, 0.0), "pendulum"),
+    "pendulum that oscillates about the third axis": ((0.75, 0.0, 0.5, 0.0, 0.75, 0.375), "pendulum"),
+    "released from rest, about the second axis": ((0.0, 0.0, 0.0, 0.6, 0.0, 0.8), "unstable"),
+    "pendulum that rotates about the second axis": ((0.0, 2.0, 0.0, -1.0, 0.0, 0.0), "unstable"),
+    "Delone": ((0.5, 0.5, 1.75, 0.0, 0.5, 0.75), "delone"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PERIODIC)
+def test_periodic_motions_return_after_their_period(name: str) -> None:
+    y, kind = PERIODIC[name]
+    found = motion(y)
+    assert found.kind == kind
+    states = reference_states(Kowalevski(), list(y), np.array([0.5, 1.0]) * found["period"])
+    assert np.abs(states[1] - y).max() < 1e-12
+    assert np.abs(states[0] - y).max() > 0.1
+
+
+@pytest.mark.slow
+def test_special_motions_are_named() -> None:
+    assert motion((2.0, 0.0, 0.0, 1.0, 0.0, 0.0)).kind == "equilibrium"
+    assert motion((0.5, 0.25, 0.0, 0.0, 0.0, 1.0)).kind == "pinch"
+    assert motion((0.0, 0.0, 1.3, 0.0, 0.0, 1.0)).kind == "triple root"
+    homoclinic = motion((0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+    assert (homoclinic.kind, homoclinic["period"]) == ("separatrix", math.inf)
+    assert homoclinic.as_dict()["quantities"]["period"] is None
+
+
+def test_no_gravity_is_the_free_symmetric_top() -> None:
+    y = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
+    found = motion(y, c0=0.0)
+    assert found.kind == "polhode about C"
+    assert found["frequency"] == pytest.approx(0.5 * 1.3 / (2 * math.pi), rel=1e-14)
+    assert found.notes
+
+
+@pytest.mark.slow
+def test_another_moment_of_inertia_scales_energies_and_actions() -> None:
+    """Divided by C the equations are those of C = 1 with c0/C."""
+    small, large = motion(GEN, c0=1.5), motion(GEN, c0=6.0, A=8.0)
+    for name in small:
+        factor = 4.0 if name in ("energy", "two_l", "action.1", "action.2") else 1.0
+        assert large[name] == pytest.approx(factor * small[name], rel=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["I", "III"])
+def test_faster_motions_by_scaling(name: str) -> None:
+    """omega doubled and gravity times four: half the time, and twice the actions."""
+    y = STATES[name]
+    slow, fast = motion(y), motion((*(2.0 * v for v in y[:3]), *y[3:]), c0=4.0)
+    assert fast["period.s1"] == pytest.approx(0.5 * slow["period.s1"], rel=1e-13)
+    for i in (1, 2):
+        assert fast[f"action.{i}"] == pytest.approx(2.0 * slow[f"action.{i}"], rel=1e-12)
+    assert fast["separatrix.distance"] == pytest.approx(4.0 * slow["separatrix.distance"], rel=1e-12)

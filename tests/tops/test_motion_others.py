@@ -1,0 +1,277 @@
+"""Polhodes, nutations and tops without a closed form: class, periods and mean rates against quadrature and orbits."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+from topcli.analysis.motion.of_top import motion_of
+from topcli.analysis.motion.result import Motion, neighbour_rows, quantity_rows
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Top
+from topcli.errors import UnknownNameError
+from topcli.studies.motion import motion
+from topcli.tops.euler import Euler
+from topcli.tops.heavy import Heavy
+from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
+
+
+def of(top: Top, *y: float) -> Motion:
+    return motion_of(top, tuple(map(float, y)))
+
+
+def returns(top: Top, y, time: float, columns=slice(None)) -> float:
+    """Largest difference of the state after ``time``."""
+    later = reference_states(top, list(map(float, y)), np.array([time]))[0]
+    return float(np.abs(later - y)[columns].max())
+
+
+MOMENTS = (3.0, 2.0, 1.2)
+
+
+@pytest.mark.parametrize(
+    ("omega", "kind"), [((1.0, 0.2, 0.5), "polhode about A"), ((0.3, 0.2, -1.0), "polhode about C")]
+)
+def test_polhodes_close_after_their_period(omega: tuple[float, float, float], kind: str) -> None:
+    A, B, C = MOMENTS
+    top = Euler(A=A, B=B, C=C)
+    found = of(top, *omega)
+    assert found.kind == kind
+    assert returns(top, omega, found["period"]) < 1e-12
+    assert returns(top, omega, 0.5 * found["period"]) > 0.1
+    square = sum((a * b) ** 2 for a, b in zip(MOMENTS, omega, strict=True))
+    twice = sum(a * b * b for a, b in zip(MOMENTS, omega, strict=True))
+    assert found["moment"] == pytest.approx(square / twice, rel=1e-14)
+    assert found["separatrix.distance"] == pytest.approx(square / twice - B, rel=1e-12)
+    assert (found["separatrix.distance"] > 0.0) == (kind == "polhode about A")
+
+
+@pytest.mark.parametrize("omega", [(1.0, 0.2, 0.5), (0.3, 0.2, -1.0)])
+def test_precession_about_the_momentum_by_montgomery(omega: tuple[float, float, float]) -> None:
+    """In a period the body turns by 2E T/|m| minus the solid angle of the polhode of m, modulo whole turns."""
+    top = Euler(A=MOMENTS[0], B=MOMENTS[1], C=MOMENTS[2])
+    found = of(top, *omega)
+    T, axis = found["period"], "ABC".index(found.kind[-1])
+    t = np.linspace(0.0, T, 401)[:-1]
+    states = reference_states(top, list(omega), t)
+    m = states * MOMENTS
+    size = float(np.linalg.norm(m[0]))
+    height, x, y = m[:, axis], m[:, (axis + 1) % 3], m[:, (axis + 2) % 3]
+    torque = np.cross(m, states)
+    turning = (x * torque[:, (axis + 2) % 3] - y * torque[:, (axis + 1) % 3]) / (x * x + y * y)
+    # the side of the polhode on which the axis itself is
+    side = math.copysign(1.0, height[0])
+    solid = float((turning * (1.0 - side * height / size)).mean()) * T
+    twice = float((m[0] * states[0]).sum())
+    expected = (twice * T / size - side * solid) / (2.0 * math.pi)
+    turned = found["frequency.precession"] * T
+    assert turned > 0.5
+    assert abs((turned - expected + 0.5) % 1.0 - 0.5) < 1e-9
+
+
+def test_steady_rotations_of_the_euler_top() -> None:
+    top = Euler(A=3.0, B=2.0, C=1.0)
+    assert of(top, 0.0, 1.0, 0.0).title.startswith("unstable")
+    assert of(top, 1.0, 0.0, 0.0).title.startswith("stable")
+    assert of(top, 0.0, 0.0, -2.0)["frequency.rotation"] == pytest.approx(1.0 / math.pi)
+    assert of(top, 0.0, 0.0, 0.0).kind == "equilibrium"
+    assert of(Euler(A=2.0, B=2.0, C=2.0), 0.3, 0.2, 0.1).kind == "steady rotation"
+
+
+def test_separatrix_of_the_euler_top() -> None:
+    """For A, B, C = 6, 4, 3: m² = 4 m.omega if 12 a² = 3 c²."""
+    top = Euler(A=6.0, B=4.0, C=3.0)
+    found = of(top, 0.5, 0.25, 1.0)
+    assert (found.kind, found["period"]) == ("separatrix", math.inf)
+    near = of(top, 0.5, 0.25, 1.0 + 2**-30)
+    assert near.kind == "polhode about C"
+    assert near["period"] > 10.0
+    assert of(top, 0.5, 0.25, 1.0 - 2**-30).kind == "polhode about A"
+    # omega approaches the middle axis with the e-folding rate of the linear equations there
+    late = reference_states(top, [0.5, 0.25, 1.0], np.array([20.0, 22.0]))
+    assert math.log(abs(late[0, 0] / late[1, 0])) / 2.0 == pytest.approx(found["rate"], rel=1e-5)
+
+
+def test_symmetric_free_top() -> None:
+    found = of(Euler(A=2.0, B=2.0, C=1.0), 0.7, -0.4, 1.3)
+    assert found["frequency"] == pytest.approx(0.5 * 1.3 / (2 * math.pi))
+    m = math.sqrt(4 * 0.49 + 4 * 0.16 + 1.69)
+    assert found["frequency.precession"] == pytest.approx(m / 2.0 / (2 * math.pi))  # |m|/A
+    assert "separatrix.distance" not in found
+
+
+LAGRANGE = {
+    "waves": (Lagrange(A=1.0, C=0.5, mu=1.0), (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)),
+    "loops": (Lagrange(A=1.0, C=0.5, mu=1.0), (0.2, -1.1, 4.0, 0.6, 0.48, 0.64)),
+    "below": (Lagrange(A=2.0, C=0.7, mu=-1.5), (0.3, 0.4, 2.0, -0.6, 0.0, 0.8)),
+    "inertial": (LagrangeInertial(), (0.3, -0.5, 1.2, 0.6, 0.0, 0.8)),
+    "long axis": (LagrangeInertial(), (0.3, -0.5, 1.2, 1.2, 0.0, 1.6)),
+    "no gravity": (Lagrange(A=1.0, C=0.5, mu=0.0), (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)),
+}
+
+
+def by_quadrature(top: Top, y) -> tuple[float, float, float, float]:
+    """Bounds of cos(theta), period and turns of the axis in a period, from the textbook's integrals."""
+    if isinstance(top, Lagrange):
+        size = math.sqrt(sum(v * v for v in y[3:]))
+        A, spin, nu = top.A, top.C * y[2] / top.A, top.mu * size / top.A
+        along = (y[0] * y[3] + y[1] * y[4] + top.C / A * y[2] * y[5]) / size
+        e = 0.5 * (y[0] ** 2 + y[1] ** 2) + nu * y[5] / size
+    else:
+        nu = math.sqrt(sum(v * v for v in y[3:]))
+        spin = sum(a * b for a, b in zip(y[:3], y[3:], strict=True)) / nu
+        along = y[2]
+        e = 0.5 * (sum(v * v for v in y[:3]) - spin**2) + y[5]
+    c = y[5] / (math.sqrt(sum(v * v for v in y[3:])))
+    with mpmath.workdps(30):
+        q = [2 * e - along**2, 2 * along * spin - 2 * nu, -2 * e - spin**2, 2 * nu]
+        while not q[-1]:
+            q.pop()
+        roots = [mpmath.re(z) for z in mpmath.polyroots(q, asc=True, extraprec=100) if abs(mpmath.im(z)) < 1e-15]
+        low, high = max(z for z in roots if z <= c + 1e-12), min(z for z in roots if z > c + 1e-12)
+
+        def integral(density):
+            # cos(theta) = middle + half sin(phi) removes the roots at both ends
+            middle, half = (low + high) / 2, (high - low) / 2
+            others = [
+                z for z in mpmath.polyroots(q, asc=True, extraprec=100) if min(abs(z - low), abs(z - high)) > 1e-15
+            ]
+
+            def f(phi):
+                u = middle + half * mpmath.sin(phi)
+                rest = abs(q[-1])
+                for z in others:
+                    rest *= abs(u - z)
+                return density(u) / mpmath.sqrt(rest)
+
+            return 2 * mpmath.quad(f, [-mpmath.pi / 2, 0, mpmath.pi / 2])
+
+        period = integral(lambda u: 1)
+        turns = integral(lambda u: (along - spin * u) / (1 - u * u)) / (2 * mpmath.pi)
+        return float(low), float(high), float(period), float(turns)
+
+
+@pytest.mark.parametrize("name", LAGRANGE)
+def test_nutation_and_precession_by_quadrature(name: str) -> None:
+    top, y = LAGRANGE[name]
+    low, high, period, turns = by_quadrature(top, y)
+    found = of(top, *y)
+    assert (found["cos_theta.min"], found["cos_theta.max"]) == pytest.approx((low, high), abs=1e-12)
+    assert found["period.nutation"] == pytest.approx(period, rel=1e-10)
+    assert found["precession.per_nutation"] == pytest.approx(turns, rel=1e-9)
+    assert found["frequency.precession"] == pytest.approx(turns / period, rel=1e-9)
+    assert found["frequency.nutation"] * found["period.nutation"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["inertial", "long axis"])
+def test_axis_turns_by_the_precession_in_a_nutation(name: str) -> None:
+    top, y = LAGRANGE[name]
+    found = of(top, *y)
+    t = np.linspace(0.0, found["period.nutation"], 4001)
+    states = reference_states(top, list(y), t)
+    angle = np.unwrap(np.arctan2(states[:, 4], states[:, 3]))
+    assert (angle[-1] - angle[0]) / (2 * math.pi) == pytest.approx(found["precession.per_nutation"], abs=1e-10)
+    assert states[-1, 5] == pytest.approx(y[5], abs=1e-10)
+
+
+@pytest.mark.parametrize("name", ["cusps", "loops", "waves"])
+def test_curves_of_the_scenes(name: str) -> None:
+    found = motion(f"lagrange_{name}")
+    assert found.kind == name
+    assert found["precession.per_nutation"] == pytest.approx(1.0 / 9.0, abs=1e-7)  # closed curves of nine nutations
+
+
+@pytest.mark.parametrize(("spin", "stable"), [(3.999, False), (4.0, True), (4.001, True)])
+def test_threshold_of_the_sleeping_top(spin: float, stable: bool) -> None:
+    """(C omega3)² = 4 A mu at omega3 = 4 for A, C, mu = 1, 1/2, 1."""
+    found = of(Lagrange(A=1.0, C=0.5, mu=1.0), 0.0, 0.0, spin, 0.0, 0.0, 1.0)
+    assert found.kind == "sleeping"
+    assert found.title.endswith(" stable") == stable
+    assert found["sleeping.ratio"] == pytest.approx((spin / 4.0) ** 2)
+    if spin > 4.0:
+        frequency = math.sqrt((0.5 * spin) ** 2 - 4.0) / (2 * math.pi)
+        assert found["frequency.nutation"] == pytest.approx(frequency, rel=1e-12)
+
+
+def test_special_motions_of_the_lagrange_top() -> None:
+    top = Lagrange(A=1.0, C=0.5, mu=1.0)
+    assert of(top, 0.0, 0.0, 3.0, 0.0, 0.0, -1.0).title == "hanging top: the axis stays vertical; stable"
+    assert of(top, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0).title == "upright top: the axis stays vertical; unstable"
+    assert of(top, 0.0, 1.0, 0.0, 0.6, 0.0, 0.8).kind == "pendulum"
+    assert of(top, 1.0, 0.0, 3.0, 0.0, 0.0, -1.0).kind == "through the pole"
+    assert of(top, 1.0, 0.0, 2.0, 0.0, 0.0, 1.0).kind == "through the pole"
+    # |gamma| = 5, cos = 3/5, phi' = 5/2: ba phi' - phi'² cos = nu with ba = 7/2, nu = 5
+    steady = of(top, 2.0, 0.0, 7.0, 4.0, 0.0, 3.0)
+    assert steady.kind == "regular precession"
+    assert steady["frequency.precession"] == pytest.approx(2.5 / (2 * math.pi), rel=1e-14)
+    # close to it the small nutations have the frequency that it reports
+    nearby = of(top, 2.0 + 1e-6, 0.0, 7.0, 4.0, 0.0, 3.0)
+    assert nearby["frequency.nutation"] == pytest.approx(steady["frequency.nutation"], rel=1e-5)
+
+
+def test_asymptotic_motion_of_the_lagrange_top() -> None:
+    """With b² < 4 nu and e = nu, bv = ba: from cos = b²/2 - 1 to the upright position."""
+    top = Lagrange(A=1.0, C=0.5, mu=1.0)
+    # b = 1: lowest cos = -1/2; at cos = 0 with gamma = (1, 0, 0): omega1 = b, omega2² = 2 - 1
+    found = of(top, 1.0, 1.0, 2.0, 1.0, 0.0, 0.0)
+    assert (found.kind, found["period.nutation"]) == ("separatrix", math.inf)
+    assert (found["cos_theta.min"], found["cos_theta.max"]) == (-0.5, 1.0)
+    below = of(Lagrange(A=1.0, C=0.5, mu=-1.0), 1.0, 1.0, 2.0, -1.0, 0.0, 0.0)
+    assert (below.kind, below["cos_theta.min"], below["cos_theta.max"]) == ("separatrix", -1.0, 0.5)
+
+
+def test_heavy_top_without_a_closed_form_has_integrals_only() -> None:
+    found = of(Heavy(A=2.0, B=1.5, C=1.0, x0=1.0, y0=0.5, z0=0.8), 1.5, 1.0, -0.5, 0.6, 0.48, 0.64)
+    assert found.kind == "no closed form"
+    expected = {
+        "gamma_sq": 0.36 + 0.48**2 + 0.64**2,
+        "m_gamma": 2.0 * 0.9 + 1.5 * 0.48 - 0.32,
+        "energy": 0.5 * (2.0 * 2.25 + 1.5 + 0.25) + 0.6 + 0.24 + 0.512,
+    }
+    assert {name: found[name] for name in found} == pytest.approx(expected)
+
+
+@pytest.mark.slow
+def test_heavy_tops_of_special_shape_have_the_motion_of_their_class() -> None:
+    y = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
+    pairs = [
+        (Heavy(A=2.0, B=2.0, C=1.0, x0=1.5, y0=0.0, z0=0.0), Kowalevski(c0=1.5)),
+        (Heavy(A=2.0, B=2.0, C=0.7, x0=0.0, y0=0.0, z0=1.5), Lagrange(A=2.0, C=0.7, mu=1.5)),
+        (Heavy(A=3.0, B=2.0, C=1.0, x0=0.0, y0=0.0, z0=0.0), None),
+    ]
+    for heavy, special in pairs:
+        found = of(heavy, *y)
+        if special is None:
+            assert found["period"] == of(Euler(A=3.0, B=2.0, C=1.0), *y[:3])["period"]
+        else:
+            assert found == of(special, *y)
+    assert of(Heavy(A=2.0, B=2.0, C=1.0, x0=1.5, y0=0.0, z0=1e-9), *y).kind == "no closed form"
+
+
+@pytest.mark.slow
+def test_result_is_a_table() -> None:
+    found = motion("lagrange_bs")
+    table = found.to_pandas()
+    assert list(table.index) == list(found)
+    assert table.loc["period.nutation", "value"] == found["period.nutation"]
+    assert len(quantity_rows(found)) == len(table)
+    html = found._repr_html_()
+    assert all(name in html for name in found)
+    assert found.title in html
+    assert "frequency.nutation" in found
+    assert repr(found) == "<Motion of lagrange/inertial: nutation with waves: precession in one sense>"
+    with pytest.raises(UnknownNameError, match=r"did you mean 'period\.nutation'"):
+        found["period.nutatoin"]
+
+
+@pytest.mark.slow
+def test_html_shows_the_neighbours() -> None:
+    found = motion("kowalevski_generic_hk")
+    html = found._repr_html_()
+    assert len(neighbour_rows(found)) == len(found.neighbours) == 3
+    assert html.count("separatrix</td>") == 3
+    assert found.as_dict()["neighbours"][0]["kind"] == "separatrix"
