@@ -192,7 +192,7 @@ def _at_rest(w: Vector, alpha: Vector) -> bool:
     explicit=True,
     self_adjoint=True,
     conserves=lambda top: tuple(invariant.name for invariant in top.invariants()),
-    citation="Jacobi 1849; Landau, Lifshitz, Mechanics, section 37",
+    citation="Jacobi 1850; Landau, Lifshitz, Mechanics, section 37",
     equations="the equations of motion, solved by Jacobi elliptic functions and Carlson integrals",
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
