@@ -75,6 +75,9 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     self_adjoint=True,
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="Kowalevski 1889; Kötter 1893; Golubev, Lectures on Integration of the Equations of Motion",
+    formula=r"""
+(s_1 - s_2)^2\,\dot s_i^2 = -\Phi(s_i), \qquad \Phi(s) = 4\prod_{i=1}^5 (s - e_i)
+""",
     equations="(K1), (K2), solved by hyperelliptic integrals of genus two",
     limits={
         "delone-sleeping": TRIPLE_ROOT,
