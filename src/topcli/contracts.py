@@ -432,8 +432,8 @@ class Scheme:
     (``topcli stress``) is checked against the result of that case in both directions; any other key is a condition in
     words."""
     longest_step: Callable[[Any, Floats, Any], float] | None = None
-    """``longest_step(top, y0, options)`` returns the largest |h| with which the scheme can start from the state ``y0``;
-    a longer one is refused before the run. None if every h can be tried."""
+    """``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from the state
+    ``y0``; a longer one is refused before the run. None if every h can be tried."""
     doc: str = ""
     """Description, from the docstring of ``build``."""
     origin: str = "topcli"
