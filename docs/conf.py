@@ -1,9 +1,15 @@
 """Sphinx settings of the documentation: MyST pages, the pydata theme, formulas by a bundled MathJax."""
 
+import sys
 from importlib.metadata import version as version_of
+from pathlib import Path
 
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from reference_pages import write_pages  # beside this file
 
 project = "topcli"
 author = "the topcli authors"
@@ -39,5 +45,6 @@ html_theme_options = {
 
 
 def setup(app: Sphinx) -> None:
-    """Show blocks of CSV as plain text."""
+    """Write the generated pages before pages are read, and show blocks of CSV as plain text."""
     app.add_lexer("csv", TextLexer)
+    app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir) / "reference"))

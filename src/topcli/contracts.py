@@ -110,6 +110,8 @@ class Top(BaseModel):
     """Title for people, on one line."""
     citation: ClassVar[str]
     """Source of the equations of motion."""
+    formula: ClassVar[str] = ""
+    """Equations of motion in LaTeX: display formulas without delimiters, separated by empty lines."""
     components: ClassVar[tuple[str, ...]]
     """Names of the components of the state, in order."""
     vectors: ClassVar[Mapping[str, tuple[int, int]]]
@@ -411,6 +413,29 @@ class Block:
 Method = Stepper | Sampler | Block
 
 
+UNKNOWN = "none known to us"
+
+
+@dataclass(frozen=True)
+class Integrability:
+    """Structure of a scheme that is an integrable map, beside its integrals.
+
+    Parameters
+    ----------
+    lax : str
+        Discrete Lax pair in a few words, or ``UNKNOWN``.
+    poisson : str
+        Poisson bracket that the map preserves, in a few words, or ``UNKNOWN``.
+    bracket : str, optional
+        ``"lie-poisson"`` if it is the bracket of the moment m and, if the state has one, of the vertical or the axis.
+        The tests check it.
+    """
+
+    lax: str
+    poisson: str
+    bracket: str = ""
+
+
 @dataclass(frozen=True)
 class Scheme:
     """Time discretization of one form of a top, with its declared traits.
@@ -451,14 +476,19 @@ class Scheme:
     (``topcli stress``) is checked against the result of that case in both directions; any other key is a condition in
     words."""
     longest_step: Callable[[Any, Floats, Any], float] | None = None
-    """``longest_step(top, y0, options)`` returns the largest |h| with which the scheme can start from the state ``y0``;
-    a longer one is refused before the run. None if every h can be tried."""
+    """``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from the state
+    ``y0``; a longer one is refused before the run. None if every h can be tried."""
     doc: str = ""
     """Description, from the docstring of ``build``."""
     origin: str = "topcli"
     """Distribution or file that registered the scheme."""
     order_with: Callable[[Any], int | None] | None = None
     """``order_with(options)``: order with these options, if it depends on them; ``order`` is that of the defaults."""
+    formula: str = ""
+    """Step in LaTeX: display formulas without delimiters, separated by empty lines. A prime marks the new state, a bar
+    the mean of both, f is the right-hand side of the equations of motion."""
+    integrable: Integrability | None = None
+    """Structure of an integrable map; None for other schemes."""
 
     def order_for(self, options: Any) -> int | None:
         """Order of convergence with ``options``."""

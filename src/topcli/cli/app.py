@@ -32,6 +32,7 @@ class _Topcli(LazyGroup):
         "init": "inspect.init",
         "schema": "inspect.schema",
         "doctor": "inspect.doctor",
+        "cite": "cite.cite",
         "list": "inspect.list_app",
     }
 

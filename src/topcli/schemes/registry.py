@@ -20,7 +20,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
+from topcli.contracts import Block, Floats, Integrability, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.schemes.user_code import ENTRY_POINT_GROUP, FromSource, modules_beside, reason_of, users_error, users_place
@@ -85,6 +85,8 @@ def scheme(
     limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
     longest_step: Callable[[Any, Floats, Any], float] | None = None,
     order_with: Callable[[Any], int | None] | None = None,
+    formula: str = "",
+    integrable: Integrability | Callable[[Top], Integrability | None] | None = None,
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
@@ -127,6 +129,10 @@ def scheme(
         longer one is refused before the run. The step itself has to refuse it for a member of an ensemble.
     order_with : callable, optional
         ``order_with(options)`` returns the order if it depends on the options; ``order`` is that of the defaults.
+    formula : str, optional
+        Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines.
+    integrable : Integrability or callable, optional
+        Lax pair and Poisson bracket of an integrable map, or a function ``integrable(top)`` returning them or None.
 
     Returns
     -------
@@ -176,6 +182,7 @@ def scheme(
             doc=_description(name, title, build, options),
             origin=origin,
             order_with=order_with,
+            formula=formula,
         )
 
         def register_for(form: str) -> None:
@@ -184,6 +191,7 @@ def scheme(
                 top=form,
                 conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
                 limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
+                integrable=integrable(TOPS[form].new()) if callable(integrable) else integrable,
             )
 
         for form in forms:

@@ -41,6 +41,10 @@ class Euler(Top):
     form: ClassVar[str] = "euler"
     title: ClassVar[str] = "Euler top (free rigid body)"
     citation: ClassVar[str] = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.2"
+    formula: ClassVar[str] = r"""
+A\dot\omega_1 = (B - C)\,\omega_2\omega_3, \qquad B\dot\omega_2 = (C - A)\,\omega_3\omega_1, \qquad
+C\dot\omega_3 = (A - B)\,\omega_1\omega_2
+"""
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3)}
     energy: ClassVar[str] = "m_omega"
@@ -84,6 +88,12 @@ class EulerGamma(Euler):
 
     form: ClassVar[str] = "euler+gamma"
     title: ClassVar[str] = "Euler top (free rigid body) with the vertical"
+    formula: ClassVar[str] = (
+        Euler.formula
+        + r"""
+\dot\gamma = \gamma\times\omega
+"""
+    )
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)

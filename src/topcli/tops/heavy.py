@@ -36,6 +36,10 @@ class Heavy(Top):
     form: ClassVar[str] = "heavy"
     title: ClassVar[str] = "heavy top (any moments of inertia and centre of gravity)"
     citation: ClassVar[str] = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.1, EulerPoisson"
+    formula: ClassVar[str] = r"""
+J\dot\omega = J\omega\times\omega + \gamma\times r, \qquad \dot\gamma = \gamma\times\omega, \qquad
+J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
+"""
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)

@@ -39,6 +39,10 @@ class Kowalevski(Top):
     form: ClassVar[str] = "kowalevski"
     title: ClassVar[str] = "Kowalevski top (A = B = 2C, centre of gravity on the first axis)"
     citation: ClassVar[str] = "Kowalevski 1889; Sogo, Discrete Spinning Tops, section 3"
+    formula: ClassVar[str] = r"""
+2\dot\omega_1 = \omega_2\omega_3, \qquad 2\dot\omega_2 = -\omega_3\omega_1 + c\,\gamma_3, \qquad
+\dot\omega_3 = -c\,\gamma_2, \qquad \dot\gamma = \gamma\times\omega, \qquad c = \frac{c_0}{C}
+"""
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)

@@ -47,6 +47,11 @@ class Lagrange(Top):
     form: ClassVar[str] = "lagrange"
     title: ClassVar[str] = "Lagrange top (A = B, centre of gravity on the third axis)"
     citation: ClassVar[str] = "Lagrange 1788; Sogo, Discrete Spinning Tops, section 2"
+    formula: ClassVar[str] = r"""
+A\dot\omega_1 = (A - C)\,\omega_2\omega_3 + \mu\,\gamma_2, \qquad
+A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
+\dot\omega_3 = 0, \qquad \dot\gamma = \gamma\times\omega
+"""
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
@@ -125,6 +130,7 @@ class LagrangeInertial(Top):
     form: ClassVar[str] = "lagrange/inertial"
     title: ClassVar[str] = "Lagrange top in the inertial frame (dimensionless: A = B = mg z0 = 1)"
     citation: ClassVar[str] = "Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3"
+    formula: ClassVar[str] = r"\dot m = p\times a, \qquad \dot a = m\times a, \qquad p = e_3"
     components: ClassVar[tuple[str, ...]] = ("m1", "m2", "m3", "a1", "a2", "a3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 3), "a": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("a",)

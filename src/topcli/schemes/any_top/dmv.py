@@ -32,7 +32,7 @@ from topcli.arithmetic.increments import compensated_sum, compensated_sums
 from topcli.arithmetic.linear import Matrix, solve3
 from topcli.arithmetic.rotations import VECTOR_VARIANTS, Vector, cayley_increment
 from topcli.arithmetic.tolerances import follow_precision
-from topcli.contracts import EulerPoisson, Floats, Stepper, Top, checked_equations
+from topcli.contracts import EulerPoisson, Floats, Integrability, Stepper, Top, checked_equations
 from topcli.errors import UsageError
 from topcli.schemes.any_top.momentum import KEPT, entering, inverse_moments, kick, leaving, state_length
 from topcli.schemes.any_top.preprocessed import ORDERS, SERIES, modified_inverse_moments
@@ -296,6 +296,11 @@ def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
     )
 
 
+FREE_MAP = Integrability(
+    "by matrix factorization (Moser, Veselov 1991)", "Lie-Poisson bracket of so(3), or e(3) with gamma", "lie-poisson"
+)
+
+
 @scheme(
     "dmv",
     top=None,
@@ -307,10 +312,18 @@ def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
         tuple(one.name for one in top.invariants()) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ())
     ),
     citation="Moser, Veselov 1991; McLachlan, Scovel 1995; Hairer, Vilmart 2006 (preprocessed)",
+    formula=r"""
+m^- = m + \tfrac h2\,\gamma\times r, \qquad
+h\,m^-_i = 2\,\bigl(I_i e_0 e_i + (I_k - I_j)\,e_j e_k\bigr), \quad e_0^2 + |e|^2 = 1, \quad (i, j, k) \text{ cyclic}
+
+v \mapsto v + 2e_0\,v\times e + 2\,(v\times e)\times e \ \text{ takes } m^-, \gamma \text{ to } m^+, \gamma', \qquad
+m' = m^+ + \tfrac h2\,\gamma'\times r
+""",
     equations="kick h/2 by gamma x g, rotation of m and gamma by the quaternion (e0, e) with "
     "h m_i = 2 (I_i e0 e_i + (I_k - I_j) e_j e_k), kick h/2",
     options=DmvOptions,
     limits=lambda top: dict.fromkeys(LONG_STEPS.get(top.form, ("long steps",)), NO_LONG_STEP),
+    integrable=lambda top: FREE_MAP if top.form in ("euler", "euler+gamma") else None,
     order_with=lambda options: options.order if options.moments == "preprocessed" else 2,
 )
 def build(top: Top, options: DmvOptions) -> Stepper:

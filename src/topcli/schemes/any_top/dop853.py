@@ -34,6 +34,10 @@ class Tolerances(BaseModel):
     adaptive=True,
     conserves=lambda top: polynomial_invariants(top, 1),
     citation="Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993; scipy.integrate.DOP853",
+    formula=r"""
+y_{j+1} = y_j + h_j\sum_{i=1}^{12} b_i k_i, \qquad
+k_i = f\Bigl(y_j + h_j\sum_{l<i} a_{il} k_l\Bigr), \qquad \sum_j h_j = h
+""",
     equations="DOP853 from t to t + h, in as many internal steps as the tolerances require",
     options=Tolerances,
 )

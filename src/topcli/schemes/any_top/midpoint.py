@@ -137,6 +137,7 @@ def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     conserves=lambda top: polynomial_invariants(top, 2),
     citation="Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)",
+    formula=r"y' = y + h\,f(\bar y)",
     equations="y' - y = h f((y' + y)/2) for EulerPoisson",
     options=CompensatedOption,
     limits=lambda top: {"singular-step": LONG_NEWTON} if top.form == "heavy" else {},

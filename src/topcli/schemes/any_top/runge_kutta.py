@@ -68,6 +68,7 @@ def rk4_step(field: VectorField, axpy: Axpy, add: Add) -> StepFunction:
     self_adjoint=False,
     conserves=lambda top: polynomial_invariants(top, 1),
     citation="Runge 1895",
+    formula=r"y' = y + h\,f\bigl(y + \tfrac h2 f(y)\bigr)",
     equations="y' = y + h f(y + h/2 f(y))",
     limits=rk2_limits,
 )
@@ -85,6 +86,10 @@ def build_rk2(top: Top, options: NoOptions) -> Stepper:
     self_adjoint=False,
     conserves=lambda top: polynomial_invariants(top, 1),
     citation="Kutta 1901",
+    formula=r"""
+y' = y + \tfrac h6\,(k_1 + 2k_2 + 2k_3 + k_4), \qquad
+k_1 = f(y), \quad k_2 = f(y + \tfrac h2 k_1), \quad k_3 = f(y + \tfrac h2 k_2), \quad k_4 = f(y + h k_3)
+""",
     equations="y' = y + h/6 (k1 + 2 k2 + 2 k3 + k4)",
     limits=explicit_limits,
 )

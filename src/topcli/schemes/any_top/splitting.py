@@ -147,6 +147,14 @@ def closed_change6(y: Floats, c: Floats, h: float) -> Floats:
     conserves=lambda top: KEPT.get(top.form, ()),
     citation="McLachlan 1993; Reich 1994; Touma, Wisdom 1994; Hairer, Lubich, Wanner, Geometric Numerical Integration, "
     "section VII.5",
+    formula=r"""
+\Phi_h = K_{h/2}\circ F_h\circ K_{h/2}, \qquad
+K_\tau:\ m \mapsto m + \tau\,\gamma\times r, \qquad
+F_h:\ \text{the free body, if } A = B
+
+F_h = R^1_{h/2}\circ R^2_{h/2}\circ R^3_h\circ R^2_{h/2}\circ R^1_{h/2} \ \text{otherwise}, \qquad
+R^i_\tau:\ \dot v = v\times\frac{m_i}{I_i}\,e_i \ \text{ for } v = m, \gamma
+""",
     equations="kick h/2 by gamma x g, rotations about the axes 1, 2 (h/2), 3 (h), 2, 1 (h/2), kick h/2",
     options=SplittingOptions,
     limits=lambda top: LONG if top.form in ("kowalevski", "lagrange", "heavy") else {},

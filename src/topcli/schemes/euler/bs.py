@@ -111,6 +111,7 @@ def implicit_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
     self_adjoint=False,
     conserves=rotation_invariants,
     citation=CITATION + ", after Bobenko, Suris 1999",
+    formula=r"m' - m = h\,\bar m\times\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega",
     equations="EulerBS; gamma by (A)",
     options=CompensatedOption,
 )
@@ -131,6 +132,7 @@ def build_bs(top: Top, options: CompensatedOption) -> Stepper:
     self_adjoint=False,
     conserves=rotation_invariants,
     citation=CITATION + ", after Bobenko, Suris 1999",
+    formula=r"m' - m = h\,\bar m\times\omega', \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega'",
     equations="EulerBS with omega^{n+1}; gamma by (A) with omega^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": NEWTON_SINGULAR},

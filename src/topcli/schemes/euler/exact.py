@@ -192,7 +192,15 @@ def _at_rest(w: Vector, alpha: Vector) -> bool:
     explicit=True,
     self_adjoint=True,
     conserves=lambda top: tuple(invariant.name for invariant in top.invariants()),
-    citation="Jacobi 1849; Landau, Lifshitz, Mechanics, section 37",
+    citation="Jacobi 1850; Landau, Lifshitz, Mechanics, section 37",
+    formula=r"""
+\omega_1 = a_1\,\mathrm{dn}(u; k), \quad \omega_2 = a_2\,\mathrm{sn}(u; k), \quad
+\omega_3 = a_3\,\mathrm{cn}(u; k), \quad u = \lambda\,(t - t_0) \qquad (A > B > C,\ m^2 > 2TB)
+
+a_1^2 = \frac{m^2 - 2TC}{A(A - C)}, \quad a_2^2 = \frac{2TA - m^2}{B(A - B)}, \quad
+a_3^2 = \frac{2TA - m^2}{C(A - C)}, \quad
+\lambda^2 = \frac{(A - B)(m^2 - 2TC)}{ABC}, \quad k^2 = \frac{(B - C)(2TA - m^2)}{(A - B)(m^2 - 2TC)}
+""",
     equations="the equations of motion, solved by Jacobi elliptic functions and Carlson integrals",
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
@@ -213,6 +221,14 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     self_adjoint=True,
     modified=hk_integrals,
     citation="Hirota, Kimura 2000; Petrera, Suris 2010",
+    formula=r"""
+\omega_1 = a_1\,\mathrm{cn}\,\varphi_n, \quad \omega_2 = a_2\,\mathrm{sn}\,\varphi_n, \quad
+\omega_3 = a_3\,\mathrm{dn}\,\varphi_n, \quad \varphi_n = \varphi_0 + 2nv, \qquad
+K_i = 1 - \tfrac{h^2}{4}\,\alpha_j\alpha_k\,\omega_i^2
+
+\mathrm{sn}^2 v = 1 - \frac{K_2}{K_3}, \qquad k^2\,\mathrm{sn}^2 v = 1 - \frac{K_2}{K_1}
+\qquad \text{(second axis between the others; first and third exchanged if } k > 1)
+""",
     equations="the first difference equations of section 1.2, solved by Jacobi elliptic functions",
     limits={
         "singular-step": "If K_S <= 0 the phase of the map is not real. Such steps, of the order of 2/|omega| and "

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import Vector
-from topcli.contracts import Floats, Stepper, Top
+from topcli.contracts import UNKNOWN, Floats, Integrability, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption, increment_stepper, is_compensated
 from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.euler.hk_integrals import hk_integrals
@@ -133,6 +133,9 @@ def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:
     return (x1, x2, x3, y1, y2, y3)
 
 
+BI_HAMILTONIAN = "a family of brackets of its own (Petrera, Suris 2010)"
+
+
 @scheme(
     "hk",
     top=FORMS,
@@ -142,6 +145,12 @@ def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     modified=hk_integrals,
     citation="Hirota, Kimura 2000; " + CITATION,
+    formula=r"""
+\frac{\omega_i' - \omega_i}{h} = \frac{\alpha_i}{2}\,(\omega_j'\omega_k + \omega_j\omega_k'), \quad
+\alpha_1 = \frac{B - C}{A} \text{ and cyclically}, \qquad
+\frac{\gamma' - \gamma}{h} = \tfrac12\,(\gamma\times\omega' + \gamma'\times\omega)
+""",
+    integrable=lambda top: Integrability(UNKNOWN, BI_HAMILTONIAN if top.form == "euler" else UNKNOWN),
     equations="the first difference equations of section 1.2; gamma as in dEulerPoisson with the last term corrected",
     options=CompensatedOption,
     limits=lambda top: {"singular-step": SINGULAR} | ({} if len(top.components) == 3 else {"resonance": GAMMA_GROWS}),

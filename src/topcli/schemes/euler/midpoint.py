@@ -73,6 +73,7 @@ def midpoint_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
     self_adjoint=True,
     conserves=lambda top: tuple(invariant.name for invariant in top.invariants()),
     citation=CITATION,
+    formula=r"m' - m = h\,\bar m\times\bar\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\bar\omega",
     equations="the last difference equations of section 1.2; gamma by the modified BS scheme of section 3.2.3",
     options=CompensatedOption,
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR},

@@ -15,6 +15,7 @@ from topcli.arithmetic.rotations import cayley_increment, resolvent
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption, increment_stepper
 from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
+from topcli.schemes.formulas import HIROTA_KIMURA
 from topcli.schemes.heavy.linear_system import implicit_matrix
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
@@ -61,6 +62,7 @@ def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
     explicit=True,
     self_adjoint=True,
     citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 2.1",
+    formula=HIROTA_KIMURA,
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},

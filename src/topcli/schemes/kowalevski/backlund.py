@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import dot, subtract
-from topcli.contracts import Floats, Stepper, Top
+from topcli.contracts import Floats, Integrability, Stepper, Top
 from topcli.schemes.kowalevski.backlund_constants import (
     admits,
     frozen_constants,
@@ -184,6 +184,17 @@ def domain(top: Top, y0: Floats, options: BacklundOptions) -> float:
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="after Kuznetsov, Vanhaecke 2000 (Bäcklund transformations); Bobenko, Reyman, Semenov-Tian-Shansky 1989 "
     "(Lax pair)",
+    formula=r"""
+L'(\lambda)\,U(\lambda) = U(\lambda)\,L(\lambda), \qquad
+(a, b, n) = -\tfrac h2\,(\omega_1, \omega_2, \tfrac12\omega_3), \quad d = \tfrac18 c h^2\,\gamma, \quad t = 2 - \tau
+
+\begin{aligned}
+(t - d_1)\,x - d_2\,y - a\,z &= b - d_3\\
+-d_2\,x + (t + d_1)\,y - (b + d_3)\,z &= -a\\
+a\,x + (b - d_3)\,y + (2 + t - d_1)\,z &= 2n + d_2
+\end{aligned}
+\qquad e = (1;\ y, -x, -z), \qquad \gamma' \text{ and } \omega' \text{ rational in } e
+""",
     equations="L' U = U L with the 5x5 Lax matrix L, U the product of two dressing matrices with poles at ±2/h",
     options=BacklundOptions,
     limits={
@@ -197,6 +208,7 @@ def domain(top: Top, y0: Floats, options: BacklundOptions) -> float:
         "steps they are visible after 1e5 steps.",
     },
     longest_step=domain,
+    integrable=Integrability("5x5, L' U = U L", "Lie-Poisson bracket of e(3)", "lie-poisson"),
 )
 def build(top: Top, options: BacklundOptions) -> Stepper:
     """Integrable map: a translation on the tori of the continuous motion, explicit and rational.

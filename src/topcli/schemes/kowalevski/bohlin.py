@@ -18,6 +18,7 @@ from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import cayley_rotated, rodrigues_increment
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.schemes.counting import AMBIGUOUS, ambiguous_root, with_counter
+from topcli.schemes.formulas import BOHLIN
 from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
@@ -160,6 +161,7 @@ def switched(old: Floats, new: Floats, h: float, p: Floats) -> bool:
     self_adjoint=False,
     conserves=CONSERVES,
     citation=CITATION,
+    formula=r"\gamma' - \gamma = h\,\bar\gamma\times\omega" + "\n" + BOHLIN,
     equations="(A), Kxi, direct",
     limits=LIMITS,
     options=BranchOptions,
@@ -184,6 +186,11 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
     self_adjoint=False,
     conserves=CONSERVES,
     citation=CITATION,
+    formula=r"""
+z' - z = \tfrac{ih}{2}\,\bigl((\omega_1 + i\omega_2) - 2\omega_3 z - (\omega_1 - i\omega_2)\,z^2\bigr), \qquad
+z = \frac{\gamma_1 + i\gamma_2}{1 + \gamma_3}
+"""
+    + BOHLIN,
     equations="(B), Kxi, direct",
     limits=LIMITS,
     options=ChartOptions,
@@ -211,6 +218,7 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     self_adjoint=False,
     conserves=CONSERVES,
     citation=CITATION,
+    formula=r"\gamma' = e^{-h\hat\omega}\,\gamma, \qquad \hat\omega v = \omega\times v" + "\n" + BOHLIN,
     equations="(C), Kxi, direct",
     limits={
         **LIMITS,

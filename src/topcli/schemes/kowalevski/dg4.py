@@ -157,6 +157,10 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="McLachlan, Quispel, Robidoux 1999; Dahlby, Owren, Yaguchi 2011 (several integrals)",
+    formula=r"""
+y' = y + h\,\bigl(1 - D\,(D^{\mathsf T} D)^{-1} D^{\mathsf T}\bigr)\,f(\bar y), \qquad
+D = (\bar\nabla I_1, \dots, \bar\nabla I_4), \qquad \bar\nabla I\cdot(y' - y) = I(y') - I(y)
+""",
     equations="y' = y + h (1 - D (D^T D)^-1 D^T) f((y + y')/2), D the discrete gradients of gamma², 2l, E, k²",
     limits={
         "singular-step": NEWTON_SINGULAR,

@@ -205,6 +205,9 @@ class ExactSetup:
     self_adjoint=True,
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="Kowalevski 1889; Kötter 1893; Golubev, Lectures on Integration of the Equations of Motion",
+    formula=r"""
+(s_1 - s_2)^2\,\dot s_i^2 = -\Phi(s_i), \qquad \Phi(s) = 4\prod_{i=1}^5 (s - e_i)
+""",
     equations="(K1), (K2), solved by hyperelliptic integrals of genus two",
     limits={
         "huge": "c gamma is found as a difference of terms of the size of |omega|², with an error of eps |omega|²/c in "

@@ -49,6 +49,7 @@ from topcli.arithmetic.increments import compensated_sum, first6, plain6
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption, enter_compensated, is_compensated
 from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
+from topcli.schemes.formulas import HIROTA_KIMURA
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
@@ -177,6 +178,7 @@ def hk_kowalevski_compensated(state: Floats, h: float, p: Floats) -> Floats:
     explicit=True,
     self_adjoint=True,
     citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
+    formula=HIROTA_KIMURA,
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},

@@ -13,6 +13,7 @@ from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import cayley_rotated
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR, ambiguous_root, small_determinant, with_counter
+from topcli.schemes.formulas import HYBRID, XI
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.kowalevski.hk import hk_kowalevski, kowalevski_determinant
 from topcli.schemes.limits import OVERFLOW, SINGULAR
@@ -58,6 +59,7 @@ def with_hk_counters(stepper: Stepper) -> Stepper:
     self_adjoint=False,
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
+    formula=HYBRID + "\n" + XI,
     equations="dEulerPoisson, modified BS scheme, Kxi",
     limits={"singular-step": SINGULAR, "huge": OVERFLOW},
     options=BranchOptions,

@@ -31,6 +31,7 @@ from topcli.arithmetic.rotations import Vector, cayley_increment, resolvent
 from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.formulas import BOHLIN
 from topcli.schemes.kowalevski.carried_xi import enter_carried, length_correction
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.limits import FAR_OVERFLOW, NEWTON_SINGULAR, NO_SOLUTION
@@ -182,6 +183,7 @@ def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     conserves=("gamma_sq", "k_sq"),
     citation="after Sogo, Discrete Spinning Tops, section 3.2.3",
+    formula=r"\gamma' - \gamma = h\,\bar\gamma\times\bar\omega" + "\n" + BOHLIN,
     equations="modified BS scheme, Kxi, with the new omega instead of HK's",
     options=CompensatedOption,
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR, "huge": FAR_OVERFLOW},

@@ -12,6 +12,7 @@ from topcli.arithmetic.increments import compensated_sum, first6
 from topcli.arithmetic.rotations import cayley_increment
 from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.formulas import HYBRID
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.kowalevski.carried_xi import enter_carried, length_correction
 from topcli.schemes.kowalevski.hk import hk_kowalevski, hk_kowalevski_change
@@ -86,6 +87,7 @@ class HybridOptions(BranchOptions, CompensatedOption):
     self_adjoint=False,
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
+    formula=HYBRID + "\n" + r"\xi = k\,e^{i\theta}, \qquad \theta' = \theta - h\,\bar\omega_3",
     equations="dEulerPoisson, modified BS scheme, Kxi",
     limits={
         "singular-step": SINGULAR,

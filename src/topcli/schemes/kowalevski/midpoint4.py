@@ -253,6 +253,11 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="after Dahlby, Owren, Yaguchi 2011 (several integrals) and Cooper 1987 (quadratic ones)",
+    formula=r"""
+y' = y + h\,f(\bar y) + s\,J\,\bigl(|F|^2 X - (F\cdot X)\,F\bigr), \qquad
+F = J\,\nabla E, \quad X = J\,\nabla k^2 \ \text{ at } \bar y, \text{ in } m, \gamma, \qquad
+s \text{ such that } k(y') = k(y)
+""",
     equations="y' = y + h f(m) + s J(|F|² X - (F·X) F), m = (y + y')/2, F = J grad E, X = J grad k² at m, k(y') = k(y)",
     limits={
         "singular-step": LONG_NEWTON,

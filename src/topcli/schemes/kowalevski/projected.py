@@ -86,6 +86,10 @@ def enter_projected(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=False,
     conserves=CONSERVES,
     citation="Hairer, Lubich, Wanner, Geometric Numerical Integration, section IV.4 (projection methods)",
+    formula=r"""
+y' = z - D(z)\,x, \qquad z = \Phi^{\mathrm{HK}}_h(y), \qquad x \text{ such that } I(y') = I(y), \qquad
+D = (\nabla I_1, \dots, \nabla I_4)
+""",
     equations="y' = z - D(z) x, z = HK(y), D the gradients of gamma², 2l, E, k, and x such that all four are conserved",
     limits=LIMITS,
 )
@@ -184,6 +188,10 @@ def enter_symmetric(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     conserves=CONSERVES,
     citation="Hairer 2000 (symmetric projection methods)",
+    formula=r"""
+y' = \Phi^{\mathrm{HK}}_h\bigl(y + D(y)\,x\bigr) + D(y')\,x, \qquad x \text{ such that } I(y') = I(y), \qquad
+D = (\nabla I_1, \dots, \nabla I_4)
+""",
     equations="y' = HK(y + D(y) x) + D(y') x, D the gradients of gamma², 2l, E, k², x such that all are conserved",
     limits=LIMITS,
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import cayley_rotated
-from topcli.contracts import Array, Floats, Invariant, NoOptions, Stepper, Top
+from topcli.contracts import Array, Floats, Integrability, Invariant, NoOptions, Stepper, Top
 from topcli.schemes.registry import scheme
 
 
@@ -49,7 +49,9 @@ def bs_modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]
     conserves=("a_sq", "m_p", "m_a"),
     modified=bs_modified,
     citation="Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3",
+    formula=r"m' - m = h\,p\times a, \qquad a' - a = h\,m'\times\bar a",
     equations="L1, L2",
+    integrable=Integrability("yes (Bobenko, Suris 1999)", "Lie-Poisson bracket of e(3)", "lie-poisson"),
 )
 def build_bs(top: Top, options: NoOptions) -> Stepper:
     """Two explicit substeps: m from the old axis, then a Cayley rotation of the axis about the new m.

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from topcli.arithmetic.elliptic import DIGITS
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
+from topcli.schemes.formulas import LAGRANGE_AXIS
 from topcli.schemes.lagrange.oscillation import TURN, Oscillation, oscillation
 from topcli.schemes.registry import scheme
 
@@ -237,7 +238,8 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     explicit=True,
     self_adjoint=True,
     conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
-    citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
+    citation="Lagrange 1788; Whittaker, Analytical Dynamics, section 71",
+    formula=LAGRANGE_AXIS,
     equations="(Euler), (Poisson) with A = B, x0 = y0 = 0",
     limits={
         "sleeping-threshold": "For motions asymptotic to the upright top, or within 1e-6 of it at the stability limit, "
@@ -260,7 +262,8 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     explicit=True,
     self_adjoint=True,
     conserves=("a_sq", "m_p", "m_a", "energy"),
-    citation="Lagrange 1788; Jacobi; Whittaker, Analytical Dynamics, section 71",
+    citation="Lagrange 1788; Whittaker, Analytical Dynamics, section 71",
+    formula=LAGRANGE_AXIS,
     equations="m' = p x a, a' = m x a",
 )
 def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:

@@ -30,9 +30,10 @@ import numpy as np
 from topcli.arithmetic.double_double import two_prod, two_sum
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.increments import compensated_sum, first6
-from topcli.contracts import Array, Floats, Invariant, Stepper, Top
+from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, Stepper, Top
 from topcli.schemes.compensated import CompensatedOption, is_compensated
 from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
+from topcli.schemes.formulas import HIROTA_KIMURA
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
@@ -227,6 +228,8 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
     conserves=("m_axis",),
     modified=hk_modified,
     citation="Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
+    integrable=Integrability(UNKNOWN, UNKNOWN),
+    formula=HIROTA_KIMURA,
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},

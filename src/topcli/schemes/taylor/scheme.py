@@ -94,6 +94,10 @@ def log2_tolerance(tol: float) -> float:
     adaptive=True,
     conserves=lambda top: polynomial_invariants(top, 1),
     citation="Jorba, Zou, Experimental Mathematics 14 (2005) 99",
+    formula=r"""
+y(t + \delta) = \sum_m y_m\,\delta^m, \qquad
+(m + 1)\,y_{m+1} = B y_m + \sum_{k=0}^m Q(y_k, y_{m-k}), \qquad f(y) = Q(y, y) + B y
+""",
     equations="y(t + d) = sum of y_m d^m, (m + 1) y_(m+1) = sum of f(y_k, y_(m-k)) over k = 0..m, f bilinear",
     options=Tolerance,
 )

@@ -1,0 +1,165 @@
+"""Bibliography: the BibTeX entries of ``references.bib`` that the citations of schemes, tops and compositions name.
+
+A citation is a text such as ``after Cooper 1987; Yoshida, Phys. Lett. A 150 (1990) 262``. It names an entry by the
+surnames of all authors, separated by commas and followed by the year, by the year in parentheses later in the same
+clause, or by words of the title.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+BIBLIOGRAPHY = Path(__file__).parent / "references.bib"
+OWN = ("topcli", "sogo")
+"""Keys of topcli and of the paper whose schemes it implements."""
+_ENTRY = re.compile(r"^@(\w+)\{([^,\s]+),\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
+_FIELD = re.compile(r"^  (\w+) = \{(.*?)\},$", re.MULTILINE | re.DOTALL)
+_ACCENTS = {'"': "\u0308", "'": "\u0301", "`": "\u0300"}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A work of the bibliography: its key, kind and fields, and its BibTeX."""
+
+    key: str
+    kind: str
+    fields: Mapping[str, str]
+    bibtex: str
+
+    @property
+    def authors(self) -> tuple[str, ...]:
+        """Names of the authors, family names first."""
+        return tuple(map(plain_text, self.fields["author"].split(" and ")))
+
+    @property
+    def surnames(self) -> str:
+        """Family names of all authors, separated by commas."""
+        return ", ".join(name.partition(",")[0] for name in self.authors)
+
+    @property
+    def text(self) -> str:
+        """Reference on one line, for people."""
+        parts = [self.surnames]
+        if "year" in self.fields:
+            parts[0] += f" ({self.fields['year']})"
+        parts.append(plain_text(self.fields["title"]))
+        if "journal" in self.fields:
+            parts.append(plain_text(f"{self.fields['journal']} {self.fields['volume']}, {self.fields['pages']}"))
+        if "publisher" in self.fields:
+            edition = {"2": ", 2nd edition", "3": ", 3rd edition", "4": ", 4th edition"}
+            parts.append(plain_text(self.fields["publisher"]) + edition.get(self.fields.get("edition", ""), ""))
+        if "eprint" in self.fields:
+            parts.append(f"arXiv:{self.fields['eprint']}")
+        if "note" in self.fields:
+            parts.append(plain_text(self.fields["note"]))
+        return ". ".join(parts) + "."
+
+    def named_in(self, citation: str) -> int | None:
+        """Position at which a ``citation`` names this work; None if it does not."""
+        title = re.escape(_beginning(plain_text(self.fields["title"])))
+        ways = [rf",[^;]*\b{title}"]
+        if year := self.fields.get("year"):
+            ways += [rf" {year}\b", rf",[^;]*\({year}\)"]
+        found = re.search(rf"(?<!, )\b{re.escape(self.surnames)}(?:{'|'.join(ways)})", citation)
+        return found and found.start()
+
+
+def _beginning(title: str) -> str:
+    """First words of a title, without an opening "A Treatise on the"."""
+    words = title.removeprefix("A Treatise on the ").split()
+    return " ".join(words[:2]).rstrip(",:")
+
+
+def plain_text(latex: str) -> str:
+    """Text of BibTeX without its braces, accents as letters."""
+    from unicodedata import normalize
+
+    text = latex.replace(r"{\o}", "ø").replace("--", "\N{EN DASH}")
+    text = re.sub(r"\{\\([\"'`])(\w)\}", lambda found: normalize("NFC", found[2] + _ACCENTS[found[1]]), text)
+    return " ".join(text.replace("{", "").replace("}", "").split())
+
+
+@cache
+def bibliography() -> dict[str, Entry]:
+    """Return all works by their keys."""
+    from topcli import __version__
+
+    found = {}
+    for entry in _ENTRY.finditer(BIBLIOGRAPHY.read_text(encoding="utf-8")):
+        kind, key, body = entry.groups()
+        bibtex = entry[0]
+        if key == OWN[0]:
+            body += f"  version = {{{__version__}}},\n"
+            bibtex = f"@{kind}{{{key},\n{body}}}"
+        found[key] = Entry(key, kind, dict(_FIELD.findall(body)), bibtex)
+    return found
+
+
+def works_in(citation: str) -> list[Entry]:
+    """Return the works that a citation names, in its order."""
+    found = [(entry.named_in(citation), entry) for entry in bibliography().values()]
+    placed = [(at, entry) for at, entry in found if at is not None]
+    return [entry for _, entry in sorted(placed, key=lambda one: one[0])]
+
+
+def own_works() -> list[Entry]:
+    """Return topcli itself and the paper."""
+    return [bibliography()[key] for key in OWN]
+
+
+def works_of(name: str) -> list[Entry]:
+    """Return the works that a scheme, a composition or a top cites.
+
+    Parameters
+    ----------
+    name : str
+        Name of a scheme, with or without ``+composition``, of a composition, or of a top; matched without case.
+
+    Returns
+    -------
+    list of Entry
+        In the order of the citation, each once. A citation of a plugin that names no work of the bibliography becomes
+        an entry of its own, with the citation as its note.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is nothing of this name; the message suggests the nearest names.
+    """
+    citations = _citations(name.lower())
+    found: dict[str, Entry] = {}
+    for key, citation in citations:
+        for entry in works_in(citation) or [_unlisted(key, citation)]:
+            found.setdefault(entry.key, entry)
+    return list(found.values())
+
+
+def _unlisted(name: str, citation: str) -> Entry:
+    """Entry of a citation that names no work of the bibliography."""
+    key = re.sub(r"[^\w-]+", "-", name)
+    note = re.sub(r"[{}\\]", "", citation)
+    return Entry(key, "misc", {"note": note}, f"@misc{{{key},\n  note = {{{note}}},\n}}")
+
+
+def _citations(name: str) -> Iterable[tuple[str, str]]:
+    """Names and citations of the scheme with its composition, the composition or the top called ``name``."""
+    from topcli.errors import UnknownNameError, nearest, quoted
+    from topcli.schemes.compose import COMPOSITIONS, find_composition
+    from topcli.schemes.registry import all_schemes
+    from topcli.tops import forms, top_names
+
+    if name in COMPOSITIONS:
+        return [(name, COMPOSITIONS[name].citation)]
+    if name in top_names():
+        return [(form.form, form.citation) for form in forms(name)]
+    base, plus, composition = name.partition("+")
+    schemes = all_schemes()
+    found = [(scheme.name, scheme.citation) for scheme in schemes if scheme.name == base]
+    if not found:
+        known = {scheme.name for scheme in schemes} | set(top_names()) | set(COMPOSITIONS)
+        raise UnknownNameError(f"unknown scheme or top {quoted(name)}; {nearest(base if plus else name, known)}")
+    return [*found, (composition, find_composition(composition).citation)] if plus else found
