@@ -19,8 +19,8 @@ from topcli.figures.analysis import loaded_analysis
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_comparison
 from topcli.figures.contract import Loaded, Request
-from topcli.figures.make import make_figure, write_figure
-from topcli.figures.picture import draw
+from topcli.figures.make import make_figure
+from topcli.figures.picture import draw, number_text
 from topcli.studies.analyse import Analysis
 from topcli.studies.compare import Comparison
 from topcli.tops.euler import Euler
@@ -31,7 +31,7 @@ ENERGY, TWO_L = ("energy", "$E$"), ("two_l", r"$2\ell$")
 PANELS: dict[str, list[tuple[str, list[tuple[str, Any]]]]] = {
     "fig1": [(r"$\boldsymbol{\gamma}$", GAMMA), (r"$\boldsymbol{\omega}$", OMEGA)],
     "fig2": [(r"$\boldsymbol{\gamma}$", GAMMA), (r"$\boldsymbol{\omega}$", OMEGA)],
-    "fig3": [(r"$E$, $2\ell$", [ENERGY, TWO_L]), ("$E$", [ENERGY])],
+    "fig3": [(r"$E$ − $E$$(0)$, $2\ell$ − $2\ell$$(0)$", [ENERGY, TWO_L])],
     "fig4": [(r"$\boldsymbol{\gamma}$", GAMMA), (r"$\boldsymbol{\omega}$", OMEGA)],
 }
 """For each panel of a figure of lines, the label of its vertical axis, and the columns with their labels in order."""
@@ -94,11 +94,33 @@ def test_lines_are_the_named_columns(name: str, tmp_path: Path, monkeypatch: pyt
         assert keys_are_true(axes)
         for line, (column, label) in zip(axes.lines, lines, strict=True):
             assert line.get_label() == label
-            np.testing.assert_array_equal(data_of(line), np.column_stack([series["t"], series[column]]))
+            first = series[column][0] if name == "fig3" else 0.0
+            np.testing.assert_array_equal(data_of(line), np.column_stack([series["t"], series[column] - first]))
             assert in_sight(axes, line)
     if name == "fig3":
-        low, high = figure.axes[0].get_ylim()
-        assert (low, high) == (0.0, 6.0)
+        (inset,) = figure.axes[0].child_axes
+        assert inset.get_ylim() == (0.0, 6.0)
+        for line, outside, (column, _) in zip(inset.lines, figure.axes[0].lines, lines, strict=True):
+            np.testing.assert_array_equal(data_of(line), np.column_stack([series["t"], series[column]]))
+            assert look(line) == look(outside)
+
+
+def test_figures_of_the_paper_say_scheme_step_and_distance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the values of the run that is drawn, also if it is not the paper's."""
+    changes = ["N=40", "h=0.025", "scheme=rk4", "initial.gamma=[auto, 0, 2e-7]"]
+    for name in ("fig1", "fig3"):
+        (tmp_path / name).mkdir()
+        figure = drawn_from(name, tmp_path / name, monkeypatch, changes)
+        assert figure.get_suptitle() == r"rk4, $h = 0.025$, $\epsilon = \gamma_3(0) = 2\times 10^{-7}$"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.001, "10^{-3}"), (0.01, "0.01"), (-1e-8, "-10^{-8}"), (2.5e-4, r"2.5\times 10^{-4}"), (3.0, "3"),
+     (99999.0, "99999"), (1e5, "10^{5}"), (0.0, "0")],
+)  # fmt: skip
+def test_numbers_are_written_as_powers_of_ten(value: float, text: str) -> None:
+    assert number_text(value) == text
 
 
 def test_modified_integrals_are_drawn_as_relative_deviations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,12 +154,10 @@ def seen_from(elevation: float, azimuth: float, points: np.ndarray) -> np.ndarra
 
 SPHERES = {
     "sphere": [
-        ("kowalevski_hybrid", "gamma", 48.0, -35.0, r"$\boldsymbol{e_3}$", False),
-        ("kowalevski_generic_hk", "gamma", 48.0, -35.0, r"$\boldsymbol{e_3}$", False),
+        ("kowalevski_hybrid", "gamma", -55.0, 35.0, ("e_1", "e_2", "e_3"), False),
+        ("kowalevski_generic_hk", "gamma", 25.0, 35.0, ("e_1", "e_2", "e_3"), False),
     ],
-    "nutation": [
-        (f"lagrange_{name}", "a", 50.0, 0.0, r"$\boldsymbol{p}$", True) for name in ("cusps", "loops", "waves")
-    ],
+    "nutation": [(f"lagrange_{name}", "a", 72.0, 0.0, ("", "", "p"), True) for name in ("cusps", "loops", "waves")],
 }
 
 
@@ -152,9 +172,9 @@ def arrows(axes: Axes) -> list[tuple[np.ndarray, np.ndarray]]:
 
 @pytest.mark.parametrize("name", SPHERES)
 def test_traces_on_the_sphere(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The trace in front and behind, the dot at its start, the arrow outwards from the pole, the band it fills."""
+    """The trace in front and behind, the dot at its start, axes outwards with their names, the band that it fills."""
     figure = drawn_from(name, tmp_path, monkeypatch, ["N=700"])
-    for axes, (scene, vector, elevation, azimuth, axis, band) in zip(figure.axes, SPHERES[name], strict=True):
+    for axes, (scene, vector, elevation, azimuth, directions, band) in zip(figure.axes, SPHERES[name], strict=True):
         series = series_of(tmp_path, scene)
         trace = np.column_stack([series[f"{vector}{i}"] for i in (1, 2, 3)])
         flat = seen_from(elevation, azimuth, trace)
@@ -168,12 +188,23 @@ def test_traces_on_the_sphere(name: str, tmp_path: Path, monkeypatch: pytest.Mon
         (dot,) = (line for line in axes.lines if line.get_marker() == "o")
         np.testing.assert_allclose(data_of(dot)[0], flat[0, :2], atol=1e-14)
         assert same_color(dot.get_color(), (near if front[0] else far).get_color())
-        ((foot, head),) = arrows(axes)
-        pole = seen_from(elevation, azimuth, np.array([[0.0, 0.0, 1.0]]))[0, :2]
-        np.testing.assert_allclose(foot, pole, atol=1e-14)
-        np.testing.assert_allclose(head / np.linalg.norm(head), pole / np.linalg.norm(pole), atol=1e-14)
-        assert np.linalg.norm(head) > 1.3 * np.linalg.norm(pole)
-        assert [text.get_text() for text in axes.texts if text.get_text()] == [axis]
+        named = [text for text in axes.texts if text.get_text()]
+        assert [text.get_text() for text in named] == [rf"$\boldsymbol{{{one}}}$" for one in directions if one]
+        poles = seen_from(elevation, azimuth, np.eye(3)[[bool(one) for one in directions]])
+        for (foot, head), pole, text in zip(arrows(axes), poles, named, strict=True):
+            ahead = pole[:2] / np.linalg.norm(pole[:2])
+            np.testing.assert_allclose(foot, pole[:2] if pole[2] > 0.0 else ahead, atol=1e-14)
+            np.testing.assert_allclose(head / np.linalg.norm(head), ahead, atol=1e-14)
+            np.testing.assert_allclose(text.get_position() / np.linalg.norm(text.get_position()), ahead, atol=1e-14)
+            assert np.linalg.norm(text.get_position()) > np.linalg.norm(head) > np.linalg.norm(foot)
+            # a name lies outside of the sphere, or inside of the band that the trace does not leave
+            assert np.linalg.norm(head) > 1.1 or band
+        dots = [line for line in axes.lines if line.get_marker() == "."]
+        shown = sorted(tuple(point) for line in dots for point in data_of(line))
+        seconds = (
+            np.flatnonzero(np.abs(series["t"] - np.round(series["t"])) < 1e-9) if scene == "kowalevski_hybrid" else []
+        )
+        np.testing.assert_allclose(shown, sorted(map(tuple, flat[seconds, :2])), atol=1e-14)
         dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
         heights = [h for h in (trace[:, 2].min(), trace[:, 2].max()) for _ in "nf"] if band else []
         assert len(dashed) == len(heights)
@@ -240,7 +271,8 @@ def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
     for axes, lines in zip(figure.axes, GROWTH, strict=True):
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
         labels = {text.get_text(): text for text in axes.texts}
-        own = [line for line in axes.lines if line.get_marker() == "o"]
+        own = [line for line in axes.lines if line.get_marker() in "os^"]
+        assert [line.get_marker() for line in own] == list("os^"[: len(lines)])
         assert len({to_rgb(line.get_color()) for line in own}) == len(lines)
         for line, (column, label) in zip(own, lines, strict=True):
             np.testing.assert_array_equal(data_of(line), np.column_stack([steps, data[column]]))
@@ -248,7 +280,7 @@ def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
             assert same_color(labels[label].get_color(), line.get_color())
         heights = [labels[label].xy[1] for _, label in sorted(lines, key=lambda one: data[one[0]][-1])]  # type: ignore[attr-defined]
         assert heights == sorted(heights)
-        root, linear = (data_of(line) for line in axes.lines if line.get_marker() != "o")
+        root, linear = (data_of(line) for line in axes.lines if line not in own)
         np.testing.assert_allclose(root[:, 1], 2.0**-52 * np.sqrt(steps), rtol=1e-12)
         np.testing.assert_allclose(linear[:, 1], root[0, 1] * steps / steps[0], rtol=1e-12)
 
@@ -300,8 +332,8 @@ def bench_report(name: str, errors: dict[str, list[float]]) -> dict[str, Any]:
 
 
 def test_work_and_precision_are_drawn_in_microseconds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A curve of each competitor with its name at the end, in its colour; a scheme has one colour in all panels."""
-    errors = {"hk": [1e-1, 1e-3, 1e-5], "rk4": [1e-2, 1e-6, 1e-9], "peer one": [3e-2, 1e-7]}
+    """A curve of each competitor, alike in all panels and unlike the others: peers grey with open markers."""
+    errors = {"hk": [1e-1, 1e-3, 1e-5], "rk4": [1e-2, 1e-6, 1e-9], "peer one": [3e-2, 1e-7], "peer two": [2e-1, 1e-3]}
     reports = [bench_report("euler", errors), bench_report("lagrange", dict(reversed(errors.items())))]
 
     class Run:
@@ -309,59 +341,89 @@ def test_work_and_precision_are_drawn_in_microseconds(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("topcli.studies.bench.stored.stored_benches", lambda out: [(Run, one) for one in reports])
     figure = drawn(FIGURES["work-precision"].load(Request(tmp_path)))
-    colours: dict[str, Any] = {}
+    looks: dict[str, Any] = {}
     for axes in figure.axes:
         report = next(one for one in reports if one["title"] == axes.get_title(loc="left"))
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-        assert axes.get_xlim()[0] > axes.get_xlim()[1]  # better to the right
+        assert axes.get_xlim() == pytest.approx((1.0, 1e-9 / 3.0))  # better to the right, without an empty part
+        assert axes.get_xlabel() == "largest error over the run; more accurate →"
         assert "µs" in axes.get_ylabel()
-        by_end = {tuple(data_of(line)[-1]): line for line in axes.lines}
+        by_name = {line.get_label(): line for line in axes.lines}
+        assert set(by_name) == set(errors)
         for competitor in report["competitors"]:
+            line = by_name[competitor["name"]]
             points = [(point["error"], 1e6 * point["seconds"]) for point in competitor["points"][:-2]]
-            line = next(line for end, line in by_end.items() if end == pytest.approx(points[-1], rel=1e-12))
             np.testing.assert_allclose(data_of(line), points, rtol=1e-12)
             assert in_sight(axes, line)
-            text = next(text for text in axes.texts if text.get_text() == competitor["name"])
-            assert text.xy[0] == pytest.approx(points[-1][0])  # type: ignore[attr-defined]
-            if competitor["kind"] == "topcli":
-                assert same_color(text.get_color(), line.get_color())
-                assert colours.setdefault(competitor["name"], line.get_color()) == line.get_color()
-            else:
-                assert to_rgb(line.get_color())[0] == to_rgb(line.get_color())[2]  # grey
-    assert len(set(colours.values())) == len(colours) == 2
+            open_marker = same_color(line.get_markerfacecolor(), "white")
+            seen = (to_rgb(line.get_color()), line.get_marker(), open_marker)
+            assert looks.setdefault(competitor["name"], seen) == seen
+            assert open_marker == (competitor["kind"] == "peer")
+            if open_marker:
+                assert len(set(to_rgb(line.get_color()))) == 1  # grey
+    assert len(set(looks.values())) == 4
+    (legend,) = figure.legends
+    shown = {
+        text.get_text(): (to_rgb(line.get_color()), line.get_marker(), same_color(line.get_markerfacecolor(), "white"))
+        for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)
+    }
+    assert shown == looks
+    assert list(shown)[2:] == ["peer one", "peer two"]
 
 
-def test_a_comparison_draws_errors_and_swings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[Figure] = []
-
-    def capture(figure: Figure, path: Path) -> None:
-        seen.append(figure)
-        path.touch()
-
-    monkeypatch.setattr("topcli.figures.make.save", capture)
-    t = np.linspace(0.0, 7.0, 50)
+def compared(t: np.ndarray, shifts: dict[str, float]) -> Figure:
+    """The figure of a comparison whose schemes lag behind by ``shifts``."""
     series = {"t": t, "swing:reference": np.cos(t)}
-    for i, name in enumerate(("hk", "rk4", "bs")):
-        series[f"error:{name}"] = 10.0 ** (-i) * t
-        series[f"swing:{name}"] = np.cos(t + i)
-    figures = {"schemes": [{"label": name} for name in ("hk", "rk4", "bs")], "reference": {"swing": "gamma1"}}
-    write_figure("compare", loaded_comparison(Comparison({**figures, "config": {}}, series)), tmp_path)
-    left, right = seen[0].axes
+    for name, shift in shifts.items():
+        series[f"error:{name}"] = shift * t
+        series[f"swing:{name}"] = np.cos(t - shift)
+    figures = {"schemes": [{"label": name} for name in shifts], "reference": {"swing": "gamma1"}}
+    return drawn(loaded_comparison(Comparison({**figures, "config": {"h": 0.25}}, series)))
+
+
+def test_a_comparison_draws_errors_and_swings() -> None:
+    """A row for each scheme over the reference in grey; schemes whose errors coincide are one curve and one row."""
+    t = np.linspace(0.0, 12.0, 240)
+    figure = compared(t, {"hk": 0.9, "bohlin-a": 0.2, "bohlin-b": 0.2021, "bohlin-c": 0.2019, "rk4": 1e-3})
+    names = ["hk", "bohlin-a ≈ bohlin-c", "bohlin-b", "rk4"]
+    shifts = [0.9, 0.2, 0.2021, 1e-3]
+    left, right = figure.axes
+    assert figure.get_suptitle() == "$h = 0.25$"
     assert (left.get_yscale(), right.get_yscale()) == ("log", "linear")
-    assert (left.get_ylabel(), right.get_ylabel()) == ("error of the state", r"$\gamma_1$")
-    for axes, kind, names in ((left, "error", ("hk", "rk4", "bs")), (right, "swing", ("reference", "hk", "rk4", "bs"))):
-        for line, name in zip(axes.lines, names, strict=True):
-            assert line.get_label() == name
-            expected = series[f"{kind}:{name}"]
-            drawn = data_of(line)[:, 1]
-            assert np.isnan(drawn[expected == 0.0]).all()
-            np.testing.assert_array_equal(drawn[expected != 0.0], expected[expected != 0.0])
-            assert in_sight(axes, line)
-    (legend,) = seen[0].legends
+    assert left.get_ylabel() == "error of the state"
+    assert right.get_title(loc="left") == r"(b) $\gamma_1$, reference in grey"
+    for line, name, shift in zip(left.lines, names, shifts, strict=True):
+        assert line.get_label() == name
+        drawn_errors = data_of(line)[:, 1]
+        assert np.isnan(drawn_errors[0])  # an error of zero has no place on a logarithmic axis
+        np.testing.assert_array_equal(drawn_errors[1:], shift * t[1:])
+        assert in_sight(left, line)
+    (legend,) = figure.legends
     shown = {text.get_text(): look(line) for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
-    assert shown == {str(line.get_label()): look(line) for line in right.lines}
-    assert all(look(line) == shown[str(line.get_label())] for line in left.lines)
+    assert shown == {str(line.get_label()): look(line) for line in left.lines}
     assert len(set(shown.values())) == 4
+    heights = right.get_yticks()
+    assert [tick.get_text() for tick in right.get_yticklabels()] == [name.replace(" ≈", "\n≈") for name in names]
+    assert list(heights) == sorted(heights, reverse=True)  # the first at the top
+    middle = 0.5 * (np.cos(t).min() + np.cos(t).max())
+    for i, (height, shift) in enumerate(zip(heights, shifts, strict=True)):
+        reference, line = right.lines[2 * i : 2 * i + 2]
+        assert same_color(reference.get_color(), "0.75")
+        assert same_color(line.get_color(), left.lines[i].get_color())
+        np.testing.assert_allclose(data_of(reference)[:, 1], np.cos(t) + height - middle, atol=1e-12)
+        np.testing.assert_allclose(data_of(line)[:, 1], np.cos(t - shift) + height - middle, atol=1e-12)
+        assert in_sight(right, line)
+    (scale,) = right.child_axes
+    np.testing.assert_allclose(scale.get_yticks(), [np.cos(t).min(), np.cos(t).max()])
+
+
+@pytest.mark.parametrize(("swings", "start"), [(6, 0.0), (7, 8.0 * math.pi)])
+def test_a_long_comparison_shows_the_last_swings(swings: int, start: float) -> None:
+    """Three swings, from the middle between two, if there are more than six."""
+    t = np.linspace(0.0, 2.0 * math.pi * swings, 400 * swings)
+    right = compared(t, {"hk": 0.5}).axes[1]
+    assert right.get_xlim() == pytest.approx((start, t[-1]), abs=1e-6)
+    assert ("last 3 of 7 swings" in right.get_title(loc="left")) == (swings == 7)
 
 
 @pytest.mark.parametrize("reference", [True, False])
@@ -408,7 +470,7 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, mon
         ("rk4", "b"): ("broke", 40_000, "unexplained"),
         ("bs", "a"): ("broke", 25_000, "limit"),
         ("bs", "b"): ("not tried", None, "ok"),
-    }
+    } | {(scheme, case): ("held", None, "ok") for scheme in ("hk", "rk4", "bs") for case in ("c", "d")}
     trials = [
         {"top": "euler", "scheme": scheme, "case": case, "outcome": outcome, "step": step, "verdict": verdict}
         for (scheme, case), (outcome, step, verdict) in outcomes.items()
@@ -419,6 +481,7 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, mon
     assert axes.get_xlabel() == "euler"
     schemes = [tick.get_text() for tick in axes.get_xticklabels()]
     cases = [tick.get_text() for tick in axes.get_yticklabels()]
+    assert cases == ["a", "b", "2 others"]  # what all schemes hold shares a row
     (image,) = axes.images
     shades = image.cmap(image.norm(np.asarray(image.get_array())))
     (legend,) = figure.legends
@@ -426,8 +489,11 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, mon
                zip(legend.get_texts(), legend.get_patches(), strict=True)}  # fmt: skip
     keys = {"held": "held", "degraded": "degraded", "broke": "broke", "not tried": "not"}
     texts = {(round(x), round(y)): text.get_text() for text in axes.texts for x, y in [text.get_position()]}
+    hatched = {patch.get_xy() for patch in axes.patches if patch.get_hatch()}
+    assert {name for name, patch in meaning.items() if patch.get_hatch()} == {"not"}
     for (scheme, case), (outcome, _, _) in outcomes.items():
-        column, row = schemes.index(scheme), cases.index(case)
+        column, row = schemes.index(scheme), cases.index(case if case in cases else "2 others")
+        assert ((column - 0.5, row - 0.5) in hatched) == (outcome == "not tried")
         assert same_color(tuple(shades[row, column]), meaning[keys[outcome]].get_facecolor())
         assert ((column, row) in texts) == (outcome == "broke")
     order = ("not", "held", "degraded", "broke")
@@ -435,7 +501,7 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, mon
     assert darkness == sorted(darkness)
     assert texts[schemes.index("rk4"), cases.index("a")] == "37"
     assert texts[schemes.index("rk4"), cases.index("b")] == "!"
-    assert texts[schemes.index("bs"), cases.index("a")] == "$10^{4}$"
+    assert texts[schemes.index("bs"), cases.index("a")] == "1e4"
 
 
 def test_every_figure_of_the_catalogue_is_inspected() -> None:
@@ -460,7 +526,7 @@ def test_another_panel_is_drawn_again(tmp_path: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("topcli.figures.make.save", lambda figure, path: path.touch())
     options: tuple[Any, ...] = (Request(tmp_path / "r", tmp_path), tmp_path, ["png"])
-    spec: Any = FIGURES["fig3"]
+    spec: Any = FIGURES["fig1"]
     first, second = spec.panels
     states = [make_figure(one, *options).status for one in (spec, spec, replace(spec, panels=(second, first)))]
     assert states == ["drawn", "up to date", "drawn"]

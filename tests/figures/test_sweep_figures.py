@@ -242,7 +242,10 @@ def test_scales_follow_the_magnitudes(values: list[float], scale: tuple[str, flo
         ([0.1, 0.05, 0.02], [], "linear"),
         ([0.1, 0.05, 0.02], ["h"], "log"),
         ([1.0, 3.0, 101.0], [], "log"),
-        ([1.0, 3.0, 99.0], [], "linear"),
+        ([1.0, 1.9, 20.0], [], "log"),
+        ([1.0, 1.9, 19.9], [], "linear"),  # a range of less than 20
+        ([1.0, 1.98, 20.0], [], "linear"),  # gaps of less than 1 : 20
+        ([1.0, 51.0, 101.0], [], "linear"),  # evenly spaced
         ([0.0, 1.0, 1000.0], ["h"], "linear"),
     ],
 )

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from topcli.cli.options import FigureOut, Force, Json, complete_figure
+from topcli.cli.options import FigureOut, Force, Json, Sets, complete_figure
 from topcli.cli.table import Aggregate, Where
 from topcli.cli.talk import ProgressDisplay, emit, print_json, say
 
 if TYPE_CHECKING:
     from topcli.figures.contract import Figure
 
+EXACT = "exact"
 SWEEP = "sweep"
 """First argument of ``topcli plot sweep DIR/NAME``, whose figure is described by options."""
 
@@ -28,7 +29,14 @@ Names = Annotated[
 ]
 Every = Annotated[bool, typer.Option("--all", help="Draw all; skip what takes minutes to measure.")]
 Formats = Annotated[
-    list[str] | None, typer.Option("--format", metavar="FORMAT", help="Write png or pdf; both by default.")
+    list[str] | None, typer.Option("--format", metavar="FORMAT", help="Write png, pdf or svg; png and pdf by default.")
+]
+Overlay = Annotated[
+    str | None,
+    typer.Option("--overlay", metavar="exact", help="Draw the exact motion in grey behind runs."),
+]
+StyleFile = Annotated[
+    Path | None, typer.Option("--style", metavar="FILE", help="Apply a style file of matplotlib (.mplstyle).")
 ]
 Results = Annotated[Path, typer.Option("--results", metavar="DIR", help="Read and write run folders in this folder.")]
 Configs = Annotated[
@@ -86,6 +94,21 @@ def _chosen(names: list[str], options: dict[str, str | None], where: list[str]) 
     return [find_figure(name) for name in names] if names else list(FIGURES.values())
 
 
+def _require(figures: list[Figure], sets: bool, overlay: bool) -> None:
+    """Raise UsageError for a figure that cannot take overrides or an overlay."""
+    from topcli.errors import UsageError
+    from topcli.figures.catalogue import FIGURES
+
+    for given, name, able in (
+        (sets, "--set", lambda figure: figure.takes_overrides),
+        (overlay, f"--overlay {EXACT}", lambda figure: figure.takes_overlay),
+    ):
+        unable = [figure.name for figure in figures if not able(figure)]
+        if given and unable:
+            known = ", ".join(figure.name for figure in FIGURES.values() if able(figure))
+            raise UsageError(f"{name}: {unable[0]} is not drawn from runs of one config; use it with {known}")
+
+
 def plot(
     names: Names = None,
     every: Every = False,
@@ -99,31 +122,43 @@ def plot(
     colour: Colour = None,
     aggregate: Aggregate = None,
     where: Where = None,
+    sets: Sets = None,
+    overlay: Overlay = None,
+    style: StyleFile = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Draw figures as PNG and PDF, with their data as Parquet.
 
     For a sweep: topcli plot sweep DIR/NAME --x KEY --y MEASURE --by KEY.
+    --set changes the runs that a figure draws, and its file has digits of
+    the changed experiment in its name.
     """
     from topcli.errors import UsageError, shortened
     from topcli.figures.catalogue import FIGURES
     from topcli.figures.contract import NothingMeasuredError, Request
     from topcli.figures.make import make_figure
-    from topcli.figures.picture import IMAGE_FORMATS
+    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
+    from topcli.figures.style import read_style
 
     if bool(names) == every:
         raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
     wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
     if wrong:
-        raise UsageError(f"--format {shortened(wrong[0])}: unknown format; use {' or '.join(IMAGE_FORMATS)}")
+        raise UsageError(f"--format {shortened(wrong[0])}: unknown format; use png, pdf or svg")
+    if overlay not in (None, EXACT):
+        raise UsageError(f"--overlay {shortened(overlay)}: unknown overlay; use {EXACT}")
     if configs is not None and not os.path.isdir(configs):
         raise UsageError(f"--configs {configs}: no such folder")
-    chosen = tuple(dict.fromkeys(formats or IMAGE_FORMATS))
+    chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
+    looks = read_style(style) if style else {}
     options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
     figures = _chosen(names or [], options, where or [])
+    _require(figures, bool(sets), overlay is not None)
     display = ProgressDisplay(len(figures), as_json)
-    request = Request(results, configs or Path("configs"), force, every, display, say)
+    request = Request(
+        results, configs or Path("configs"), force, every, display, say, tuple(sets or ()), overlay is not None, looks
+    )
     made = []
     for figure in figures:
         display.begin(figure.name)

@@ -11,6 +11,7 @@ from topcli.contracts import Array
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.comparison import ComparisonFigure
 from topcli.figures.contract import Figure
+from topcli.figures.curves import SlopeLegend
 from topcli.figures.growth import GrowthPanel
 from topcli.figures.long_energy import LongEnergyFigure
 from topcli.figures.order import OrderFigure
@@ -25,18 +26,27 @@ from topcli.figures.sweep_studies import SweepStudyFigure, View
 from topcli.figures.work_precision import WorkPrecisionFigure
 
 
-def _motion() -> tuple[Panel, Panel]:
-    """Gamma on the left, omega on the right."""
+def _headed(figsize: tuple[float, float]) -> Grid:
+    """One row of panels under a line with the scheme, h and the distance from the upright position at the start."""
+    return Grid(figsize=figsize, heading=r"{scheme}, $h = {h}$, $\epsilon = \gamma_3(0) = {gamma3}$")
+
+
+def _motion_figure(name: str, method: str, scene: str) -> SceneFigure:
+    """Figure of gamma on the left and omega on the right."""
 
     def lines(vector: str) -> tuple[Line, ...]:
         return tuple(Line(f"{vector}{i}") for i in (1, 2, 3))
 
-    return (
-        Panel(lines("gamma"), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a) {scheme}"),
-        Panel(lines("omega"), r"$\boldsymbol{\omega}$", title="(b) {scheme}"),
+    panels = (
+        Panel(lines("gamma"), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
+        Panel(lines("omega"), r"$\boldsymbol{\omega}$", title="(b)"),
     )
+    return SceneFigure(name, f"Kowalevski top, {method}: gamma and omega", scene, panels, _headed((7.0, 2.9)))
 
 
+_TO_100 = "$0 \\leq t \\leq 100$"
+_GENERIC = f"Kowalevski top, generic, {_TO_100}"
+_HEAVY = f"100 heavy tops at random, $h = 0.01$, {_TO_100}: medians and quartiles"
 _SPACING = "swing_spacing.first"
 _SWINGING = tuple(
     f"scheme={name}" for name in ("hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor")
@@ -51,61 +61,70 @@ def _law(eps: Array) -> Array:
 
 
 _GAMMA = ("gamma1", "gamma2", "gamma3")
+_BODY = ("e_1", "e_2", "e_3")
 
 FIGURES: dict[str, Figure] = {
     figure.name: figure
     for figure in (
-        SceneFigure("fig1", "Kowalevski top, HK scheme: gamma and omega", "kowalevski_hk", _motion()),
-        SceneFigure("fig2", "Kowalevski top, Bohlin A: gamma and omega", "kowalevski_bohlin_a", _motion()),
+        _motion_figure("fig1", "HK scheme", "kowalevski_hk"),
+        _motion_figure("fig2", "Bohlin A", "kowalevski_bohlin_a"),
         SceneFigure(
             "fig3",
-            "Kowalevski top, Bohlin A: 2l and E, and E enlarged",
+            "Kowalevski top, Bohlin A: E and 2l, and their changes",
             "kowalevski_bohlin_a",
-            (
-                Panel((Line("energy"), Line("two_l")), ylim=(0.0, 6.0), title="(a) {scheme}"),
-                Panel((Line("energy"),), title="(b) {scheme}"),
-            ),
+            (Panel((Line("energy"), Line("two_l")), change=True, whole=(0.0, 6.0)),),
+            _headed((7.0, 3.1)),
         ),
-        SceneFigure("fig4", "Kowalevski top, hybrid scheme: gamma and omega", "kowalevski_hybrid", _motion()),
+        _motion_figure("fig4", "hybrid scheme", "kowalevski_hybrid"),
         SceneFigure(
             "polhodes",
             "Euler top: polhodes on the energy ellipsoid, and the tennis racket's",
             "euler_tennis_racket",
             (Polhodes((3.0, 2.0, 1.0)),),
-            Grid(figsize=(6.0, 6.6)),
+            Grid(figsize=(4.6, 5.6)),
         ),
         SceneFigure(
             "modified",
             "Euler top, HK scheme: physical and modified integrals",
             "euler_modified",
             (
-                Panel((Line("m_sq"), Line("modified_m_sq")), title="(a) {scheme}"),
+                Panel((Line("m_sq"), Line("modified_m_sq")), title="(a)"),
                 Panel(
-                    (Line("m_sq"), Line("modified_m_sq"), Line("modified_k12")),
+                    (Line("m_sq"), Line("modified_m_sq"), Line("modified_k12", dots=40)),
                     "relative deviation",
-                    title="(b) {scheme}",
+                    title="(b)",
                     log=True,
                     deviation=True,
                     ylim=(1e-17, 1.0),
                 ),
             ),
+            Grid(figsize=(7.0, 2.9), heading="{scheme}, $h = {h}$"),
         ),
         SceneFigure(
             "sphere",
             "Kowalevski top: the vertical seen from the body, near the homoclinic orbit and on a generic one",
             "kowalevski_hybrid",
             (
-                Sphere("near the homoclinic orbit", _GAMMA, elevation=48.0, azimuth=-35.0, axis="e_3", band=False),
+                Sphere(
+                    "near the homoclinic orbit, dots at $t = 0, 1, 2, ...$",
+                    _GAMMA,
+                    elevation=-55.0,
+                    azimuth=35.0,
+                    axes=_BODY,
+                    band=False,
+                    time="t",
+                ),
                 Sphere(
                     "generic",
                     ("kowalevski_generic_hk:gamma1", "kowalevski_generic_hk:gamma2", "kowalevski_generic_hk:gamma3"),
-                    elevation=48.0,
-                    azimuth=-35.0,
-                    axis="e_3",
+                    elevation=25.0,
+                    azimuth=35.0,
+                    axes=_BODY,
                     band=False,
                     width=0.5,
                 ),
             ),
+            Grid(figsize=(6.4, 3.3)),
         ),
         SceneFigure(
             "nutation",
@@ -115,6 +134,7 @@ FIGURES: dict[str, Figure] = {
                 Sphere(name, (f"lagrange_{name}:a1", f"lagrange_{name}:a2", f"lagrange_{name}:a3"))
                 for name in ("cusps", "loops", "waves")
             ),
+            Grid(figsize=(7.0, 2.5)),
         ),
         GrowthFigure(
             "roundoff",
@@ -134,7 +154,7 @@ FIGURES: dict[str, Figure] = {
                     "(b) $k^2$, Kowalevski top, hybrid",
                 ),
             ),
-            Grid(figsize=(8.2, 3.2)),
+            Grid(figsize=(7.0, 3.0)),
         ),
         ComparisonFigure(
             "compare",
@@ -168,42 +188,34 @@ FIGURES: dict[str, Figure] = {
                     xlog=True,
                 ),
             ),
-            Grid(figsize=(8.6, 3.4)),
+            SlopeLegend(figsize=(7.0, 3.7), title="scheme"),
         ),
         SweepStudyFigure(
             "errors",
             "Kowalevski top, generic: error and drift of the energy of all schemes over h",
             "kowalevski_errors",
             (
-                View("$0 \\leq t \\leq 100$", Choice("h", "error.max", "scheme"), (), "$h$", "largest error"),
-                View("$0 \\leq t \\leq 100$", Choice("h", "deviation.energy", "scheme"), (), "$h$", "deviation of $E$"),
+                View("", Choice("h", "error.max", "scheme"), (), "$h$", "largest error"),
+                View("", Choice("h", "deviation.energy", "scheme"), (), "$h$", "deviation of $E$"),
             ),
-            Grid(figsize=(9.6, 4.4)),
+            SlopeLegend(figsize=(7.0, 5.2), ncols=4, title="scheme: slopes in (a), (b)", heading=_GENERIC),
         ),
         SweepStudyFigure(
             "heavy-drift",
             "Heavy tops, 100 at random: energy of five schemes",
             "heavy_drift",
             (
-                View(
-                    "median and quartiles",
-                    Choice("scheme", "deviation.energy", aggregate="median"),
-                    ylabel="deviation of $E$, $0 \\leq t \\leq 100$",
-                ),
-                View(
-                    "median and quartiles",
-                    Choice("scheme", "drift.energy", aggregate="median"),
-                    ylabel="drift of $E$ per unit time",
-                ),
+                View("", Choice("scheme", "deviation.energy", aggregate="median"), ylabel="deviation of $E$"),
+                View("", Choice("scheme", "drift.energy", aggregate="median"), ylabel="drift of $E$ per unit time"),
             ),
-            Grid(figsize=(8.6, 3.4)),
+            Grid(figsize=(7.0, 3.1), heading=_HEAVY),
         ),
         LongEnergyFigure(
             "integrable",
             "Energy over a long time: integrable and canonical maps, exact conservation, drift",
             "euler_hk",
             (("kowalevski_generic_hk", "(a) Kowalevski top, $h = 0.05$"), ("euler_hk", "(b) Euler top, $h = 0.05$")),
-            Grid(figsize=(8.2, 3.4)),
+            Grid(figsize=(7.0, 3.2)),
         ),
         WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers", "topcli bench"),
         StressFigure("stress", "Every scheme in the hard cases of its top", "topcli stress"),

@@ -2,26 +2,119 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from topcli.analysis.swings import minima_times
 from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.picture import REFERENCE, Line, Panel, component_symbol
+from topcli.figures.picture import REFERENCE, Grid, Styles, component_symbol, line_styles, number_text
 from topcli.figures.scenes import scene_config
 
 if TYPE_CHECKING:
     from topcli.studies.compare import Comparison
 
 
-def _panels(labels: Sequence[str], component: str) -> tuple[Panel, Panel]:
+SAME = 0.01
+"""Schemes whose errors differ by less than this part of them at all times are drawn as one curve."""
+LAST = 3
+"""Number of swings that are shown of a run with more than twice as many."""
+
+
+def groups(labels: Sequence[str], data: Mapping[str, np.ndarray]) -> list[list[str]]:
+    """Labels whose errors coincide, in the order of the first of each group."""
+    found: list[list[str]] = []
+    for label in labels:
+        mine = data[f"error:{label}"]
+        for group in found:
+            other = data[f"error:{group[0]}"]
+            if (np.isnan(mine) == np.isnan(other)).all() and np.nanmax(np.abs(mine / other - 1.0), initial=0.0) < SAME:
+                group.append(label)
+                break
+        else:
+            found.append([label])
+    return found
+
+
+def last_swings(t: np.ndarray, values: np.ndarray) -> tuple[float, str]:
+    """Time from which the swings of a component are shown, and a note if that is not the start."""
+    times = minima_times(t, values)
+    if len(times) <= 2 * LAST:
+        return float(t[0]), ""
+    return float(times[-LAST - 1] + times[-LAST]) / 2.0, f", last {LAST} of {len(times)} swings"
+
+
+@dataclass(frozen=True)
+class ErrorPanel:
+    """Errors of the schemes ``labels`` over time; one curve for schemes that coincide, named as such."""
+
+    labels: tuple[str, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that the panel draws."""
+        return ("t", *(f"error:{label}" for label in self.labels))
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the curves and a legend above into ``axes``."""
+        found = groups(self.labels, data)
+        for group, style in zip(found, line_styles(len(found)), strict=True):
+            axes.plot(data["t"], data[f"error:{group[0]}"], label=" ≈ ".join(group), **style)
+        axes.set(xlabel="$t$", ylabel="error of the state", yscale="log", xlim=(data["t"][0], data["t"][-1]))
+        axes.set_title("(a)", loc="left")
+        axes.figure.legend(loc="outside upper center", ncols=min(5, len(found)), fontsize="small")
+
+
+@dataclass(frozen=True)
+class SwingPanel:
+    """A row for each scheme, in which ``symbol``, the swinging component, is drawn over the reference in grey.
+
+    Schemes that coincide share a row. Of many swings the last are shown. The scale on the right is that of the lowest
+    row.
+    """
+
+    labels: tuple[str, ...]
+    symbol: str
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that the panel draws."""
+        errors = (f"error:{label}" for label in self.labels)
+        return ("t", *errors, *(f"swing:{label}" for label in (REFERENCE, *self.labels)))
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the rows into ``axes``, the first scheme at the top."""
+        t, exact = data["t"], data[f"swing:{REFERENCE}"]
+        found = groups(self.labels, data)
+        start, note = last_swings(t, exact)
+        low, high = float(np.nanmin(exact)), float(np.nanmax(exact))
+        size = 1.35 * (high - low or 1.0)
+        names = []
+        for i, (group, style) in enumerate(zip(found, line_styles(len(found)), strict=True)):
+            up = (len(found) - 1 - i) * size
+            near = np.clip(data[f"swing:{group[0]}"], low - 0.1 * size, high + 0.1 * size)
+            axes.plot(t, exact + up, **styles[REFERENCE])
+            axes.plot(t, near + up, **{**style, "linestyle": "-"})
+            names.append((up + 0.5 * (low + high), "\n≈ ".join(group)))
+        axes.set_yticks(*zip(*names, strict=True), fontsize="small")
+        axes.set(xlabel="$t$", xlim=(start, t[-1]), ylim=(low - 0.2 * size, high + (len(found) - 0.8) * size))
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        axes.set_title(f"(b) {self.symbol}, reference in grey{note}", loc="left")
+        scale = axes.secondary_yaxis("right")
+        scale.set_yticks([low, high], [f"${end:.3g}$" for end in (low, high)], fontsize="small")
+
+
+def _panels(labels: Sequence[str], component: str) -> tuple[ErrorPanel, SwingPanel]:
     """Errors (left) and the swinging component (right)."""
-    return (
-        Panel(tuple(Line(f"error:{label}", label) for label in labels), "error of the state", log=True),
-        Panel(tuple(Line(f"swing:{label}", label) for label in (REFERENCE, *labels)), component_symbol(component)),
-    )
+    return ErrorPanel(tuple(labels)), SwingPanel(tuple(labels), component_symbol(component))
+
+
+def _layout(labels: Sequence[str], h: float) -> Grid:
+    """Two panels with room for a row for each scheme."""
+    return Grid(figsize=(7.0, min(9.0, 1.8 + 0.32 * max(5, len(labels)))), heading=f"$h = {number_text(h)}$")
 
 
 def _data(comparison: Comparison) -> dict[str, np.ndarray]:
@@ -37,7 +130,8 @@ def loaded_comparison(comparison: Comparison) -> Loaded:
     figures = comparison.figures
     labels = [scheme["label"] for scheme in figures["schemes"]]
     source = {"config": figures["config"], "schemes": labels}
-    return Loaded(_panels(labels, figures["reference"]["swing"]), lambda: _data(comparison), source)
+    panels = _panels(labels, figures["reference"]["swing"])
+    return Loaded(panels, lambda: _data(comparison), source, _layout(labels, figures["config"]["h"]))
 
 
 @dataclass(frozen=True)
@@ -45,6 +139,7 @@ class ComparisonFigure(Figure):
     """The experiment of ``scene`` under several schemes."""
 
     schemes: tuple[str, ...]
+    takes_overrides: ClassVar[bool] = True
 
     def load(self, request: Request) -> Loaded:
         """Return the panels and the comparison that makes their columns. Raises UsageError and RunError."""
@@ -57,11 +152,20 @@ class ComparisonFigure(Figure):
         from topcli.studies.entries import under_scheme
         from topcli.studies.identity import method_fingerprint
 
-        experiment = load_experiment(scene_config(self.scene, request.configs))
+        config = scene_config(self.scene, request.configs)
+        experiment = load_experiment(config, request.overrides)
         compared = [under_scheme(experiment, name) for name in self.schemes]
         source = {
             "study": [fingerprint(reference_states, compiled=False), getsource(compare_schemes)],
             "runs": [[one.digest, method_fingerprint(one.method())] for one in compared],
         }
-        panels = _panels([one.scheme.name for one in compared], experiment.top.swing)
-        return Loaded(panels, lambda: _data(compare_schemes(experiment, self.schemes)), source)
+        labels = [one.scheme.name for one in compared]
+        panels = _panels(labels, experiment.top.swing)
+        changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
+        return Loaded(
+            panels,
+            lambda: _data(compare_schemes(experiment, self.schemes)),
+            source,
+            _layout(labels, experiment.h),
+            variant=experiment.digest[:6] if changed else "",
+        )

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,7 +23,9 @@ class Request:
     """Folders of results and configs, and permissions to produce missing results.
 
     With ``force`` existing results are produced again. With ``stored_only`` a figure whose results take minutes is
-    loaded from existing results or raises NothingMeasuredError.
+    loaded from existing results or raises NothingMeasuredError. ``overrides`` are ``key=value`` texts for the configs
+    of the runs that are drawn, ``overlay`` draws the exact motion behind them, and the parameters of matplotlib in
+    ``style`` replace those of the print style.
     """
 
     results: Path = Path("results")
@@ -32,6 +34,9 @@ class Request:
     stored_only: bool = False
     on_progress: Callable[[int, int], None] = lambda done, total: None
     on_message: Callable[[str], None] = lambda line: None
+    overrides: tuple[str, ...] = ()
+    overlay: bool = False
+    style: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,8 @@ class Loaded:
     """Content of a figure.
 
     ``source`` is plain data that identifies what the figure is made from; ``data`` is called only if the figure must be
-    drawn. ``metadata`` is stored with the plotted data.
+    drawn. ``metadata`` is stored with the plotted data. ``variant`` distinguishes the files of a figure that overrides
+    have changed.
     """
 
     panels: Sequence[Drawable]
@@ -47,6 +53,7 @@ class Loaded:
     source: Mapping[str, Any]
     layout: Grid = field(default_factory=Grid)
     metadata: Mapping[str, str] = field(default_factory=dict)
+    variant: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,9 +61,11 @@ class Figure(ABC):
     """A figure of the catalogue.
 
     ``name`` is that on the command line and of the files, ``title`` a description in one line, ``scene`` the scene or
-    command that the results come from.
+    command that the results come from. ``takes_overrides`` and ``takes_overlay`` say which requests it can fulfil.
     """
 
+    takes_overrides: ClassVar[bool] = False
+    takes_overlay: ClassVar[bool] = False
     name: str
     title: str
     scene: str

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.order import convergence
-from topcli.figures.picture import Styles
+from topcli.figures.picture import REFERENCE, SharedLegend, Styles
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 MARKERS = "os^Dv<"
@@ -48,7 +48,9 @@ class CurvePanel:
     vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond. On the scale
     ``log`` a value above ``ceiling``, as of a run that explodes, is an arrowhead at the upper edge.
     ``words`` are the names of the values 0, 1, ... of x if they are not numbers. ``guide`` is the label of one more
-    curve, a law, drawn as a dashed line. ``prefix`` distinguishes the columns of several panels.
+    curve, a law, drawn broad and grey behind the others. ``prefix`` distinguishes the columns of several panels. A
+    panel that is not ``alone`` leaves its legend to the layout (``SlopeLegend``). Curves in ``flat`` have no slope:
+    their x is not what limits the error.
     """
 
     labels: tuple[str, ...]
@@ -64,6 +66,8 @@ class CurvePanel:
     legend: str = ""
     guide: str = ""
     prefix: str = ""
+    alone: bool = True
+    flat: tuple[str, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -83,10 +87,12 @@ class CurvePanel:
         axes.set_yscale(self.yscale, **({"linthresh": self.threshold} if self.yscale == SYMLOG else {}))
         extra: dict[str, Any] = {}
         for i, label in enumerate(self.labels):
-            self._curve(axes, data, label, cycle[i % len(cycle)], MARKERS[i % len(MARKERS)], extra)
+            size = 4.6 - 1.8 * i / max(1, len(self.labels) - 1)  # so that markers at one place are seen
+            style = {"color": cycle[i % len(cycle)], "marker": MARKERS[i % len(MARKERS)], "markersize": size}
+            self._curve(axes, data, label, style, extra)
         if self.guide:
             law = [data[curve_column(self.guide, kind)] for kind in ("x", "y")]
-            axes.plot(*law, "--", color="black", linewidth=1.0, label=self.guide, zorder=1)
+            axes.plot(*law, **styles[REFERENCE], label=self.guide)
         if self.yscale == SYMLOG:
             axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
         axes.set_xlabel(self.xlabel)
@@ -94,31 +100,44 @@ class CurvePanel:
         axes.set_title(self.title, loc="left")
         if self.words:
             axes.set_xticks(range(len(self.words)), self.words, rotation=0 if len(self.words) < 6 else 90)
+        if not self.alone:
+            for name, handle in extra.items():
+                handle.set_label(name)
+                axes.add_line(handle)  # where the layout finds it
+            return
         handles, texts = axes.get_legend_handles_labels()
         handles, texts = [*handles, *extra.values()], [*texts, *extra]
         if len(texts) == 1 and self.words:
             return  # the vertical axis says what it is
+        rows = 22
         axes.legend(
-            handles, texts, title=self.legend or None, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=9
+            handles,
+            texts,
+            title=self.legend or None,
+            loc="upper left",
+            bbox_to_anchor=(1.01, 1.02),
+            fontsize="small",
+            ncols=-(-len(texts) // rows),
         )
 
     def _curve(
-        self, axes: Any, data: Mapping[str, np.ndarray], label: str, colour: str, marker: str, extra: dict[str, Any]
+        self, axes: Any, data: Mapping[str, np.ndarray], label: str, style: dict[str, Any], extra: dict[str, Any]
     ) -> None:
-        """Draw one curve; new entries of the legend are put into ``extra``."""
+        """Draw one curve in colour and marker of ``style``; new entries of the legend are put into ``extra``."""
         from matplotlib.lines import Line2D
 
         x, y = data[curve_column(label, "x")], data[curve_column(label, "y")]
         missing = np.isfinite(x) & np.isnan(y)
         ylog = self.yscale == LOG
         drawn = np.isfinite(x) & np.isfinite(y) & (((y > 0.0) & (y <= self.ceiling)) | (not ylog))
-        found = convergence(x[drawn].tolist(), y[drawn].tolist()) if self.xlog and ylog else None
+        fitted = self.xlog and ylog and label not in self.flat
+        found = convergence(x[drawn].tolist(), y[drawn].tolist()) if fitted else None
         shown = plain(label)
         text = shown if found is None or found.order is None else f"{shown}: {found.order:.2f}"
         hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
-        style = {"color": colour, "marker": marker, "markersize": 3.5}
+        colour = style["color"]
         line = "none" if self.words else "-"
-        axes.plot(x[drawn], y[drawn], label=text, linestyle=line, **style)
+        axes.plot(x[drawn], y[drawn], label=text, gid=shown, linestyle=line, **style)
         if self.band:
             low, high = (data[curve_column(label, kind)][drawn] for kind in ("low", "high"))
             if ylog:
@@ -141,3 +160,23 @@ class CurvePanel:
                 at = {"transform": axes.get_xaxis_transform(), "clip_on": False, "zorder": 4}
                 axes.plot(x[points], np.full(points.sum(), height), sign, color=colour, markersize=5.0, **at)
                 extra[name] = Line2D([], [], linestyle="none", marker=sign, color="0.4", markersize=5.0)
+
+
+@dataclass(frozen=True)
+class SlopeLegend(SharedLegend):
+    """One legend for several panels of curves: each name once, with its slopes in the panels that have any."""
+
+    title: str = ""
+
+    def annotate(self, figure: Any) -> None:
+        """Add the legend."""
+        handles: dict[str, Any] = {}
+        slopes: dict[str, list[str]] = {}
+        for axes in figure.axes:
+            for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
+                name = handle.get_gid() or text
+                handles.setdefault(name, handle)
+                slopes.setdefault(name, []).append(text.removeprefix(name).removeprefix(": ") or "–")
+        texts = [name + (f": {', '.join(found)}" if set(found) != {"–"} else "") for name, found in slopes.items()]
+        where: dict[str, Any] = {"loc": "outside lower center", "ncols": self.ncols, "fontsize": "small"}
+        figure.legend(handles.values(), texts, title=self.title or None, title_fontsize="small", **where)

@@ -14,6 +14,9 @@ ULP = 2.0**-52
 CROWDED = 8.0
 """If a curve is within this factor above a guide line, the line's label is put below."""
 STYLES = {"plain": "-", "compensated": "--"}
+MARKERS = "os^Dv<>"
+LINE = 11.5
+"""Distance of the lines of labels in points."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +45,12 @@ class GrowthPanel:
         alone = len({column.partition(":")[0] for column, _ in self.lines}) == 1
         colours: dict[str, str] = {}
         ends = []
-        for column, label in self.lines:
+        for i, (column, label) in enumerate(self.lines):
             name, _, form = column.partition(":")
             colour = colours.setdefault(column if alone else name, f"C{len(colours)}")
             drift = np.where(data[column] > 0.0, data[column], np.nan)  # a logarithmic axis has no zero
-            axes.plot(n, drift, color=colour, linestyle="-" if alone else STYLES[form], marker="o", markersize=2.5)
+            look = {"linestyle": "-" if alone else STYLES[form], "marker": MARKERS[i % len(MARKERS)], "markersize": 3.0}
+            axes.plot(n, drift, color=colour, **look)
             ends.append((float(drift[-1]), label, colour))
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -54,7 +58,7 @@ class GrowthPanel:
         axes.set_xlim(float(n[0]) / 1.3, float(n[-1]) * 1.3)
         low, high = axes.get_ylim()
         corner = ULP * float(np.sqrt(n[0]))
-        low, high = min(low, 0.3 * corner), max(high, 3.0 * ULP * float(np.sqrt(n[-1])))
+        low, high = min(low, 0.6 * corner), max(high, 1.6 * ULP * float(np.sqrt(n[-1])))
         axes.set_ylim(low, high)
         self._guide(axes, data, corner, high)
         self._label(axes, ends, float(axes.get_xlim()[1]))
@@ -77,8 +81,15 @@ class GrowthPanel:
     def _label(self, axes: Any, ends: list[tuple[float, str, str]], x: float) -> None:
         """Label the lines at the right of the axes, moved apart if labels would overlap."""
         low, high = np.log(axes.get_ylim())
-        gap = (high - low) / 16.0
-        y = -np.inf
-        for drift, label, colour in sorted(ends, key=lambda end: end[0]):
-            y = max(np.log(drift), y + gap)
-            axes.annotate(label, (x, np.exp(y)), xytext=(4, 0), textcoords="offset points", color=colour, va="center")
+        gap = (high - low) * LINE / (72.0 * 0.72 * axes.figure.get_figheight())
+        ends = sorted(ends, key=lambda end: end[0])
+        places: list[float] = []
+        for drift, _, _ in ends:
+            places.append(max(float(np.log(drift)), places[-1] + gap if places else -np.inf))
+        limit = float(high)
+        for i in range(len(places) - 1, -1, -1):  # back below the upper edge
+            places[i] = min(places[i], limit)
+            limit = places[i] - gap
+        style: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": "small"}
+        for (_, label, colour), y in zip(ends, places, strict=True):
+            axes.annotate(label, (x, np.exp(y)), xytext=(4, 0), color=colour, **style)

@@ -14,11 +14,14 @@ import numpy as np
 
 from topcli.contracts import checked_equations
 from topcli.errors import RunError, UsageError
-from topcli.figures.picture import Runs, Styles
+from topcli.figures.picture import REFERENCE, Runs, Styles, exact_column
 from topcli.figures.sphere import projection
 
 Curve = np.ndarray
 """Points (m, 3)."""
+RUN = "#B2182B"
+FACING = 0.1
+"""Smallest cosine of the angle between the line of sight and the surface's normal at which an arrow can be read."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +37,16 @@ class Polhodes:
     levels: tuple[float, ...] = (0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
     view: tuple[float, float] = (52.0, 24.0)
     pixels: int = 900
+    exact: tuple[str, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws: the components of omega."""
-        return self.omega
+        """Columns that the panel draws: the components of omega, and those of the exact motion if it has any."""
+        return (*self.omega, *map(exact_column, self.exact))
+
+    def overlaid(self, known: frozenset[str]) -> Polhodes:
+        """Return the panel with the curve of the exact motion if all components are ``known``."""
+        return replace(self, exact=self.omega) if known.issuperset(self.omega) else self
 
     def of_runs(self, runs: Runs) -> Polhodes:
         """Return the panel with the moments of the run's top. Raises UsageError if two of them are equal."""
@@ -59,19 +67,38 @@ class Polhodes:
                 f"polhodes: the run does not conserve the energy of a top with the moments {self.moments}; "
                 "use a run of a top with these moments"
             )
-        path = path / np.sqrt(energies[0])
+        size = np.sqrt(energies[0])
         azimuth, elevation = self.view
         camera = projection(elevation, azimuth)
         _shade(axes, moments, camera, self.pixels)
         for curve, steady in _curves(moments, self.levels):
-            _trace(axes, curve, moments, camera, color="0.15", width=0.9 if steady else 0.6)
-            if not steady:
-                _arrow(axes, curve, moments, camera)
-        _trace(axes, path, moments, camera, color="#B2182B", width=1.8)
-        _landmarks(axes, moments, camera)
-        reach = 1.06 * np.sqrt(camera[:2] ** 2 @ (1.0 / moments))
-        axes.set(xlim=(-reach[0], reach[0]), ylim=(-reach[1], 1.3 * reach[1]), aspect="equal")
+            width, far = (1.2, 0.45) if steady else (0.6, 0.3)
+            _trace(axes, curve @ camera.T, _facing(curve, moments, camera), "0.15", width, far)
+            _arrow(axes, curve, moments, camera)
+        if self.exact:
+            exact = np.column_stack([data[name] for name in map(exact_column, self.omega)]) / size
+            grey, width = (styles[REFERENCE][key] for key in ("color", "linewidth"))
+            _trace(axes, exact @ camera.T, _facing(exact, moments, camera), grey, width, 0.6)
+        _trace(axes, path @ camera.T / size, _facing(path, moments, camera), RUN, width=1.8, far=0.45)
+        labels = _landmarks(axes, moments, camera)
+        reach = 1.04 * np.sqrt(camera[:2] ** 2 @ (1.0 / moments))
+        low, high = np.minimum(-reach, labels.min(axis=0) - 0.06), np.maximum(reach, labels.max(axis=0) + 0.06)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_axis_off()
+        self._legend(axes)
+
+    def _legend(self, axes: Any) -> None:
+        """Explain lines and dots below the ellipsoid."""
+        from matplotlib.lines import Line2D
+
+        dot: dict[str, Any] = {"color": "none", "marker": "o", "markeredgecolor": "0.1"}
+        entries = {
+            "run": Line2D([], [], color=RUN, linestyle="-", linewidth=1.8),
+            "separatrix": Line2D([], [], color="0.15", linestyle="-", linewidth=1.2),
+            "stable rotation": Line2D([], [], markerfacecolor="0.1", **dot),
+            "unstable": Line2D([], [], markerfacecolor="white", **dot),
+        }
+        axes.legend(entries.values(), entries, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=len(entries))
 
 
 def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> None:
@@ -101,6 +128,9 @@ def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> N
     slope = np.maximum((normal @ camera[2]), 0.0)
     edge = np.clip(slope * pixels / 60.0, 0.0, 1.0)  # the outline fades within some pixels
     image = np.dstack([np.clip(lit, 0.0, 1.0), np.where(inside > 0.0, edge, 0.0)])
+    outline = np.linalg.cholesky((camera[:2] / moments) @ camera[:2].T)
+    turn = np.linspace(0.0, 2.0 * np.pi, 361)
+    axes.plot(*(outline @ [np.cos(turn), np.sin(turn)]), color="0.35", linestyle="-", linewidth=0.6, zorder=3.5)
     axes.imshow(image, extent=(-reach, reach, -reach, reach), origin="lower", interpolation="bicubic", zorder=1)
 
 
@@ -129,22 +159,26 @@ def _curves(moments: np.ndarray, levels: tuple[float, ...]) -> list[tuple[Curve,
     return found
 
 
-def _trace(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray, color: str, width: float) -> None:
-    """Draw a curve on the ellipsoid: solid in front, faint and thin behind."""
-    towards = (curve * moments) @ camera[2]
-    flat = curve @ camera[:2].T
+def _facing(curve: Curve, moments: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """Cosines (m,) of the angles between the line of sight and the normals of the ellipsoid at points of a curve."""
+    return (curve * moments) @ camera[2] / np.linalg.norm(curve * moments, axis=1)
+
+
+def _trace(axes: Any, seen_curve: Curve, facing: np.ndarray, color: str, width: float, far: float) -> None:
+    """Draw a curve as the camera sees it: solid in front, thin and of the opacity ``far`` behind."""
+    flat = seen_curve[:, :2]
     for seen, style in (
-        (towards >= 0.0, {"lw": width, "zorder": 3}),
-        (towards < 0.0, {"lw": 0.45 * width, "alpha": 0.22, "zorder": 2}),
+        (facing >= 0.0, {"lw": width, "zorder": 3}),
+        (facing < 0.0, {"lw": 0.6 * width, "alpha": far, "zorder": 2}),
     ):
         axes.plot(*np.where(seen[:, None], flat, np.nan).T, color=color, ls="-", solid_capstyle="round", **style)
 
 
 def _arrow(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray) -> None:
     """Draw an arrowhead at the point of the curve that faces the viewer most, if it is visible."""
-    facing = (curve * moments) @ camera[2] / np.linalg.norm(curve * moments, axis=1)
+    facing = _facing(curve, moments, camera)
     at = int(np.argmax(facing[:-8]))
-    if facing[at] < 0.25:
+    if facing[at] < FACING:
         return
     start, end = (curve[[at, at + 6]]) @ camera[:2].T
     arrow = {
@@ -154,14 +188,15 @@ def _arrow(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray) -> 
         "shrinkA": 0,
         "shrinkB": 0,
     }
-    axes.annotate("", xy=end, xytext=start, arrowprops=arrow, zorder=3)
+    axes.annotate("", xy=end, xytext=start, arrowprops=arrow, zorder=4)
 
 
-def _landmarks(axes: Any, moments: np.ndarray, camera: np.ndarray) -> None:
-    """Draw the axes and the steady rotations: filled if stable, open if unstable."""
+def _landmarks(axes: Any, moments: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """Draw the axes and the steady rotations, filled if stable, open if unstable; the places (m, 2) of the names."""
     from matplotlib.patheffects import withStroke
 
     middle = int(np.argsort(moments)[1])
+    labels = []
     for i in range(3):
         tip = np.zeros(3)
         tip[i] = 1.0 / np.sqrt(moments[i])
@@ -188,7 +223,8 @@ def _landmarks(axes: Any, moments: np.ndarray, camera: np.ndarray) -> None:
                 "shrinkB": 0,
             }
             axes.annotate("", xy=start + 0.2 * along, xytext=start, arrowprops=arrow, zorder=4)
-            label = axes.text(
-                *(start + 0.26 * along), rf"$\omega_{i + 1}$", ha="center", va="center", fontsize=14, zorder=6
-            )
+            labels.append(start + 0.27 * along)
+            style = {"ha": "center", "va": "center", "fontsize": "large", "zorder": 6}
+            label = axes.text(*labels[-1], rf"$\omega_{i + 1}$", **style)
             label.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
+    return np.array(labels)

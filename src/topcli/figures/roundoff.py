@@ -45,4 +45,4 @@ def loaded_roundoff(study: Mapping[str, Any]) -> Loaded:
     data, lines = growth_data(study)
     panel = GrowthPanel(lines, f"{study['forms'][0]['scheme']}, $h = {study['h']:g}$")
     source = {key: study[key] for key in ("config", "steps", "copies")}
-    return Loaded((panel,), lambda: data, source, Grid(figsize=(5.4, 3.6)))
+    return Loaded((panel,), lambda: data, source, Grid(figsize=(5.4, 3.2)))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
 from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs
+from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs, described, exact_column
 
 if TYPE_CHECKING:
     from topcli.studies.run import RunResult
@@ -23,6 +23,17 @@ class RunPanel(Drawable, Protocol):
 
     def of_runs(self, runs: Runs) -> Drawable:
         """Return the panel as the runs complete it."""
+        ...
+
+
+@runtime_checkable
+class Overlaid(Protocol):
+    """A panel that can show the exact motion behind a run."""
+
+    exact: tuple[str, ...]
+
+    def overlaid(self, known: frozenset[str]) -> Any:
+        """Return the panel with the exact motion of its columns that are ``known``."""
         ...
 
 
@@ -41,6 +52,8 @@ class SceneFigure(Figure):
 
     panels: tuple[RunPanel, ...]
     layout: Grid = field(default_factory=Grid)
+    takes_overrides: ClassVar[bool] = True
+    takes_overlay: ClassVar[bool] = True
 
     @property
     def sources(self) -> dict[str, dict[str, str]]:
@@ -55,20 +68,41 @@ class SceneFigure(Figure):
         """Return panels and columns of the runs, which are carried out if missing. Raises UsageError and RunError."""
         runs: list[RunResult] = []
         drawn: dict[str, DrawnRun] = {}
+        changed = ""
         for scene, columns in self.sources.items():
             run, about = self._run(scene, list(columns), request)
             runs.append(run)
             drawn |= dict.fromkeys(columns.values(), about)
+            changed = changed or about.changed
         panels = tuple(panel.of_runs(drawn) for panel in self.panels)
+        heading = described(self.layout.heading, next(iter(drawn.values())).experiment)
+        if request.overlay:
+            panels = self._overlaid(panels, drawn)
+            heading = "; ".join([*([heading] if heading else []), "exact motion in grey"])
         source = {"runs": [[run.stored.manifest[key] for key in ("digest", "code")] for run in runs]}
-        return Loaded(panels, lambda: self._data(runs), source, self.layout)
+        layout = replace(self.layout, heading=heading)
+        return Loaded(panels, lambda: self._data(runs, panels, drawn), source, layout, variant=changed)
+
+    def _overlaid(self, panels: tuple[Drawable, ...], drawn: Runs) -> tuple[Drawable, ...]:
+        """The panels with the exact motion. Raises UsageError if no panel can show it."""
+        from topcli.studies.exact_motion import exact_names
+
+        known = frozenset(name for name, run in drawn.items() if name.rpartition(":")[2] in exact_names(run.experiment))
+        found = tuple(panel.overlaid(known) if isinstance(panel, Overlaid) else panel for panel in panels)
+        if not any(panel.exact for panel in found if isinstance(panel, Overlaid)):
+            raise UsageError(f"{self.name}: --overlay exact: no panel shows components or integrals themselves")
+        return found
 
     def _run(self, scene: str, columns: list[str], request: Request) -> tuple[RunResult, DrawnRun]:
         """Completed run of ``scene`` with the ``columns``. Raises UsageError and RunError."""
-        from topcli.config.load import load_experiment
+        from topcli.config.load import load_experiment, load_named
         from topcli.studies.run import Feedback, run_experiment
 
-        experiment = load_experiment(scene_config(scene, request.configs))
+        config = scene_config(scene, request.configs)
+        experiment = load_experiment(config, request.overrides)
+        changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
+        if changed:
+            experiment = experiment.renamed(load_named(config, request.overrides).name)
         recorded = experiment.output.columns
         missing = [name for name in columns if recorded and name not in recorded]
         if missing:
@@ -79,13 +113,20 @@ class SceneFigure(Figure):
         if run.outcome is not Outcome.COMPLETED:
             raise RunError(f"{self.name}: the run {run.stored.folder} {run.report['message']}")
         packaged = load_experiment(scene)
-        return run, DrawnRun(experiment, (experiment.top, experiment.y0) == (packaged.top, packaged.y0))
+        as_packaged = (experiment.top, experiment.y0) == (packaged.top, packaged.y0)
+        return run, DrawnRun(experiment, as_packaged, experiment.digest[:6] if changed else "")
 
-    def _data(self, runs: Sequence[RunResult]) -> Mapping[str, np.ndarray]:
+    def _data(self, runs: Sequence[RunResult], panels: Sequence[Drawable], drawn: Runs) -> Mapping[str, np.ndarray]:
         from topcli.store.series import read_series
+        from topcli.studies.exact_motion import exact_columns
 
+        exact = [name for panel in panels if isinstance(panel, Overlaid) for name in panel.exact]
         data: dict[str, np.ndarray] = {}
         for run, columns in zip(runs, self.sources.values(), strict=True):
             series = read_series(run.stored.series, list(columns))
             data |= {name: series[column] for column, name in columns.items()}
+            wanted = {column: name for column, name in columns.items() if name in exact}
+            if wanted:
+                found = exact_columns(drawn[next(iter(wanted.values()))].experiment, list(wanted))
+                data |= {exact_column(wanted[column]): values for column, values in found.items()}
         return data

@@ -10,39 +10,55 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array
-from topcli.figures.picture import Runs
+from topcli.figures.picture import REFERENCE, Runs, Styles, exact_column
 
 MERIDIANS, PARALLELS = 12, 5
-NEAR, FAR = "0.62", "0.88"
+NEAR, FAR = "0.62", "0.86"
 """Greys of the graticule."""
-TRACE, TRACE_FAR = "#0072B2", "#A6CDE6"
-BAND = "#D55E00"
+TRACE, TRACE_FAR = "#0072B2", "#74ABD1"
+BAND, BAND_FAR = "#D55E00", "#DD9560"
+REACH = 1.2
+"""Distance of the arrowheads of the axes from the centre of the picture: outside of the sphere."""
+STEEP = 0.5
+"""An axis that appears shorter than this part of its length is seen from above and ends inside of the sphere."""
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """Trace of the unit vector with the components ``columns``, seen from ``elevation`` and ``azimuth`` in degrees.
+    """Trace of the unit vector with the components ``vector``, seen from ``elevation`` and ``azimuth`` in degrees.
 
-    A dot marks the start, an arrow the third axis with its name ``axis``; with ``band`` the two parallels that enclose
-    the trace are drawn too.
+    A dot marks the start; arrows are the axes whose names ``axes`` are not empty; with ``band`` the two parallels that
+    enclose the trace are drawn too. Small dots are at every unit of the column ``time``, if there is one. Columns in
+    ``exact`` have another, ``exact:<column>``, of the exact motion, which is drawn in grey behind the trace.
     """
 
     title: str
-    columns: tuple[str, str, str]
-    elevation: float = 50.0
+    vector: tuple[str, str, str]
+    elevation: float = 72.0
     azimuth: float = 0.0
-    axis: str = "p"
+    axes: tuple[str, str, str] = ("", "", "p")
     band: bool = True
     width: float = 1.25
+    time: str = ""
+    exact: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns that the panel draws."""
+        return (*self.vector, *((self.time,) if self.time else ()), *map(exact_column, self.exact))
 
     def of_runs(self, runs: Runs) -> Sphere:
         """Return the panel, with the name of the run as title if its motion is not that of the packaged scene."""
-        run = runs[self.columns[0]]
+        run = runs[self.vector[0]]
         return self if run.as_packaged else replace(self, title=run.experiment.name)
 
-    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
-        """Draw the sphere and the trace into ``axes``; ``styles`` is not used."""
-        draw_sphere(axes, self, data)
+    def overlaid(self, known: frozenset[str]) -> Sphere:
+        """Return the panel with the trace of the exact motion if all components are ``known``."""
+        return replace(self, exact=self.vector) if known.issuperset(self.vector) else self
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the sphere and the trace into ``axes``."""
+        draw_sphere(axes, self, data, styles)
 
 
 def projection(elevation: float, azimuth: float) -> Array:
@@ -81,17 +97,38 @@ def _parallel(height: float) -> Array:
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full_like(angle, height)])
 
 
-def draw_sphere(axes: Any, panel: Sphere, data: Mapping[str, np.ndarray]) -> None:
+def _axis(axes: Any, view: Array, i: int, name: str) -> None:
+    """Draw the axis ``i`` from the sphere outwards, and its name beyond the arrowhead."""
+    foot = view[:, i]
+    length = math.hypot(foot[0], foot[1])
+    tip = foot[:2] * (REACH / length if length > STEEP else 1.45)
+    start = foot[:2] if foot[2] >= 0.0 else foot[:2] / length  # hidden by the sphere up to its outline
+    arrow = {"arrowstyle": "-|>", "color": "0.2", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", tip, start, arrowprops=arrow, zorder=30)
+    place = tip + 0.13 * foot[:2] / length
+    axes.text(*place, rf"$\boldsymbol{{{name}}}$", ha="center", va="center", zorder=30)
+
+
+def _time_dots(axes: Any, view: Array, points: Array, times: Array) -> None:
+    """Draw small dots at every unit of time, of which those on the far side are lighter."""
+    units = np.arange(math.ceil(times[0]), math.floor(times[-1]) + 1)
+    right, up, towards = view @ points[np.searchsorted(times, units - 1e-9)].T
+    for colour, mask, level in ((TRACE_FAR, towards < 0.0, 6), (TRACE, towards >= 0.0, 16)):
+        axes.plot(right[mask], up[mask], linestyle="none", marker=".", markersize=4.5, color=colour, zorder=level)
+
+
+def draw_sphere(axes: Any, panel: Sphere, data: Mapping[str, np.ndarray], styles: Styles) -> None:
     """Draw ``panel`` on ``axes`` from the columns of ``data``, each (m,)."""
     from matplotlib.patches import Circle
 
-    points = np.column_stack([data[name] for name in panel.columns])
-    points = points[np.isfinite(points).all(axis=1)]
+    points = np.column_stack([data[name] for name in panel.vector])
+    there = np.isfinite(points).all(axis=1)
+    points = points[there]
     view = projection(panel.elevation, panel.azimuth)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    axes.set_xlim(-1.06, 1.06)
-    axes.set_ylim(-1.06, 1.08)
+    room = REACH + 0.24 if any(panel.axes[:2]) else 1.04
+    axes.set(xlim=(-room, room), ylim=(-1.04, room))
     axes.set_title(panel.title)
     for k, size in enumerate(np.linspace(1.0, 0.1, 12)):  # a soft light from the upper left
         middle = (-0.32 * (1.0 - size), 0.36 * (1.0 - size))
@@ -105,18 +142,17 @@ def draw_sphere(axes: Any, panel: Sphere, data: Mapping[str, np.ndarray]) -> Non
         _line(axes, view, _parallel(float(height)), NEAR, FAR, 0.35, 1)
     axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor="none", edgecolor="0.35", linewidth=0.7, zorder=8))
     for height in (points[:, 2].min(), points[:, 2].max()) if panel.band else ():
-        _line(axes, view, _parallel(float(height)), BAND, "#F2C6A5", 0.6, 3, linestyle=(0, (4, 2.5)))
+        _line(axes, view, _parallel(float(height)), BAND, BAND_FAR, 0.7, 3, linestyle=(0, (4, 2.5)))
+    if panel.exact:
+        exact = np.column_stack([data[exact_column(name)] for name in panel.vector])
+        grey = styles[REFERENCE]["color"]
+        _line(axes, view, exact[there], grey, grey, 2.6 * panel.width, 4)
     _line(axes, view, points, TRACE, TRACE_FAR, panel.width, 5)
-    # the third axis, from the pole outwards
-    foot, tip = view @ np.array([0.0, 0.0, 1.0]), view @ np.array([0.0, 0.0, 1.45])
-    axes.annotate(
-        "",
-        tip[:2],
-        foot[:2],
-        arrowprops={"arrowstyle": "-|>", "color": "0.2", "lw": 0.8, "shrinkA": 0, "shrinkB": 0},
-        zorder=30,
-    )
-    axes.text(tip[0] + 0.05, tip[1] - 0.01, rf"$\boldsymbol{{{panel.axis}}}$", va="top", zorder=30)
+    if panel.time:
+        _time_dots(axes, view, points, data[panel.time][there])
+    for i, name in enumerate(panel.axes):
+        if name:
+            _axis(axes, view, i, name)
     right, up, towards = view @ points[0]
     filled = TRACE if towards >= 0.0 else TRACE_FAR
     axes.plot([right], [up], "o", color=filled, markersize=3.4, markeredgecolor="white", markeredgewidth=0.6, zorder=20)

@@ -15,7 +15,12 @@ from topcli.figures.picture import Grid, Styles
 
 OUTCOMES = ("not tried", "held", "degraded", "broke")
 SHADES = ("#ffffff", "#dcebf5", "#f2a541", "#7b1e2b")
-"""In grey: 1.00, 0.90, 0.70 and 0.23."""
+"""In grey: 1.00, 0.90, 0.70 and 0.23. Cells of trials that were not made are hatched too."""
+HATCH = {"facecolor": SHADES[0], "edgecolor": "0.55", "hatch": "//////", "linewidth": 0.0}
+CELL = 0.155
+"""Height of a cell in inches."""
+HEAD = 5.2
+"""Height of the names above a panel and of its own name below, in cells."""
 UNEXPLAINED = ("unexplained", "outlived limit")
 COLUMNS = (("kowalevski", "heavy", "lagrange/inertial"), ("euler", "euler+gamma", "lagrange"))
 """Tops in the two columns of the picture; other tops follow in the second."""
@@ -36,20 +41,29 @@ def figure_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict[s
 
 
 def _step_text(step: float) -> str:
-    """A step in a small cell: up to three digits in full, larger ones as a power of ten."""
+    """A step in a small cell: up to three digits in full, larger ones as a power of ten, without small exponents."""
     if np.isnan(step):
         return ""
-    return f"{step:.0f}" if step < 1000 else f"$10^{{{round(np.log10(step))}}}$"
+    return f"{step:.0f}" if step < 1000 else f"1e{round(np.log10(step))}"
 
 
 @dataclass(frozen=True)
 class StressPanel:
-    """The trials of one top: a row for each case, a column for each scheme, a shade for each outcome."""
+    """The trials of one top: a row for each case, a column for each scheme, a shade for each outcome.
+
+    The cases that all schemes held, ``others`` in number, share the last row.
+    """
 
     top: str
     schemes: tuple[str, ...]
     cases: tuple[str, ...]
     names: Names
+    others: int = 0
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return (*self.cases, *([f"{self.others} other{'s' * (self.others > 1)}"] if self.others else []))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -59,25 +73,32 @@ class StressPanel:
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the cells into ``axes``."""
         from matplotlib.colors import ListedColormap
+        from matplotlib.patches import Rectangle
 
-        values = np.zeros((len(self.cases), len(self.schemes)))
+        values = np.zeros((len(self.rows), len(self.schemes)))
+        values[len(self.cases) :] = OUTCOMES.index("held")
         for trial in np.flatnonzero(data["top"] == self.names["top"].index(self.top)):
-            row = self.cases.index(self.names["case"][int(data["case"][trial])])
+            case = self.names["case"][int(data["case"][trial])]
+            if case not in self.cases:
+                continue
+            row = self.cases.index(case)
             column = self.schemes.index(self.names["scheme"][int(data["scheme"][trial])])
             values[row, column] = data["outcome"][trial]
             if self.names["outcome"][int(values[row, column])] == "broke":
                 text = "!" if data["unexplained"][trial] else _step_text(data["step"][trial])
-                axes.text(column, row, text, ha="center", va="center", color="white", fontsize=5)
+                axes.text(column, row, text, ha="center", va="center", color="white", fontsize=6)
+        for row, column in np.argwhere(values == OUTCOMES.index("not tried")):
+            axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **HATCH))
         axes.imshow(values, cmap=ListedColormap(SHADES), vmin=-0.5, vmax=3.5, aspect="auto", interpolation="nearest")
-        axes.set_xticks(range(len(self.schemes)), self.schemes, rotation=90, fontsize=6.5)
-        axes.set_yticks(range(len(self.cases)), self.cases, fontsize=6.5)
+        axes.set_xticks(range(len(self.schemes)), self.schemes, rotation=90, fontsize=7)
+        axes.set_yticks(range(len(self.rows)), self.rows, fontsize=7)
         axes.xaxis.tick_top()
         axes.set_xticks(np.arange(len(self.schemes) + 1) - 0.5, minor=True)
-        axes.set_yticks(np.arange(len(self.cases) + 1) - 0.5, minor=True)
+        axes.set_yticks(np.arange(len(self.rows) + 1) - 0.5, minor=True)
         axes.tick_params(which="both", length=0, pad=2)
         axes.grid(False)
         axes.grid(which="minor", color="white", linewidth=0.8)
-        axes.set_xlabel(self.top, fontsize=8, labelpad=3)
+        axes.set_xlabel(self.top, fontsize=9, labelpad=3)
 
 
 def _in_columns(tops: Sequence[str]) -> list[list[str]]:
@@ -92,7 +113,7 @@ def _in_columns(tops: Sequence[str]) -> list[list[str]]:
 class StressGrid(Grid):
     """Panels in two columns whose cells have equal sizes, and a legend of the shades."""
 
-    figsize: tuple[float, float] | None = (7.0, 9.2)
+    figsize: tuple[float, float] | None = (7.0, 6.0)
 
     def axes(self, figure: Any, panels: Sequence[Any]) -> list[Any]:
         """Axes of the panels in their order."""
@@ -102,8 +123,7 @@ class StressGrid(Grid):
         outer = figure.add_gridspec(1, len(columns), width_ratios=widths)
         found: dict[str, Any] = {}
         for index, column in enumerate(columns):
-            # the names of the schemes above each panel take about as much room as five cases
-            inner = outer[0, index].subgridspec(len(column), 1, height_ratios=[len(one.cases) + 5 for one in column])
+            inner = outer[0, index].subgridspec(len(column), 1, height_ratios=[len(one.rows) + HEAD for one in column])
             found |= {panel.top: figure.add_subplot(inner[row, 0]) for row, panel in enumerate(column)}
         return [found[panel.top] for panel in panels]
 
@@ -115,10 +135,10 @@ class StressGrid(Grid):
             "held": SHADES[1],
             "degraded: claims kept, accuracy lost": SHADES[2],
             "broke, at the step in the cell (! undeclared)": SHADES[3],
-            "not tried": SHADES[0],
         }
         handles = [Patch(facecolor=shade, edgecolor="0.6", label=text) for text, shade in meanings.items()]
-        figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7, handlelength=1.0)
+        handles.append(Patch(label="not tried", **HATCH))
+        figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7.5, handlelength=1.0)
 
 
 def _study(request: Request) -> tuple[dict[str, Any], str]:
@@ -152,9 +172,14 @@ class StressFigure(Figure):
         study, source = _study(request)
         data, names = figure_data(study)
         panels = [self._panel(study["trials"], top, names) for column in _in_columns(names["top"]) for top in column]
-        return Loaded(panels, lambda: data, {"study": source}, StressGrid(), {"topcli.names": json.dumps(names)})
+        by_top = {panel.top: panel for panel in panels}
+        heights = [sum(len(by_top[top].rows) + HEAD for top in column) for column in _in_columns(names["top"])]
+        layout = StressGrid(figsize=(7.0, 0.4 + CELL * max(heights)))
+        return Loaded(panels, lambda: data, {"study": source}, layout, {"topcli.names": json.dumps(names)})
 
     def _panel(self, trials: Sequence[Mapping[str, Any]], top: str, names: Names) -> StressPanel:
         mine = [one for one in trials if one["top"] == top]
         schemes, cases = (tuple(dict.fromkeys(one[key] for one in mine)) for key in ("scheme", "case"))
-        return StressPanel(top, schemes, cases, names)
+        tried = {(one["scheme"], one["case"]): one["outcome"] for one in mine}
+        hard = tuple(case for case in cases if any(tried.get((name, case)) != "held" for name in schemes))
+        return StressPanel(top, schemes, hard, names, len(cases) - len(hard))

@@ -21,6 +21,8 @@ from topcli.studies.table_text import left_out
 
 DECADES = 2.0
 """Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""
+CROWDED = 20.0
+"""Ratio of the largest to the smallest value and gap of a key from which its axis is logarithmic."""
 CEILING = 1e10
 """Values above this one, of runs that explode, are drawn at the upper edge."""
 DEEPEST = 1e-10
@@ -73,6 +75,12 @@ def _geometric(values: Array) -> bool:
     return bool(np.ptp(ratios) < 1e-6 * ratios.mean())
 
 
+def _uneven(values: Array) -> bool:
+    """True for three or more positive numbers whose places would crowd together on a linear axis."""
+    at = np.unique(values)
+    return len(at) > 2 and bool(at[-1] >= CROWDED * at[0]) and bool(np.diff(at).max() >= CROWDED * np.diff(at).min())
+
+
 def _wide(values: Array) -> bool:
     """True for values that are not negative and, but for zeros, span more than ``DECADES``."""
     return scale_of(values)[0] == LOG
@@ -98,7 +106,7 @@ def _axis(rows: SweepRows, key: str) -> tuple[Axis, dict[Any, float]]:
         }
     numbers = np.array([value for value in labels if value is not None], dtype=float)
     positive = bool(len(numbers)) and bool((numbers > 0.0).all())
-    log = positive and (key in rows.log or _geometric(numbers) or _wide(numbers))
+    log = positive and (key in rows.log or _geometric(numbers) or _uneven(numbers))
     return Axis(plain(key), log), {value: np.nan if value is None else float(value) for value in labels}
 
 
@@ -144,6 +152,13 @@ def _labels(rows: SweepRows, choice: Choice) -> tuple[dict[Any, str], str]:
     return {value: f"{choice.by} = {label}" for value, label in labels.items()}, ""
 
 
+def _adaptive() -> tuple[str, ...]:
+    """Names of the schemes that choose their own steps: h is only the distance of their rows."""
+    from topcli.schemes.registry import all_schemes
+
+    return tuple(dict.fromkeys(one.name for one in all_schemes() if one.adaptive))
+
+
 def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.ndarray]]:
     """Panel and columns of the curves. Raises UsageError for several rows at a point without an aggregate."""
     axis, place = _axis(rows, choice.x)
@@ -171,6 +186,7 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
         words=axis.words,
         title=_title(rows),
         legend=": ".join([one for one in (legend, "slope" * (axis.log and scale == LOG)) if one]),
+        flat=_adaptive() if choice.by == "scheme" and choice.x == "h" else (),
     )
     return panel, {name: data[name] for name in panel.columns}
 

@@ -61,7 +61,7 @@ class SweepStudyFigure(Figure):
         data: dict[str, np.ndarray] = {}
         for letter, view in zip("abcdefgh", self.views, strict=False):
             panel, columns = _drawn(view, curves(rows.where(view.where), view.choice))
-            panels.append(replace(panel, prefix=f"{letter}:", title=f"({letter}) {view.title}"))
+            panels.append(replace(panel, prefix=f"{letter}:", title=f"({letter}) {view.title}".rstrip(), alone=False))
             data |= {f"{letter}:{name}": values for name, values in columns.items()}
         source = {"rows": sha256_of(rows.path), "code": fingerprint(curves, _drawn, compiled=False)}
         return Loaded(tuple(panels), lambda: data, source, self.layout)

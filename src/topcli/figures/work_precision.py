@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
-from topcli.figures.picture import Grid, Styles
+from topcli.figures.picture import SharedLegend, Styles
 
 FOLDER = "bench"
 """Folder of the results in the folder of the run folders."""
@@ -18,10 +18,8 @@ WORST_ERROR = 1.0
 """Largest error that is drawn."""
 MOST_OF_OURS = 7
 """Number of our schemes that are drawn, the nearest to the front; there are no more distinct colours."""
-_SIZE = 6.8
-"""Font size of the labels."""
-_LETTER = 0.0163
-"""Width of a letter of this size, relative to the axes."""
+MARKERS = "os^Dv<>"
+"""Markers of successive schemes and of successive peers, whose markers are open."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,8 @@ class WorkPrecision:
     curves: tuple[Curve, ...]
     colours: tuple[str, ...]
     """Names of our schemes in the figure, by colour."""
+    peers: tuple[str, ...] = ()
+    """Names of the other integrators in the figure, by marker."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -48,56 +48,26 @@ class WorkPrecision:
         return tuple(column_name(self.scene, curve.name, kind) for curve in self.curves for kind in ("error", "time"))
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
-        """Draw the curves into ``axes``, with labels at their ends instead of a legend."""
+        """Draw the curves into ``axes``: our schemes in colours, others in grey, all with different markers."""
         import matplotlib as mpl
 
         cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
-        ends: list[tuple[float, float, str, str]] = []
         axes.set(xscale="log", yscale="log")
+        least = WORST_ERROR
         for curve in sorted(self.curves, key=lambda curve: curve.ours):
             error, time = (data[column_name(self.scene, curve.name, kind)] for kind in ("error", "time"))
             error, time = error[np.isfinite(error)], 1e6 * time[np.isfinite(error)]
-            colour = cycle[self.colours.index(curve.name) % len(cycle)] if curve.ours else "0.65"
-            width = 1.3 if curve.ours else 0.9
-            axes.plot(error, time, "-", marker=".", color=colour, lw=width, ms=3.0, mew=0.0, zorder=2 + curve.ours)
-            ends.append((float(error[-1]), float(time[-1]), curve.name, colour if curve.ours else "0.45"))
-        span = max(-math.log10(error) / (1.0 - _LETTER * len(name)) for error, _, name, _ in ends)
-        axes.set_xlim(WORST_ERROR, 10.0**-span)
-        _label(axes, ends, span)
-        axes.set_xlabel("largest error over the run")
+            least = min(least, float(error.min()))
+            known = self.colours if curve.ours else self.peers
+            at = known.index(curve.name)
+            look: dict[str, Any] = {"color": "0.55", "lw": 0.8, "mfc": "white", "marker": MARKERS[at % len(MARKERS)]}
+            if curve.ours:
+                look = {"color": cycle[at % len(cycle)], "lw": 1.2, "marker": MARKERS[at % len(MARKERS)]}
+            axes.plot(error, time, "-", ms=3.2, mew=0.7, zorder=2 + curve.ours, label=curve.name, **look)
+        axes.set_xlim(WORST_ERROR, least / 3.0)
+        axes.set_xlabel("largest error over the run; more accurate →")
         axes.set_ylabel("CPU time per unit of time, µs")
         axes.set_title(self.title, loc="left")
-
-
-def _label(axes: Any, ends: Sequence[tuple[float, float, str, str]], span: float) -> None:
-    """Label the ends of the curves, moved up if labels would overlap.
-
-    ``ends`` are (error, time, name, colour); ``span`` is the number of decades on the axis of errors.
-    """
-    from matplotlib.patheffects import withStroke
-
-    low, high = (math.log10(limit) for limit in axes.get_ylim())
-    gap = 0.036 * (high - low)
-    placed: list[tuple[float, float, float]] = []
-    for error, time, name, colour in sorted(ends, key=lambda end: end[1]):
-        x, y = -math.log10(error), math.log10(time)
-        width = _LETTER * len(name) * span
-        for left, right, height in sorted(placed, key=lambda one: one[2]):
-            if x < right and left < x + width and abs(y - height) < gap:
-                y = height + gap
-        placed.append((x, x + width, y))
-        text = axes.annotate(
-            name,
-            (error, 10.0**y),
-            xytext=(3.5, 0.0),
-            textcoords="offset points",
-            color=colour,
-            fontsize=_SIZE,
-            va="center",
-            zorder=5,
-        )
-        text.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
-    axes.set_ylim(10.0**low, 10.0 ** max(high, *(height + gap for *_, height in placed)))
 
 
 def column_name(scene: str, competitor: str, kind: str) -> str:
@@ -161,15 +131,16 @@ class WorkPrecisionFigure(Figure):
         benches.sort(key=lambda bench: order.index(bench[1]["name"]) if bench[1]["name"] in order else len(order))
         reports = [report for _, report in benches]
         shown = _shown(reports)
+        drawn = [(report, curves) for report in reports if (curves := _curves(report, shown))]
+        peers = tuple(dict.fromkeys(curve.name for _, curves in drawn for curve in curves if not curve.ours))
         panels: list[WorkPrecision] = []
         data: dict[str, np.ndarray] = {}
-        for report in reports:
-            curves = _curves(report, shown)
-            if not curves:
-                continue
-            panels.append(WorkPrecision(report["name"], report["title"], tuple(curves), shown))
+        for report, curves in drawn:
+            panels.append(WorkPrecision(report["name"], report["title"], tuple(curves), shown, peers))
             for curve, values in curves.items():
                 for kind, column in zip(("error", "time"), values, strict=True):
                     data[column_name(report["name"], curve.name, kind)] = column
         made_from = [[run.manifest[key] for key in ("name", "digest", "code", "ended")] for run, _ in benches]
-        return Loaded(panels, lambda: data, {"benches": made_from}, Grid(-(-len(benches) // 2), (7.0, 6.4)))
+        rows = -(-len(panels) // 2)
+        layout = SharedLegend(rows, (7.0, 0.9 + 2.8 * rows), first=(*shown, *peers))
+        return Loaded(panels, lambda: data, {"benches": made_from}, layout)
