@@ -17,17 +17,29 @@ if TYPE_CHECKING:
     from topcli.analysis.ensemble import Ensemble as Ensemble
     from topcli.analysis.trajectory import Trajectory as Trajectory
     from topcli.schemes.registry import scheme as scheme
+    from topcli.studies.claims.decide import claims as claims
     from topcli.studies.measures import measure as measure
     from topcli.studies.simulate import simulate as simulate
     from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
     from topcli.studies.sweep.frame import sweep as sweep
 
 __version__ = "0.1.0"
-__all__ = ["Ensemble", "Trajectory", "__version__", "measure", "scheme", "simulate", "simulate_ensemble", "sweep"]
+__all__ = [
+    "Ensemble",
+    "Trajectory",
+    "__version__",
+    "claims",
+    "measure",
+    "scheme",
+    "simulate",
+    "simulate_ensemble",
+    "sweep",
+]
 
 _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
     "Trajectory": "topcli.analysis.trajectory",
+    "claims": "topcli.studies.claims.decide",
     "measure": "topcli.studies.measures",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.studies.simulate",
