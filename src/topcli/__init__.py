@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from topcli.analysis.motion.result import Motion as Motion
     from topcli.analysis.trajectory import Trajectory as Trajectory
     from topcli.schemes.registry import scheme as scheme
+    from topcli.studies.claims.decide import claims as claims
     from topcli.studies.measures import measure as measure
     from topcli.studies.motion import motion as motion
     from topcli.studies.simulate import simulate as simulate
@@ -30,6 +31,7 @@ __all__ = [
     "Motion",
     "Trajectory",
     "__version__",
+    "claims",
     "measure",
     "motion",
     "scheme",
@@ -42,6 +44,7 @@ _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
     "Motion": "topcli.analysis.motion.result",
     "Trajectory": "topcli.analysis.trajectory",
+    "claims": "topcli.studies.claims.decide",
     "measure": "topcli.studies.measures",
     "motion": "topcli.studies.motion",
     "scheme": "topcli.schemes.registry",

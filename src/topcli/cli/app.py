@@ -28,6 +28,7 @@ class _Topcli(LazyGroup):
         "lax": "lax.lax",
         "roundoff": "roundoff.roundoff",
         "stress": "stress.stress",
+        "claims": "claims.claims",
         "show": "inspect.show",
         "init": "inspect.init",
         "schema": "inspect.schema",
@@ -46,7 +47,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Numerical experiments on discrete spinning tops: run, measure, compare, draw.",
     epilog="Exit codes: 0 success, 1 a run failed, 2 wrong usage or config, 3 part of several runs failed, "
-    "4 a stated tolerance was violated, 70 an internal error, 130 interrupted.",
+    "4 a stated tolerance or claim was violated, 70 an internal error, 130 interrupted.",
 )
 
 

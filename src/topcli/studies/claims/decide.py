@@ -1,0 +1,80 @@
+"""Carry out the experiments of the ledger, and each kind of check on its positive control."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from topcli.studies.claims.claim import NOT_TRIED, Claim, Finding, Kind
+from topcli.studies.claims.ledger import chosen
+from topcli.studies.claims.recorded import RECORDED
+from topcli.studies.claims.result import Claims, Control, Decided
+
+
+def decided(claim: Claim) -> Decided:
+    """Carry out the experiment of one claim, and compare its verdict with the recorded one.
+
+    A claim whose experiment needs a package that is not installed is "not tried".
+    """
+    start = time.perf_counter()
+    finding, reason = _tried(claim.decide)
+    return Decided(claim, finding, reason, RECORDED.get(claim.id), time.perf_counter() - start)
+
+
+def _tried(check: Callable[[], Finding]) -> tuple[Finding | None, str]:
+    """Finding of a check; without the package that it needs, None and the reason."""
+    try:
+        return check(), ""
+    except ModuleNotFoundError as error:
+        return None, f"{NOT_TRIED}: needs the package {error.name}, which is not installed"
+
+
+def claims(
+    ids: str | Sequence[str] = (), *, fast: bool = False, on_progress: Callable[[int, int], None] | None = None
+) -> Claims:
+    """Decide the claims of the paper by experiments.
+
+    Parameters
+    ----------
+    ids : str or sequence of str, optional
+        Names of claims, such as ``"hybrid-reversible"``; all by default.
+    fast : bool, optional
+        True to leave out claims that take more than a few tenths of a second, unless they are named.
+    on_progress : callable, optional
+        ``on_progress(done, total)`` is called after each claim.
+
+    Returns
+    -------
+    Claims
+        The claims with figures, bounds and verdicts, and the positive controls of the kinds of checks.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such claim; the message names the nearest ones.
+    RunError
+        If an experiment cannot be carried out.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> found = topcli.claims(["hybrid-k-sq", "hybrid-reversible"])
+    >>> found.table["verdict"].tolist()
+    ['holds', 'does not hold as stated']
+    >>> found.changed, found.blunt
+    ((), ())
+    """
+    wanted = chosen((ids,) if isinstance(ids, str) else ids, fast)
+    kinds: list[Kind] = list(dict.fromkeys(claim.kind for claim in wanted))
+    report = on_progress or (lambda done, total: None)
+    total = len(wanted) + len(kinds)
+    rows: list[Decided] = []
+    for claim in wanted:
+        rows.append(decided(claim))
+        report(len(rows), total)
+    controls: list[Control] = []
+    for kind in kinds:
+        finding, reason = _tried(kind.control)
+        controls.append(Control(kind, finding, reason))
+        report(len(rows) + len(controls), total)
+    return Claims(tuple(rows), tuple(controls))

@@ -1,0 +1,136 @@
+"""Conservation laws and reversal, decided in rational numbers or with 50 digits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from topcli.analysis.order import observed_order
+from topcli.studies.claims.claim import Bound, Finding, Kind
+from topcli.studies.claims.scenes import DIGITS, FIFTY, RATIONAL, ExactMap, Scene, exact_map, trajectory
+
+ROUNDINGS = 1000.0
+"""Rounding errors of a step that an exact law may show: an upper bound for all schemes of the ledger."""
+
+
+def _round_off(found: ExactMap, steps: int) -> float:
+    """Bound on what rounding does to an exact law in a number of steps."""
+    return found.eps * ROUNDINGS * steps
+
+
+def _reason(found: ExactMap) -> str:
+    return f"rounding with {DIGITS} digits" if found.eps else "rational numbers: no rounding"
+
+
+def conserved(scene: Scene, invariant: str) -> Finding:
+    """Largest relative deviation of an invariant, which has to be that of rounding."""
+    found = exact_map(scene)
+    h, steps = found.run.h, found.experiment.N
+    figure = float(found.deviations(invariant, found.orbit(found.y0, h, steps), h).max())
+    return Finding(figure, Bound(0.0, _round_off(found, steps), _reason(found)))
+
+
+def broken(scene: Scene, invariant: str) -> Finding:
+    """Largest relative deviation of an invariant, which has to exceed that of rounding."""
+    found = exact_map(scene)
+    h, steps = found.run.h, found.experiment.N
+    figure = float(found.deviations(invariant, found.orbit(found.y0, h, steps), h).max())
+    return Finding(figure, Bound(_round_off(found, steps), reason=_reason(found), open_low=True))
+
+
+CONTROL_HK = Scene("euler_hk", (*RATIONAL, "N=10"))
+CONTROL_MIDPOINT = Scene("euler_midpoint", (*FIFTY, "N=10"))
+CONSERVED = Kind(
+    "conserved exactly",
+    "largest relative deviation of the quantity, in rational numbers or with 50 digits",
+    "m² under the HK scheme of the Euler top",
+    lambda: conserved(CONTROL_HK, "m_sq"),
+)
+BROKEN = Kind(
+    "not conserved",
+    "largest relative deviation of the quantity, in rational numbers or with 50 digits",
+    "m² under the midpoint rule of the Euler top",
+    lambda: broken(CONTROL_MIDPOINT, "m_sq"),
+)
+
+
+def _return_defect(scene: Scene, h: Fraction) -> tuple[ExactMap, float]:
+    found = exact_map(scene)
+    step = found.number(h)
+    there = found.step(found.y0, step)
+    with found.run.arithmetic.active():
+        back = found.step(there, -step) - found.y0
+    return found, max(float(abs(value)) for value in back)
+
+
+def _exponent(found: ExactMap, scene: Scene, h: Fraction, figure: float) -> str:
+    """Order of the defect in h, from steps of h and h/2; empty without a defect."""
+    if figure <= _round_off(found, 2):
+        return ""
+    return f"of order {math.log2(figure / _return_defect(scene, h / 2)[1]):.2f} in h"
+
+
+STEP = Fraction(1, 10)
+
+
+def reversible(scene: Scene) -> Finding:
+    """Defect of one step of 0.1 and one of -0.1, which has to be that of rounding."""
+    found, figure = _return_defect(scene, STEP)
+    bound = Bound(0.0, _round_off(found, 2), _reason(found))
+    return Finding(figure, bound, note=_exponent(found, scene, STEP, figure))
+
+
+def irreversible(scene: Scene) -> Finding:
+    """Defect of one step of 0.1 and one of -0.1, which has to exceed that of rounding."""
+    found, figure = _return_defect(scene, STEP)
+    bound = Bound(_round_off(found, 2), reason=_reason(found), open_low=True)
+    return Finding(figure, bound, note=_exponent(found, scene, STEP, figure))
+
+
+CONTROL_RK2 = Scene("heavy_rk2", RATIONAL)
+REVERSIBLE = Kind(
+    "reversible",
+    "largest component of the error after a step of h = 0.1 and one of -0.1",
+    "the explicit midpoint rule of the heavy top",
+    lambda: reversible(CONTROL_RK2),
+)
+IRREVERSIBLE = Kind(
+    "not reversible",
+    "largest component of the error after a step of h = 0.1 and one of -0.1",
+    "the HK scheme of the Euler top",
+    lambda: irreversible(CONTROL_HK),
+)
+
+TIME = 10.0
+"""Time over which deviations are compared at several step sizes."""
+LADDER = (0.02, 0.01, 0.005)
+TOLERANCE = 0.1
+"""Deviation of an observed order from a whole number that the next term of the expansion in h explains."""
+
+
+def order_of(errors: Sequence[float], sizes: Sequence[float]) -> float:
+    """Observed order of convergence; nan if rounding hides it."""
+    found = observed_order(sizes, errors, 1e-12)
+    return math.nan if found is None else found
+
+
+def deviation_order(scene: Scene, invariant: str, order: int) -> Finding:
+    """Order in h of the largest deviation of an invariant over a fixed time."""
+    errors = []
+    for h in LADDER:
+        run = trajectory(scene.with_sets(f"h={h:g}", f"N={round(TIME / h)}"))
+        values = run[invariant]
+        errors.append(float(np.abs(values - values[0]).max()))
+    bound = Bound(order - TOLERANCE, order + TOLERANCE, f"a deviation of order {order} scales as h^{order}")
+    return Finding(order_of(errors, LADDER), bound, note=f"deviation {errors[-1]:.1e} at h = {LADDER[-1]:g}")
+
+
+DEVIATION_ORDER = Kind(
+    "order of a deviation",
+    "exponent of h in the largest deviation over t = 10, from h = 0.02, 0.01, 0.005",
+    "the energy under the BS scheme of the Euler top, of order 1, as if of order 2",
+    lambda: deviation_order(Scene("euler_bs"), "m_omega", 2),
+)

@@ -1,0 +1,47 @@
+"""Independence of functions: the rank of their gradients in rational numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+
+from topcli.studies.claims.algebra import Draws
+from topcli.studies.claims.claim import Bound, Finding, Kind
+
+POINTS = 5
+
+
+def rank(rows: Sequence[Sequence[Any]]) -> int:
+    """Rank of a matrix of rational numbers, by elimination."""
+    left = [[Fraction(x) for x in row] for row in rows]
+    found = 0
+    for column in range(len(left[0])):
+        pivot = next((row for row in left if row[column] != 0), None)
+        if pivot is None:
+            continue
+        left.remove(pivot)
+        left = [[x - row[column] / pivot[column] * p for x, p in zip(row, pivot, strict=True)] for row in left]
+        found += 1
+    return found
+
+
+def independent(gradients: Callable[[Draws], Sequence[Sequence[Any]]], count: int) -> Finding:
+    """Largest rank of the gradients of ``count`` functions at random states."""
+    draws = Draws(1)
+    figure = max(rank(gradients(draws)) for _ in range(POINTS))
+    return Finding(float(figure), Bound(float(count), float(count), f"{count} independent functions have this rank"))
+
+
+def _dependent(draws: Draws) -> Sequence[Sequence[Any]]:
+    """Gradients of gamma², gamma_1 and the square of gamma_1."""
+    c = draws.vector()
+    return [tuple(2 * x for x in c), (1, 0, 0), (2 * c[0], 0, 0)]
+
+
+RANK = Kind(
+    "independence",
+    "rank of the gradients, in rational numbers",
+    "γ², γ₁ and γ₁², which are dependent",
+    lambda: independent(_dependent, 3),
+)

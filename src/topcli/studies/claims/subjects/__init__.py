@@ -1,0 +1,1 @@
+"""The claims, grouped by the sections of the paper."""

@@ -1,0 +1,90 @@
+"""Claims of section 2.3: the Bobenko-Suris scheme of the Lagrange top."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+from topcli.studies.claims import printed
+from topcli.studies.claims.algebra import Draws
+from topcli.studies.claims.claim import Claim
+from topcli.studies.claims.kinds.conservation import (
+    CONSERVED,
+    DEVIATION_ORDER,
+    conserved,
+    deviation_order,
+)
+from topcli.studies.claims.kinds.identity import LINEAR, linear_in_new
+from topcli.studies.claims.kinds.maps import SAME_MAP, satisfies
+from topcli.studies.claims.kinds.motion import CONVERGENCE, convergence_order
+from topcli.studies.claims.scenes import RATIONAL, Scene
+
+BS = Scene("lagrange_bs", (*RATIONAL, "N=8"))
+SOURCE = "section 2.3, conservation laws"
+
+
+def step(h: Fraction, old: tuple[Any, ...], new: tuple[Any, ...]) -> Sequence[Any]:
+    """Residual of (L1) and (L2)."""
+    m, a, n, b = ((v[0], v[1], v[2]) for v in (old[:3], old[3:], new[:3], new[3:]))
+    return [*printed.lagrange_l1(h, m, n, a), *printed.lagrange_l2(h, n, a, b)]
+
+
+def first_residual(new: tuple[Any, ...], draws: Draws) -> Sequence[Any]:
+    """(L1) as an equation for the new m, and (L2) for the new a at a given new m."""
+    n, b = (new[0], new[1], new[2]), (new[3], new[4], new[5])
+    h, m, a, known = draws.number(), draws.vector(), draws.vector(), draws.vector()
+    return [*printed.lagrange_l1(h, m, n, a), *printed.lagrange_l2(h, known, a, b)]
+
+
+def _law(name: str, statement: str, number: int, invariant: str) -> Claim:
+    return Claim(
+        f"bs-lagrange-{name}",
+        statement,
+        f"{SOURCE} {number}",
+        CONSERVED,
+        BS.code,
+        partial(conserved, BS, invariant),
+    )
+
+
+CLAIMS = (
+    Claim(
+        "bs-lagrange-explicit",
+        "(L1), (L2) are an explicit solver in two steps.",
+        "section 2.3, after (L2)",
+        LINEAR,
+        "rational test: m' from (L1), then a' from (L2) with this m'",
+        partial(linear_in_new, first_residual, 6),
+    ),
+    Claim(
+        "bs-lagrange-solved",
+        "(L1), (L2) determine the new m and a.",
+        "section 2.3, (L1), (L2)",
+        SAME_MAP,
+        f"{Scene('lagrange_bs', RATIONAL).code}, put into the printed equations",
+        partial(satisfies, Scene("lagrange_bs", RATIONAL), step),
+    ),
+    Claim(
+        "bs-lagrange-motion",
+        "(L1), (L2) discretise the Lagrange top (to first order).",
+        "section 2.3, (L1), (L2)",
+        CONVERGENCE,
+        "`topcli run lagrange_bs` at h = 0.02, 0.01, 0.005, against the reference",
+        partial(convergence_order, Scene("lagrange_bs"), 1),
+        slow=True,
+    ),
+    _law("a-sq", "(L1), (L2) conserve a².", 1, "a_sq"),
+    _law("m-p", "(L1), (L2) conserve m·p.", 2, "m_p"),
+    _law("m-a", "(L1), (L2) conserve m·a.", 3, "m_a"),
+    _law("energy", "(L1), (L2) conserve E with the term (h/2)(a × m)·p.", 4, "modified_energy"),
+    Claim(
+        "bs-lagrange-energy-term",
+        "The correction of E is of O(h).",
+        "section 2.3, after the conservation laws",
+        DEVIATION_ORDER,
+        "`topcli run lagrange_bs` at h = 0.02, 0.01, 0.005",
+        partial(deviation_order, Scene("lagrange_bs"), "energy", 1),
+    ),
+)

@@ -1,0 +1,171 @@
+"""Claims of section 3.2.2: three methods for gamma, and Bohlin's method for omega."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from topcli.studies.claims import printed
+from topcli.studies.claims.algebra import I_UNIT, Draws, Gauss, dot, flat, minus, product
+from topcli.studies.claims.claim import Claim
+from topcli.studies.claims.kinds.conservation import CONSERVED, IRREVERSIBLE, conserved, irreversible
+from topcli.studies.claims.kinds.exchange import EXCHANGE, exchanged
+from topcli.studies.claims.kinds.identity import (
+    IDENTITY,
+    LINEAR,
+    Difference,
+    identity,
+    linear_in_new,
+    rotation_residual,
+)
+from topcli.studies.claims.kinds.integrability import BY_SIGN, GENERIC, ROOTS, wrong_roots
+from topcli.studies.claims.kinds.motion import COMPLETE, QUALITY, complete, same_quality
+from topcli.studies.claims.scenes import FIFTY, Scene
+
+SECTION = "section 3.2.2"
+LETTERS = "abc"
+SOUTH = ("initial.omega=[0.7, -0.4, 1.3]", "initial.gamma=[0, 0, -1]", "h=0.01", "N=100")
+CHARTS = (("a", ()), ("b", ("scheme.chart=single",)), ("c", ()))
+"""The methods with the paper's coordinates."""
+
+
+def _scene(letter: str) -> Scene:
+    return Scene(f"kowalevski_bohlin_{letter}", (*FIFTY, "N=50", *GENERIC))
+
+
+def stereographic(draws: Draws) -> Sequence[Any]:
+    """The three formulas for gamma and the three for z, at a point of the sphere."""
+    c = draws.unit()
+    z = Gauss(c[0], c[1]) / (1 + c[2])
+    size = (z * z.bar).re
+    gamma = 2 * z / (1 + size)
+    return [
+        gamma - Gauss(c[0], c[1]),
+        gamma.bar - 2 * z.bar / (1 + size),
+        (1 - size) / (1 + size) - c[2],
+        size - (1 - c[2]) / (1 + c[2]),
+        (gamma * gamma.bar).re + ((1 - size) / (1 + size)) * ((1 - size) / (1 + size)) - 1,
+    ]
+
+
+def stereographic_rate(draws: Draws) -> Sequence[Any]:
+    """The equation for z against the rate of (gamma_1 + i gamma_2)/(1 + gamma_3) along (K2)."""
+    w, c = draws.vector(), draws.unit()
+    rate = printed.poisson(w, c)
+    z = Gauss(c[0], c[1]) / (1 + c[2])
+    expected = Gauss(rate[0], rate[1]) / (1 + c[2]) - z * rate[2] / (1 + c[2])
+    found = printed.stereographic_rate(Gauss(w[0], w[1]), w[2], z)
+    conjugate = -I_UNIT / 2 * (Gauss(w[0], -w[1]) - 2 * w[2] * z.bar - Gauss(w[0], w[1]) * z.bar * z.bar)
+    return [found - expected, conjugate - expected.bar]
+
+
+def rotation(draws: Draws) -> Sequence[Any]:
+    """R is orthogonal, leaves its axis, and R - 1 is odd in s as for a rotation."""
+    n, (c, s) = draws.unit(), draws.circle()
+    R = printed.rotation(n, c, s)
+    transposed = tuple(zip(*R, strict=True))
+    one = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    turned = [dot(row, n) for row in R]
+    trace = R[0][0] + R[1][1] + R[2][2]
+    return [*minus(flat(product(R, transposed)), flat(one)), *minus(turned, n), trace - (1 + 2 * c)]
+
+
+def rotation_generator(draws: Draws) -> Sequence[Any]:
+    """dR/dtheta R^{-1} against the matrix of gamma -> gamma x n, the equation (K2) for constant omega."""
+    n, (c, s) = draws.unit(), draws.circle()
+    # R is affine in (c, s), whose derivatives are (-s, c)
+    fixed = printed.rotation(n, 0, 0)
+    slope = tuple(minus(a, b) for a, b in zip(printed.rotation(n, -s, c), fixed, strict=True))
+    return minus(flat(slope), flat(product(printed.hat(n), printed.rotation(n, c, s))))
+
+
+def bohlin(turn: Gauss, c0: Any, old: tuple[Any, ...], new: tuple[Any, ...]) -> Sequence[Any]:
+    """Residual of Bohlin's equation for a given rotation."""
+    found = printed.bohlin(c0, turn, old, new)
+    return [found.re, found.im]
+
+
+def _conserves(letter: str, invariant: str, symbol: str, where: str) -> Claim:
+    scene = _scene(letter)
+    return Claim(
+        f"bohlin-{letter}-{invariant.replace('_', '-')}",
+        f"Bohlin's method with ({letter.upper()}) keeps {symbol} exactly.",
+        f"{SECTION}, {where}",
+        CONSERVED,
+        scene.code,
+        partial(conserved, scene, invariant),
+    )
+
+
+def _breaks(letter: str) -> Claim:
+    scene = _scene(letter)
+    return Claim(
+        f"bohlin-{letter}-irreversible",
+        f"Method ({letter.upper()}) breaks time reversal symmetry.",
+        f"{SECTION}, end of (1)",
+        IRREVERSIBLE,
+        scene.code,
+        partial(irreversible, scene),
+    )
+
+
+def _formula(name: str, statement: str, where: str, difference: Difference) -> Claim:
+    return Claim(name, statement, f"{SECTION}, {where}", IDENTITY, "rational identity", partial(identity, difference))
+
+
+CLAIMS = (
+    Claim(
+        "method-a-explicit",
+        "(A) is explicit.",
+        f"{SECTION}, (A)",
+        LINEAR,
+        "rational test of the printed equation",
+        partial(linear_in_new, rotation_residual, 3),
+    ),
+    _formula("stereographic", "The formulas of (B) map z to the sphere and back.", "(B)", stereographic),
+    _formula("stereographic-rate", "In z, (K2) is ż = (i/2)(ω - 2ω₃z - ω̄z²).", "(B)", stereographic_rate),
+    _formula("rotation", "R of (C) is a rotation about ω.", "(C)", rotation),
+    _formula("rotation-flow", "R turns γ as (K2) does for constant ω.", "(C)", rotation_generator),
+    *(_conserves(letter, "gamma_sq", "γ²", f"({letter.upper()})") for letter in LETTERS),
+    *(_conserves(letter, "k_sq", "k²", "(2)") for letter in LETTERS),
+    *(_breaks(letter) for letter in LETTERS),
+    Claim(
+        "bohlin-reversible",
+        "Bohlin's method for ω has time reversal symmetry.",
+        f"{SECTION}, end of (2)",
+        EXCHANGE,
+        f"{_scene('a').with_sets('N=1').code}, states exchanged and h reversed in the printed equation",
+        partial(exchanged, _scene("a").with_sets("N=1"), "bohlin"),
+    ),
+    Claim(
+        "branch-by-sign",
+        "The sign of the argument is sufficient to choose the root.",
+        f"{SECTION}, after (direct)",
+        ROOTS,
+        "200 random orbits of `kowalevski_bohlin_a` at E = 5 with `branch: sign`, h = 0.05, N = 2000",
+        partial(wrong_roots, "kowalevski_bohlin_a", BY_SIGN),
+        slow=True,
+    ),
+    Claim(
+        "abc-quality",
+        "(A), (B), (C) have almost the same quality (E and 2ℓ).",
+        f"{SECTION}, after Figure 2",
+        QUALITY,
+        "`kowalevski_bohlin_a`, `_b`, `_c` from a generic state: deviations of E and 2ℓ",
+        partial(
+            same_quality,
+            tuple(Scene(f"kowalevski_bohlin_{letter}", GENERIC) for letter in LETTERS),
+            ["energy", "two_l"],
+        ),
+        slow=True,
+    ),
+    Claim(
+        "abc-complete",
+        "(A), (B), (C) have almost the same quality (a run from γ₃ = -1).",
+        f"{SECTION}, after Figure 2",
+        COMPLETE,
+        "`kowalevski_bohlin_a`, `_b`, `_c` from γ₃ = -1; (B) with one coordinate, `chart: single`",
+        partial(complete, tuple(Scene(f"kowalevski_bohlin_{letter}", (*sets, *SOUTH)) for letter, sets in CHARTS)),
+    ),
+)
