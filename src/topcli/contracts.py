@@ -119,6 +119,8 @@ class Top(BaseModel):
     energy: ClassVar[str] = "energy"
     """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
     ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
+    in_space: ClassVar[bool] = False
+    """True if the state is given in the frame fixed in space, as angular momentum and axis, not in the body's frame."""
     swing: ClassVar[str]
     """Component whose deep minima mark the swings of the top."""
     field: ClassVar[Callable[[Floats, Floats], Floats]]
@@ -332,9 +334,13 @@ class Sampler:
     states : callable
         ``states(y0, h, n, p)`` takes the initial state, shape (d,), the step size, the step numbers, shape (m,), and
         the constants of the top; it returns the states after these numbers of steps, shape (m, d).
+    attitude : callable, optional
+        ``attitude(y0, q0, h, n, p)`` returns the quaternions of the attitude, shape (m, 4), which at the start is
+        ``q0``, shape (4,). None if the attitude has no closed form; it is then summed up over the steps.
     """
 
     states: Callable[[Array, float, NDArray[np.int64], Floats], Array]
+    attitude: Callable[[Array, Array, float, NDArray[np.int64], Floats], Array] | None = None
 
 
 @dataclass(frozen=True)
