@@ -61,8 +61,7 @@ def turn_of(q: Quaternion) -> Quaternion:
 
 
 def turn_upright(u: Vector) -> Quaternion:
-    """Shortest turn that carries the unit vector ``u`` to (0, 0, 1); half a turn about the first axis from (0, 0, -1).
-    """
+    """Shortest turn that carries the unit vector ``u`` to (0, 0, 1); half a turn if ``u`` is (0, 0, -1)."""
     if u[2] <= -1.0 + 1e-15:
         return (-1.0, 1.0, 0.0, 0.0)
     return unit_turn(u[1] / (1.0 + u[2]), -u[0] / (1.0 + u[2]), 0.0)
@@ -91,10 +90,9 @@ def sum_turned(q: Quaternion, low: Quaternion, change: Quaternion) -> tuple[Quat
 def canonical(q: Quaternion) -> Quaternion:
     """The one of q and -q, which are the same rotation, whose first number other than zero is positive."""
     for value in q:
-        if value > 0.0:
-            return q
-        if value < 0.0:
-            return (-q[0], -q[1], -q[2], -q[3])
+        if value != 0.0:
+            s = math.copysign(1.0, value)
+            return (s * q[0] + 0.0, s * q[1] + 0.0, s * q[2] + 0.0, s * q[3] + 0.0)  # without negative zeros
     return q
 
 
@@ -127,10 +125,10 @@ def quaternions(matrices: Array) -> Array:
 
 
 def euler_angles(q: Array) -> tuple[Array, Array, Array]:
-    """Euler's angles psi, theta, phi (m,) of unit quaternions (m, 4): rotations by phi about the third axis, theta about
-    the first, psi about the third (z-x-z).
+    """Euler's angles psi, theta, phi (m,) of unit quaternions (m, 4), in the sequence z-x-z.
 
-    psi and phi are in (-pi, pi]; at theta = 0 and pi, where only their sum or difference is defined, phi is 0.
+    They are rotations by phi about the third axis, theta about the first, psi about the third. psi and phi are in
+    (-pi, pi]; at theta = 0 and pi, where only their sum or difference is defined, phi is 0.
     """
     w, x, y, z = q.T
     theta = 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))

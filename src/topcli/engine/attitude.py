@@ -117,8 +117,8 @@ def with_attitude(loop: Loop, d: int, constants: Array) -> Loop:
                 size = min(BLOCK, steps - taken)
                 went = loop.drive(work[HEAD:], rows, p, h, size, 1, 1)
                 good = went if went >= 0 else -went - 1
-                next_row = until + written * every - taken
-                written += code(work, rows, out[written * (d + NUMBERS) :], constants, scratch, h, good, every, next_row)
+                left, rest = until + written * every - taken, out[written * (d + NUMBERS) :]
+                written += code(work, rows, rest, constants, scratch, h, good, every, left)
                 if went < 0:
                     return went - taken
                 taken += went

@@ -69,8 +69,7 @@ class SceneFigure(Figure):
         from topcli.studies.run import Feedback, run_experiment
 
         experiment = load_experiment(scene_config(scene, request.configs))
-        recorded = experiment.output.columns
-        missing = [name for name in columns if recorded and name not in recorded]
+        missing = [name for name in columns if name not in experiment.recorded]
         if missing:
             raise UsageError(f"{self.name}: the config of {scene} does not record {', '.join(missing)}")
         run = run_experiment(experiment, request.results, force=request.force, feedback=Feedback(request.on_progress))

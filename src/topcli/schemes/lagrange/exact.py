@@ -263,14 +263,13 @@ def _attitude(body: Floats, start: Array, h: float, n: NDArray[np.int64], p: Flo
     The vertical and the axis are followed in both frames, which fixes all three angles.
     """
     alpha, nu = float(p[0]), float(p[1])
-    weights = np.array([1.0, 1.0, 1.0 - alpha])
-    vertical = np.array([0.0, 0.0, 1.0])
-    moment = start @ (weights * np.array(body[:3]))
-    found = body_states(np.array(body), h, n, p)
-    if np.hypot(*body[:2]) == np.hypot(*body[3:5]) == 0.0:  # upright, spinning about the vertical
+    if body[0] == body[1] == body[3] == body[4] == 0.0:  # upright, spinning about the vertical
         angle = body[2] * h * n
         about = np.column_stack([np.cos(0.5 * angle), *np.zeros((2, len(n))), np.sin(0.5 * angle)])
         return start @ matrices(about)
+    weights, vertical = np.array([1.0, 1.0, 1.0 - alpha]), np.array([0.0, 0.0, 1.0])
+    moment = start @ (weights * np.array(body[:3]))
+    found = body_states(np.array(body), h, n, p)
     space = _motion((*moment, *start[:, 2]), h, n, nu)
     return _turned(weights * found[:, :3], space[:, :3], space[:, 3:], found[:, 3:], vertical)
 
