@@ -96,6 +96,13 @@ def canonical(q: Quaternion) -> Quaternion:
     return q
 
 
+def canonical_rows(q: Array) -> Array:
+    """Quaternions (m, 4), each of unit length and ``canonical``."""
+    q = q / np.sqrt((q * q).sum(axis=1, keepdims=True))
+    first = q[np.arange(len(q)), np.argmax(q != 0.0, axis=1)]
+    return q * np.where(first < 0.0, -1.0, 1.0)[:, None] + 0.0  # without negative zeros
+
+
 def products(p: Array, q: Array) -> Array:
     """Hamilton products (m, 4) of quaternions (m, 4), or of one quaternion (4,) with each of the other argument."""
     p, q = np.broadcast_arrays(p, q)

@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.quaternions import canonical, conjugate, product, rotate, sum_turned, turn_upright, upright
+from topcli.arithmetic.quaternions import (
+    canonical,
+    canonical_rows,
+    conjugate,
+    product,
+    rotate,
+    sum_turned,
+    turn_upright,
+    upright,
+)
 from topcli.contracts import Array, Floats, Method, Sampler, Scheme, StopAsked, Top, checked_equations
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.fingerprint import fingerprint
@@ -149,9 +158,9 @@ def _closed(sampler: Sampler, d: int) -> Sampler:
     assert attitude is not None
 
     def states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-        q = attitude(y0[:d], y0[d:], h, n, p)
-        size = np.sqrt((q * q).sum(axis=1, keepdims=True))
-        return np.hstack([sampler.states(y0[:d], h, n, p), np.array([canonical(tuple(one)) for one in q / size])])
+        if len(n) == 0:  # between two recorded rows
+            return np.empty((0, d + NUMBERS))
+        return np.hstack([sampler.states(y0[:d], h, n, p), canonical_rows(attitude(y0[:d], y0[d:], h, n, p))])
 
     return Sampler(states)
 
