@@ -121,6 +121,8 @@ class Top(BaseModel):
     energy: ClassVar[str] = "energy"
     """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
     ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
+    in_space: ClassVar[bool] = False
+    """True if the state is given in the frame fixed in space, as angular momentum and axis, not in the body's frame."""
     swing: ClassVar[str]
     """Component whose deep minima mark the swings of the top."""
     field: ClassVar[Callable[[Floats, Floats], Floats]]
@@ -376,11 +378,15 @@ class Sampler:
         Work done once for each initial state, if it takes time. ``states`` does it by itself where nobody else has.
     accuracy : callable, optional
         ``accuracy(y0, h, n, p)`` returns the limits of the accuracy over the steps ``n`` (m,).
+    attitude : callable, optional
+        ``attitude(y0, q0, h, n, p)`` returns the quaternions of the attitude, shape (m, 4), which at the start is
+        ``q0``, shape (4,). None if the attitude has no closed form; it is then summed up over the steps.
     """
 
     states: Callable[[Array, float, NDArray[np.int64], Floats], Array]
     setup: Setup | None = None
     accuracy: Callable[[Array, float, NDArray[np.int64], Floats], Accuracy] | None = None
+    attitude: Callable[[Array, Array, float, NDArray[np.int64], Floats], Array] | None = None
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,8 @@ def columns(
     modified : iterable of Invariant, optional
         Integrals of the scheme, which have columns too.
     values : mapping of str to ndarray, shape (m,), optional
-        Values of invariants by name, if they have been evaluated before.
+        Values of invariants by name, if they have been evaluated before, and of columns that are not functions of
+        the state.
 
     Returns
     -------
@@ -82,8 +83,11 @@ def columns(
             made[name] = n * h
         elif name in top.components:
             made[name] = states[:, top.components.index(name)]
+        elif name in values:
+            made[name] = values[name]
         elif name in invariants:
-            made[name] = values[name] if name in values else invariant_values([invariants[name]], states)[name]
+            made[name] = invariant_values([invariants[name]], states)[name]
         else:
-            raise UsageError(f"no column {quoted(name)}; {nearest(name, ['n', 't', *top.components, *invariants])}")
+            known = dict.fromkeys(("n", "t", *top.components, *invariants, *values))
+            raise UsageError(f"no column {quoted(name)}; {nearest(name, known)}")
     return made

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.attitude import ATTITUDES, attitude_columns
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.drift import InvariantRow, invariant_report
 from topcli.analysis.leaving import step_of_leaving
@@ -24,7 +25,7 @@ class Trajectory:
     """Recorded states of one run, as ``topcli.simulate`` returns them.
 
     ``trajectory[name]`` is a column of shape (m,) by name: ``n``, ``t``, a component of the state, an invariant of the
-    top, or a modified integral of the scheme. ``len(trajectory)`` is the number of rows m.
+    top, a modified integral of the scheme, or of the attitude. ``len(trajectory)`` is the number of rows m.
 
     Attributes
     ----------
@@ -47,6 +48,12 @@ class Trajectory:
     rows : tuple of InvariantRow or None
         Report on the invariants of a run in another precision than double, computed in that precision; ``states`` are
         rounded to doubles.
+    attitude : ndarray, shape (m, 4), or None
+        Unit quaternions, scalar part first, of the rotation from the body's frame to space; None unless
+        ``output.attitude`` asks for them.
+    attitude_form : str
+        ``output.attitude``, empty without it. It decides on the columns of ``to_pandas``; ``trajectory[name]`` gives
+        those of both forms.
 
     Examples
     --------
@@ -71,15 +78,24 @@ class Trajectory:
     modified: tuple[Invariant, ...] = ()
     rows: tuple[InvariantRow, ...] | None = None
     setup_seconds: float = 0.0
+    attitude: Array | None = None
+    attitude_form: str = ""
 
     @classmethod
-    def of_run(cls, run: Run, scheme: str, modified: tuple[Invariant, ...] = ()) -> Trajectory:
-        """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface."""
+    def of_run(cls, run: Run, scheme: str, modified: tuple[Invariant, ...] = (), attitude: str = "") -> Trajectory:
+        """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface.
+
+        ``attitude`` is the form of the attitude, whose quaternions then follow the states of the run.
+        """
         n, states, ending = run.collect()
+        made: dict[str, Any] = {}
+        if attitude:
+            states, q = map(np.ascontiguousarray, np.split(states, [len(run.top.components)], axis=1))
+            made = {"attitude": q, "attitude_form": attitude}
         ending = ending.having_left(step_of_leaving(run.top, n, states), run.h)
         seconds = run.compile_seconds, run.run_seconds
         ready = run.setup.seconds if run.setup else 0.0
-        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready)
+        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready, **made)
 
     @property
     def t(self) -> Array:
@@ -99,13 +115,18 @@ class Trajectory:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Column by name, shape (m,). Raises UsageError for an unknown name."""
-        return columns(self.top, self.n, self.h, self.states, [name], self.modified)[name]
+        attitude: dict[str, Array] = {}
+        if self.attitude is not None:
+            for form, names in ATTITUDES.items():
+                attitude |= attitude_columns(form, self.attitude) if name in names else {}
+        return columns(self.top, self.n, self.h, self.states, [name], self.modified, attitude)[name]
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all columns as a DataFrame: n, t, the components, the invariants."""
+        """Return all columns as a DataFrame: n, t, the components, the invariants, the attitude."""
         import pandas as pd
 
-        return pd.DataFrame({name: self[name] for name in column_names(self.top)})
+        names = [*column_names(self.top), *ATTITUDES.get(self.attitude_form, ())]
+        return pd.DataFrame({name: self[name] for name in names})
 
     def invariants(self) -> pd.DataFrame:
         """Return the report on invariants and modified integrals, one row each (see ``analysis.drift``)."""

@@ -28,6 +28,7 @@ from topcli.config.models import (
 from topcli.config.overrides import apply_overrides, override_label, parse_override
 from topcli.config.problems import Problems, validate
 from topcli.config.yaml_text import parse_yaml
+from topcli.contracts import checked_equations
 from topcli.engine.precise.numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import (
     ConfigError,
@@ -325,8 +326,9 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
             problems.add(("N",), too_long)
         if top and scheme:
             integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
-            columns = read_columns(config.output.columns, top.components, integrals, problems)
+            columns = read_columns(config.output, top.components, integrals, problems)
         _check_precision(config, members is not None, problems)
+        _check_attitude(config, top, members is not None, problems)
     exact = None
     if config and config.precision != DOUBLE and top and state and not problems.messages:
         exact = read_exact(data, top, state, config.precision, problems)
@@ -399,6 +401,25 @@ def _check_precision(config: Config, is_ensemble: bool, problems: Problems) -> N
         problems.add(("max_digits",), "needs precision: rational; other numbers have a fixed number of digits")
     if config.output.digits is not None and config.precision == DOUBLE:
         problems.add(("output", "digits"), "needs another precision than double, such as precision: 50")
+
+
+def _check_attitude(config: Config, top: Top | None, is_ensemble: bool, problems: Problems) -> None:
+    """Add the reason why ``output.attitude`` cannot be recorded, if there is one."""
+    where, names = ("output", "attitude"), config.output.attitude_columns
+    if not names:
+        return
+    if is_ensemble:
+        problems.add(where, "an ensemble records no attitude; run single trajectories with it")
+    elif config.precision != DOUBLE:
+        problems.add(where, "the attitude is computed in doubles only; leave out precision or the attitude")
+    elif top is not None:
+        try:
+            checked_equations(top, "the attitude")
+        except UsageError as error:
+            problems.add(where, str(error))
+        taken = [name for name in names if name in top.components]
+        if taken:
+            problems.add(where, f"the top has a component {quoted(taken[0])} of its own; use another form")
 
 
 def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:

@@ -15,7 +15,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
-from topcli.analysis.columns import spellings
+from topcli.analysis.attitude import ATTITUDES
+from topcli.analysis.columns import column_names, spellings
 from topcli.config.document import KeyPath, describe
 from topcli.config.duration import MAX_STEPS
 from topcli.config.exact import ExactNumbers
@@ -122,14 +123,24 @@ class Output(BaseModel):
         description="the columns to record, by name or symbol: n, t, components, invariants; all when absent",
         json_schema_extra={"minItems": 1, "uniqueItems": True},
     )
+    attitude: Literal["quaternion", "euler-angles"] | None = Field(
+        default=None,
+        description="also record the attitude of the body: quaternion (q0 to q3) or euler-angles (psi, theta, phi)",
+    )
     digits: Annotated[int, Field(ge=1, le=MOST_WRITTEN), BeforeValidator(as_integer)] | None = Field(
         default=None,
         description="with a precision other than double: also write decimal texts of this many digits",
     )
 
     def resolved(self) -> dict[str, Any]:
-        """Return the section as plain data; ``digits`` only if it is given."""
-        return {key: value for key, value in self.model_dump(mode="json").items() if key != "digits" or value}
+        """Return the section as plain data; ``attitude`` and ``digits`` only if they are given."""
+        optional = ("attitude", "digits")
+        return {key: value for key, value in self.model_dump(mode="json").items() if key not in optional or value}
+
+    @property
+    def attitude_columns(self) -> tuple[str, ...]:
+        """Names of the columns of the attitude; empty without it."""
+        return ATTITUDES[self.attitude] if self.attitude else ()
 
 
 class Config(BaseModel):
@@ -225,6 +236,12 @@ class Experiment(BaseModel):
     def duration(self) -> float:
         """Time N*h at which the run ends; negative for a negative step."""
         return self.N * self.h
+
+    @property
+    def recorded(self) -> list[str]:
+        """Names of the recorded columns; those of the attitude come last unless ``output.columns`` names them."""
+        named = list(self.output.columns or column_names(self.top))
+        return [*named, *(name for name in self.output.attitude_columns if name not in named)]
 
     def method(self) -> Method:
         """Build the scheme for the top with the options."""
@@ -446,17 +463,21 @@ def _unit(vector: list[float], normalize: bool, path: KeyPath, problems: Problem
 
 
 def read_columns(
-    given: tuple[str, ...] | None, components: Sequence[str], integrals: Sequence[Invariant], problems: Problems
+    output: Output, components: Sequence[str], integrals: Sequence[Invariant], problems: Problems
 ) -> tuple[str, ...] | None:
-    """Names of the ``given`` columns, each given by its name or by the symbol that reports print."""
+    """Names of the columns of ``output``, each given by its name or by the symbol that reports print."""
+    given = output.columns
     if given is None:
         return None
-    plain = {name: name for name in ("n", "t", *components)}
+    plain = {name: name for name in ("n", "t", *components, *output.attitude_columns)}
     names = {text: one.name for one in integrals for text in spellings(one.name, one.symbol)} | plain
     found: list[str] = []
     for text in given:
         name = names.get(text)
-        if name is None:
+        form = next((form for form, columns in ATTITUDES.items() if text in columns), None)
+        if name is None and form:
+            problems.add(("output", "columns"), f"{quoted(text)} needs output.attitude: {form}")
+        elif name is None:
             near = nearest(text, names)
             if near.startswith("known"):
                 near = f"known: {', '.join([*plain, *(f'{one.name} ({one.symbol})' for one in integrals)])}"

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from topcli.analysis.attitude import SYMBOLS
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -63,6 +65,8 @@ def column_label(experiment: Experiment, column: str) -> str:
     integrals = {one.name: one.tex for one in (*experiment.top.invariants(), *experiment.modified)}
     if column in experiment.top.components:
         return component_symbol(column)
+    if column in experiment.output.attitude_columns:
+        return f"${SYMBOLS[column]}$"
     return f"${integrals[column]}$" if column in integrals else column
 
 

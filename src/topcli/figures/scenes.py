@@ -103,8 +103,7 @@ class SceneFigure(Figure):
         changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
         if changed:
             experiment = experiment.renamed(load_named(config, request.overrides).name)
-        recorded = experiment.output.columns
-        missing = [name for name in columns if recorded and name not in recorded]
+        missing = [name for name in columns if name not in experiment.recorded]
         if missing:
             raise UsageError(f"{self.name}: the config of {scene} does not record {', '.join(missing)}")
         run = run_experiment(experiment, request.results, force=request.force, feedback=Feedback(request.on_progress))

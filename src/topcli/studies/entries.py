@@ -91,6 +91,8 @@ def read_entries(
         For an unknown scheme or key, a step that does not divide the time, equal entries, or more rows than fit in
         memory. The message names the entry.
     """
+    if experiment.output.attitude:
+        raise UsageError("output.attitude: a comparison records no attitude; add --set output.attitude=null")
     entries = [_entry(experiment, text, options or {}) for text in texts]
     for key in options or ():
         if not any(key in one.experiment.scheme.options.model_fields for one in entries):

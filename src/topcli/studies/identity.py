@@ -54,6 +54,11 @@ class Identity:
         """Identity of an experiment under one method, or of an ensemble under those of its groups."""
         config = experiment.resolved()
         codes = [method_fingerprint(method) for method in methods]
+        if isinstance(experiment, Experiment) and experiment.output.attitude:
+            from topcli.engine.attitude import attitude_code
+
+            codes = [f"{code},{attitude_code(method)}" for code, method in zip(codes, methods, strict=True)]
+            return cls(config, digest_of(config), hashlib.sha256(codes[0].encode()).hexdigest())
         code = codes[0] if len(codes) == 1 else hashlib.sha256(",".join(codes).encode()).hexdigest()
         return cls(config, digest_of(config), code)
 

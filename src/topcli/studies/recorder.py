@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import column_names, columns, invariant_values
+from topcli.analysis.attitude import attitude_columns
+from topcli.analysis.columns import columns, invariant_values
 from topcli.analysis.drift import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending
@@ -72,7 +73,7 @@ class Recorder:
         self._experiment = experiment
         self._modified = experiment.modified
         self._invariants = (*experiment.top.invariants(), *self._modified)
-        self._names = list(experiment.output.columns or column_names(experiment.top))
+        self._names = experiment.recorded
         self._batch = Batch()
         self.tally = self.new_tally()
         self.series = SeriesWriter(path, self.all_names(self._names), metadata, start.series if start else None)
@@ -117,9 +118,14 @@ class Recorder:
     def evaluated(self, n: NDArray[np.int64], states: Array) -> dict[str, NDArray[Any]]:
         """Add rows to the tally; return their columns. The invariants are evaluated once, for both."""
         top, h = self._experiment.top, self._experiment.h
+        attitude: dict[str, NDArray[Any]] = {}
+        if form := self._experiment.output.attitude:
+            d = len(top.components)
+            attitude = attitude_columns(form, states[:, d:])
+            states = np.ascontiguousarray(states[:, :d])
         values = invariant_values(self._invariants, states)
         self.tally.add(n, states, values)
-        return columns(top, n, h, states, self._names, self._modified, values)
+        return columns(top, n, h, states, self._names, self._modified, values | attitude)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
         """All that a checkpoint holds of the rows so far; with ``flush`` the series is flushed to the disk first."""

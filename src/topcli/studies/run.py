@@ -19,6 +19,7 @@ from topcli.store.run_folder import RunWriter, io_failure
 from topcli.studies.accuracy import accuracy_data, seconds_of
 from topcli.studies.identity import Identity, Origin, store_run
 from topcli.studies.plan import plan_run
+from topcli.studies.prepare import run_of
 from topcli.studies.recorder import Recorder
 from topcli.studies.report import heading, left_motion, precision_data, report_data, report_markdown
 from topcli.studies.resume import (
@@ -129,17 +130,17 @@ def _started(
 ) -> tuple[Run, Recorder, Callable[[], dict[str, Any]]]:
     """Time loop and recorder, in the precision of the experiment, and what the report says on that precision."""
     experiment, precise = job.experiment, job.precise
-    N, every, metadata = experiment.N, experiment.output.every, job.origin.metadata()
+    metadata = job.origin.metadata()
     if precise is None:
         recorder = Recorder(experiment, job.series, metadata, start)
         position = position_of(start, recorder) if start else None
-        run = Run(experiment.top, job.method, experiment.y0, experiment.h, N, every, stop, position)
-        return run, recorder, dict
+        return run_of(experiment, job.method, stop, position), recorder, dict
     from topcli.studies.precise import PreciseRecorder
 
     exact = PreciseRecorder(experiment, precise, job.series, metadata, start)
     position = position_of(start, exact) if start else None
-    run = Run(precise.top, precise.loop, precise.y0, precise.h, N, every, stop, position)
+    every = experiment.output.every
+    run = Run(precise.top, precise.loop, precise.y0, precise.h, experiment.N, every, stop, position)
     return run, exact, lambda: precision_data(experiment.precision, precise.arithmetic.library, exact.precise.growth)
 
 

@@ -10,7 +10,7 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.duration import changed
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
-from topcli.engine.loop import Run
+from topcli.studies.prepare import run_of
 
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
@@ -21,8 +21,8 @@ def trajectory_of(experiment: Experiment) -> Trajectory:
         prepared = precise_run(experiment)
         assert prepared is not None
         return precise_trajectory(experiment, prepared)
-    run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, experiment.N, experiment.output.every)
-    return Trajectory.of_run(run, experiment.scheme.name, experiment.modified)
+    run = run_of(experiment, experiment.method())
+    return Trajectory.of_run(run, experiment.scheme.name, experiment.modified, experiment.output.attitude or "")
 
 
 def simulate(

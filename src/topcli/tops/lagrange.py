@@ -134,6 +134,7 @@ class LagrangeInertial(Top):
     components: ClassVar[tuple[str, ...]] = ("m1", "m2", "m3", "a1", "a2", "a3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 3), "a": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("a",)
+    in_space: ClassVar[bool] = True
     swing: ClassVar[str] = "a3"
     field: ClassVar = staticmethod(inertial_field)
 

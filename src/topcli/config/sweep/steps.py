@@ -37,6 +37,11 @@ class StepReader:
             problems.add(("output",), f"must be a section with keys, not {describe(output)}")
             return None
         for key in output:
+            if key == "attitude" and output[key] is None:
+                continue
+            if key == "attitude":
+                problems.add(("output", key), "a sweep records no attitude; run single rows with it")
+                return None
             if key not in ("every", "format", "columns"):
                 problems.add(("output", key), "unknown key; only 'every' matters in a sweep")
                 return None

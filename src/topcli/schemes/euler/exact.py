@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rf, carlson_rj, to_dd
+from topcli.arithmetic.quaternions import products, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.euler.elliptic_motion import EllipticMotion, Precession, gamma_at, omega_at, rotated
@@ -164,6 +165,15 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     return np.hstack([at.omega, gamma_at(elliptic, steps, at, np.array(p[:3]), y0)])
 
 
+def exact_attitude(y0: Array, q0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
+    """Quaternions (m, 4) of the attitude after ``n`` (m,) steps of ``h`` from ``y0`` and ``q0`` (4,).
+
+    The rows of the rotation since the start are three directions fixed in space, each followed like gamma.
+    """
+    seen = [exact_states(np.array([*y0[:3], *axis]), h, n, p)[:, 3:] for axis in np.eye(3)]
+    return products(q0, quaternions(np.stack(seen, axis=1)))
+
+
 def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     """States (m, 3) of the HK map after ``n`` (m,) steps of ``h`` from ``y0`` (3,), with the alphas of ``p``."""
     with localcontext(prec=DIGITS):
@@ -209,7 +219,7 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     Every state is computed directly from the initial state, with an error of a few ulp at any time, including on and
     near the separatrix. Rotations about a principal axis and the spherical top are treated separately.
     """
-    return Sampler(exact_states)
+    return Sampler(exact_states, exact_attitude)
 
 
 @scheme(

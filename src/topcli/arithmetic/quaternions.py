@@ -1,0 +1,152 @@
+"""Unit quaternions (w, x, y, z), scalar part first: rotations that are composed without losing their unit length.
+
+A quaternion q rotates the vector v to q v q*. Rotations near the identity are given as *turns*: the quaternion minus
+one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned`` adds the change to q with a compensated sum,
+so that neither the length of q nor its direction drifts, however many turns follow each other.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.arithmetic.double_double import two_sum
+
+Array = NDArray[np.floating[Any]]
+Quaternion = tuple[float, float, float, float]
+Vector = tuple[float, float, float]
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+def product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Hamilton product p q: first the rotation q, then p."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """Inverse rotation of a unit quaternion."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def rotate(q: Quaternion, v: Vector) -> Vector:
+    """Rotated vector q v q*, as v plus its change."""
+    w, x, y, z = q
+    a = 2.0 * (y * v[2] - z * v[1])
+    b = 2.0 * (z * v[0] - x * v[2])
+    c = 2.0 * (x * v[1] - y * v[0])
+    return (v[0] + (w * a + (y * c - z * b)), v[1] + (w * b + (z * a - x * c)), v[2] + (w * c + (x * b - y * a)))
+
+
+def unit_turn(a: float, b: float, c: float) -> Quaternion:
+    """Turn about (a, b, c) by the angle 2 arctan |(a, b, c)|, the Cayley transform: (1, a, b, c)/|(1, a, b, c)| - 1."""
+    s = a * a + b * b + c * c
+    length = math.sqrt(1.0 + s)
+    return (-s / (length * (1.0 + length)), a / length, b / length, c / length)
+
+
+def turn_of(q: Quaternion) -> Quaternion:
+    """Turn of a unit quaternion, w - 1 without cancellation."""
+    w, x, y, z = q
+    return (-(x * x + y * y + z * z) / (1.0 + w) if w > 0.5 else w - 1.0, x, y, z)
+
+
+def turn_upright(u: Vector) -> Quaternion:
+    """Shortest turn that carries the unit vector ``u`` to (0, 0, 1); half a turn if ``u`` is (0, 0, -1)."""
+    if u[2] <= -1.0 + 1e-15:
+        return (-1.0, 1.0, 0.0, 0.0)
+    return unit_turn(u[1] / (1.0 + u[2]), -u[0] / (1.0 + u[2]), 0.0)
+
+
+def upright(v: Vector) -> Quaternion:
+    """Shortest rotation that carries the direction of ``v`` to (0, 0, 1); the identity if ``v`` is zero."""
+    size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    if not size > 0.0:
+        return IDENTITY
+    t = turn_upright((v[0] / size, v[1] / size, v[2] / size))
+    return (1.0 + t[0], t[1], t[2], t[3])
+
+
+def sum_turned(q: Quaternion, low: Quaternion, change: Quaternion) -> tuple[Quaternion, Quaternion]:
+    """Sum q + low + ``change``, scaled to unit length, and its rounding errors."""
+    w, ew = two_sum(q[0], low[0] + change[0])
+    x, ex = two_sum(q[1], low[1] + change[1])
+    y, ey = two_sum(q[2], low[2] + change[2])
+    z, ez = two_sum(q[3], low[3] + change[3])
+    # what is missing to unit length is added with the rounding errors
+    excess = 0.5 * (1.0 - (w * w + x * x + y * y + z * z))
+    return (w, x, y, z), (ew + excess * w, ex + excess * x, ey + excess * y, ez + excess * z)
+
+
+def canonical(q: Quaternion) -> Quaternion:
+    """The one of q and -q, which are the same rotation, whose first number other than zero is positive."""
+    for value in q:
+        if value != 0.0:
+            s = math.copysign(1.0, value)
+            return (s * q[0] + 0.0, s * q[1] + 0.0, s * q[2] + 0.0, s * q[3] + 0.0)  # without negative zeros
+    return q
+
+
+def canonical_rows(q: Array) -> Array:
+    """Quaternions (m, 4), each of unit length and ``canonical``."""
+    q = q / np.sqrt((q * q).sum(axis=1, keepdims=True))
+    first = q[np.arange(len(q)), np.argmax(q != 0.0, axis=1)]
+    return q * np.where(first < 0.0, -1.0, 1.0)[:, None] + 0.0  # without negative zeros
+
+
+def products(p: Array, q: Array) -> Array:
+    """Hamilton products (m, 4) of quaternions (m, 4), or of one quaternion (4,) with each of the other argument."""
+    p, q = np.broadcast_arrays(p, q)
+    return np.stack(product((p[:, 0], p[:, 1], p[:, 2], p[:, 3]), (q[:, 0], q[:, 1], q[:, 2], q[:, 3])), axis=1)  # pyright: ignore[reportArgumentType]
+
+
+def matrices(q: Array) -> Array:
+    """Rotation matrices (m, 3, 3) of unit quaternions (m, 4)."""
+    columns = [rotate(tuple(q.T), axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    return np.stack([np.stack(np.broadcast_arrays(*column), axis=1) for column in columns], axis=2)
+
+
+def quaternions(matrices: Array) -> Array:
+    """Unit quaternions (m, 4) of rotation matrices (m, 3, 3), from their largest component (Shepperd 1978)."""
+    R = matrices
+    trace = R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2]
+    candidates = np.empty((len(R), 4, 4))  # 4 w q, 4 x q, 4 y q, 4 z q
+    candidates[:, 0, 0] = 1.0 + trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        candidates[:, i + 1, i + 1] = 1.0 + 2.0 * R[:, i, i] - trace
+        candidates[:, 0, i + 1] = candidates[:, i + 1, 0] = R[:, k, j] - R[:, j, k]
+        candidates[:, j + 1, k + 1] = candidates[:, k + 1, j + 1] = R[:, j, k] + R[:, k, j]
+    best = np.argmax(np.einsum("mii->mi", candidates), axis=1)
+    q = candidates[np.arange(len(R)), best]
+    return q / np.sqrt((q * q).sum(axis=1, keepdims=True))
+
+
+def euler_angles(q: Array) -> tuple[Array, Array, Array]:
+    """Euler's angles psi, theta, phi (m,) of unit quaternions (m, 4), in the sequence z-x-z.
+
+    They are rotations by phi about the third axis, theta about the first, psi about the third. psi and phi are in
+    (-pi, pi]; at theta = 0 and pi, where only their sum or difference is defined, phi is 0.
+    """
+    w, x, y, z = q.T
+    theta = 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
+    half_sum, half_difference = np.arctan2(z, w), np.arctan2(y, x)
+    flat, over = np.hypot(x, y) == 0.0, np.hypot(w, z) == 0.0
+    psi = np.where(flat, 2.0 * half_sum, np.where(over, 2.0 * half_difference, half_sum + half_difference))
+    phi = np.where(flat | over, 0.0, half_sum - half_difference)
+    return _wrapped(psi), theta, _wrapped(phi)
+
+
+def _wrapped(angle: Array) -> Array:
+    """Angles (m,) of up to two revolutions, in (-pi, pi]."""
+    angle = np.where(angle > math.pi, angle - 2.0 * math.pi, angle)
+    return np.where(angle <= -math.pi, angle + 2.0 * math.pi, angle)

@@ -1,0 +1,197 @@
+"""Attitude of the body, carried along the rows that the time loop records.
+
+The time loop of a method is used as it is: it records every step into a buffer, and ``carry`` turns the attitude from
+row to row and passes on the rows that are wanted, each with its quaternion. States therefore have the bits of a run
+without attitude, whose machine code is the same. The attitude is part of the working state, so that a run resumes bit
+for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.arithmetic.quaternions import (
+    canonical,
+    canonical_rows,
+    conjugate,
+    product,
+    rotate,
+    sum_turned,
+    turn_upright,
+    upright,
+)
+from topcli.contracts import Array, Floats, Method, Sampler, Scheme, StopAsked, Top, checked_equations
+from topcli.engine.driver import Loop, loop_of
+from topcli.engine.fingerprint import fingerprint
+from topcli.engine.loop import Position, Run
+from topcli.schemes.attitude import SCRATCH, fixed_direction, turn, turn_order
+
+if TYPE_CHECKING:
+    from topcli.engine.native import Native
+
+NEEDED_BY = "the attitude"
+NUMBERS = 4
+"""Numbers of a recorded attitude, a unit quaternion."""
+HEAD = 14
+"""Slots of the working state before those of the method: the last state, the quaternion, its rounding errors."""
+BLOCK = 2048
+"""Steps between two passes over the rows."""
+
+
+def carry(work: Any, states: Any, out: Any, c: Any, scratch: Any, h: float, steps: int, every: int, until: int) -> int:
+    """Carry the attitude in ``work`` along ``steps`` rows of ``states``; return the number of rows written to ``out``.
+
+    The first row is written after ``until`` steps, then every ``every``-th. ``c`` are ``constants_of`` the run.
+    """
+    d, order, sign, in_space = int(c[6]), int(c[7]), c[8], c[9] != 0.0
+    y = (work[0], work[1], work[2], work[3], work[4], work[5])
+    q = (work[6], work[7], work[8], work[9])
+    low = (work[10], work[11], work[12], work[13])
+    written = 0
+    for i in range(steps):
+        k = i * d
+        g1, g2, g3 = (states[k + 3], states[k + 4], states[k + 5]) if d == 6 else (0.0, 0.0, 0.0)
+        z = (sign * states[k], sign * states[k + 1], sign * states[k + 2], g1, g2, g3)
+        q, low = sum_turned(q, low, product(q, turn(y, z, h, order, c, scratch)))
+        v = fixed_direction(z, c, d == 6)
+        if v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0:
+            q, low = sum_turned(q, low, product(turn_upright(rotate(q, v)), q))
+        y = z
+        until -= 1
+        if until == 0:
+            until = every
+            n = written * (d + 4)
+            for j in range(d):
+                out[n + j] = states[k + j]
+            shown = canonical(conjugate(q) if in_space else q)
+            out[n + d], out[n + d + 1], out[n + d + 2], out[n + d + 3] = shown[0], shown[1], shown[2], shown[3]
+            written += 1
+    work[0], work[1], work[2], work[3], work[4], work[5] = y[0], y[1], y[2], y[3], y[4], y[5]
+    work[6], work[7], work[8], work[9] = q[0], q[1], q[2], q[3]
+    work[10], work[11], work[12], work[13] = low[0], low[1], low[2], low[3]
+    return written
+
+
+@cache
+def _compiled() -> Native:
+    from topcli.engine.native import native
+
+    return native(carry, "pppppdqqq", inline=False)
+
+
+def constants_of(top: Top, order: int) -> Array:
+    """Constants of ``carry`` for turns of this ``order``.
+
+    Raises UsageError for a top whose motion is not described by Euler-Poisson equations.
+    """
+    equations = checked_equations(top, NEEDED_BY)
+    settings = (float(len(top.components)), float(order), equations.omega_sign, float(top.in_space))
+    return np.array((*equations.moments, *equations.gravity, *settings))
+
+
+def start_attitude(top: Top, y0: Floats) -> Floats:
+    """Quaternion of the attitude in the state ``y0``: the shortest rotation that puts the fixed direction upright."""
+    c = constants_of(top, 2)
+    w1, w2, w3 = (c[8] * float(value) for value in y0[:3])
+    g1, g2, g3 = (float(value) for value in y0[3:6]) if len(y0) == 6 else (0.0, 0.0, 0.0)
+    q = upright(fixed_direction((w1, w2, w3, g1, g2, g3), c.tolist(), len(y0) == 6))
+    return canonical(conjugate(q) if top.in_space else q)
+
+
+def with_attitude(loop: Loop, d: int, constants: Array) -> Loop:
+    """Time loop that records the attitude behind each state of ``d`` components.
+
+    The first state passed to ``enter`` holds the attitude too.
+    """
+    code, scratch, rows = _compiled(), np.empty(SCRATCH), np.empty(BLOCK * d)
+    sign, in_space = constants[8], bool(constants[9])
+
+    def enter(y: Array, work: Array, p: Array, h: float) -> int:
+        work[:HEAD] = 0.0
+        work[:d] = y[:d]
+        work[:3] *= sign
+        work[6:10] = conjugate(tuple(y[d:].tolist())) if in_space else y[d:]
+        return loop.enter(y[:d], work[HEAD:], p, h)
+
+    def drive(work: Array, out: Array, p: Array, h: float, steps: int, every: int, until: int) -> int:
+        taken = written = 0
+        begun = work.copy()
+        try:
+            while taken < steps:
+                size = min(BLOCK, steps - taken)
+                went = loop.drive(work[HEAD:], rows, p, h, size, 1, 1)
+                good = went if went >= 0 else -went - 1
+                left, rest = until + written * every - taken, out[written * (d + NUMBERS) :]
+                written += code(work, rows, rest, constants, scratch, h, good, every, left)
+                if went < 0:
+                    return went - taken
+                taken += went
+                if went < size:
+                    break
+        except StopAsked:  # no step of this call counts as taken
+            work[:] = begun
+            raise
+        return taken
+
+    return Loop(
+        enter,
+        drive,
+        loop.width + HEAD,
+        loop.counters,
+        loop.seconds + code.seconds,
+        loop.cached and code.cached,
+        loop.iterative,
+        loop.compiled,
+        loop.returns_early,
+        loop.advice,
+    )
+
+
+def _closed(sampler: Sampler, d: int) -> Sampler:
+    """Closed form whose states (m, d + 4) hold the attitude, which has a closed form too."""
+    attitude = sampler.attitude
+    assert attitude is not None
+
+    def states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
+        if len(n) == 0:  # between two recorded rows
+            return np.empty((0, d + NUMBERS))
+        return np.hstack([sampler.states(y0[:d], h, n, p), canonical_rows(attitude(y0[:d], y0[d:], h, n, p))])
+
+    return Sampler(states)
+
+
+def attitude_run(
+    top: Top,
+    scheme: Scheme,
+    options: Any,
+    method: Method,
+    y0: Floats,
+    h: float,
+    N: int,
+    every: int = 1,
+    stop: Callable[[], bool] = lambda: False,
+    start: Position | None = None,
+) -> Run:
+    """Run whose recorded states are followed by the attitude; the arguments are those of ``Run``.
+
+    Raises UsageError for a top without Euler-Poisson equations.
+    """
+    d, p = len(y0), top.constants()
+    constants = constants_of(top, turn_order(scheme.order_for(options), scheme.adaptive))
+    if isinstance(method, Sampler) and method.attitude is not None:
+        loop = loop_of(_closed(method, d), d + NUMBERS, len(p))
+    else:
+        loop = with_attitude(loop_of(method, d, len(p)), d, constants)
+    return Run(top, loop, (*y0, *start_attitude(top, y0)), h, N, every, stop, start)
+
+
+def attitude_code(method: Method) -> str:
+    """Digest of the code that makes the attitude of a run of ``method``."""
+    if isinstance(method, Sampler) and method.attitude is not None:
+        return fingerprint(method.attitude, compiled=False)
+    return fingerprint(carry)

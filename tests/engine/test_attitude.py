@@ -1,0 +1,319 @@
+"""The attitude that runs carry along: order, symmetry, the fixed direction, bits independent of what is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from conftest import GEN
+from resuming import after
+from topcli.config.load import experiment_from, load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Outcome, Stepper, StopAsked, heed_stop, stop_asked
+from topcli.engine.attitude import HEAD, carry, constants_of, start_attitude, with_attitude
+from topcli.engine.driver import loop_of
+from topcli.engine.loop import Run
+from topcli.engine.native import native
+from topcli.errors import UsageError
+from topcli.schemes.attitude import SCRATCH
+from topcli.studies.prepare import run_of
+from topcli.tops.euler import Euler
+from topcli.tops.kowalevski import Kowalevski
+
+INITIAL = {
+    "kowalevski": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
+    "heavy": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
+    "lagrange": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
+    "lagrange/inertial": {"m": list(GEN[:3]), "a": list(GEN[3:])},
+    "euler": {"omega": list(GEN[:3])},
+    "euler+gamma": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
+}
+TURNS = {"attitude": "quaternion"}
+
+
+def experiment(top: str, scheme: str, h: float, N: int, **output: Any) -> Experiment:
+    made = {"top": top, "initial": INITIAL[top], "scheme": scheme, "h": h, "N": N, "output": {**TURNS, **output}}
+    return experiment_from({"name": "attitude", **made})
+
+
+def rows(one: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    """States (m, d) and rotation matrices (m, 3, 3) of the recorded rows."""
+    states = run_of(one, one.method()).collect().states
+    d = len(one.top.components)
+    return states[:, :d], Rotation.from_quat(states[:, d:], scalar_first=True).as_matrix()
+
+
+def reference(one: Experiment, start: np.ndarray) -> np.ndarray:
+    """Rotation at the end of the motion, from the nine equations R' = R [omega] or, in space, R' = [m] R."""
+    d, p, field = len(one.y0), one.top.constants(), type(one.top).field
+    in_space = one.top.form == "lagrange/inertial"
+
+    def rates(t: float, values: np.ndarray) -> np.ndarray:
+        w, R = values[:3], values[d:].reshape(3, 3)
+        cross = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+        return np.concatenate([field(tuple(values[:d]), p), (cross @ R if in_space else R @ cross).ravel()])
+
+    begin = np.concatenate([one.y0, start.ravel()])
+    found = solve_ivp(rates, (0.0, one.duration), begin, method="DOP853", rtol=1e-12, atol=1e-13)
+    return found.y[d:, -1].reshape(3, 3)
+
+
+def error(top: str, scheme: str, h: float) -> float:
+    one = experiment(top, scheme, h, round(2.0 / h), every=round(2.0 / h))
+    matrices = rows(one)[1]
+    return float(np.abs(matrices[-1] - reference(one, matrices[0])).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("top", "scheme", "order"),
+    [
+        ("kowalevski", "hk", 2),
+        ("kowalevski", "bohlin-a", 1),
+        ("kowalevski", "rk4", 4),
+        ("kowalevski", "hk+yoshida4", 4),
+        ("kowalevski", "hk+kahan-li6", 6),
+        ("heavy", "midpoint", 2),
+        ("lagrange", "hk", 2),
+        ("lagrange/inertial", "bs", 1),
+        ("euler", "hk", 2),
+        ("euler", "rk4", 4),
+        ("euler+gamma", "hk", 2),
+        ("euler", "hk-exact", 2),
+    ],
+)
+def test_order_is_that_of_the_scheme(top: str, scheme: str, order: int) -> None:
+    coarse, fine = error(top, scheme, 0.05), error(top, scheme, 0.025)
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("top", list(INITIAL))
+@pytest.mark.parametrize("h", [0.1, 1.0])
+def test_taylor_turns_to_round_off(top: str, h: float) -> None:
+    assert error(top, "taylor", h) < 2e-12  # of the reference
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("top", ["euler", "euler+gamma", "lagrange", "lagrange/inertial", "kowalevski"])
+def test_exact_agrees_with_the_reference_at_any_step(top: str) -> None:
+    assert error(top, "exact", 2.0) < 2e-12
+    assert error(top, "exact", 0.05) < 2e-12
+
+
+@pytest.mark.parametrize("top", ["euler", "lagrange", "lagrange/inertial"])
+def test_closed_forms_take_no_steps(top: str) -> None:
+    """A billion steps, which no summation could take in a second; powers of two, so that the times are equal."""
+    last = rows(experiment(top, "exact", 2.0**-20, 2**30, every=2**30))
+    same = rows(experiment(top, "exact", 2.0**10, 1))
+    # 2^30 steps whose phases are rounded to 2^-65 of a revolution
+    assert np.abs(last[1][-1] - same[1][-1]).max() < 1e-9
+    assert np.abs(last[0][-1] - same[0][-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("scheme", "symmetric"),
+    [("hk", True), ("hk+yoshida4", True), ("hk+kahan-li6", True), ("midpoint", True), ("rk4", False)],
+)
+def test_reversal_undoes_the_turns_of_a_self_adjoint_scheme(scheme: str, symmetric: bool) -> None:
+    one = experiment("kowalevski", scheme, 0.1, 50)
+    states, forwards = rows(one)
+    end = tuple(states[-1].tolist())
+    back = rows(one.model_copy(update={"h": -0.1, "y0": end}))[1]
+    there, again = forwards[0].T @ forwards[-1], back[0].T @ back[-1]
+    defect = np.abs(there @ again - np.eye(3)).max()
+    assert defect < 2e-13 if symmetric else 1e-6 < defect < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("top", "scheme"),
+    [
+        ("kowalevski", "hk"),
+        ("kowalevski", "bohlin-a"),
+        ("kowalevski", "rk2"),
+        ("kowalevski", "exact"),
+        ("heavy", "taylor"),
+        ("lagrange", "exact"),
+        ("lagrange/inertial", "bs"),
+        ("euler", "hk"),
+        ("euler+gamma", "exact"),
+    ],
+)
+def test_the_fixed_direction_stays_upright(top: str, scheme: str) -> None:
+    """gamma, the axis's vertical or the angular momentum, at every row, also of schemes that do not keep its length."""
+    one = experiment(top, scheme, 0.1, 300)
+    states, matrices = rows(one)
+    if top == "lagrange/inertial":  # the axis is the third one of the body
+        seen, expected = matrices[:, :, 2], states[:, 3:]
+    else:
+        seen, expected = np.tile([0.0, 0.0, 1.0], (len(states), 1)), states[:, 3:]
+        if top == "euler":
+            expected = states * np.array([3.0, 2.0, 1.0])
+        expected = np.einsum("mij,mj->mi", matrices, expected)
+    expected = expected / np.linalg.norm(expected, axis=1, keepdims=True)
+    assert np.abs(seen - expected).max() < 2e-15
+
+
+def test_the_momentum_of_the_free_top_is_fixed_in_space_to_the_order() -> None:
+    """gamma is kept upright; the direction of m is not used by the attitude and shows the error of the scheme."""
+
+    def wander(scheme: str, h: float) -> float:
+        states, matrices = rows(experiment("euler+gamma", scheme, h, round(10.0 / h)))
+        m = np.einsum("mij,mj->mi", matrices, states[:, :3] * np.array([3.0, 2.0, 1.0]))
+        return float(np.abs(m - m[0]).max())
+
+    assert wander("exact", 0.5) < 1e-13
+    assert wander("hk", 0.1) / wander("hk", 0.05) == pytest.approx(4.0, rel=0.05)
+    assert wander("hk", 0.1) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("top", "scheme"), [("kowalevski", "hk"), ("kowalevski", "taylor"), ("euler", "exact"), ("kowalevski", "dop853")]
+)
+def test_states_have_the_bits_of_a_run_without_attitude(top: str, scheme: str) -> None:
+    one = experiment(top, scheme, 0.02, 5000, every=9)
+    plain = Run(one.top, one.method(), one.y0, one.h, one.N, 9).collect()
+    found = run_of(one, one.method()).collect()
+    assert found.n.tobytes() == plain.n.tobytes()
+    assert np.ascontiguousarray(found.states[:, : len(one.y0)]).tobytes() == plain.states.tobytes()
+    assert found.ending == plain.ending
+
+
+@pytest.mark.parametrize(("top", "scheme"), [("kowalevski", "hk"), ("kowalevski", "taylor"), ("lagrange", "exact")])
+def test_attitude_does_not_depend_on_the_recorded_rows(top: str, scheme: str) -> None:
+    all_rows = run_of(one := experiment(top, scheme, 0.02, 5000), one.method()).collect().states
+    some = run_of(one := experiment(top, scheme, 0.02, 5000, every=7), one.method()).collect().states
+    assert some.tobytes() == np.ascontiguousarray(all_rows[::7]).tobytes()
+
+
+@pytest.mark.parametrize("scheme", ["hk", "rk4", "taylor", "exact", "dop853", "hybrid-sym"])
+def test_a_stopped_run_continues_bit_for_bit(scheme: str, small_chunks: None) -> None:
+    one = experiment("kowalevski", scheme, 0.02, 120, every=7)
+    whole = run_of(one, one.method())
+    expected = b"".join(chunk.states.tobytes() for chunk in whole)
+    first = run_of(one, one.method(), after(3))
+    before = b"".join(chunk.states.tobytes() for chunk in first)
+    start = first.position()
+    assert start is not None
+    assert 0 < start.done < 120
+    second = run_of(one, one.method(), start=start)
+    assert before + b"".join(chunk.states.tobytes() for chunk in second) == expected
+    assert second.ending == whole.ending
+
+
+def test_a_run_that_blows_up_keeps_the_attitude_until_then() -> None:
+    one = experiment("kowalevski", "rk4", 3.0, 5000)
+    plain = Run(one.top, one.method(), one.y0, one.h, one.N).collect()
+    found = run_of(one, one.method()).collect()
+    assert plain.ending.outcome is Outcome.BLEW_UP
+    assert found.ending == plain.ending
+    assert found.states[:, :6].tolist() == plain.states.tolist()
+    assert found.states.shape == (plain.ending.step, 10)
+
+
+def test_an_interrupted_call_counts_no_step() -> None:
+    """A plain step that gives up leaves the working state of the whole call, attitude included."""
+
+    def step(s: Any, h: float, p: Any) -> Any:
+        if s[0] > 4.0:  # in the second block
+            heed_stop()
+        return (s[0] + h, s[1], s[2])
+
+    top = Euler()
+    loop = with_attitude(loop_of(Stepper(step, 3, plain=True), 3, 6), 3, constants_of(top, 2))
+    work, out = np.zeros(loop.width), np.empty(70000)
+    loop.enter(np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), work, np.array(top.constants()), 2.0**-10)
+    begun = work.copy()
+    token = stop_asked.set(lambda: True)
+    try:
+        with pytest.raises(StopAsked):
+            loop.drive(work, out, np.array(top.constants()), 2.0**-10, 8000, 1, 1)
+    finally:
+        stop_asked.reset(token)
+    assert work.tobytes() == begun.tobytes()
+
+
+@pytest.mark.parametrize("order", [2, 4, 0])
+def test_compiled_and_plain_code_agree(order: int) -> None:
+    top, h, steps = Kowalevski(), 0.3, 20
+    states = Run(top, load_experiment("kowalevski_hk").method(), GEN, h, steps).collect().states
+    constants = constants_of(top, order)
+    found = []
+    calls: list[Callable[..., int]] = [native(carry, "pppppdqqq", inline=False), carry]
+    for call in calls:
+        work, out, scratch = np.zeros(HEAD), np.zeros(10 * steps), np.zeros(SCRATCH)
+        work[:6], work[6:10] = GEN, start_attitude(top, GEN)
+        assert call(work, states[1:].ravel().copy(), out, constants, scratch, h, steps, 1, 1) == steps
+        found.append(out.reshape(steps, 10))
+    assert np.abs(found[0] - found[1]).max() < 1e-15
+
+
+def test_one_of_the_two_quaternions_is_recorded() -> None:
+    for scheme in ("hk", "exact"):
+        q = run_of(one := experiment("euler", scheme, 0.1, 500), one.method()).collect().states[:, 3:]
+        assert q[:, 0].min() >= 0.0
+        assert q[:, 0].min() < 0.05  # it would pass zero
+
+
+@pytest.mark.slow
+def test_unit_length_does_not_drift() -> None:
+    """Two million steps: the length stays within rounding of one, at the end as at the beginning."""
+    one = experiment("kowalevski", "hk", 0.05, 2_000_000, every=20)
+    q = run_of(one, one.method()).collect().states[:, 6:]
+    defects = np.abs((q * q).sum(axis=1) - 1.0)
+    assert defects[-1000:].max() < 1e-15
+    assert defects.max() < 1e-15
+
+
+@pytest.mark.slow
+def test_round_off_of_the_turns_is_compensated() -> None:
+    """Steady rotation about the third axis: every turn has the same rounding error, which does not accumulate."""
+    N, w = 1_000_000, 0.7
+    one = experiment("euler", "hk", 1e-3, N, every=N).model_copy(update={"y0": (0.0, 0.0, w)})
+    q = run_of(one, one.method()).collect().states[-1, 3:]
+    with mpmath.workdps(40):
+        half = float(mpmath.fmod(N * mpmath.atan(0.5 * mpmath.mpf(1e-3) * mpmath.mpf(w)), 2.0 * mpmath.pi))
+    expected = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+    assert (
+        min(np.abs(q - expected).max(), np.abs(q + expected).max()) < 1e-14
+    )  # 2.7e-14 without compensation, typically 2e-15
+
+
+def test_the_attitude_at_the_start_is_the_shortest_rotation() -> None:
+    top = Kowalevski()
+    assert start_attitude(top, (1.0, 2.0, 3.0, 0.0, 0.0, 1.0)) == (1.0, 0.0, 0.0, 0.0)
+    assert start_attitude(top, (1.0, 2.0, 3.0, 0.0, 0.0, -1.0)) == (0.0, 1.0, 0.0, 0.0)
+    found = Rotation.from_quat(start_attitude(top, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)), scalar_first=True)
+    assert found.apply([1.0, 0.0, 0.0]) == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
+    assert found.as_rotvec() == pytest.approx([0.0, -np.pi / 2.0, 0.0], abs=1e-15)
+    assert start_attitude(Euler(), (0.0, 0.0, 0.0)) == (1.0, 0.0, 0.0, 0.0)
+
+
+def test_a_top_at_rest_keeps_its_attitude() -> None:
+    one = experiment("euler", "hk", 0.1, 10).model_copy(update={"y0": (0.0, 0.0, 0.0)})
+    assert run_of(one, one.method()).collect().states[:, 3:].tolist() == [[1.0, 0.0, 0.0, 0.0]] * 11
+
+
+def test_a_turn_too_large_to_resolve_is_no_number() -> None:
+    """The run goes on; its attitude is nan, and neither hangs nor is silently wrong."""
+    top, y = Kowalevski(), np.array([1e9, 0.0, 0.0, 1.0, 0.0, 0.0])
+    work, out, scratch = np.zeros(HEAD), np.zeros(10), np.zeros(SCRATCH)
+    work[:6], work[6:10] = y, start_attitude(top, tuple(y))
+    assert native(carry, "pppppdqqq", inline=False)(work, y, out, constants_of(top, 0), scratch, 1.0, 1, 1, 1) == 1
+    assert out[:6].tolist() == y.tolist()
+    assert np.isnan(out[6:]).all()
+
+
+def test_a_top_without_euler_poisson_equations_is_refused() -> None:
+    class Gyrostat(Kowalevski):
+        def euler_poisson(self) -> Any:
+            raise NotImplementedError
+
+    with pytest.raises(UsageError, match="the attitude needs its Euler-Poisson equations"):
+        constants_of(Gyrostat(), 2)
