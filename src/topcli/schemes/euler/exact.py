@@ -219,7 +219,7 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     Every state is computed directly from the initial state, with an error of a few ulp at any time, including on and
     near the separatrix. Rotations about a principal axis and the spherical top are treated separately.
     """
-    return Sampler(exact_states, exact_attitude)
+    return Sampler(exact_states, attitude=exact_attitude)
 
 
 @scheme(

@@ -308,7 +308,7 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
 
     Motions asymptotic to the upright top, which are not periodic, and almost planar motions are refused.
     """
-    return Sampler(body_states, body_attitude)
+    return Sampler(body_states, attitude=body_attitude)
 
 
 @scheme(
@@ -328,4 +328,4 @@ def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
 
     Motions asymptotic to the upright top, which are not periodic, and almost planar motions are refused.
     """
-    return Sampler(inertial_states, inertial_attitude)
+    return Sampler(inertial_states, attitude=inertial_attitude)
