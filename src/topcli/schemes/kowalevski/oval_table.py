@@ -46,9 +46,10 @@ def _chebyshev() -> tuple[Array, Array]:
 
 
 class Series:
-    """Several quantities as Chebyshev series of a variable, by panels in ascending order from 0 to ``end``.
+    """Several quantities as Chebyshev series of a variable, by panels in ascending order.
 
-    A panel is measured from the value ``origin`` of its anchor, in its ``direction``.
+    A panel is measured from the value ``origin`` of its anchor, in its ``direction``; if the anchor is a double root,
+    from the end that is none.
     """
 
     def __init__(self, origin: Array, direction: Array, begin: Array, end: Array, tables: list[Array]) -> None:
@@ -86,8 +87,10 @@ class OvalTable:
         self.unbounded, self.low, self.high = oval.high is None, oval.low, oval.high
         self.others, self.length = oval.others, float(oval.length)
         self.time, self.weighted = (float(v) for v in oval.half_periods)
-        self.largest_excess = self.time + self.slope * self.weighted
         self.whole_excess = float(oval.half_periods[0] - slope * oval.half_periods[1])
+        # towards a double root 1 - slope |s - sigma| has one sign; at a triple root only its integral is bounded
+        whole = abs(self.whole_excess) if any(oval.touched) else self.time + self.slope * self.weighted
+        self.largest_excess = whole
         self.apart: dict[int, tuple[str, complex]] = {}
         for i in oval.others:
             if oval.curve.pair and i in (1, 2):
@@ -110,11 +113,19 @@ class OvalTable:
 
     def _tabulate(self, oval: Oval, slope: Real) -> None:
         """Build the series of theta and of the time over p, and of theta over the time."""
-        at_anchor, time, weighted = {0: (0.0, 0.0, 0.0)}, 0, 0
-        for panel in oval.panels:
+        root = 0 if oval.touched[0] else len(oval.anchors) - 1 if oval.touched[1] else None
+        zero = oval.half_periods if oval.touched[0] else (0, 0)
+        at_anchor, time, weighted = {0: (-float(zero[0]), -float(zero[1]), 0.0)}, 0, 0
+        from_root: dict[int, list[tuple[float, float]]] = {}
+        for n, panel in enumerate(oval.panels):
+            before = time, weighted
             time, weighted = time + panel.time, weighted + panel.weighted
             if panel.direction == -1:
-                at_anchor[panel.anchor] = float(time), float(weighted), float(time - slope * weighted)
+                integrals = float(time - zero[0]), float(weighted - zero[1])
+                at_anchor[panel.anchor] = *integrals, float(time - slope * weighted)
+            if panel.anchor == root:  # measured from the regular end, because the root is infinitely far
+                ends = (before, (time, weighted))[:: panel.direction]
+                from_root[n] = [(-abs(float(t - zero[0])), -abs(float(p - zero[1]))) for t, p in ends]
         rows: dict[int, tuple[float, float, Array, Array, Array]] = {}
         offsets: dict[tuple[int, int], tuple[float, float, float]] = {}
         ends = {}
@@ -129,9 +140,13 @@ class OvalTable:
             rows[n] = t0, p0, angle_of_p, excess_of_p, angle_of_time
             ends[n] = t0 + dt, p0 + dp
             offsets[key] = (*ends[n], e0 + more)
+            if n in from_root:
+                rows[n], ends[n] = (*from_root[n][0], *rows[n][2:]), from_root[n][1]
         count = range(len(oval.panels))
         anchors = [at_anchor[p.anchor] for p in oval.panels]
         first, second, self.excess_at_anchor = (np.array([a[i] for a in anchors]) for i in range(3))
+        for n in from_root:
+            first[n] = second[n] = 0.0
         begin, end = ([np.array([source[n][i] for n in count]) for i in (0, 1)] for source in (rows, ends))
         tables = [np.array([rows[n][i] for n in count]) for i in (2, 3, 4)]
         self.over_p = Series(second, self.direction, begin[1], end[1], [tables[1], tables[0]])
@@ -172,7 +187,11 @@ class OvalTable:
             product = product * np.abs(squares[i])
         density = np.sqrt((self.length if self.unbounded else 1.0) / product)
         gap, unit = self.gap(S, C), C * C if self.unbounded else 1.0
-        return density * unit, density * gap, density * (unit - self.slope * gap)
+        if self.slope and any(self.touched):  # 1/|root - sigma|
+            rest = self.slope * self.length * (C * C if self.touched[1] else -S * S)
+        else:
+            rest = unit - self.slope * gap
+        return density * unit, density * gap, density * rest
 
     def gap(self, S: Array, C: Array) -> Array:
         """|s - sigma|; times cos² theta on the unbounded oval."""
@@ -215,12 +234,15 @@ class OvalTable:
         return [found[i] for i in range(5)]
 
     def _folded(self, x: Array, half: float) -> tuple[NDArray[np.int64], Array, Array]:
-        """Quadrant of the value ``x`` of an integral, the integral from theta = 0 in [0, half], and its direction."""
+        """Quadrant of the value ``x`` of an integral, the integral from theta = 0 in [0, half], and its direction.
+
+        If theta = 0 is a double root, the integral is that from theta = pi/2, in [-half, 0].
+        """
         if any(self.touched):
             negative, size = x < 0.0, np.minimum(np.abs(x), half)
             sign = np.where(negative, -1.0, 1.0)
             if self.touched[0]:
-                return np.where(negative, 0, 1), half - size, -sign
+                return np.where(negative, 0, 1), -size, -sign
             return np.where(negative, 3, 0), size, sign
         quadrant = np.floor(x / half)
         odd = quadrant - 2.0 * np.floor(0.5 * quadrant)

@@ -230,9 +230,6 @@ def _ovals(of: Curve) -> tuple[Oval, Oval]:
     """The ovals of s1 and s2; sigma is in the middle of the gap between them."""
     top, low, high = of.occupied()
     sigma = (of.e[top].real + of.e[low].real) / 2
-    for i in (top, low):
-        if sum(one == of.e[i] for one in of.e) > 2:
-            raise RunError(REFUSED.format("the curve has a triple root (k = 0 and E = 2 l²/gamma²)"))
     return Oval(of, low, high, sigma), Oval(of, top, None, sigma)
 
 

@@ -52,13 +52,15 @@ class Integrals:
         """2 L²/G - E; the cubic vanishes at e4 or e5 if it is k or -k."""
         return 2 * self.L**2 / self.G - 3 * self.l1
 
-    def k(self) -> Real:
-        """Root of k²; rational at the double roots, so that they are equal in multiprecision too."""
+    def e4_e5(self) -> tuple[Real, Real]:
+        """Roots (l1 ± k)/2; rational at the double roots, so that equal ones are equal in multiprecision too."""
         from topcli.schemes.kowalevski.multiprecision import mpf, sqrt
 
-        if self.double_roots & {"e4", "e5"}:
-            return abs(real(self._on_cubic()))
-        return sqrt(real(self.k_sq)) if self.k_sq else mpf(0)
+        if self.double_roots & {"k", "e4", "e5"}:
+            k = abs(self._on_cubic()) if self.k_sq else Fraction(0)
+            return real((self.l1 + k) / 2), real((self.l1 - k) / 2)
+        k = sqrt(real(self.k_sq))
+        return (real(self.l1) + k) / 2, (real(self.l1) - k) / mpf(2)
 
 
 def real(q: Fraction) -> Real:
@@ -96,15 +98,14 @@ def cubic_roots(g2: Real, g3: Real) -> list[Real]:
     return [mpc(a + b), mpc(-(a + b) / 2, abs(imaginary)), mpc(-(a + b) / 2, -abs(imaginary))]
 
 
-def _roots(of: Integrals, k: Real) -> list[Real]:
+def _roots(of: Integrals, e4: Real, e5: Real) -> list[Real]:
     """Roots of the cubic; equal ones are exactly equal."""
-    from topcli.schemes.kowalevski.multiprecision import mpc, mpf, sqrt
+    from topcli.schemes.kowalevski.multiprecision import mpc, sqrt
 
     double, g2, g3 = of.double_roots, real(of.g2), real(of.g3)
     if "cubic" in double:
-        d = -3 * g3 / (2 * g2) if of.g2 else mpf(0)
-        return [mpc(-2 * d), mpc(d), mpc(d)]
-    e4, e5 = (real(of.l1) + k) / 2, (real(of.l1) - k) / 2
+        d = -3 * of.g3 / (2 * of.g2) if of.g2 else Fraction(0)
+        return [mpc(real(-2 * d)), mpc(real(d)), mpc(real(d))]
     if {"e4", "e5"} <= double and "k" not in double:
         return [mpc(e4), mpc(e5), mpc(-e4 - e5)]
     if double & {"e4", "e5"}:
@@ -138,8 +139,8 @@ class Curve:
 
 def curve(of: Integrals) -> Curve:
     """Curve of the given integrals."""
-    k, l1, L = of.k(), real(of.l1), real(of.L)
-    e = _roots(of, k)
+    (e4, e5), l1, L = of.e4_e5(), real(of.l1), real(of.L)
+    e = _roots(of, e4, e5)
     pair = any(v.imag != 0 for v in e)
     if pair:
         e.sort(key=lambda v: (v.imag != 0, -v.imag))
@@ -147,7 +148,7 @@ def curve(of: Integrals) -> Curve:
     r1, r2 = -(x0**3) + 3 * l1 * x0 - L, (l1 - x0 * x0) / 2
     from topcli.schemes.kowalevski.multiprecision import mpc
 
-    return Curve(of, (*e, mpc((l1 + k) / 2), mpc((l1 - k) / 2)), pair, x0, r1, r2)
+    return Curve(of, (*e, mpc(e4), mpc(e5)), pair, x0, r1, r2)
 
 
 def _isolated_root(e: Sequence[Real], l1: Real, L: Real) -> Real:
