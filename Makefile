@@ -5,6 +5,7 @@
 # make docs      the documentation as HTML in docs/_build/html
 # make docs-images  the pictures in docs/images, with a summary of their data
 # make attack    mutated configs, damaged files, kills: minutes, and nothing may be found (ARGS='damage --seed 7')
+# make claims    decide the paper's claims: a quarter of a minute
 # make bench     speed against error, ours and other people's integrators: the table and the figure
 # make bench-steps  what single steps, start-up and storage cost (ratios against named baselines)
 # make clean     remove what was built; results/ stays
@@ -15,7 +16,7 @@ BIN := $(VENV)/bin
 NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
 export NUMBA_CACHE_DIR
 
-.PHONY: venv figures quick test check attack docs docs-images bench bench-steps clean
+.PHONY: venv figures quick test check attack docs docs-images claims bench bench-steps clean
 
 venv: $(VENV)/.installed
 
@@ -52,6 +53,9 @@ docs: $(VENV)/.installed-docs
 
 docs-images: $(VENV)/.installed
 	$(BIN)/python docs/draw_images.py $(ARGS)
+
+claims: $(VENV)/.installed
+	@$(BIN)/topcli claims
 
 attack: $(VENV)/.installed-dev
 	PYTHONPATH=tests $(BIN)/python -m attack $(ARGS)

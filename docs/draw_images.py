@@ -26,6 +26,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "polhodes": ("plot", "polhodes", "--format", "png"),
     "nutation": ("plot", "nutation", "--format", "png"),
     "compare": ("compare", *COMPARED, "--plot"),
+    "period": ("plot", "period", "--format", "png"),
     "swings": ("plot", "swings", "--format", "png"),
     "integrable": ("plot", "integrable", "--format", "png"),
     "stress": ("plot", "stress", "--format", "png"),

@@ -305,6 +305,51 @@ def test_energies_are_drawn_logarithmically_against_time(tmp_path: Path) -> None
     assert len({to_rgb(colour) for colour in colours.values()}) == len(colours)
 
 
+def test_the_period_is_drawn_over_the_step_and_the_motions_in_rows(tmp_path: Path) -> None:
+    """Row i lies 2.6 i lower; the right scale is 2 sqrt 2 ln(8 sqrt 7/eps); markers of irreversible schemes are open."""
+    loaded = FIGURES["period"].load(Request(tmp_path, tmp_path))
+    rows = loaded.panels[0]
+    t = np.linspace(0.0, 50.0, 101)
+    data: dict[str, np.ndarray] = {"t": t, "swings": np.array([14.0, 42.0])}
+    data |= {name: np.cos(t + i) for i, name in enumerate(rows.columns[2:])}
+    order = ["hk", "rk2", "rk4", "hybrid", "bohlin-a"]
+    for i, name in enumerate(order):
+        data |= {f"h:{name}": np.array([1e-7, 1e-4, 1e-1]), f"spacing:{name}": np.array([27.0, 20.0 - i, 12.0 + i])}
+    figure = draw(loaded.panels, data, loaded.layout)
+    left, right = figure.axes
+    names = ["exact", *order, "bohlin-a", "bohlin-a"]
+    assert list(rows.columns[2:]) == [
+        f"gamma1:{name}:{h}" for name, h in zip(names, ["1e-03"] * 6 + ["1e-05", "1e-07"], strict=True)
+    ]
+    swings, motions = left.lines[:2], left.lines[2:]
+    assert [line.get_xdata()[0] for line in swings] == [14.0, 42.0]
+    for i, (line, column) in enumerate(zip(motions, rows.columns[2:], strict=True)):
+        np.testing.assert_allclose(data_of(line), np.column_stack([t, data[column] - 2.6 * i]), atol=1e-12)
+        assert in_sight(left, line)
+    labels = [label.get_text().replace("\n", ", ") for label in left.get_yticklabels()]
+    assert labels[1] == "HK, $h = 10^{-3}$, order 2, reversible"
+    assert labels[4] == "hybrid, $h = 10^{-3}$, order 2, not reversible"
+    assert labels[-1] == "Bohlin A, $h = 10^{-7}$, order 1, not reversible"
+    assert (right.get_xscale(), right.get_yscale()) == ("log", "linear")
+    law, *curves, paper = right.lines
+    assert law.get_ydata() == pytest.approx([28.1716, 28.1716], abs=1e-4)
+    assert paper.get_xdata()[0] == 1e-3
+    assert [str(line.get_label()).partition(":")[0] for line in curves] == ["HK", "RK2", "RK4", "hybrid", "Bohlin A"]
+    for line, name in zip(curves, order, strict=True):
+        expected = np.column_stack([data[f"h:{name}"], data[f"spacing:{name}"]])
+        np.testing.assert_array_equal(data_of(line), expected)
+        assert in_sight(right, line)
+        assert (line.get_markerfacecolor() == "white") == (name != "hk")
+        assert ("not reversible" in str(line.get_label())) == (name != "hk")
+        same = [one for one, shown in zip(motions, names, strict=True) if shown == name]
+        assert all(same_color(one.get_color(), line.get_color()) for one in same)
+    (scale,) = right.child_axes
+    assert scale.get_yticks() == pytest.approx(
+        [2.0 * math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) * 10.0**k) for k in (1, 2, 3)]
+    )
+    assert [label.get_text() for label in scale.get_yticklabels()] == ["$10^{-1}$", "$10^{-2}$", "$10^{-3}$"]
+
+
 def bench_report(name: str, errors: dict[str, list[float]]) -> dict[str, Any]:
     """A result of ``topcli bench``: time 2e-6/error^(1/4) for the first competitor, 3e-6 for the next, ...
 
@@ -511,6 +556,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         "modified",
         "polhodes",
         "integrable",
+        "period",
         "roundoff",
         "work-precision",
         "compare",

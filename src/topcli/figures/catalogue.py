@@ -5,9 +5,6 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
-import numpy as np
-
-from topcli.contracts import Array
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.comparison import ComparisonFigure
 from topcli.figures.contract import Figure
@@ -15,6 +12,7 @@ from topcli.figures.curves import SlopeLegend
 from topcli.figures.growth import GrowthPanel
 from topcli.figures.long_energy import LongEnergyFigure
 from topcli.figures.order import OrderFigure
+from topcli.figures.period import LAW, PeriodFigure
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.roundoff import GrowthFigure
@@ -24,6 +22,7 @@ from topcli.figures.stress import StressFigure
 from topcli.figures.sweep import Choice
 from topcli.figures.sweep_studies import SweepStudyFigure, View
 from topcli.figures.work_precision import WorkPrecisionFigure
+from topcli.studies.swing_period import spacing_law
 
 
 def _headed(figsize: tuple[float, float]) -> Grid:
@@ -52,14 +51,6 @@ _SWINGING = tuple(
     f"scheme={name}" for name in ("hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor")
 )
 """Schemes of the figure of swings: one of each kind."""
-_LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
-
-
-def _law(eps: Array) -> Array:
-    """Time between swings of the motion at the distance ``eps`` from the homoclinic orbit of the paper's scene."""
-    return 2.0 * np.sqrt(2.0) * np.log(8.0 * np.sqrt(7.0) / eps)
-
-
 _GAMMA = ("gamma1", "gamma2", "gamma3")
 _BODY = ("e_1", "e_2", "e_3")
 
@@ -162,6 +153,12 @@ FIGURES: dict[str, Figure] = {
             "kowalevski_hk",
             ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid"),
         ),
+        PeriodFigure(
+            "period",
+            "Kowalevski top: why Figure 2 has another period than Figure 1",
+            "kowalevski_hk",
+            Grid(figsize=(9.6, 4.6)),
+        ),
         OrderFigure(
             "order", "Kowalevski top, generic: error over h, orders and the plateau of round-off", "topcli order"
         ),
@@ -176,8 +173,8 @@ FIGURES: dict[str, Figure] = {
                     (*_SWINGING, "h=0.01"),
                     "$\\epsilon = \\gamma_3(0)$",
                     "time between swings",
-                    law=_law,
-                    law_label=_LAW,
+                    law=spacing_law,
+                    law_label=LAW,
                 ),
                 View(
                     "$\\epsilon = 10^{-8}$",

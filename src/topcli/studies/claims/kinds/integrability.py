@@ -1,4 +1,4 @@
-"""Signs of integrability (growth of numbers, separation of neighbours, content of a spectrum), and choice of roots."""
+"""Signs of integrability (growth of numbers, separation of neighbours, content of a spectrum); the choice of roots."""
 
 from __future__ import annotations
 
