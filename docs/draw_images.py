@@ -29,14 +29,16 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "period": ("plot", "period", "--format", "png"),
     "swings": ("plot", "swings", "--format", "png"),
     "integrable": ("plot", "integrable", "--format", "png"),
+    "torus-points": ("plot", "torus-points", "--format", "png"),
+    "error-and-cost": ("plot", "error-and-cost", "--format", "png"),
     "stress": ("plot", "stress", "--format", "png"),
     "work-precision": ("plot", "work-precision", "--format", "png"),
 }
 """The pictures, each with the command that draws it."""
 FILES = {"compare": "compare_kowalevski_hk"}
 """File names of figures that are not called as their pictures are."""
-TIMES = "work-precision"
-"""The picture of times, which no other machine repeats: its data have no summary."""
+TIMES = ("work-precision", "error-and-cost")
+"""Pictures of times, which no other machine repeats: their data have no summary."""
 
 
 def draw(name: str, results: Path) -> Path:
@@ -101,14 +103,14 @@ def main() -> None:
         parser.error(f"unknown picture {', '.join(sorted(unknown))}; choose from {', '.join(PICTURES)}")
     known = json.loads(SUMMARY.read_text(encoding="utf-8")) if SUMMARY.is_file() else {}
     for name in arguments.pictures or PICTURES:
-        if name == TIMES and not arguments.pictures and not (arguments.results / "bench").is_dir():
+        if name == TIMES[0] and not arguments.pictures and not (arguments.results / "bench").is_dir():
             print(f"{name}: skipped: nothing measured in {arguments.results / 'bench'}; run make bench first")
             continue
         picture = draw(name, arguments.results)
         _copy_small(picture, IMAGES / f"{name}.png")
         if name == "stress":
             known[name] = breaks(arguments.results / "stress" / "stress.json")
-        elif name != TIMES:
+        elif name not in TIMES:
             known[name] = summary(picture.with_suffix(".parquet"))
         print(IMAGES / f"{name}.png")
     SUMMARY.write_text(_listing(known), encoding="utf-8")

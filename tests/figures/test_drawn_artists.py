@@ -562,6 +562,8 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         "compare",
         "stress",
         "order",  # in test_sweep_figures.py
+        "error-and-cost",  # in test_integrable_map_figures.py
+        "torus-points",
         *("swings", "errors", "heavy-drift"),  # in test_sweep_studies.py
     }
 

@@ -9,6 +9,7 @@ from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.comparison import ComparisonFigure
 from topcli.figures.contract import Figure
 from topcli.figures.curves import SlopeLegend
+from topcli.figures.error_and_cost import ErrorAndCostFigure
 from topcli.figures.growth import GrowthPanel
 from topcli.figures.long_energy import LongEnergyFigure
 from topcli.figures.order import OrderFigure
@@ -21,6 +22,7 @@ from topcli.figures.sphere import Sphere
 from topcli.figures.stress import StressFigure
 from topcli.figures.sweep import Choice
 from topcli.figures.sweep_studies import SweepStudyFigure, View
+from topcli.figures.torus_points import TorusPointsFigure
 from topcli.figures.work_precision import WorkPrecisionFigure
 from topcli.studies.swing_period import spacing_law
 
@@ -213,6 +215,16 @@ FIGURES: dict[str, Figure] = {
             "euler_hk",
             (("kowalevski_generic_hk", "(a) Kowalevski top, $h = 0.05$"), ("euler_hk", "(b) Euler top, $h = 0.05$")),
             Grid(figsize=(7.0, 3.2)),
+        ),
+        ErrorAndCostFigure(
+            "error-and-cost",
+            "Kowalevski top, generic: error of the integrable map and others over h and over time",
+            "kowalevski_generic_hk",
+        ),
+        TorusPointsFigure(
+            "torus-points",
+            "Kowalevski top: a million points of the integrable map at h = 1 on the torus, and HK's",
+            "kowalevski_generic_backlund",
         ),
         WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers", "topcli bench"),
         StressFigure("stress", "Every scheme in the hard cases of its top", "topcli stress"),
