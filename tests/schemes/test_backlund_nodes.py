@@ -17,6 +17,7 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome, Stepper
 from topcli.errors import StepTooLongError, UsageError
 from topcli.schemes.kowalevski import backlund_nodes
+from topcli.schemes.kowalevski.backlund import BacklundOptions
 from topcli.schemes.kowalevski.backlund_constants import frozen_constants, longest_step
 from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_composition
 from topcli.schemes.kowalevski.backlund_nodes import substeps_of
@@ -254,12 +255,9 @@ def test_options_that_do_not_go_together() -> None:
 
 def test_projection_every_sixteen_steps() -> None:
     """By default, if the nodes are exact; other steps are not projected."""
-    scheme = find_scheme("backlund", "kowalevski")
-    periods = [
-        scheme.options(**options).period for options in ({}, {"nodes": "exact"}, {"nodes": "exact", "project": 0})
-    ]
-    assert periods == [0, 16, 0]
-    assert scheme.options(nodes="exact", project=5).period == 5
+    assert BacklundOptions().period == 0
+    for given, period in ((None, 16), (0, 0), (5, 5)):
+        assert BacklundOptions(nodes="exact", project=given).period == period
 
 
 @pytest.mark.slow
