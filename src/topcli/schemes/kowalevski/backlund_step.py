@@ -101,18 +101,21 @@ def scaled_step(z: Floats, D: float, tau: float) -> Floats6:
     )
 
 
-def physical_step(y: Floats, h: float, c: float, tau: float) -> Floats6:
-    """New (omega, gamma) after one step of length h with the parameter ``tau``.
+def scales_of(h: float) -> tuple[float, float, float]:
+    """Constants of ``length_step``: k = -h/2, and 1/k with its rounding error.
 
-    The scale of omega, -2/h, is not a floating-point number. Its rounding error, the same in every step, would make the
+    The scale of omega, 1/k, is not a floating-point number. Its rounding error, the same in every step, would make the
     integrals drift; it is therefore used with its error.
     """
     k = -0.5 * h
-    x1, x2, x3, y1, y2, y3, r = numerators(
-        (k * y[0], k * y[1], (0.5 * k) * y[2], y[3], y[4], y[5]), (0.125 * c) * (h * h), tau
-    )
     scale = 1.0 / k
-    error = fma(-k, scale, 1.0) * scale
+    return (k, scale, fma(-k, scale, 1.0) * scale)
+
+
+def length_step(y: Floats, c: float, k: float, scale: float, error: float, tau: float) -> Floats6:
+    """New (omega, gamma) after one step, whose length is given by its ``scales_of`` and ``tau``."""
+    z = (k * y[0], k * y[1], (0.5 * k) * y[2], y[3], y[4], y[5])
+    x1, x2, x3, y1, y2, y3, r = numerators(z, (0.5 * c) * (k * k), tau)
     x1, x2, x3 = x1 * r, x2 * r, 2.0 * (x3 * r)
     return (
         y[0] + fma(x1, scale, x1 * error),
@@ -122,3 +125,9 @@ def physical_step(y: Floats, h: float, c: float, tau: float) -> Floats6:
         fma(y2 * r, r, y[4]),
         fma(y3 * r, r, y[5]),
     )
+
+
+def physical_step(y: Floats, h: float, c: float, tau: float) -> Floats6:
+    """New (omega, gamma) after one step of length h with the parameter ``tau``."""
+    k, scale, error = scales_of(h)
+    return length_step(y, c, k, scale, error, tau)

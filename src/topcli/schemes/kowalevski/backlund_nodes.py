@@ -1,0 +1,133 @@
+"""Bäcklund steps of two lengths as one step without discretization error, checked and watched.
+
+The set-up, once for each initial state, finds the lengths (``backlund_lengths``) and compares the first step with the
+motion by Taylor series in integers (``integer_series``): an error beyond ``ACCURACY`` refuses it. Every step compares E
+and k² with their initial values. The state stays physical, because a change of scale between the lengths would make the
+integrals drift.
+
+The working state is omega, gamma; ``scales_of`` and tau of both lengths; the number of forward steps; 1/size, E and k²
+relative to it; the fault; the longest step; the status. The fault says why a run ended: 0.0 for a step that is too
+long, the error of the first step, or minus the deviation of an integral.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from topcli.arithmetic.increments import first6
+from topcli.contracts import Floats, Stepper
+from topcli.errors import UsageError
+from topcli.schemes.kowalevski.backlund_constants import frozen_constants, tau_of
+from topcli.schemes.kowalevski.backlund_lengths import FEWEST, MOST, Floats4, lengths, longest_composition
+from topcli.schemes.kowalevski.backlund_step import length_step, scales_of
+from topcli.schemes.kowalevski.four_integrals import first_three, sizes, xi_of
+from topcli.schemes.kowalevski.integer_series import motion
+
+ACCURACY = 1e-12
+"""Largest error of the first step, relative to |omega| + sqrt|c gamma| and to |gamma|."""
+WATCHED = 1e-11
+"""Largest deviation of E and k² from their initial values, relative to the sizes of their terms."""
+MAX_SUBSTEPS = 1e6
+FAULT = 18
+"""Slot of the fault."""
+
+
+def relative_integrals(y: Floats, c: float, inverse: float) -> tuple[float, float]:
+    """E and k² relative to the size whose inverse is given, and to its square."""
+    y = (y[0], y[1], y[2], y[3], y[4], y[5])
+    _, _, energy = first_three(y, c)
+    x1, x2 = xi_of(y[0], y[1], y[3], y[4], c)
+    x1, x2 = inverse * x1, inverse * x2
+    return inverse * energy, x1 * x1 + x2 * x2
+
+
+def nodes_step(s: Floats, h: float, p: Floats) -> Floats:
+    """Three or four steps of one length, one of the other; h itself entered at the start."""
+    c, k, scale, error, tau = p[0], s[6], s[7], s[8], s[9]
+    y: Floats = length_step((s[0], s[1], s[2], s[3], s[4], s[5]), c, k, scale, error, tau)
+    y = length_step(y, c, k, scale, error, tau)
+    y = length_step(y, c, k, scale, error, tau)
+    if s[14] > 3.5:
+        y = length_step(y, c, k, scale, error, tau)
+    y = length_step(y, c, s[10], s[11], s[12], s[13])
+    energy, k_sq = relative_integrals(y, c, s[15])
+    off = max(abs(energy - s[16]), abs(k_sq - s[17]))
+    kept = off <= WATCHED
+    w1 = y[0] if kept else math.nan
+    fault = s[18] if kept or s[20] != s[20] else -off  # nan: the first step was refused
+    status = s[20] if kept else math.nan
+    return (w1, y[1], y[2], y[3], y[4], y[5], *s[6:18], fault, s[19], status)
+
+
+def error_of(state: Floats, expected: Floats, y: Floats, c: float) -> float:
+    """Error of a state relative to the sizes of omega and gamma at ``y``; infinite for nan."""
+    gamma = max(map(abs, y[3:]))
+    omega = max(map(abs, y[:3])) + math.sqrt(abs(c) * gamma)
+    off = [abs(a - b) for a, b in zip(state, expected, strict=True)]
+    errors = [one / size for one, size in zip(off, [omega] * 3 + [gamma] * 3, strict=True) if one != 0.0]
+    return math.inf if any(one != one for one in errors) else max(errors, default=0.0)
+
+
+def longest_from(y: Floats, h: float, p: Floats) -> tuple[float, Floats4]:
+    """Longest step and first four frozen constants of ``y``. Raises UsageError for other numbers than doubles."""
+    if not isinstance(h, float):
+        raise UsageError(
+            "precision: scheme 'backlund' with nodes: exact computes its lengths in doubles; use nodes: plain"
+        )
+    low, high, weight, moment, _ = frozen_constants(y, p)
+    constants = (low, high, weight, moment)
+    return longest_composition(constants), constants
+
+
+def begin(y: Floats, H: float, p: Floats, longest: float, constants: Floats4) -> Floats:
+    """Working state for steps of H from ``y``, after a first step as a trial."""
+    size = sizes(y, p[0])[2]
+    inverse = 1.0 / size if size > 0.0 else 1.0
+    a, b, count = math.nan, math.nan, MOST
+    if abs(H) <= longest:
+        count = FEWEST if abs(H) <= longest_composition(constants, FEWEST) else MOST
+        a, b = lengths(H, count, constants)
+    slots: list[float] = []
+    for h in (a, b):
+        slots += (*scales_of(h), tau_of(h, *constants))  # not rounded, which would be an error of the time
+    watched = (float(count), inverse, *relative_integrals(y, p[0], inverse))
+    s = (*y, *slots, *watched, 0.0, longest, 0.0)
+    if a != a:
+        return (*s[:-1], math.nan)
+    error = error_of(first6(nodes_step(s, H, p), H, p), motion(y, H, p[0]), y, p[0])
+    if error <= ACCURACY:
+        return s
+    return (*y, *slots[:3], math.nan, *slots[4:], *watched, error, longest, math.nan)
+
+
+def enter_nodes(y: Floats, h: float, p: Floats) -> Floats:
+    """Working state for steps of h."""
+    longest, constants = longest_from(y, h, p)
+    return begin(y, h, p, longest, constants)
+
+
+def enter_parts(y: Floats, h: float, p: Floats) -> Floats:
+    """Working state for equal parts of h, as few as possible."""
+    longest, constants = longest_from(y, h, p)
+    return begin(y, h / substeps_of(h, longest), p, longest, constants)
+
+
+def substeps_of(h: float, longest: float) -> int:
+    """Least number of equal parts of h that are no longer than ``longest``; 1, which will fail, if it is too large."""
+    ratio = abs(h) / longest if longest > 0.0 else math.inf
+    return math.floor(ratio) + 1 if ratio < MAX_SUBSTEPS else 1
+
+
+def advice(work: Sequence[float], h: float) -> str:
+    """Reason why a run with exact nodes ended."""
+    fault = work[FAULT]
+    if fault > 0.0:
+        return f"with nodes: exact, the first step differs from the motion by {fault:.1e}, more than {ACCURACY:g}"
+    if fault < 0.0:
+        return f"with nodes: exact, E or k² deviates by {-fault:.1e}, more than {WATCHED:g}; set scheme.project: 16"
+    return f"with nodes: exact, |h| must be at most {work[FAULT + 1]:.4g} from this state"
+
+
+NODES = Stepper(nodes_step, 21, enter_nodes, first6, iterative=True, checked=6, advice=advice)
+PARTS = Stepper(nodes_step, 21, enter_parts, first6, iterative=True, checked=6, advice=advice)

@@ -1,0 +1,291 @@
+"""Bäcklund steps with exact nodes: against the reference, over all kinds of motions, refused and watched."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import topcli
+from conftest import GEN, PAPER, random_states
+from test_backlund import HANGING, deviations, integrals, stepper
+from test_beyond import AT_REST, DELONE, EQUILIBRIUM, ran
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Floats, Outcome, Stepper
+from topcli.errors import StepTooLongError, UsageError
+from topcli.schemes.kowalevski import backlund_nodes
+from topcli.schemes.kowalevski.backlund import BacklundOptions
+from topcli.schemes.kowalevski.backlund_constants import frozen_constants, longest_step
+from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_composition
+from topcli.schemes.kowalevski.backlund_nodes import substeps_of
+from topcli.schemes.kowalevski.integer_series import motion
+from topcli.schemes.registry import find_scheme
+from topcli.tops.kowalevski import Kowalevski
+
+CONFIG = {"top": "kowalevski", "initial": {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}}
+EXACT = {"name": "backlund", "nodes": "exact"}
+
+
+def nodes(**options: Any) -> Stepper:
+    return stepper(nodes="exact", **options)
+
+
+def longest(y: Floats, c: float = 1.0, count: int = 4) -> float:
+    """The longest step that ``count`` steps forward and one back can make."""
+    return longest_composition(frozen_constants(y, (c,))[:4], count)
+
+
+def forward_steps(y: Floats, h: float, c: float = 1.0) -> float:
+    made = nodes()
+    assert made.enter is not None
+    return made.enter(y, h, (c,))[14]
+
+
+def reference(y: Floats, t: float, c: float = 1.0) -> np.ndarray:
+    return reference_states(Kowalevski(c0=c), y, np.array([t]))[0]
+
+
+def sensitivity(y: Floats, t: float) -> float:
+    """Growth of a deviation of 1e-8 in every component, at least 1."""
+    near = tuple(v + sign * 1e-8 for v, sign in zip(y, (1, 1, -1, -1, 1, 1), strict=True))
+    return max(1.0, float(np.abs(reference(near, t) - reference(y, t)).max()) / 1e-8)
+
+
+def errors_at_50(states: np.ndarray, fractions: tuple[float, ...], **options: Any) -> list[float]:
+    """Errors at t = 50, divided by the sensitivity if they are visible, for steps of these fractions of the longest."""
+    made, found = nodes(**options), []
+    for y in map(tuple, states):
+        end = reference(y, 50.0)
+        for fraction in fractions:
+            N = math.ceil(50.0 / (fraction * longest(y)))
+            reached, ending = ran(made, y, 50.0 / N, N, N)
+            assert ending.outcome is Outcome.COMPLETED, ending.message
+            assert ending.counters["unmet"] == 0
+            error = float(np.abs(reached[-1] - end).max())
+            found.append(error if error < 1e-12 else error / sensitivity(y, 50.0))
+    return found
+
+
+def test_no_discretization_error() -> None:
+    """At t = 50 with steps up to the longest; 1e-14 is typical. Plain ones of the same length are off by 0.1 or so."""
+    states = random_states(4, seed=81)
+    assert max(errors_at_50(states, (0.5, 1.0))) < 1e-12
+    off = ran(stepper(), GEN, 1.0, 50, 50)[0][-1] - reference(GEN, 50.0)
+    assert np.abs(off).max() > 0.05
+
+
+@pytest.mark.slow
+def test_four_hundred_states() -> None:
+    """Half of them fast: 1e-15 of the sensitivity is typical, 1e-13 the worst."""
+    states = np.vstack([random_states(200, seed=82), random_states(200, seed=83)])
+    states[200:, :3] *= 1.5
+    assert max(errors_at_50(states, (0.1, 0.4, 0.75, 1.0))) < 1e-12
+
+
+FAMILIES: dict[str, tuple[Floats, float]] = {
+    "generic": (GEN, 1.0),
+    "paper": (PAPER, 1.0),
+    "no gravity": (GEN, 0.0),
+    "faint gravity": (GEN, 1e-8),
+    "negative gravity": (GEN, -0.7),
+    "strong negative gravity": (GEN, -30.0),
+    "Delone": (DELONE, 1.0),
+    "near Delone": ((DELONE[0] + 1e-7, *DELONE[1:]), 1.0),
+    "far from Delone by 1e-12": ((DELONE[0], DELONE[1] + 1e-12, *DELONE[2:]), 1.0),
+    "Delone, negative gravity": ((DELONE[1], -DELONE[0], DELONE[2], *DELONE[3:]), -1.0),
+    "hanging": (HANGING, 1.0),
+    "hanging closely": ((1e-6, -2e-6, 1e-6, -1.0, 1e-6, 0.0), 1.0),
+    "hanging, negative gravity": ((1e-3, -2e-3, 1e-3, 1.0, 0.0, 0.0), -2.0),
+    "equilibrium": (EQUILIBRIUM, 1.0),
+    "from rest": (AT_REST, 1.0),
+    "spin about the third axis": ((0.0, 0.0, 2.0, 0.0, 0.0, 1.0), 1.0),
+    "pendulum": ((0.0, 1.5, 0.0, 0.8, 0.0, 0.6), 1.0),
+    "no vertical": ((0.7, -0.4, 1.3, 0.0, 0.0, 0.0), 1.0),
+    "fast": ((7e5, -4e5, 1.3e6, 0.6, 0.48, 0.64), 1.0),
+    "long vertical": ((0.7, -0.4, 1.3, 6e5, 4.8e5, 6.4e5), 1.0),
+}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_one_step_of_every_kind_of_motion(family: str) -> None:
+    """Of either sign, up to the longest: within a few ulp of the sizes of omega and gamma."""
+    y, c = FAMILIES[family]
+    top, made = Kowalevski(c0=c), nodes()
+    gamma = max(map(abs, y[3:]))
+    sizes = np.repeat([max(map(abs, y[:3])) + math.sqrt(abs(c) * gamma), gamma or 1.0], 3)
+    most = min(longest(y, c), 20.0)
+    for h in (0.1 * most, -0.6 * most, 0.999 * most):
+        states, ending = ran(made, y, h, 1, 1, top)
+        assert ending.outcome is Outcome.COMPLETED, ending.message
+        assert (np.abs(states[-1] - reference(y, h, c)) / sizes).max() < 1e-14
+
+
+def test_motion_in_integers() -> None:
+    """The series that the first step is compared with, against the reference; both are good to an ulp."""
+    for y, c in (*FAMILIES.values(), (GEN, 1e100), (tuple(1e-9 * v for v in GEN), 1e-9)):
+        scale = max(*map(abs, y[:3]), math.sqrt(abs(c) * max(map(abs, y[3:]))))
+        for h in (3.0 / scale, -1.7 / scale):
+            expected = reference(y, h, c)
+            sizes = np.repeat([scale, max(map(abs, y[3:])) or 1.0], 3)
+            assert (np.abs(np.array(motion(y, h, c)) - expected) / sizes).max() < 2e-15
+    assert all(math.isnan(v) for v in motion((math.inf, *GEN[1:]), 1.0, 1.0))
+    assert all(math.isnan(v) for v in motion(GEN, 1e6, 1.0))  # too long
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_lengths_up_to_the_longest(count: int) -> None:
+    """The step back is shorter than the longest admissible one, and reaches it with the longest composition."""
+    for y in map(tuple, random_states(20, seed=84)):
+        constants = frozen_constants(y, (1.0,))[:4]
+        most = longest(y, count=count)
+        for fraction in (0.01, 0.5, 0.98, 0.999999):
+            a, b = lengths(fraction * most, count, constants)
+            assert 0.0 < a < -b <= longest_step(*constants)
+            assert lengths(-fraction * most, count, constants) == (-a, -b)
+        assert b == pytest.approx(-longest_step(*constants), rel=1e-4)
+        root = count ** (1.0 / 3.0)
+        a, b = lengths(1e-3, count, constants)
+        assert (a, b) == (pytest.approx(1e-3 / (count - root), rel=1e-5), pytest.approx(-root * a, rel=1e-5))
+
+
+def test_three_steps_where_they_suffice() -> None:
+    three = longest(GEN, count=3)
+    assert forward_steps(GEN, 0.999 * three) == 3.0
+    assert forward_steps(GEN, 1.001 * three) == 4.0
+    assert forward_steps(GEN, -1.001 * three) == 4.0
+    assert three < 0.8 * longest(GEN)
+
+
+def test_longer_steps_are_refused_or_divided() -> None:
+    with pytest.raises(StepTooLongError, match=r"at most 2\.7\d+ under backlund") as found:
+        topcli.simulate({**CONFIG, "scheme": EXACT, "h": 5.0, "N": 3})
+    named = float(str(found.value).split("at most ")[1].split()[0])
+    assert topcli.simulate({**CONFIG, "scheme": EXACT, "h": named, "N": 3}).outcome is Outcome.COMPLETED
+    auto = topcli.simulate({**CONFIG, "scheme": {**EXACT, "substeps": "auto"}, "h": 5.0, "N": 10})
+    np.testing.assert_allclose(auto.states[-1], reference(GEN, 50.0), rtol=0, atol=2e-13)
+    assert substeps_of(5.0, 2.5) == 3
+    assert substeps_of(-4.9, 2.5) == 2
+    assert substeps_of(1.0, 1e-7) == 1  # and then no step is possible
+    assert substeps_of(1.0, 0.0) == 1
+
+
+@pytest.mark.slow
+def test_members_of_an_ensemble() -> None:
+    """With three and four steps side by side, bit for bit as alone; one whose h is too long ends by itself."""
+    states = np.vstack([random_states(5, seed=85), [(4.0, -2.0, 3.0, 0.6, 0.48, 0.64)]])
+    h = 1.3
+    assert {forward_steps(tuple(y), h) for y in states[:5]} == {3.0, 4.0}
+    for scheme in (EXACT, {**EXACT, "project": 0}):
+        ensemble = topcli.simulate_ensemble(top="kowalevski", states=states, scheme=scheme, h=h, N=40)
+        for i in range(5):
+            initial = {"omega": states[i, :3].tolist(), "gamma": states[i, 3:].tolist()}
+            alone = topcli.simulate({"top": "kowalevski", "initial": initial, "scheme": scheme, "h": h, "N": 40})
+            np.testing.assert_array_equal(ensemble.states[i], alone.states)
+        assert (ensemble.endings[5].outcome, ensemble.endings[5].step) == (Outcome.NO_CONVERGENCE, 1)
+
+
+def refused(monkeypatch: pytest.MonkeyPatch, relative: float) -> topcli.Trajectory:
+    """A run whose lengths are wrong by this relative error."""
+
+    def wrong(H: float, count: int, constants: Any) -> tuple[float, float]:
+        a, b = lengths(H, count, constants)
+        return a * (1.0 + relative), b
+
+    monkeypatch.setattr(backlund_nodes, "lengths", wrong)
+    return topcli.simulate({**CONFIG, "scheme": EXACT, "h": 0.5, "N": 3})
+
+
+def test_wrong_lengths_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first step differs from the motion by more than 1e-12: no step is recorded, and the message says why."""
+    assert refused(monkeypatch, 2e-13).outcome is Outcome.COMPLETED
+    run = refused(monkeypatch, 1e-11)
+    assert run.outcome is Outcome.NO_CONVERGENCE
+    assert run.ending.step == 1
+    assert len(run.states) == 1
+    found = float(run.ending.message.split("differs from the motion by ")[1].split(",")[0])
+    step = nodes(project=0)
+    assert step.enter is not None
+    monkeypatch.setattr(backlund_nodes, "ACCURACY", math.inf)
+    expected = np.abs(np.array(step.step(step.enter(GEN, 0.5, (1.0,)), 0.5, (1.0,))[:6]) - reference(GEN, 0.5))
+    scales = np.repeat([1.3 + math.sqrt(0.64), 0.64], 3)
+    assert found == pytest.approx((expected / scales).max(), rel=0.06)
+
+
+@pytest.mark.parametrize("options", [{}, {"project": 0}])
+@pytest.mark.parametrize(("slot", "name"), [(0, "omega1"), (4, "gamma2")])
+def test_integrals_are_watched(options: dict[str, Any], slot: int, name: str) -> None:
+    """A state that leaves the first values of E and k² by more than 1e-11 ends the run; by less, nothing is said."""
+    made = nodes(**options)
+    first = made.enter
+    assert first is not None
+
+    def off(y: Floats, h: float, p: Floats, by: float) -> Floats:
+        s = list(first(y, h, p))
+        s[slot] += by
+        return tuple(s)
+
+    for by, outcome in ((3e-12, Outcome.COMPLETED), (3e-10, Outcome.NO_CONVERGENCE)):
+        moved = list(GEN)
+        moved[slot] += by
+        before, after = integrals(GEN, 1.0), integrals(moved, 1.0)
+        size = 2.4**2 + 0.6 + 0.48 + 0.64
+        change = max(abs(after[2] - before[2]) / size, abs(after[3] - before[3]) / size**2)
+        assert (change > 1e-11) == (outcome is Outcome.NO_CONVERGENCE)
+        _, ending = ran(replace(made, enter=lambda y, h, p, by=by: off(y, h, p, by)), GEN, 0.01, 10)
+        assert ending.outcome is outcome
+        if outcome is Outcome.NO_CONVERGENCE:
+            assert ending.step == 1
+            assert float(ending.message.split("deviates by ")[1].split(",")[0]) == pytest.approx(change, rel=0.06)
+
+
+def test_options_that_do_not_go_together() -> None:
+    with pytest.raises(UsageError, match="nodes: exact needs constants: frozen"):
+        topcli.simulate({**CONFIG, "scheme": {**EXACT, "constants": "recomputed"}, "h": 0.5, "N": 3})
+    with pytest.raises(UsageError, match="cannot be composed with these options"):
+        topcli.simulate({**CONFIG, "scheme": {**EXACT, "compose": "suzuki4"}, "h": 0.5, "N": 3})
+    with pytest.raises(UsageError, match="computes its lengths in doubles; use nodes: plain"):
+        topcli.simulate({**CONFIG, "scheme": EXACT, "h": 0.5, "N": 3, "precision": 40})
+    scheme = find_scheme("backlund", "kowalevski")
+    assert scheme.order_for(scheme.options(nodes="exact")) is None
+    assert scheme.order_for(scheme.options()) == 2
+
+
+def test_projection_every_sixteen_steps() -> None:
+    """By default, if the nodes are exact; other steps are not projected."""
+    assert BacklundOptions().period == 0
+    for given, period in ((None, 16), (0, 0), (5, 5)):
+        assert BacklundOptions(nodes="exact", project=given).period == period
+
+
+@pytest.mark.slow
+def test_integrals_over_long_runs() -> None:
+    """Projected, 1e5 steps up to the longest deviate by round-off; without it deviations grow, and are watched."""
+    for y in map(tuple, random_states(6, seed=86)):
+        for fraction in (0.3, 1.0):
+            states, ending = ran(nodes(), y, fraction * longest(y), 100_000, 100)
+            assert ending.outcome is Outcome.COMPLETED
+            assert max(deviations(states).values()) < 200.0  # typical: 10 to 40
+
+
+@pytest.mark.slow
+def test_there_and_back() -> None:
+    made = nodes()
+    for y in map(tuple, random_states(4, seed=87)):
+        h = 0.8 * longest(y)
+        forth, _ = ran(made, y, h, 30, 30)
+        back, _ = ran(made, tuple(forth[-1].tolist()), -h, 30, 30)
+        np.testing.assert_allclose(back[-1], y, rtol=0, atol=3e-12)
+
+
+@pytest.mark.slow
+def test_compiled_and_interpreted_agree() -> None:
+    for options, h in (({}, 1.0), ({"project": 0}, 2.6), ({"substeps": "auto"}, 6.0)):
+        made = nodes(**options)
+        assert made.enter is not None
+        s = made.enter(GEN, h, (1.0,))
+        for _ in range(20):
+            s = made.step(s, h, (1.0,))
+        assert tuple(ran(made, GEN, h, 20)[0][-1]) == s[:6]
