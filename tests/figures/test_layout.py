@@ -16,7 +16,7 @@ from sweep_rows import write_rows
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_comparison
 from topcli.figures.contract import Request
-from topcli.figures.picture import draw, styled
+from topcli.figures.picture import Grid, Line, Panel, draw, styled
 from topcli.figures.roundoff import loaded_roundoff
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.studies.compare import Comparison
@@ -133,3 +133,15 @@ def test_a_legend_on_a_text_is_found() -> None:
         axes.set_title("(a)", loc="left")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
     assert [fault.partition(":")[0] for fault in layout_faults(figure)][-1] == "a legend covers '(a)'"
+
+
+def test_a_heading_and_a_shared_legend_are_apart() -> None:
+    t = np.linspace(0.0, 1.0, 9)
+    names = ["a", "b", "c", "d", "e"]
+    panel = Panel(tuple(Line(name, name) for name in names))
+    figure = draw(
+        [panel], {"t": t} | {name: i * t for i, name in enumerate(names)}, Grid(heading="a long heading " * 4)
+    )
+    assert layout_faults(figure) == []
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == 5

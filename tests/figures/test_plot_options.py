@@ -209,13 +209,13 @@ def test_a_style_that_cannot_be_read(tmp_path: Path, content: bytes | None, reas
 
 @pytest.mark.slow
 def test_a_style_that_fails_only_at_drawing_is_an_error_of_the_user(tmp_path: Path) -> None:
-    """An image of 10^5 dots per inch; an earlier picture remains."""
+    """An image of 2e6 dots per inch; an earlier picture remains."""
     request: dict[str, Any] = {"results": tmp_path, "configs": ROOT / "configs", "overrides": ("N=20",)}
     make_figure(FIGURES["fig1"], Request(**request), tmp_path / "out", ["png"])
     (picture,) = (tmp_path / "out").glob("*.png")
     before = picture.read_bytes()
     with pytest.raises(UsageError, match="cannot be drawn with this style: Image size"):
-        make_figure(FIGURES["fig1"], Request(**request, style={"savefig.dpi": 1e5}), tmp_path / "out", ["png"])
+        make_figure(FIGURES["fig1"], Request(**request, style={"savefig.dpi": 2e6}), tmp_path / "out", ["png"])
     assert picture.read_bytes() == before
 
 
