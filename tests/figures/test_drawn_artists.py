@@ -390,7 +390,7 @@ def test_work_and_precision_are_drawn_in_microseconds(monkeypatch: pytest.Monkey
     for axes in figure.axes:
         report = next(one for one in reports if one["title"] == axes.get_title(loc="left"))
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-        assert axes.get_xlim() == pytest.approx((1.0, 1e-9 / 3.0))  # better to the right, without an empty part
+        assert axes.get_xlim() == pytest.approx((2.0, 1e-9 / 3.0))  # better to the right, without an empty part
         assert axes.get_xlabel() == "largest error over the run; more accurate →"
         assert "µs" in axes.get_ylabel()
         by_name = {line.get_label(): line for line in axes.lines}

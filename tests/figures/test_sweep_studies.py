@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from sweep_rows import write_rows
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.contract import Request
 from topcli.figures.make import make_figure
@@ -93,3 +95,26 @@ def test_a_view_may_ask_for_a_logarithmic_axis(figure: SweepStudyFigure, tmp_pat
         loaded = replace(figure, views=(replace(lower, xlog=xlog),)).load(Request(tmp_path / "results"))
         (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
         assert axes.get_xscale() == scale
+
+
+def test_one_legend_has_the_slopes_in_all_panels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of hk in both panels, of rk2 in the first alone, of neither for a scheme that chooses its own steps."""
+    sizes = [0.1 * 2.0**-k for k in range(8)]
+    rows = [(scheme, h) for scheme in ("hk", "rk2", "taylor") for h in sizes]
+    keys = {"scheme": [scheme for scheme, _ in rows], "h": [h for _, h in rows]}
+    measures = {
+        "error.max": [h**2 if scheme != "rk2" else h**3 for scheme, h in rows],
+        "deviation.energy": [h**4 if scheme != "rk2" else 1e-15 for scheme, h in rows],
+    }
+    folder = write_rows(tmp_path / "kowalevski_errors", keys, measures, log=["h"])
+    result = SimpleNamespace(folder=folder, outcomes={"completed": len(rows)})
+    monkeypatch.setattr("topcli.studies.sweep.run.run_sweep", lambda *arguments, **options: result)
+    loaded = FIGURES["errors"].load(Request(tmp_path))
+    picture = draw(loaded.panels, loaded.data(), loaded.layout)
+    assert [axes.get_legend() for axes in picture.axes] == [None, None]
+    (legend,) = picture.legends
+    handles = dict(zip([text.get_text() for text in legend.get_texts()], legend.get_lines(), strict=True))
+    assert list(handles) == ["hk: 2.00, 4.00", "rk2: 3.00, –", "taylor", "round-off"]
+    assert legend.get_title().get_text() == "scheme: slopes in (a), (b)"
+    for name, line in zip(handles, picture.axes[0].lines, strict=False):
+        assert (handles[name].get_color(), handles[name].get_marker()) == (line.get_color(), line.get_marker())

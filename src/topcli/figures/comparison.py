@@ -58,13 +58,13 @@ class ErrorPanel:
         return ("t", *(f"error:{label}" for label in self.labels))
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
-        """Draw the curves and a legend above into ``axes``."""
+        """Draw the curves into ``axes``, and a legend below all panels."""
         found = groups(self.labels, data)
         for group, style in zip(found, line_styles(len(found)), strict=True):
             axes.plot(data["t"], data[f"error:{group[0]}"], label=" ≈ ".join(group), **style)
         axes.set(xlabel="$t$", ylabel="error of the state", yscale="log", xlim=(data["t"][0], data["t"][-1]))
         axes.set_title("(a)", loc="left")
-        axes.figure.legend(loc="outside upper center", ncols=min(5, len(found)), fontsize="small")
+        axes.figure.legend(loc="outside lower center", ncols=min(5, len(found)), fontsize="small")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from topcli.figures.picture import REFERENCE, SharedLegend, Styles
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 MARKERS = "os^Dv<"
-"""Markers of successive curves; with seven colours, 42 curves look different."""
+DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))
+"""Markers of successive curves, and dashes of successive rounds of markers: 24 curves differ without colour."""
 NOTHING = "no value"
 PLATEAU = "round-off"
 
@@ -89,6 +90,7 @@ class CurvePanel:
         for i, label in enumerate(self.labels):
             size = 4.6 - 1.8 * i / max(1, len(self.labels) - 1)  # so that markers at one place are seen
             style = {"color": cycle[i % len(cycle)], "marker": MARKERS[i % len(MARKERS)], "markersize": size}
+            style["linestyle"] = DASHES[i // len(MARKERS) % len(DASHES)]
             self._curve(axes, data, label, style, extra)
         if self.guide:
             law = [data[curve_column(self.guide, kind)] for kind in ("x", "y")]
@@ -136,8 +138,8 @@ class CurvePanel:
         text = shown if found is None or found.order is None else f"{shown}: {found.order:.2f}"
         hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
         colour = style["color"]
-        line = "none" if self.words else "-"
-        axes.plot(x[drawn], y[drawn], label=text, gid=shown, linestyle=line, **style)
+        line = {"linestyle": "none"} if self.words else {}
+        axes.plot(x[drawn], y[drawn], label=text, gid=shown, **(style | line))
         if self.band:
             low, high = (data[curve_column(label, kind)][drawn] for kind in ("low", "high"))
             if ylog:
@@ -148,7 +150,8 @@ class CurvePanel:
             else:
                 axes.fill_between(x[drawn], low, high, color=colour, alpha=0.18, linewidth=0.0)
         if found and found.plateau is not None:
-            axes.plot(x[hollow], y[hollow], linestyle="none", **style, markerfacecolor="white", zorder=3)
+            ring = {"linestyle": "none", "markerfacecolor": "white", "zorder": 3}
+            axes.plot(x[hollow], y[hollow], **(style | ring))
             span = [x[hollow].min(), x[hollow].max()]
             axes.plot(span, [found.plateau] * 2, linestyle=":", color=colour, linewidth=1.0)
             extra[PLATEAU] = Line2D([], [], linestyle=":", color="0.4", marker="o", mfc="white", markersize=3.5)

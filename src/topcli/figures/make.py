@@ -13,7 +13,7 @@ import numpy as np
 
 from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
-from topcli.errors import TopcliError, UsageError
+from topcli.errors import TopcliError, UsageError, clipped
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import DEFAULT_FORMATS, STYLE, draw, save
 from topcli.store.run_folder import io_failure, require_writable, write_whole
@@ -85,7 +85,8 @@ def write_figure(
     except (ValueError, TypeError, RuntimeError, MemoryError) as error:
         if not style or isinstance(error, TopcliError):
             raise
-        raise UsageError(f"{name}: cannot be drawn with this style: {' '.join(str(error).split())}") from error
+        reason = clipped(" ".join(str(error).split()))
+        raise UsageError(f"{name}: cannot be drawn with this style: {reason}") from error
     return files
 
 

@@ -293,7 +293,8 @@ def draw(
     """Draw ``panels`` from the columns of ``data`` (each (m,)) and return the matplotlib figure.
 
     Legends of lines are above the axes, where they hide no trajectory: one for each panel, or one for the whole figure
-    if a panel has more than four lines or a reference. Parameters of matplotlib in ``style`` replace those for print.
+    if a panel has more than four lines or a reference; the latter is below if the figure has a heading. Parameters of
+    matplotlib in ``style`` replace those for print.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -315,7 +316,8 @@ def draw(
                 if not shared:
                     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
         if shared:
-            figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=min(6, len(handles)))
+            place = f"outside {'lower' if layout.heading else 'upper'} center"
+            figure.legend(handles.values(), handles.keys(), loc=place, ncols=min(6, len(handles)))
         if layout.heading:
             figure.suptitle(layout.heading, fontsize="medium")
         layout.annotate(figure)

@@ -64,7 +64,7 @@ class WorkPrecision:
             if curve.ours:
                 look = {"color": cycle[at % len(cycle)], "lw": 1.2, "marker": MARKERS[at % len(MARKERS)]}
             axes.plot(error, time, "-", ms=3.2, mew=0.7, zorder=2 + curve.ours, label=curve.name, **look)
-        axes.set_xlim(WORST_ERROR, least / 3.0)
+        axes.set_xlim(2.0 * WORST_ERROR, least / 3.0)
         axes.set_xlabel("largest error over the run; more accurate →")
         axes.set_ylabel("CPU time per unit of time, µs")
         axes.set_title(self.title, loc="left")

@@ -1,0 +1,56 @@
+"""Figures are read by colour-blind readers and in grey print: colours differ there, and lines not by colour alone."""
+
+from __future__ import annotations
+
+import itertools
+
+import matplotlib as mpl
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.lines import Line2D
+
+from seen_colours import difference, lightness, pattern
+from topcli.figures.picture import line_styles, styled
+from topcli.figures.polhodes import RUN
+from topcli.figures.sphere import BAND, BAND_FAR, TRACE, TRACE_FAR
+from topcli.figures.stress import SHADES
+
+
+def cycle() -> list[str]:
+    with styled():
+        return [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
+
+
+def test_the_simulation_has_known_values() -> None:
+    """Red and green of equal lightness are alike without green receptors, and far apart with them; black is 0."""
+    red, green = "#a46100", "#5a7d00"
+    assert difference(red, green, deuteranopia=False) > 40.0
+    assert difference(red, green, deuteranopia=True) < 12.0
+    assert difference("#000000", "#ffffff", deuteranopia=True) == pytest.approx(100.0, abs=0.2)
+    assert (lightness("black"), lightness("white")) == pytest.approx((0.0, 100.0), abs=1e-6)
+    assert lightness("#777777") == pytest.approx(50.0, abs=0.5)
+
+
+def test_colours_of_lines_differ_for_the_colour_blind_and_are_dark_enough() -> None:
+    """The nearest pair, green and purple, is 17.9 apart; the palest colour has the lightness 71."""
+    for one, other in itertools.combinations(cycle(), 2):
+        assert difference(one, other, deuteranopia=True) > 15.0, (one, other)
+    assert max(map(lightness, cycle())) < 75.0
+
+
+def test_shades_and_traces_differ_for_the_colour_blind_and_in_grey() -> None:
+    for one, other in itertools.combinations(SHADES, 2):
+        assert difference(one, other, deuteranopia=True) > 10.0
+        assert abs(lightness(one) - lightness(other)) > 7.0
+    for one, other in ((TRACE, TRACE_FAR), (BAND, BAND_FAR), (RUN, "0.15")):
+        assert abs(lightness(one) - lightness(other)) > 12.0
+    for one, other in ((TRACE, BAND), (TRACE_FAR, BAND_FAR)):
+        assert difference(one, other, deuteranopia=True) > 15.0
+
+
+def test_49_lines_differ_in_colour_and_dashes_and_7_in_dashes_alone() -> None:
+    with styled():
+        lines = [Line2D([], [], **style) for style in line_styles(49)]
+    assert len({(to_hex(line.get_color()), pattern(line)) for line in lines}) == 49
+    for first in range(0, 49, 7):
+        assert len({pattern(line) for line in lines[first : first + 7]}) == 7

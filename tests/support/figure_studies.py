@@ -1,0 +1,147 @@
+"""Results of studies that take minutes, made up in their typical magnitudes: enough to lay out the figures of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from matplotlib.figure import Figure
+
+from conftest import ROOT
+from sweep_rows import write_rows
+from topcli.figures.catalogue import FIGURES
+from topcli.figures.contract import Request
+from topcli.figures.picture import draw
+from topcli.studies.stress.suite import CASES, chosen
+
+ORDERS = {"bohlin-a": 1, "bohlin-b": 1, "bohlin-c": 1, "rk4": 4, "hk+kahan-li6": 6, "hk+kahan-li8": 8}
+
+
+def _size(scheme: str, h: float) -> float:
+    """An error of the scheme's order down to a plateau; each scheme has its own factor."""
+    exact = scheme in ("taylor", "exact", "dop853")
+    factor = 1.0 + sum(map(ord, scheme)) % 17
+    return max(0.0 if exact else factor * h ** ORDERS.get(scheme, 2), 1e-15 * factor)
+
+
+def _orders(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    def study(what: Any, on_progress: object) -> dict[str, Any]:
+        schemes = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
+        sizes = [0.5 * 2.0**-k for k in range(18)]
+        rows = [
+            {"scheme": name, "points": [{"h": h, "error": _size(name, h)} for h in sizes], "declared_order": 2}
+            for name in schemes
+        ]
+        return {"schema_version": 1, "name": "kowalevski_generic_hk", "duration": 10.0, "schemes": rows}
+
+    patch.setattr("topcli.studies.order.order_study", study)
+
+
+def _spaced(values: Any) -> list[Any]:
+    """Values of a key of a sweep; those of a range as powers of ten."""
+    if isinstance(values, list):
+        return values
+    ends = np.log10([float(values["from"]), float(values["to"])])
+    return [float(f"{10.0**power:.6g}") for power in np.linspace(*ends, values["count"])]
+
+
+def _sweep(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
+    def prepare(patch: pytest.MonkeyPatch, folder: Path) -> None:
+        sweep = yaml.safe_load((ROOT / "configs" / "sweeps" / f"{name}.yaml").read_text(encoding="utf-8"))
+        grid = {key: _spaced(values) for key, values in sweep["grid"].items()}
+        grid |= {"random": [1, 2, 3, 4]} if "random" in sweep else {}
+        rows = list(itertools.product(*grid.values()))
+        keys = {key: [row[i] for row in rows] for i, key in enumerate(grid)}
+        keys |= {key: [float(value) for value in keys[key]] for key in keys if key != "scheme"}
+        sizes = [_size(scheme, h) for scheme, h in zip(keys["scheme"], keys.get("h", [0.01] * len(rows)), strict=True)]
+        signs = [1.0 if "random" not in sweep or i % 3 else -1.0 for i in range(len(rows))]
+        measures = dict.fromkeys(sweep["measure"], sizes)
+        measures |= {one: [s * v for s, v in zip(signs, sizes, strict=True)] for one in measures if "drift" in one}
+        measures |= {one: [20.0 + 3.0 * np.log10(v) for v in sizes] for one in measures if "swing" in one}
+        written = write_rows(folder / name, keys, measures, log=["h"])
+        result = SimpleNamespace(folder=written, outcomes={"completed": len(rows)})
+        patch.setattr("topcli.studies.sweep.run.run_sweep", lambda *arguments, **options: result)
+
+    return prepare
+
+
+def _energies(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    figure = FIGURES["integrable"]
+    columns = [name for panel in figure.load(Request(folder)).panels for name in panel.columns]
+    t = 0.1 * 2.0 ** np.arange(20)
+    data = {name: t if name.startswith("t:") else _size(name.rpartition(":")[2], 0.05) * t**0.1 for name in columns}
+    patch.setattr("topcli.studies.long_energy.energy_columns", lambda: data)
+
+
+def _growth(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    steps = 2.0 ** np.arange(10, 19)
+    powers = {"a_sq:matrix": (1e-16, 1.0), "a_sq:plain": (6e-17, 0.5), "a_sq:compensated": (2e-18, 0.4)}
+    powers |= {"k_sq:hybrid": (3e-16, 0.5), "k_sq:hybrid-xi": (2e-16, 0.0)}
+    data = {"steps": steps} | {name: size * steps**power for name, (size, power) in powers.items()}
+    patch.setattr("topcli.studies.growth.growth_columns", lambda: data)
+
+
+PEERS = ("scipy dop853", "scipy dop853 numba", "heyoka", "heyoka high-accuracy", "diffrax Dopri8", "diffrax Tsit5")
+OURS = ("taylor", "rk2", "rk4", "hk+kahan-li6", "hk+kahan-li8", "splitting+kahan-li6", "splitting+kahan-li8")
+TITLES = ("Kowalevski top, generic", "Kowalevski top, near the homoclinic orbit", "Euler top", "Lagrange top")
+
+
+def _benches(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    def points(i: int) -> list[dict[str, Any]]:
+        errors = [10.0 ** (-k - 0.1 * i) for k in range(1, 12)]
+        found = [{"value": 0.1, "error": e, "seconds": (1.0 + i) * 1e-6 * e**-0.1, "drift": 0.0} for e in errors]
+        return [{**one, "end_error": one["error"], "quartiles": [1.0, 2.0], "invariants": {}} for one in found]
+
+    competitors = [
+        {"name": name, "kind": "peer" if name in PEERS else "topcli", "parameter": "h", "points": points(i)}
+        for i, name in enumerate((*OURS, *PEERS))
+    ]
+    run = SimpleNamespace(manifest=dict.fromkeys(("name", "digest", "code", "ended"), ""))
+    reports = [{"name": title, "title": title, "competitors": competitors} for title in TITLES]
+    patch.setattr("topcli.studies.bench.stored.stored_benches", lambda out: [(run, one) for one in reports])
+
+
+def _stress(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """All schemes in all cases: those of their limits broke, some others were degraded or not tried."""
+    schemes, _ = chosen((), (), None)
+    trials = [
+        {
+            "top": scheme.top,
+            "scheme": scheme.name,
+            "case": case.name,
+            "outcome": "broke" if case.name in scheme.limits else ("not tried" if case.name == "drift" else "held"),
+            "step": 10 ** (len(scheme.name) % 6),
+            "verdict": "ok",
+        }
+        for scheme in schemes
+        for case in CASES
+        if case.form == scheme.top
+    ]
+    patch.setattr("topcli.figures.stress._study", lambda request: ({"trials": trials}, ""))
+
+
+PREPARE: dict[str, Callable[[pytest.MonkeyPatch, Path], None]] = {
+    "order": _orders,
+    "swings": _sweep("kowalevski_swings"),
+    "errors": _sweep("kowalevski_errors"),
+    "heavy-drift": _sweep("heavy_drift"),
+    "integrable": _energies,
+    "roundoff": _growth,
+    "work-precision": _benches,
+    "stress": _stress,
+}
+"""How the results of figures are made up. Figures without an entry are made from their own results."""
+
+
+def figure_named(name: str, results: Path, patch: pytest.MonkeyPatch, **options: object) -> Figure:
+    """A figure of the catalogue; results that take minutes are made up."""
+    if name in PREPARE:
+        PREPARE[name](patch, results)
+    loaded = FIGURES[name].load(Request(results, ROOT / "configs", **options))  # type: ignore[arg-type]
+    return draw(loaded.panels, loaded.data(), loaded.layout)
