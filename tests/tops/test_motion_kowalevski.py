@@ -292,6 +292,49 @@ def test_distance_to_the_separatrix_of_the_paper() -> None:
     assert found["separatrix.distance"] == pytest.approx(1e-6 / 8.0, rel=1e-5)
 
 
+def interval_at_zeros(y) -> int:
+    """Half of the four real zeros of R, 0 or 1, between which omega1 is whenever omega2 = 0."""
+    E, L, G, k_sq = constants(y)
+    zeros = np.sort(np.roots([-1, 0, 2 * E, -4 * L, G - k_sq]).real)
+    states = reference_states(Kowalevski(), list(y), np.linspace(0.0, 60.0, 30001))
+    at = states[np.flatnonzero(np.diff(np.signbit(states[:, 1]))), 0]
+    assert len(at) > 5
+    return int(at.mean() > 0.5 * (zeros[1] + zeros[2]))
+
+
+@pytest.mark.slow
+def test_tori_that_shrink_to_motions_of_bobylev_and_steklov() -> None:
+    """Exactly those whose interval of omega1 at omega2 = 0 is the one that shrinks."""
+    random, seen = np.random.default_rng(0), {True: 0, False: 0}
+    while min(seen.values()) < 2:
+        gamma = random.normal(size=3)
+        y = [*(random.normal(size=3) * 10 ** random.uniform(-1, 0.5)), *(gamma / np.linalg.norm(gamma))]
+        if order(y) != "5eee4":
+            continue
+        E, L, G, _ = constants(y)
+        outer = np.sort(np.roots([1, 0, -E, L]).real)[[0, 2]]  # the maxima of R + k²; the lower one meets zero first
+        heights = G + outer**4 - 2 * L * outer
+        shrinking, value = int(np.argmin(heights)), float(heights.min())
+        found = [one.value for one in motion(y).neighbours if (one.along, one.kind) == ("k_sq", "bobylev-steklov")]
+        expected = interval_at_zeros(y) == shrinking
+        assert [pytest.approx(value, rel=1e-9)] * expected == found
+        seen[expected] += 1
+
+
+@pytest.mark.slow
+def test_neighbours_of_a_perturbed_pendulum() -> None:
+    """Next to a stable pendulum its torus shrinks; next to an unstable one there is a separatrix."""
+    cases = [
+        ((0.75, 0.0, 0.5, 0.0, 0.75, 0.375), "stable", "bobylev-steklov"),
+        ((0.0, 0.0, 1.0, 0.6, 0.8, 0.0), "unstable", "separatrix"),
+    ]
+    for y, word, kind in cases:
+        assert motion(y).title.endswith(f"; {word}")
+        near = motion((y[0], 1e-3, *y[2:5], y[5] + 1e-3))
+        assert min(near.neighbours, key=lambda one: abs(one.distance)).kind == kind
+        assert min(abs(one.distance) for one in near.neighbours) < 1e-5
+
+
 PERIODIC = {
     "pendulum that rotates about the third axis": ((0.0, 0.0, 1.0, 0.6, 0.8, 0.0), "pendulum"),
     "pendulum that oscillates about the third axis": ((0.75, 0.0, 0.5, 0.0, 0.75, 0.375), "pendulum"),

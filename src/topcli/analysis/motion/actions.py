@@ -12,8 +12,8 @@ The actions are the integrals over the cycles of the torus, divided by 2 pi:
     f = arcsin(sqrt(x |Z|/|x G - L²|))/sqrt(x),
 
 where the terms with a and r are absent if the end of the oval is e4 or e5. J1 vanishes where the oval of s1 shrinks to
-a point. The integral to minus infinity diverges; sqrt(y) ln(16 y²/G) - 4 sqrt(y), y = -x, is subtracted. Frequencies are
-2 pi nu_i = dE/dJ_i. The same cycles give other values in Euler angles, which are singular where gamma is parallel to
+a point. The integral to minus infinity diverges; sqrt(y) ln(16 y²/G) - 4 sqrt(y), y = -x, is subtracted. Then
+dE/dJ_i = 2 pi nu_i. The same cycles give other values in Euler angles, which are singular where gamma is parallel to
 the third axis: they differ by multiples of 2l, a constant of the leaf.
 """
 

@@ -4,7 +4,9 @@ For given L = l c and G = c² gamma² two roots of Phi (``separation``) coincide
 
     k² = (E - 2 L²/G)²,    k = 0 (Delone),    E = x² + L/x, k² = G + x⁴ - 2 L x (a double root x of R).
 
-What happens there follows from the place of the double root among the ovals of s1 and s2: (-inf, r] and [a, b].
+What happens there follows from the place of the double root among the ovals of s1 and s2: (-inf, r] and [a, b]. Where
+two roots of the cubic meet between r and a, half of the tori shrink to a motion of Bobylev and Steklov, omega1 = x and
+omega2 = 0, and nothing happens to the others.
 Source: Kharlamov, Prikl. Mat. Mekh. 47 (1983) 922-930; Bolsinov, Richter, Fomenko, Sb. Math. 191 (2000) 151-188.
 """
 
@@ -17,9 +19,9 @@ from typing import Any, NamedTuple
 
 from topcli.schemes.kowalevski.separation import DIGITS, Curve, Integrals, Real, cubic_roots, real
 
-SEPARATRIX, PINCH, PERIODIC, DELONE = "separatrix", "pinch", "periodic", "delone"
+SEPARATRIX, PINCH, PERIODIC, DELONE, BOBYLEV = "separatrix", "pinch", "periodic", "delone", "bobylev-steklov"
 REGULAR = "regular"
-"""A double root that no motion reaches."""
+"""A double root that changes nothing for any motion."""
 BESIDE = 10.0**-20
 """Part of the way to a critical value at which the roots are compared."""
 
@@ -35,13 +37,20 @@ REGIONS = {name: Region(name, tori) for name, tori in (("I", 1), ("II", 2), ("II
 
 
 def region(of: Curve) -> Region:
-    """Region of a curve without double roots: by sign(|E - 2 L²/G| - k), a conjugate pair, and the lower end of s1."""
+    """Region of a curve: by sign(|E - 2 L²/G| - k), a conjugate pair or double root, and the lower end of s1."""
+    pair = of.pair or "cubic" in of.of.double_roots
     k, above = of.of.k(), real(3 * of.of.l1 - 2 * of.of.L**2 / of.of.G)
     if abs(above) < k:
-        return REGIONS["I" if of.pair else "II"]
-    if of.pair:
+        return REGIONS["I" if pair else "II"]
+    if pair:
         return REGIONS["IV"]
     return REGIONS["III" if of.occupied()[1] < 3 else "V"]
+
+
+def between(roots: Sequence[Any]) -> list[int]:
+    """Indices of the real roots of the cubic between the ovals of s1 and s2."""
+    order = sorted((i for i in range(5) if roots[i].imag == 0), key=lambda i: roots[i].real)
+    return [i for i in order[1:-2] if i < 3]
 
 
 @dataclass(frozen=True)
@@ -104,7 +113,10 @@ def _real_zeros(coefficients: Sequence[Real]) -> list[Real]:
 
 
 def collision(level: Level) -> str:
-    """Kind of the critical motion that a level is next to: where its two nearest roots are, relative to the ovals."""
+    """Kind of the critical motion that a level is next to: where its two nearest roots are, relative to the ovals.
+
+    ``bobylev-steklov`` concerns only half of the tori.
+    """
     roots = level.roots()
     order = sorted((i for i in range(5) if roots[i].imag == 0), key=lambda i: roots[i].real)
     r, a, b = order[0], order[-2], order[-1]
@@ -118,7 +130,24 @@ def collision(level: Level) -> str:
         return DELONE if ends == {3, 4} else PERIODIC
     if ends == {r, a}:
         return PINCH
+    if ends <= set(between(roots)):
+        return BOBYLEV
     return SEPARATRIX if r in ends or a in ends else REGULAR
+
+
+def pendulum_is_stable(of: Curve) -> bool | None:
+    """True if a motion of Bobylev and Steklov on this curve is stable: the double root is between the ovals.
+
+    None if the cubic has no double root, or a triple root is involved.
+    """
+    roots = of.e
+    if "cubic" not in of.of.double_roots or roots[1] != roots[2]:
+        return None
+    double = roots[1].real
+    low, middle, high = sorted(roots[i].real for i in (0, 3, 4))
+    if double in (low, middle, high):
+        return None
+    return bool(low < double < middle or double > high)
 
 
 class Critical(NamedTuple):
@@ -129,24 +158,31 @@ class Critical(NamedTuple):
     kind: str
 
 
-def nearest_critical(of: Integrals) -> dict[str, list[Critical]]:
-    """Nearest critical values of E and of k² on either side, by ``energy`` and ``k_sq``; none of kind ``regular``."""
+def nearest_critical(of: Integrals, shrinks: bool) -> dict[str, list[Critical]]:
+    """Nearest critical values of E and of k² on either side, by ``energy`` and ``k_sq``, that concern a motion.
+
+    ``shrinks`` is true if its torus is one of those that shrink to a motion of Bobylev and Steklov.
+    """
     from topcli.schemes.kowalevski.multiprecision import digits
 
+    passed = (REGULAR,) if shrinks else (REGULAR, BOBYLEV)
     with digits(2 * DIGITS):
         level = Level.of(of)
         return {
-            "energy": _both_sides(3 * level.l1, level.critical_energies(), level.with_energy),
-            "k_sq": _both_sides(level.k_sq, level.critical_k_sq(), level.with_k_sq),
+            "energy": _both_sides(3 * level.l1, level.critical_energies(), level.with_energy, passed),
+            "k_sq": _both_sides(level.k_sq, level.critical_k_sq(), level.with_k_sq, passed),
         }
 
 
-def _both_sides(here: Real, values: Iterable[Real], at: Callable[[Real], Level]) -> list[Critical]:
+def _both_sides(
+    here: Real, values: Iterable[Real], at: Callable[[Real], Level], passed: Sequence[str]
+) -> list[Critical]:
+    """Nearest critical value below and above, without the kinds that are ``passed``."""
     values, found = sorted(values), []
     for side in (reversed([v for v in values if v < here]), [v for v in values if v > here]):
         for value in side:
             kind = collision(at(value + (here - value) * BESIDE))
-            if kind != REGULAR:
+            if kind not in passed:
                 found.append(Critical(value, value - here, kind))
                 break
     return found

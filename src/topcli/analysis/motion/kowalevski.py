@@ -12,9 +12,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import product
 
 from topcli.analysis.motion.actions import actions
-from topcli.analysis.motion.diagram import DELONE, PERIODIC, PINCH, SEPARATRIX, Region, nearest_critical, region
+from topcli.analysis.motion.diagram import (
+    DELONE,
+    PERIODIC,
+    PINCH,
+    SEPARATRIX,
+    Region,
+    between,
+    nearest_critical,
+    pendulum_is_stable,
+    region,
+)
 from topcli.analysis.motion.result import Motion, Neighbour, Quantity, integrals_of
 from topcli.contracts import Floats
 from topcli.errors import RunError
@@ -103,23 +114,60 @@ class Ovals:
         sigma = self.first.sigma
         return (float(a), float(P + sigma * a)), (float(b), float(sigma * b - Q))
 
-    def rests(self, y: Floats, c: float) -> bool:
-        """True if s1 or s2 of the state ``y`` is in the double root at an end of its oval, for ever."""
-        from topcli.schemes.kowalevski.multiprecision import digits, mpf
+    def separated(self, y: Floats, c: float) -> tuple[list[Real], Real, Real] | None:
+        """State on the orbit of ``y`` with its finite s1 and s2; None if they are undetermined at all times tried."""
+        from topcli.schemes.kowalevski.multiprecision import digits, isinf, mpf
 
         for shift in SHIFTS:
             with digits(2 * DIGITS):
-                start = series_step([mpf(v) for v in y], mpf(c), mpf(shift) / 32, 90)
+                start = [mpf(v) for v in y]
+                if shift:
+                    start = series_step(start, mpf(c), mpf(shift) / 32, 90)
                 try:
-                    both = separated(self.curve.of, start)
+                    one, two = separated(self.curve.of, start)
                 except ZeroDivisionError:
                     continue
-            with digits(DIGITS):
-                return any(
-                    touched and _is_end(oval, s)
-                    for touched, oval, s in zip(self.touched, (self.first, self.second), both, strict=True)
-                )
-        return False
+                if not isinf(two):
+                    return start, one, two
+        return None
+
+    def rests(self, y: Floats, c: float) -> bool:
+        """True if s1 or s2 of the state ``y`` is in the double root at an end of its oval, for ever."""
+        from topcli.schemes.kowalevski.multiprecision import digits
+
+        found = self.separated(y, c)
+        if found is None:
+            return False
+        with digits(DIGITS):
+            pairs = zip(self.touched, (self.first, self.second), found[1:], strict=True)
+            return any(touched and _is_end(oval, s) for touched, oval, s in pairs)
+
+    def shrinks(self, y: Floats, c: float) -> bool:
+        """True if the torus of the state ``y`` shrinks to a motion of Bobylev and Steklov where two roots meet.
+
+        Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i). The
+        state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``state_of_factors``).
+        """
+        from topcli.schemes.kowalevski.multiprecision import digits, mpc, sqrt
+
+        roots = self.curve.e
+        gap = between(roots)
+        found = self.separated(y, c)
+        if len(gap) < 2 or found is None:
+            return False
+        state, s1, s2 = found
+        with digits(DIGITS):
+            factors = [sqrt(s1 - e) * sqrt(s2 - e) for e in roots[:3]]
+            lam = [1 / ((roots[i] - roots[i - 1]) * (roots[i] - roots[i - 2])) for i in range(3)]
+
+            def missed(signs: Sequence[int]) -> float:
+                terms = [s * v * w for s, v, w in zip(signs, factors, lam, strict=True)]
+                N = 1 + sum(v * (e - self.curve.r2) for v, e in zip(terms, roots[:3], strict=True))
+                return float(abs(self.curve.x0 + self.curve.r1 * sum(terms) / N - mpc(state[0], state[1])))
+
+            signs = min(product((1, -1), repeat=3), key=missed)
+            i, j = gap
+            return bool((signs[i] * signs[j] * factors[i] * factors[j]).real > 0)
 
 
 def _slope(oval: Oval) -> tuple[Real, Real]:
@@ -215,7 +263,7 @@ def _torus(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantit
     for i, value in enumerate(both, 1):
         meaning = f"action J of this angle, up to multiples of 2l; dE/dJ = 2π frequency.{i}"
         quantities.append(Quantity(f"action.{i}", value, meaning))
-    neighbours = critical_neighbours(ovals.curve.of, top.C)
+    neighbours = critical_neighbours(ovals.curve.of, ovals.shrinks(y, c), top.C)
     quantities += _distances(ovals.curve.of, neighbours, top.C)
     return Motion(top.form, f"torus {where.name}", torus_title(where, ovals), y, tuple(quantities), tuple(neighbours))
 
@@ -235,12 +283,12 @@ def _root_names(ovals: Ovals) -> dict[int, str]:
     return {3: "e4", 4: "e5"} | {i: f"e{n}" for n, i in enumerate(cubic, 1)}
 
 
-def critical_neighbours(of: Integrals, unit: float) -> list[Neighbour]:
+def critical_neighbours(of: Integrals, shrinks: bool, unit: float) -> list[Neighbour]:
     """Nearest critical motions along E and along k²; ``unit`` is the third moment of inertia."""
     scale = {"energy": unit, "k_sq": 1.0}
     return [
         Neighbour(name, float(one.value) * scale[name], float(one.distance) * scale[name], one.kind)
-        for name, found in nearest_critical(of).items()
+        for name, found in nearest_critical(of, shrinks).items()
         for one in found
     ]
 
@@ -264,6 +312,8 @@ def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> l
 
 
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
+    from topcli.schemes.kowalevski.multiprecision import digits
+
     pendulum = Pendulum.of(y, c)
     what = "pendulum (Bobylev-Steklov): ω2 = 0 for ever"
     if pendulum.quarter is None:
@@ -277,7 +327,10 @@ def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity
         Quantity("frequency", 1.0 / time, "cycles per unit time"),
         Quantity("period", time, "time of one rotation" if pendulum.rotates else "time of one oscillation"),
     )
-    return Motion(top.form, "pendulum", f"{what}; it {way}", y, quantities)
+    with digits(2 * DIGITS):
+        stable = pendulum_is_stable(curve(integrals(y, c)))
+    word = {True: "; stable", False: "; unstable", None: ""}[stable]
+    return Motion(top.form, "pendulum", f"{what}; it {way}{word}", y, quantities)
 
 
 def _degenerate(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantity], c: float) -> Motion:
@@ -292,10 +345,10 @@ def _degenerate(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Qu
         return Motion(top.form, kind, title, y, (*conserved, period))
     rests = ovals.rests(y, c)
     if kind == PINCH:
-        between = ovals.periods[0]
-        time = Quantity("period.passages", between, "time from one passage of the double root to the next")
+        passage = ovals.periods[0]
+        time = Quantity("period.passages", passage, "time from one passage of the double root to the next")
         what = "pinch: s1 and s2 meet in a double root between their ovals"
-        period = Quantity("period", 2.0 * between, "time of one cycle")
+        period = Quantity("period", 2.0 * passage, "time of one cycle")
     else:
         i, which = (1, "s1") if ovals.touched[0] else (0, "s2")
         cycle = ovals.turns[i] * ovals.periods[i]

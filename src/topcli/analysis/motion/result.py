@@ -27,7 +27,8 @@ class Neighbour(NamedTuple):
     """Nearest critical motion if one integral is changed and the others are kept.
 
     ``along`` is the name of that integral, ``value`` its critical value and ``distance`` the change that leads there.
-    ``kind`` is ``separatrix``, ``pinch``, ``periodic`` (the torus shrinks to a closed orbit) or ``delone``.
+    ``kind`` is ``separatrix`` or ``pinch``, or ``periodic``, ``delone`` or ``bobylev-steklov``, where the torus shrinks
+    to a periodic motion.
     """
 
     along: str
