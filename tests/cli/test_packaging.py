@@ -16,7 +16,7 @@ import pytest
 
 from conftest import ROOT
 
-SUFFIXES = {".py", ".yaml", ".toml", ".mplstyle"}
+SUFFIXES = {".py", ".yaml", ".toml", ".mplstyle", ".jinja", ".css"}
 
 
 def build(source: Path, target: str, into: Path) -> Path:
