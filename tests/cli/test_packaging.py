@@ -16,7 +16,7 @@ import pytest
 
 from conftest import ROOT
 
-SUFFIXES = {".py", ".yaml", ".toml", ".mplstyle", ".bib"}
+SUFFIXES = {".py", ".yaml", ".toml", ".mplstyle", ".bib", ".jinja", ".css"}
 
 
 def build(source: Path, target: str, into: Path) -> Path:

@@ -25,6 +25,7 @@ class _Topcli(LazyGroup):
         "table": "table.table",
         "order": "order.order",
         "plot": "plot.plot",
+        "report": "report.report",
         "lax": "lax.lax",
         "roundoff": "roundoff.roundoff",
         "stress": "stress.stress",

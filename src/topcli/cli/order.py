@@ -10,45 +10,14 @@ import typer
 from topcli.cli.options import Json, Out, SchemeFiles, Schemes, Sets, complete_config, complete_top, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say, say_warnings
 
-HEADER = ("scheme", "order", "observed", "fitted over h", "round-off", "from h", "smallest error", "at h")
-
-
-def _summary(row: dict[str, Any]) -> list[str]:
-    """Line of one scheme: declared and observed order, the fitted step sizes, the plateau, the smallest error."""
-    from topcli.studies.report import number
-
-    best = min((one for one in row["points"] if one["error"] is not None), key=lambda one: one["error"], default=None)
-    fitted = f"{number(row['fitted'][0], 2)} to {number(row['fitted'][-1], 2)}" if row["fitted"] else "–"
-    return [
-        row["scheme"],
-        "–" if row["declared_order"] is None else str(row["declared_order"]),
-        "–" if row["order"] is None else f"{row['order']:.2f}",
-        fitted,
-        number(row["plateau"], 2),
-        number(row["onset"], 2),
-        number(best and best["error"], 2),
-        number(best and best["h"], 2),
-    ]
-
-
-def _error_lines(schemes: list[dict[str, Any]]) -> list[list[str]]:
-    """Lines of the table of errors: a step size, then a cell for each scheme; a dash where it was not run."""
-    from topcli.studies.report import number
-
-    each = [{one["h"]: one["error"] for one in row["points"]} for row in schemes]
-    lines = []
-    for h in sorted({h for points in each for h in points}, reverse=True):
-        cells = ["–" if h not in points else "nan" if points[h] is None else number(points[h], 2) for points in each]
-        lines.append([f"{h:.4g}", *cells])
-    return lines
-
 
 def _print_study(study: dict[str, Any]) -> None:
-    span = f"t from 0 to {study['duration']:g}"
-    print_table(HEADER, [_summary(row) for row in study["schemes"]], f"{study['name']}: {study['top']}, {span}")
+    from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
+
+    print_table(HEADER, [order_line(row) for row in study["schemes"]], order_title(study))
     emit()
     header = ["h", *(row["scheme"] for row in study["schemes"])]
-    print_table(header, _error_lines(study["schemes"]), "largest error at each h", range(len(header)))
+    print_table(header, error_lines(study["schemes"]), "largest error at each h", range(len(header)))
 
 
 def _say_failures(study: dict[str, Any]) -> bool:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from topcli.cli.files import Overwrite, require_new, write_text
 from topcli.cli.options import Json
 from topcli.cli.tables import table_lines
 from topcli.cli.talk import emit_text, print_json, print_table, say
@@ -42,7 +42,6 @@ Format = Annotated[str, typer.Option("--format", metavar="FORMAT", help="Write t
 OutFile = Annotated[
     Path | None, typer.Option("--out", metavar="FILE", help="Write to this file.", show_default="stdout")
 ]
-Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 
 
 def _text(table: SweepTable, form: str) -> str:
@@ -55,20 +54,6 @@ def _text(table: SweepTable, form: str) -> str:
         return "\n".join([table_text.title(table), *lines, *table_text.notes(table)]) + "\n"
     write = {"csv": table_text.csv_text, "markdown": table_text.markdown, "latex": table_text.latex}[form]
     return write(table)
-
-
-def _write(text: str, path: Path, force: bool) -> None:
-    from topcli.errors import UsageError
-    from topcli.store.run_folder import write_whole
-
-    if os.path.lexists(path) and not force:
-        raise UsageError(f"--out {path}: exists already; choose another file, or use --force to overwrite it")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"--out {path}: cannot be written ({error.strerror})") from None
-    say(f"wrote {path}")
 
 
 def table(
@@ -97,7 +82,9 @@ def table(
         raise UsageError(f"--format {quoted(form)}: unknown format; {nearest(form, FORMATS)}")
     found = sweep_table(read_rows(folder).where(where or []), row_keys, column_key, values, aggregate)
     if out is not None:
-        _write(_text(found, form), out, force)
+        require_new(out, force)
+        write_text(_text(found, form), out)
+        say(f"wrote {out}")
     elif as_json:
         print_json("table", found.as_dict())
     elif form == "text":

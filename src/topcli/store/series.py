@@ -243,21 +243,25 @@ def _unreadable(path: Path, error: Exception) -> RunError:
     return RunError(f"{path}: cannot be read ({reason[:120]}); run again with --force")
 
 
-def _names(path: Path) -> list[str]:
-    """Names of the columns of a series."""
-    if path.suffix == ".csv":
-        with path.open(encoding="utf-8") as file:
-            return file.readline().strip().split(",")
+def series_names(path: Path) -> list[str]:
+    """Names of the columns of a series. Raises RunError if the file is missing or damaged."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    return list(pq.read_schema(path).names)
+    try:
+        if path.suffix == ".csv":
+            with path.open(encoding="utf-8") as file:
+                return file.readline().strip().split(",")
+        return list(pq.read_schema(path).names)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
 
 
 def _csv_types(path: Path) -> Any:
     """Explicit types of the columns; without them a column of whole floats would be read as integers."""
     import pyarrow.csv as csv
 
-    return csv.ConvertOptions(column_types={name: _arrow_type(name) for name in _names(path)})
+    return csv.ConvertOptions(column_types={name: _arrow_type(name) for name in series_names(path)})
 
 
 def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarray]:
@@ -273,10 +277,10 @@ def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarr
     return {name: table.column(name).to_numpy() for name in wanted}
 
 
-def _pieces(path: Path) -> Iterator[dict[str, np.ndarray]]:
+def series_pieces(path: Path, names: Sequence[str] | None = None) -> Iterator[dict[str, np.ndarray]]:
     """Yield the rows of a series piece by piece: the row groups of a Parquet file, blocks of about 1 MB of a CSV file.
 
-    Raises RunError if the file is damaged.
+    Only the columns ``names`` are read, by default all. Raises RunError if the file is damaged.
     """
     import pyarrow as pa
 
@@ -289,10 +293,26 @@ def _pieces(path: Path) -> Iterator[dict[str, np.ndarray]]:
             import pyarrow.parquet as pq
 
             file = pq.ParquetFile(path, page_checksum_verification=True)
-            tables = map(file.read_row_group, range(file.num_row_groups))
+            groups = range(file.num_row_groups)
+            tables = (file.read_row_group(group, columns=None if names is None else list(names)) for group in groups)
         for table in tables:
-            yield {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names}
+            wanted = table.schema.names if names is None else names
+            yield {name: table.column(name).to_numpy(zero_copy_only=False) for name in wanted}
     except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+def series_length(path: Path) -> int:
+    """Number of rows of a series. Raises RunError if the file is missing or damaged."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        if path.suffix == ".csv":
+            with path.open("rb") as file:
+                return max(0, sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) - 1)
+        return pq.read_metadata(path).num_rows
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise _unreadable(path, error) from None
 
 
@@ -302,8 +322,8 @@ def copy_series(source: Path, target: Path, metadata: Mapping[str, str], ended: 
     A Parquet file gets the ``metadata`` and those known at the end of the run, ``ended``. Memory does not grow with the
     number of rows. Raises RunError if the source is damaged, and OSError if the target cannot be written.
     """
-    with SeriesWriter(target, _names(source), metadata) as writer:
-        for rows in _pieces(source):
+    with SeriesWriter(target, series_names(source), metadata) as writer:
+        for rows in series_pieces(source):
             writer.write(rows)
         writer.finish(ended)
         return writer.sha256

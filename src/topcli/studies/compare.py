@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ from topcli.contracts import Array, Method, Outcome, Sampler, Top
 from topcli.engine.loop import nanoseconds_per_step
 from topcli.engine.setups import prepare
 from topcli.errors import UsageError, quoted
+from topcli.store.envelope import thinned
+from topcli.store.provenance import environment
+from topcli.store.study import write_study
 from topcli.studies.entries import Entry, few_rows, read_entries
 from topcli.studies.measures.references import exact_method
 from topcli.studies.report import finite, left_motion
@@ -33,6 +37,21 @@ class Comparison:
 
     figures: dict[str, Any]
     series: dict[str, Array]
+
+
+def comparison_document(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as plain data: what ``--json`` prints, and the rows of its series that a picture needs."""
+    series = {name: values.tolist() for name, values in thinned(comparison.series).items()}
+    return finite({"schema_version": 1, "command": "compare", **comparison.figures, "series": series})
+
+
+def write_comparison(path: Path, figures: Mapping[str, Any]) -> Path:
+    """Write a comparison as JSON atomically, with the time, the commit and the versions; the path.
+
+    ``figures`` is a ``comparison_document``, or the figures of an ensemble. Raises UsageError and RunError.
+    """
+    named = {"schema_version": 1, "command": "compare", **figures, "environment": environment()}
+    return write_study(path, named, None)
 
 
 def _padded(values: Array, rows: int) -> Array:
@@ -195,6 +214,7 @@ def compare_schemes(
             {
                 "config": experiment.resolved(),
                 "reference": {
+                    "kind": reference,
                     "method": REFERENCES[reference],
                     "swing": top.swing,
                     "swing_spacing": swing_spacing(times, finest_rows[:, swing]),

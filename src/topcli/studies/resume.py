@@ -70,12 +70,13 @@ def _places(out: Path, name: str) -> Iterator[Path]:
         yield from (out / found for found in sorted(e.name for e in entries if e.name.startswith(f"{name}.")))
 
 
-def _flat(data: Any, path: str = "") -> dict[str, Any]:
+def flattened(data: Any, path: str = "") -> dict[str, Any]:
+    """Values of a resolved config by their dotted keys."""
     if not isinstance(data, dict):
         return {path: data}
     found: dict[str, Any] = {}
     for key, value in data.items():
-        found |= _flat(value, f"{path}.{key}" if path else key)
+        found |= flattened(value, f"{path}.{key}" if path else key)
     return found
 
 
@@ -84,7 +85,7 @@ def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
 
     The keys of a resolved config that do not belong to the identity of a run are left out.
     """
-    one, other = _flat(there), _flat(here)
+    one, other = flattened(there), flattened(here)
     keys = [key for key in dict.fromkeys([*one, *other]) if one.get(key) != other.get(key)]
     keys = [key for key in keys if key not in OUTSIDE_IDENTITY]
     found = [f"{key}: {one.get(key, 'nothing')} there, {other.get(key, 'nothing')} here" for key in keys]

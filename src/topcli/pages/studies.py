@@ -1,0 +1,192 @@
+"""Chapters on studies: comparisons, orders, stress and benchmarks, from their plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from topcli.contracts import Array
+from topcli.figures.comparison import loaded_comparison
+from topcli.figures.order import loaded_order
+from topcli.figures.picture import Grid
+from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures, Table
+from topcli.pages.origin import citation_block, config_block, experiment_of, files_block, provenance_block
+from topcli.pages.svg import svg_of
+from topcli.store.manifest import StoredRun
+from topcli.studies.bench.stored import decade_lines, point_lines
+from topcli.studies.compare import Comparison
+from topcli.studies.compare_table import comparison_table
+from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
+
+SIZE = (5.6, 3.2)
+SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
+MARKS = {"held": "good", "degraded": "middling", "broke": "bad"}
+UNEXPLAINED = ("unexplained", "outlived limit")
+
+
+def _about(chapter: Chapter, data: Mapping[str, Any]) -> None:
+    """Add config, provenance and citation of a study."""
+    config = data.get("config")
+    experiment = experiment_of(config) if isinstance(config, dict) else None
+    if isinstance(config, dict):
+        chapter.attempt("config", lambda: config_block(config))
+    chapter.attempt("provenance", lambda: provenance_block(data))
+    environment = data.get("environment")
+    version = environment.get("topcli") if isinstance(environment, dict) else None
+    chapter.attempt("citation", lambda: citation_block([experiment], version))
+
+
+def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], name: str) -> Chapter:
+    """Chapter on a comparison of schemes; without ``series`` it has no pictures."""
+    chapter = Chapter("Comparison", "comparison")
+    chapter.attempt("comparison", lambda: _compared(chapter, figures))
+    if series:
+        chapter.attempt("pictures", lambda: _comparison_pictures(figures, series, name))
+    elif figures.get("kind") != "ensemble":
+        chapter.missing.append("pictures: the series are not in this file; topcli compare with --save stores them")
+    _about(chapter, figures)
+    return chapter
+
+
+def _compared(chapter: Chapter, figures: dict[str, Any]) -> Table:
+    """Table of a comparison, and the state of the chapter."""
+    title, header, lines = comparison_table(figures)
+    chapter.title, _, chapter.subtitle = title.partition(": ")
+    bad = [one for one in figures["schemes"] if not _completed(one)]
+    chapter.good = not bad
+    chapter.state = "completed" if chapter.good else f"{len(bad)} failed"
+    chapter.message = "; ".join(f"{one['label']}: {one['message']}" for one in bad)
+    return Table("Comparison", header, lines, _REFERENCE if "reference" in figures else "")
+
+
+_REFERENCE = "Errors are norms of the difference of states from a Taylor reference in double-double arithmetic."
+
+
+def _completed(scheme: Mapping[str, Any]) -> bool:
+    """True if an entry of a comparison completed, or all of its trajectories did."""
+    if "outcomes" in scheme:
+        return set(scheme["outcomes"]) == {"completed"}
+    return scheme["outcome"] == "completed"
+
+
+def _comparison_pictures(figures: dict[str, Any], series: Mapping[str, Array], name: str) -> Pictures:
+    drawn = {key: np.array(values, dtype=float) for key, values in series.items()}
+    loaded = loaded_comparison(Comparison(figures, drawn))
+    data, count = loaded.data(), len(loaded.panels)
+    captions = ["error of the state over time t", f"{figures['reference']['swing']} over time t"]
+    if count != len(captions):
+        captions = [f"the schemes over time t, picture {i + 1} of {count}" for i in range(count)]
+    return Pictures(
+        "Pictures",
+        [
+            Picture(svg_of(panel, data, f"{name}-compared{i}", caption, Grid(figsize=SIZE)), caption)
+            for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
+        ],
+    )
+
+
+def order_chapter(study: dict[str, Any], name: str) -> Chapter:
+    """Chapter on a study of orders of convergence."""
+    chapter = Chapter("Orders of convergence", "order")
+    chapter.attempt("orders", lambda: _orders(chapter, study))
+    chapter.attempt("pictures", lambda: _order_picture(study, name))
+    chapter.attempt("errors", lambda: _errors(study))
+    chapter.attempt("notes", lambda: _order_notes(study))
+    _about(chapter, study)
+    return chapter
+
+
+def _orders(chapter: Chapter, study: dict[str, Any]) -> Table:
+    chapter.subtitle = order_title(study)
+    broken = [row["scheme"] for row in study["schemes"] if row["broken"]]
+    chapter.state, chapter.good = ("measured", True) if not broken else (f"{len(broken)} failed", False)
+    return Table("Observed orders", HEADER, [order_line(row) for row in study["schemes"]])
+
+
+def _order_picture(study: Mapping[str, Any], name: str) -> Pictures:
+    loaded = loaded_order(study, "")
+    (panel,) = loaded.panels
+    caption = "largest error over the step size h, with observed orders"
+    return Pictures("Pictures", [Picture(svg_of(panel, loaded.data(), name, caption, Grid(figsize=SIZE)), caption)])
+
+
+def _errors(study: Mapping[str, Any]) -> Table:
+    header = ["h", *(row["scheme"] for row in study["schemes"])]
+    return Table("Largest error at each h", header, error_lines(study["schemes"]))
+
+
+def _order_notes(study: Mapping[str, Any]) -> Notes | None:
+    said = [f"{one['scheme']} is left out: {one['reason']}" for one in study["left_out"]]
+    said += [f"{row['scheme']}: {row['broken']}" for row in study["schemes"] if row["broken"]]
+    return Notes("Notes", said) if said else None
+
+
+def stress_chapter(study: dict[str, Any]) -> Chapter:
+    """Chapter on a stress study: a table of outcomes for each top, then every trial that did not hold."""
+    chapter = Chapter("Stress", "stress", "schemes in the hard cases of their tops")
+    chapter.attempt("outcomes", lambda: _stress_state(chapter, study))
+    trials = study["trials"] if isinstance(study["trials"], list) else []
+    for top in dict.fromkeys(str(one.get("top")) for one in trials if isinstance(one, dict)):
+        chapter.attempt(f"outcomes of {top}", lambda top=top: stress_grid(trials, top))
+    chapter.attempt("failures", lambda: _failures(study["trials"]))
+    chapter.attempt("questions", lambda: _questions(study["cases"]))
+    _about(chapter, study)
+    return chapter
+
+
+def _stress_state(chapter: Chapter, study: Mapping[str, Any]) -> Block | None:
+    wrong = sum(one["verdict"] in UNEXPLAINED for one in study["trials"])
+    chapter.good = not wrong
+    chapter.state = f"{wrong} unexplained" if wrong else "as declared"
+    chapter.message = ", ".join(f"{count} {outcome}" for outcome, count in study["outcomes"].items())
+    return None
+
+
+def stress_grid(trials: Sequence[Mapping[str, Any]], top: str) -> Table:
+    """Outcomes of the schemes of one top, a row for each scheme and a column for each case."""
+    mine = [one for one in trials if one["top"] == top]
+    cases = list(dict.fromkeys(one["case"] for one in mine))
+    found: dict[str, dict[str, str]] = {}
+    for one in mine:
+        found.setdefault(one["scheme"], {})[one["case"]] = one["outcome"]
+    lines = [[scheme, *(SIGNS.get(row.get(case, ""), "") for case in cases)] for scheme, row in found.items()]
+    signs = ", ".join(f"{sign} {outcome}" for outcome, sign in SIGNS.items())
+    marks = {SIGNS[outcome]: kind for outcome, kind in MARKS.items()}
+    return Table(
+        f"Outcomes: {top}", ["scheme", *cases], lines, f"{signs}; no sign: not run", numbers=False, marks=marks
+    )
+
+
+def _failures(trials: Sequence[Mapping[str, Any]]) -> Table | None:
+    lines = []
+    for one in trials:
+        if one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok":
+            step = "–" if one["step"] is None else str(one["step"])
+            meaning = {"ok": "", "limit": "declared limit"}.get(one["verdict"], one["verdict"])
+            lines.append([one["scheme"], one["top"], one["case"], one["outcome"], step, one["why"], meaning])
+    header = ["scheme", "top", "case", "outcome", "step", "why", "verdict"]
+    bad = dict.fromkeys(UNEXPLAINED, "bad")
+    return Table("Trials that did not hold", header, lines, keys=3, numbers=False, marks=MARKS | bad) if lines else None
+
+
+def _questions(cases: Sequence[Mapping[str, Any]]) -> Table:
+    lines = [[one["case"], one["top"], one["question"]] for one in cases]
+    return Table("Cases", ["case", "top", "question"], lines, keys=2, numbers=False)
+
+
+def bench_chapter(run: StoredRun) -> Chapter:
+    """Chapter on a benchmark of speed against error."""
+    manifest = run.manifest
+    chapter = Chapter(manifest["name"], "bench", "speed against error", "measured")
+    damage = run.damage()
+    if damage:
+        chapter.state, chapter.good = "damaged", False
+        chapter.missing += [f"{file}: {why}" for file, why in damage.items()]
+    chapter.attempt("best by decade", lambda: Table("Fastest in each decade of error", *decade_lines(run.report())))
+    chapter.attempt("all points", lambda: Table("All points", *point_lines(run.report())))
+    _about(chapter, manifest)
+    chapter.attempt("files", lambda: files_block(Path(run.folder), manifest["files"], damage))
+    return chapter

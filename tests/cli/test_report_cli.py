@@ -1,0 +1,169 @@
+"""``topcli report`` at the command line: what it finds, what it writes, what it refuses."""
+
+from __future__ import annotations
+
+import errno
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from conftest import Said
+from reading_html import read_html, section_of
+from stored_results import store_run, store_sweep
+
+Cli = Callable[..., Said]
+
+
+@pytest.fixture
+def stored(in_tmp: Path) -> Path:
+    """A working folder with ``results/one``."""
+    store_run(in_tmp / "results", "one", N=60)
+    return in_tmp
+
+
+@pytest.mark.slow
+def test_a_run_is_found_by_name_by_folder_and_by_a_file_in_it(cli: Cli, stored: Path) -> None:
+    for number, place in enumerate(["one", "results/one", "results/one/series.parquet", "results/one/manifest.json"]):
+        said = cli("report", place, "--out", f"{number}.html")
+        assert (said.code, said.out, said.err) == (0, "", f"wrote {number}.html\n")
+        assert section_of(read_html((stored / f"{number}.html").read_text()), "one")
+    twice = cli("report", "one", "one", "--out", "twice.html", "--json").json()
+    assert [part["name"] for part in twice["results"]] == ["one"]
+
+
+@pytest.mark.slow
+def test_json_names_the_results_and_what_is_missing(cli: Cli, stored: Path) -> None:
+    store_sweep(stored / "elsewhere", "swept")
+    (stored / "results" / "one" / "report.json").unlink()
+    said = cli("report", "one", "elsewhere/swept", "--out", "new/page.html", "--json")
+    found = said.json()
+    assert found["file"] == "new/page.html"
+    assert [(one["name"], one["kind"], one["state"]) for one in found["results"]] == [
+        ("one", "run", "damaged"),
+        ("swept", "sweep", "finished"),
+    ]
+    assert found["results"][0]["missing"][0] == "report.json: missing"
+    assert said.err == ""
+    loud = cli("report", "one", "--out", "again.html")
+    assert loud.code == 0
+    assert loud.err.splitlines()[:2] == ["wrote again.html", "warning: one: report.json: missing"]
+
+
+def test_an_existing_file_is_kept_unless_forced(cli: Cli, stored: Path) -> None:
+    page = stored / "page.html"
+    page.write_text("mine")
+    said = cli("report", "one", "--out", "page.html")
+    assert said.code == 2
+    assert said.err == ("error: --out page.html: exists already; choose another file, or use --force to overwrite it\n")
+    assert page.read_text() == "mine"
+    (stored / "folder.html").mkdir()
+    assert "is a folder; name a file" in cli("report", "one", "--out", "folder.html", "--force").err
+
+
+@pytest.mark.slow
+def test_a_page_is_written_whole_or_not_at_all(cli: Cli, stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = stored / "page.html"
+    page.write_text("mine")
+
+    def full(*arguments: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("os.replace", full)
+        said = cli("report", "one", "--out", "page.html", "--force")
+    assert said.code == 2
+    assert said.err == "error: --out page.html: cannot be written (No space left on device)\n"
+    assert page.read_text() == "mine"
+    assert sorted(path.name for path in stored.iterdir()) == ["page.html", "results"]
+    assert cli("report", "one", "--out", "page.html", "--force").code == 0
+    assert page.read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["onee"], "error: 'onee': no such file or folder, and no run of this name in results; did you mean 'one'?"),
+        (["results"], "error: results: no run, sweep or study is stored here; name what is in it, such as results/one"),
+        (["empty"], "error: empty: no run, sweep or study is stored here"),
+        (["a.txt"], "error: a.txt: not a file that topcli report reads"),
+        (["a.json"], "error: a.json: not JSON: Expecting value: line 1 column 1 (char 0)"),
+        (["b.json"], "error: b.json: not a result that topcli report shows"),
+    ],
+)
+def test_what_is_no_result_is_refused_in_two_lines(cli: Cli, stored: Path, arguments: list[str], message: str) -> None:
+    (stored / "empty").mkdir()
+    (stored / "a.txt").write_text("x")
+    (stored / "a.json").write_text("x")
+    (stored / "b.json").write_text('{"command": "lax"}')
+    said = cli("report", *arguments, "--out", "page.html")
+    assert said.code == 2
+    assert said.err.splitlines()[0] == message
+    assert len(said.err.splitlines()) <= 2
+    assert not (stored / "page.html").exists()
+
+
+def test_a_page_has_the_suffix_of_one(cli: Cli, stored: Path) -> None:
+    said = cli("report", "one", "--out", "page.pdf")
+    assert (said.code, said.err) == (2, "error: --out page.pdf: unknown type of page; use a name ending in .html\n")
+
+
+def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
+    """A killed process leaves a part folder with a checkpoint."""
+    from stored_results import experiment
+    from topcli.studies.run import run_experiment
+
+    class Killed(BaseException):
+        pass
+
+    calls = 0
+
+    def stop() -> bool:
+        nonlocal calls
+        calls += 1
+        if calls > 3:
+            raise Killed
+        return False
+
+    with pytest.raises(Killed):
+        run_experiment(experiment("long", N=5000), in_tmp / "results", checkpoint_every=0.0, stop=stop)
+    said = cli("report", "long", "--out", "page.html")
+    assert said.code == 0
+    page = read_html((in_tmp / "page.html").read_text())
+    assert page.with_class("badge")[0].text == "unfinished"
+    (box,) = page.with_class("missing")
+    assert "of 5000, its last checkpoint; topcli run with --resume continues from there" in box.text
+    assert "name: long" in section_of(page, "Resolved config").text
+    (part,) = (in_tmp / "results").glob(".long.part-*")
+    assert cli("report", str(part), "--out", "part.html").code == 0
+    assert "unfinished" in (in_tmp / "part.html").read_text()
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_says_which_rows_are_missing(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
+    from stored_results import experiment
+    from topcli.studies.run import run_experiment
+
+    calls = iter([False, False, True])
+    run_experiment(experiment("long", N=5000), in_tmp / "results", stop=lambda: next(calls, True))
+    step = json.loads((in_tmp / "results" / "long" / "manifest.json").read_text())["step"]
+    assert cli("report", "long", "--out", "page.html").code == 0
+    page = read_html((in_tmp / "page.html").read_text())
+    assert page.with_class("badge")[0].text == "interrupted"
+    assert f"rows after step {step} of 5000: the run was interrupted" in page.with_class("missing")[0].text
+
+
+@pytest.mark.slow
+def test_a_stored_comparison_is_reported_with_pictures(cli: Cli, in_tmp: Path) -> None:
+    arguments = ["compare", "hk", "hybrid", "--config", "kowalevski_generic_hk", "--set", "N=200", "--save", "c.json"]
+    said = cli(*arguments)
+    assert (said.code, said.err) == (0, "wrote c.json\n")
+    assert cli(*arguments).err.startswith("error: --save c.json: exists already")
+    assert cli(*arguments, "--force").code == 0
+    assert cli("report", "c.json", "--out", "page.html").err == "wrote page.html\n"
+    page = read_html((in_tmp / "page.html").read_text())
+    assert len(page.all("svg")) == 2
+    figures = json.loads((in_tmp / "c.json").read_text())
+    assert len(figures["series"]["t"]) == 201
+    assert "unknown type of file" in cli(*arguments[:-1], "c.csv").err

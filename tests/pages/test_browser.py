@@ -1,0 +1,128 @@
+"""The page of ``topcli report`` in a real browser: on a phone, a screen and paper, in light and dark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from browser import Browser, running_browser
+from stored_results import store_comparison, store_ensemble, store_order, store_run, store_stress, store_sweep
+from topcli.pages.contents import Chapter, Facts, Notes, Table, Text
+from topcli.pages.page import rendered
+from topcli.pages.report import report_page
+
+pytestmark = pytest.mark.slow
+
+LONG = "a_name_without_any_place_to_break_" * 12
+PAPER = 673
+"""Pixels between the margins of A4."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with running_browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page on results of every kind, one of them damaged."""
+    out = tmp_path_factory.mktemp("results")
+    places = [store_run(out, "one"), store_run(out, "other", "hybrid"), store_ensemble(out), store_sweep(out)]
+    places += [store_comparison(out / "compared.json"), store_order(out / "order.json"), store_stress(out / "s.json")]
+    damaged = store_run(out, "damaged", "rk4")
+    (damaged / "series.parquet").write_bytes(b"")
+    path = out / "page.html"
+    path.write_text(report_page([str(place) for place in [*places, damaged]]).text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def extreme(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page of long names and wide tables."""
+    chapter = Chapter(LONG, "run", LONG, LONG, False, LONG, [LONG])
+    cells = [["1.234567890e-12"] * 40] * 3
+    chapter.blocks += [
+        Facts(LONG, [(LONG, LONG), ("h", "0.1")]),
+        Table("wide", [f"column {i}" for i in range(40)], cells),
+        Table("long", ["a", "b"], [[LONG, LONG]], LONG),
+        Text("config", [LONG]),
+        Notes("notes", [LONG]),
+    ]
+    path = tmp_path_factory.mktemp("extreme") / "page.html"
+    path.write_text(rendered([chapter, chapter], LONG), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [360, 1280])
+@pytest.mark.parametrize("name", ["page", "extreme"])
+def test_page_fits_the_window_and_is_silent(
+    browser: Browser, request: pytest.FixtureRequest, name: str, width: int, scheme: str
+) -> None:
+    with browser.visit(request.getfixturevalue(name), width, scheme) as seen:
+        assert seen.page.locator("h2").count() >= 2
+        assert seen.overflow == 0
+        assert (seen.console, seen.requests, seen.errors) == ([], [], [])
+
+
+def test_a_bad_page_would_be_noticed(browser: Browser, page: Path, tmp_path: Path) -> None:
+    """Control: an element wider than the window, a picture from elsewhere, a script that fails."""
+    bad = tmp_path / "bad.html"
+    added = "<p style='width: 700px'>x</p><img src='http://127.0.0.1:9/x.png'><script>nothing()</script></body>"
+    bad.write_text(page.read_text(encoding="utf-8").replace("</body>", added), encoding="utf-8")
+    with browser.visit(bad, 360) as seen:
+        assert seen.overflow > 300
+        assert any("127.0.0.1:9" in line and "Content Security Policy" in line for line in seen.console)
+        assert seen.requests == ["http://127.0.0.1:9/x.png"]
+        assert any("script" in line for line in seen.console), "the policy of the page allows no script"
+
+
+def test_dark_and_light_are_dark_and_light(browser: Browser, page: Path) -> None:
+    def seen(scheme: str, media: str = "screen") -> tuple[int, int]:
+        with browser.visit(page, 1280, scheme, media) as visit:
+            ink, paper = visit.colour("body"), visit.colour("body", "backgroundColor")
+        return sum(ink), sum(paper)
+
+    light, dark, paper = seen("light"), seen("dark"), seen("dark", "print")
+    assert light[0] < 150 < 600 < light[1]
+    assert dark[1] < 150 < 600 < dark[0]
+    assert paper[0] == 0
+    assert paper[1] == 765, "paper is white in dark mode too"
+
+
+def test_labels_of_pictures_have_the_colour_of_text(browser: Browser, page: Path) -> None:
+    with browser.visit(page, 1280, "dark") as seen:
+        glyph = seen.page.evaluate("getComputedStyle(document.querySelector('svg use')).fill")
+        assert glyph == seen.page.evaluate("getComputedStyle(document.body).color")
+
+
+def test_tables_and_pictures_fit_on_paper(browser: Browser, page: Path) -> None:
+    with browser.visit(page, PAPER, media="print") as seen:
+        assert seen.overflow == 0
+        hidden = "[...document.querySelectorAll('.scroll, pre')].filter(e => e.scrollWidth > e.clientWidth + 1).length"
+        assert seen.page.evaluate(hidden) == 0
+        pdf = seen.page.pdf(format="A4")
+    assert pdf.startswith(b"%PDF")
+    assert 8 < pdf.count(b"/Type /Page\n") < 40
+
+
+def test_a_wide_table_scrolls_within_itself_by_keyboard(browser: Browser, extreme: Path) -> None:
+    with browser.visit(extreme, 360) as seen:
+        table = seen.page.locator(".scroll").first
+        assert table.evaluate("e => e.scrollWidth > 2 * e.clientWidth")
+        table.focus()
+        for _ in range(3):
+            seen.page.keyboard.press("ArrowRight")
+        seen.page.wait_for_timeout(400)
+        assert table.evaluate("e => e.scrollLeft") > 0
+
+
+def test_text_of_pictures_is_readable_on_a_phone(browser: Browser, page: Path) -> None:
+    """Tick labels are 9 points of a picture of 4.8 inches."""
+    with browser.visit(page, 360) as seen:
+        shown = seen.page.evaluate("document.querySelector('svg').getBoundingClientRect().width")
+    assert shown > 300
+    assert 9 * shown / (4.8 * 72) > 8, "pixels of a tick label"

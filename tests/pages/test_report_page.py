@@ -1,0 +1,400 @@
+"""The page of ``topcli report``: what it shows equals what is stored, and what it cannot show it names."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reading_html import Element, read_html, section_of
+from stored_results import (
+    store_comparison,
+    store_ensemble,
+    store_euler,
+    store_order,
+    store_run,
+    store_stress,
+    store_sweep,
+)
+from topcli.errors import UsageError
+from topcli.pages.contents import Chapter, Facts, Notes, Picture, Pictures, Table, Text
+from topcli.pages.page import rendered
+from topcli.pages.report import page_of, report_page
+from topcli.pages.series_pictures import deviations
+from topcli.store.series import read_series
+
+HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of every kind."""
+    out = tmp_path_factory.mktemp("results")
+    store_run(out, "one")
+    store_run(out, "other", "hybrid")
+    store_euler(out)
+    store_ensemble(out)
+    store_sweep(out)
+    store_comparison(out / "compared.json")
+    store_order(out / "order.json")
+    store_stress(out / "stress.json")
+    return out
+
+
+@pytest.fixture
+def copied(results: Path, tmp_path: Path) -> Path:
+    """Results that a test may damage."""
+    shutil.copytree(results, tmp_path / "results")
+    return tmp_path / "results"
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures that are not drawn, where only the rest of the page matters."""
+    for module in ("series_pictures", "studies", "sweeps", "ensembles"):
+        monkeypatch.setattr(f"topcli.pages.{module}.svg_of", lambda *arguments: "<svg></svg>")
+
+
+def shown(results: Path, *places: str) -> Element:
+    return read_html(report_page([str(results / place) for place in places]).text)
+
+
+def texts(section: Element) -> list[str]:
+    return [item.text for item in section.all("li")]
+
+
+@pytest.mark.slow
+def test_every_number_of_a_run_is_that_of_its_report(results: Path) -> None:
+    report = json.loads((results / "one" / "report.json").read_text())
+    page = shown(results, "one")
+    rows = {row[0]: row[1:] for row in section_of(page, "Conservation laws").all("table")[0].cells()}
+    invariants = report["invariants"]
+    assert rows["invariant"] == [one["symbol"] for one in invariants]
+    for label, key, close in (
+        ("first", "first", 1e-9),
+        ("max deviation", "max_deviation", 0.06),
+        ("drift per unit time", "drift", 0.06),
+    ):
+        assert [float(cell) for cell in rows[label]] == pytest.approx([one[key] for one in invariants], rel=close)
+    assert rows["verdict"] == [one["verdict"] for one in invariants]
+    facts = {one.all("dt")[0].text: one.all("dd")[0].text for one in section_of(page, "Setup").all("div")}
+    assert (facts["step size h"], facts["steps N"], facts["time N h"]) == ("0.01", "400", "4")
+    assert float(facts["initial gamma"].split(", ")[0]) == pytest.approx(np.sqrt(1.0 - 0.01), abs=1e-15)
+    assert page.with_class("badge")[0].text == "completed"
+
+
+@pytest.mark.slow
+def test_config_provenance_and_citation_are_those_of_the_manifest(results: Path) -> None:
+    manifest = json.loads((results / "one" / "manifest.json").read_text())
+    page = shown(results, "one")
+    stored = (results / "one" / "config.yaml").read_text()
+    assert section_of(page, "Resolved config").all("pre")[0].text == stored
+    facts = {one.all("dt")[0].text: one.all("dd")[0].text for one in section_of(page, "Provenance").all("div")}
+    assert facts["digest of the experiment"] == manifest["digest"]
+    assert facts["numba"] == manifest["environment"]["numba"]
+    assert facts["started"] == manifest["started"]
+    files = {row[0]: row[1:] for row in section_of(page, "Files").all("table")[0].cells()[1:]}
+    assert files == {n: [str(f["size"]), f["sha256"], "intact"] for n, f in manifest["files"].items()}
+    cited = " ".join(texts(section_of(page, "Citation")))
+    assert f"version {manifest['environment']['topcli']}" in cited
+    assert "Kowalevski 1889" in cited
+    assert "Hirota, Kimura 2000" in cited
+
+
+def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:
+    data = {"a": np.array([2.0, 2.0, 1.5, 2.25]), "b": np.array([1.0, 1.0, 1.0, 1.0])}
+    found = deviations(data, ["a", "b"])
+    assert list(found) == ["deviation:a"]
+    np.testing.assert_array_equal(found["deviation:a"], [np.nan, np.nan, 0.5, 0.25])
+
+
+@pytest.mark.slow
+def test_pictures_of_a_run_draw_its_columns(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = {}
+
+    def keep(panel, data, name, label, layout=None):
+        drawn[name] = {column: np.asarray(data[column]) for column in panel.columns}
+        return "<svg></svg>"
+
+    monkeypatch.setattr("topcli.pages.series_pictures.svg_of", keep)
+    report_page([str(results / "one")])
+    series = read_series(results / "one" / "series.parquet")
+    assert list(drawn) == ["part1-omega", "part1-gamma", "part1-deviations"]
+    for name in ("omega1", "omega2", "omega3"):
+        np.testing.assert_array_equal(drawn["part1-omega"][name], series[name])
+    np.testing.assert_array_equal(drawn["part1-gamma"]["t"], series["n"] * 0.01)
+    energy = np.abs(series["energy"] - series["energy"][0])
+    np.testing.assert_array_equal(np.nan_to_num(drawn["part1-deviations"]["deviation:energy"]), energy)
+
+
+@pytest.mark.slow
+def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None:
+    page = shown(results, "many", "sweep", "compared.json", "order.json", "stress.json")
+    kinds = [one for one in page.all("section") if one.attributes.get("id", "").startswith("part")]
+    assert [len(one.all("svg")) for one in kinds] == [1, 2, 2, 1, 0]
+    assert not page.with_class("missing")
+    many, sweep, compared, order, stress = kinds
+    report = json.loads((results / "many" / "report.json").read_text())
+    rows = {row[0]: row[1:] for row in many.all("table")[0].cells()}
+    medians = [one["max_deviation"]["median"] for one in report["invariants"]]
+    assert [float(cell) for cell in rows["max deviation, median"]] == pytest.approx(medians, rel=0.06)
+    table = read_series(results / "sweep" / "rows.parquet", ["h", "deviation.energy"])
+    cells = section_of(sweep, "Rows").all("table")[0].cells()
+    assert cells[0] == ["row", "h", "scheme", "outcome", "deviation.energy", "error.max"]
+    assert [float(row[1]) for row in cells[1:]] == table["h"].tolist()
+    assert [float(row[4]) for row in cells[1:]] == pytest.approx(table["deviation.energy"], rel=1e-3)
+    figures = json.loads((results / "compared.json").read_text())
+    rows = {row[0]: row[1:] for row in compared.all("table")[0].cells()}
+    assert [float(one) for one in rows["max error"]] == pytest.approx(
+        [s["max_error"] for s in figures["schemes"]], rel=6e-3
+    )
+    observed = {row[0]: float(row[2]) for row in order.all("table")[0].cells()[1:]}
+    assert observed["hk"] == pytest.approx(2.0, abs=0.05)
+    assert observed["rk4"] == pytest.approx(4.0, abs=0.1)
+    assert stress.all("table")[0].cells() == [["scheme", "delone", "pole"], ["hk", "·", "·"], ["dg4", "·", "·"]]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_runs_of_one_top_are_compared_and_others_are_not(results: Path) -> None:
+    page = shown(results, "one", "euler", "other")
+    headings = [one.text for one in page.all("h2")]
+    assert headings == ["Comparison of the runs", "one", "euler", "other"]
+    rows = {row[0]: row[1:] for row in section_of(page, "Comparison").all("table")[0].cells()}
+    assert rows[""] == ["one", "other"]
+    assert rows["scheme.name"] == ["hk", "hybrid"]
+    assert "h" not in rows, "keys that agree are left out"
+    reports = [json.loads((results / name / "report.json").read_text()) for name in ("one", "other")]
+    energies = [next(row for row in one["invariants"] if row["name"] == "energy") for one in reports]
+    assert [float(cell) for cell in rows["E max deviation"]] == pytest.approx(
+        [e["max_deviation"] for e in energies], rel=0.06
+    )
+    assert [one.text for one in shown(results, "one", "euler").all("h2")] == ["one", "euler"]
+
+
+def _all_blocks(text: str) -> Chapter:
+    chapter = Chapter(text, "run", text, text, True, text, [text])
+    chapter.blocks += [
+        Facts(text, [(text, text)]),
+        Table(text, [text, text], [[text, text]], text, marks={text: "good"}),
+        Text(text, [text]),
+        Notes(text, [text]),
+        Pictures(text, [Picture("<svg></svg>", text)]),
+    ]
+    return chapter
+
+
+def test_everything_is_escaped() -> None:
+    text = rendered([_all_blocks(HOSTILE), _all_blocks("b")], HOSTILE)
+    page = read_html(text)
+    assert not page.all("script")
+    assert not page.all("img")
+    assert not [one for one in page.all() if any(name.startswith("on") for name in one.attributes)]
+    for name in ("h1", "h2", "h3", "dt", "dd", "td", "th", "li", "figcaption", "title", "a"):
+        assert any(HOSTILE in one.text for one in page.all(name)), name
+    assert page.all("pre")[0].text == HOSTILE + "\n"
+    assert any(one.attributes.get("aria-label") == HOSTILE for one in page.all("div"))
+
+
+@pytest.mark.slow
+def test_control_characters_and_half_pairs_are_shown_as_escapes(results: Path, copied: Path) -> None:
+    text = rendered([_all_blocks("a\x00\x1b[31m\u202eb\ud800")], "t")
+    assert "a\\x00\\x1b[31m\\u202eb\\ud800" in text
+    text.encode("utf-8")
+    path = copied / "one" / "report.json"
+    report = json.loads(path.read_text())
+    report["invariants"][0]["reason"] = HOSTILE + "\u202e\ud800"
+    path.write_text(json.dumps(report))
+    page = shown(copied, "one")
+    assert not page.all("script")
+    assert any(HOSTILE + "\\u202e\\ud800" in line for line in texts(section_of(page, "Verdicts")))
+
+
+@pytest.mark.slow
+def test_page_needs_nothing_from_elsewhere(results: Path) -> None:
+    text = report_page([str(results / name) for name in ("one", "other", "many", "sweep", "compared.json")]).text
+    page = read_html(text)
+    assert not {"script", "iframe", "object", "embed", "base", "form"} & {one.name for one in page.all()}
+    for one in page.all():
+        for name, value in one.attributes.items():
+            if name in ("src", "href", "xlink:href", "action", "data", "srcset"):
+                assert value.startswith(("#", "data:")), (one.name, name, value)
+    assert not re.search(r"@import|url\((?!#)", text)
+    policy = next(one.attributes["content"] for one in page.all("meta") if "http-equiv" in one.attributes)
+    assert policy.startswith("default-src 'none';")
+    ids = [one.attributes["id"] for one in page.all() if "id" in one.attributes]
+    assert len(ids) == len(set(ids)) > 100
+    used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", text))
+    assert used <= set(ids), "links within pictures hold"
+
+
+@pytest.mark.slow
+def test_pictures_follow_the_scheme_of_the_page(results: Path) -> None:
+    """Nothing is drawn in a fixed black or white, which would vanish in the dark or on paper."""
+    (svg, *_) = shown(results, "one").all("svg")
+    assert svg.attributes["fill"] == "currentColor"
+    styles = " ".join(one.attributes.get("style", "") for one in svg.all())
+    assert "var(--line1)" in styles
+    assert "#000000" not in styles
+    assert "#ffffff" not in styles
+
+
+def _damage_series(folder: Path) -> None:
+    (folder / "series.parquet").write_bytes(b"PAR1" + bytes(100))
+
+
+def _damage_manifest(folder: Path) -> None:
+    (folder / "manifest.json").write_text("{")
+
+
+def _drop(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).unlink()
+
+
+def _tamper(folder: Path) -> None:
+    path = folder / "manifest.json"
+    path.write_text(path.read_text().replace('"outcome": "completed"', '"outcome": "blew_up"'))
+
+
+INVARIANTS, PICTURES = "Conservation laws", "Pictures"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "missing", "left"),
+    [
+        (_damage_series, ["series.parquet: 104 bytes, not", "pictures: ", "cannot be read"], [INVARIANTS, "Files"]),
+        (_drop("series.parquet"), ["series.parquet: missing", "pictures: "], [INVARIANTS, "Citation"]),
+        (_drop("report.json"), ["report.json: missing", "invariants: report.json: No such"], ["Setup", PICTURES]),
+        (_drop("manifest.json"), ["manifest.json: missing; the run is not", "provenance: "], [INVARIANTS, "Config"]),
+        (_damage_manifest, ["manifest.json: not JSON", "provenance: "], [INVARIANTS, "Config", PICTURES]),
+        (_tamper, ["manifest.json: its SHA-256 differs"], [INVARIANTS, "Provenance", PICTURES]),
+    ],
+)
+def test_a_damaged_run_says_what_is_missing_and_shows_the_rest(
+    copied: Path, spoil, missing: list[str], left: list[str]
+) -> None:
+    spoil(copied / "one")
+    page = shown(copied, "one")
+    assert page.with_class("badge")[0].text == "damaged"
+    (box,) = page.with_class("missing")
+    for part in missing:
+        assert any(part in line for line in texts(box)), (part, texts(box))
+    headings = [one.text for one in page.all("h3")]
+    assert set(left) <= set(headings)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_an_intact_run_misses_nothing(results: Path) -> None:
+    """Control of the previous test."""
+    page = shown(results, "one")
+    assert not page.with_class("missing")
+    assert page.with_class("badge")[0].text == "completed"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("key", ["invariants", "counters", "top_title", "seconds"])
+@pytest.mark.parametrize("value", [None, [], 3, "x", {"a": {}}, [[1]], [{"symbol": None}]])
+def test_any_content_of_a_report_gives_a_page(copied: Path, key: str, value: object) -> None:
+    path = copied / "one" / "report.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    page = shown(copied, "one", "other")
+    assert page.with_class("missing"), "the checksum no longer agrees"
+    assert "Pictures" in [one.text for one in page.all("h3")]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("name", ["compared.json", "order.json", "stress.json"])
+def test_studies_of_another_form_say_what_is_missing(copied: Path, name: str) -> None:
+    whole = json.loads((copied / name).read_text())
+    for key in whole:
+        for value in (None, [], {}, "x"):
+            (copied / name).write_text(json.dumps({**whole, key: value}))
+            if (key, name) == ("command", "compared.json"):
+                with pytest.raises(UsageError, match=r"compared.json: not a result"):
+                    shown(copied, name)
+                continue
+            page = shown(copied, name)
+            if value is None and key in ("schemes", "trials", "cases", "reference"):
+                assert page.with_class("missing"), key
+
+
+@pytest.mark.slow
+def test_a_comparison_without_series_says_so(copied: Path) -> None:
+    path = copied / "compared.json"
+    figures = json.loads(path.read_text())
+    del figures["series"]
+    path.write_text(json.dumps(figures))
+    (box,) = shown(copied, "compared.json").with_class("missing")
+    assert "--save" in box.text
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_an_unfinished_sweep_says_which_rows_are_missing(copied: Path) -> None:
+    (copied / "sweep" / "manifest.json").unlink()
+    path = copied / "sweep" / "sweep.yaml"
+    path.write_text(path.read_text().replace("0.01]", "0.01, 0.005]"))
+    page = shown(copied, "sweep")
+    (box,) = page.with_class("missing")
+    assert "2 of 8 rows, which have not run yet" in box.text
+    assert "topcli sweep continues it" in box.text
+    assert page.with_class("badge")[0].text == "unfinished"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_failed_entries_are_marked(tmp_path: Path) -> None:
+    store_run(tmp_path, "explodes", "rk2", h=0.9, N=4000)
+    page = shown(tmp_path, "explodes")
+    state = page.with_class("badge")[0]
+    assert state.text in ("blew_up", "left_motion")
+    assert "bad" in state.attributes["class"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_chapters_of_one_page_keep_their_order_and_links(results: Path) -> None:
+    page = shown(results, "sweep", "one")
+    links = {one.attributes["href"]: one.text for one in page.all("nav")[0].all("a")}
+    sections = {
+        f"#{one.attributes['id']}": one.all("h2")[0].text
+        for one in page.all("main")[0].children
+        if isinstance(one, Element)
+    }
+    assert links == sections == {"#part1": "sweep", "#part2": "one"}
+
+
+def test_the_title_is_that_of_the_user(results: Path) -> None:
+    assert "<title>a &lt; b</title>" in page_of([Chapter("x", "run")], "a < b").text
+
+
+@pytest.mark.parametrize("mode", ["", "dark", "print"])
+def test_colours_are_legible_on_their_ground(mode: str) -> None:
+    """WCAG: 7 for text, 4.5 for quiet text and states, 3 for lines."""
+    css = (Path(__import__("topcli.pages").__file__).parent / "pages" / "page.css").read_text()
+    blocks = re.findall(r":root \{([^}]*)\}", css)
+    light, dark, paper = (dict(re.findall(r"--([a-z0-9]+): (#[0-9a-f]{6})", block)) for block in blocks)
+    used = {"": light, "dark": dark, "print": paper}[mode]
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in parts]
+        return sum(weight * one for weight, one in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+    def contrast(one: str, other: str) -> float:
+        low, high = sorted((luminance(used[one]), luminance(used[other])))
+        return (high + 0.05) / (low + 0.05)
+
+    assert contrast("ink", "paper") > 7
+    for name in ("quiet", "good", "bad"):
+        assert contrast(name, "paper") > 4.5
+    for number in range(1, 7):
+        assert contrast(f"line{number}", "paper") > 3

@@ -1,0 +1,63 @@
+"""Small stored results of every kind, for the tests of pages."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from topcli.config.load import any_from, experiment_from
+from topcli.config.models import Experiment
+from topcli.config.sweep.document import sweep_from
+from topcli.studies.compare import compare_schemes, comparison_document, write_comparison
+from topcli.studies.ensemble import run_ensemble
+from topcli.studies.order import ladders, order_study
+from topcli.studies.run import run_experiment
+from topcli.studies.stress.record import stress_data
+from topcli.studies.stress.suite import stress
+from topcli.studies.sweep.run import SweepOptions, run_sweep
+
+START = {"omega": [2, 0, 0], "gamma": ["auto", 0, 0.1]}
+BASE = {"top": "kowalevski", "initial": START, "h": 0.01, "N": 400}
+
+
+def experiment(name: str, scheme: str = "hk", **changes: object) -> Experiment:
+    return experiment_from({**BASE, "name": name, "scheme": scheme, **changes})
+
+
+def store_run(out: Path, name: str, scheme: str = "hk", **changes: object) -> Path:
+    """Run folder of the Kowalevski top near its homoclinic orbit."""
+    return run_experiment(experiment(name, scheme, **changes), out).stored.folder
+
+
+def store_euler(out: Path, name: str = "euler") -> Path:
+    config = {"name": name, "top": {"kind": "euler", "A": 3, "B": 2, "C": 1}, "initial": {"omega": [0.4, 1, 0.3]}}
+    return run_experiment(experiment_from({**config, "scheme": "hk", "h": 0.05, "N": 400}), out).stored.folder
+
+
+def store_ensemble(out: Path, name: str = "many", count: int = 12) -> Path:
+    made = any_from({**BASE, "name": name, "scheme": "hk", "ensemble": {"random": {"count": count, "gamma": "sphere"}}})
+    assert not isinstance(made, Experiment)
+    return run_ensemble(made, out).stored.folder
+
+
+def store_sweep(out: Path, name: str = "sweep") -> Path:
+    base = {key: value for key, value in BASE.items() if key not in ("h", "N")} | {"scheme": "hk", "T": 4}
+    grid = {"h": [0.04, 0.02, 0.01], "scheme": ["hk", "rk4"]}
+    study = sweep_from({"name": name, "base": base, "grid": grid, "measure": ["deviation.energy", "error.max"]}, ())
+    return run_sweep(study, out, SweepOptions()).folder
+
+
+def store_comparison(path: Path) -> Path:
+    found = compare_schemes(experiment("compared"), ["hk", "hk:h=0.02", "hybrid"])
+    return write_comparison(path, comparison_document(found))
+
+
+def store_order(path: Path) -> Path:
+    what = ladders(["hk", "rk4"], config="euler_hk", duration=2.0, sizes=[0.1, 0.05, 0.025])
+    path.write_text(json.dumps(order_study(what)), encoding="utf-8")
+    return path
+
+
+def store_stress(path: Path) -> Path:
+    path.write_text(json.dumps(stress_data(stress(["hk", "dg4"], ["delone", "pole"]))), encoding="utf-8")
+    return path
