@@ -316,7 +316,7 @@ def draw(
                 if not shared:
                     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
         if shared:
-            place = f"outside {'lower' if layout.heading else 'upper'} center"
+            place = "outside lower center" if layout.heading else "outside upper center"
             figure.legend(handles.values(), handles.keys(), loc=place, ncols=min(6, len(handles)))
         if layout.heading:
             figure.suptitle(layout.heading, fontsize="medium")

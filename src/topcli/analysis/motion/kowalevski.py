@@ -145,8 +145,8 @@ class Ovals:
     def shrinks(self, y: Floats, c: float) -> bool:
         """True if the torus of the state ``y`` shrinks to a motion of Bobylev and Steklov where two roots meet.
 
-        Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i). The
-        state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``state_of_factors``).
+        Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i).
+        The state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``state_of_factors``).
         """
         from topcli.schemes.kowalevski.multiprecision import digits, mpc, sqrt
 
@@ -305,8 +305,8 @@ def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> l
             found.append(abs(one.distance) / unit)
         else:
             with digits(DIGITS):
-                k = of.k()
-                found.append(float(abs(mpf(one.distance) / (sqrt(real(of.k_sq) + mpf(one.distance)) + k))))
+                e4, e5 = of.e4_e5()
+                found.append(float(abs(mpf(one.distance) / (sqrt(real(of.k_sq) + mpf(one.distance)) + e4 - e5))))
     meaning = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
     return [Quantity("separatrix.distance", min(found), meaning)] if found else []
 
@@ -316,11 +316,11 @@ def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity
 
     pendulum = Pendulum.of(y, c)
     what = "pendulum (Bobylev-Steklov): ω2 = 0 for ever"
-    if pendulum.quarter is None:
+    if pendulum.phase.quarter is None:
         period = Quantity("period", math.inf, "time of the homoclinic motion")
         return Motion(top.form, "separatrix", f"{what}; homoclinic to its upper equilibrium", y, (*conserved, period))
     halves = 2 if pendulum.rotates else 4
-    time = abs(float(halves * pendulum.quarter / pendulum.rate))
+    time = abs(float(halves * pendulum.phase.quarter / pendulum.phase.rate))
     way = "rotates" if pendulum.rotates else "oscillates"
     quantities = (
         *conserved,
