@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from conftest import ROOT
 from topcli import __version__
 from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import all_schemes
+from topcli.schemes.registry import all_schemes, unload_scheme_files
 from topcli.studies.citations import bibliography, plain_text, works_in
 from topcli.tops import TOPS
 
@@ -107,7 +107,8 @@ def test_cite_suggests_names(cli) -> None:
         assert "did you mean '" + suggestion in done.err
 
 
-def test_a_plugin_is_cited_by_its_own_words(cli, tmp_path: Path) -> None:
+def test_a_plugin_is_cited_by_its_own_words(cli, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    request.addfinalizer(unload_scheme_files)
     (tmp_path / "mine.py").write_text(MINE)
     printed = cli("cite", "mine", "--scheme-file", str(tmp_path / "mine.py")).out
     assert printed == "@misc{mine,\n  note = {Private notes 2020},\n}\n"

@@ -41,6 +41,8 @@ def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
             return value + 2 if path[-1] == "order" else value + 1  # orders are even
         case float():
             return value * (1.0 + 2.0**-40) if value else 2.0**-40
+        case None if path[0] == "scheme":  # an option that the scheme chooses by itself
+            return next(one["minimum"] for one in schema["anyOf"] if one["type"] == "integer")
         case list():
             rest = math.hypot(value[0], value[1])
             return [rest, 0.0, *value[2:]] if value[0] != rest else [0.6 * rest, 0.8 * rest, *value[2:]]
