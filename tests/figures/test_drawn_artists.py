@@ -274,7 +274,7 @@ def test_energies_are_drawn_logarithmically_against_time(tmp_path: Path) -> None
 
 
 def test_the_period_is_drawn_over_the_step_and_the_motions_in_rows(tmp_path: Path) -> None:
-    """Row i lies 2.6 i lower; the right scale is 2 sqrt 2 ln(8 sqrt 7/eps); markers of irreversible schemes are open."""
+    """Row i lies 2.6 i lower; the right scale is 2 sqrt 2 ln(8 sqrt 7/eps); the markers of reversible ones are full."""
     loaded = FIGURES["period"].load(Request(tmp_path, tmp_path))
     rows = loaded.panels[0]
     t = np.linspace(0.0, 50.0, 101)

@@ -22,10 +22,11 @@ from topcli.errors import UsageError
 from topcli.studies.claims import decide, printed, recorded
 from topcli.studies.claims.algebra import I_UNIT, Draws, Dual, Gauss, commutator, cross, dot
 from topcli.studies.claims.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Bound, Finding, Kind
+from topcli.studies.claims.decided import Control, Decided
 from topcli.studies.claims.kinds import motion, pictures, rank
 from topcli.studies.claims.ledger import LEDGER, SUBJECTS
 from topcli.studies.claims.recorded import RECORDED
-from topcli.studies.claims.result import Claims, Control, Decided
+from topcli.studies.claims.result import Claims
 from topcli.studies.claims.scenes import Scene, trajectory
 from topcli.tops.euler import Euler
 
@@ -123,6 +124,8 @@ DEFECTS: dict[str, tuple[float, float]] = {
     "straight line": (14.887, 1e-3),
     "visible change": (1.009e-2, 1e-2),
     "different period": (2.21e-5, 1e-2),
+    "elliptic function": (6.0, 0.0),
+    "unequal quality": (1.0, 1e-3),
 }
 """Figure of each kind of check on its defect, and the relative tolerance; absolute where the figure is 0."""
 
