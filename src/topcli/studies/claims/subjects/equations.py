@@ -170,14 +170,14 @@ CLAIMS = (
     ),
     _identity(
         "matrix-m",
-        "Ṁ = [Ω, M] + [G, Γ] is the equation for m.",
+        "dM/dt = [Ω, M] + [G, Γ] is the equation for m.",
         "section 1.1, matrix form",
         matrix_m,
         "rational identity of 3x3 matrices",
     ),
     _identity(
         "matrix-gamma",
-        "Γ̇ = [Ω, Γ] is the equation for γ.",
+        "dΓ/dt = [Ω, Γ] is the equation for γ.",
         "section 1.1, matrix form",
         matrix_gamma,
         "rational identity of 3x3 matrices",

@@ -128,7 +128,7 @@ CLAIMS = (
         partial(linear_in_new, rotation_residual, 3),
     ),
     _formula("stereographic", "The formulas of (B) map z to the sphere and back.", "(B)", stereographic),
-    _formula("stereographic-rate", "In z, (K2) is ż = (i/2)(ω - 2ω₃z - ω̄z²).", "(B)", stereographic_rate),
+    _formula("stereographic-rate", "In z, (K2) is dz/dt = (i/2)(ω - 2ω₃z - ω*z²).", "(B)", stereographic_rate),
     _formula("bohlin-kepler", "w² = z relates Hooke's motion with Kepler's.", "Bohlin's method", kepler),
     _formula("rotation", "R of (C) is a rotation about ω.", "(C)", rotation),
     _formula("rotation-flow", "R turns γ as (K2) does for constant ω.", "(C)", rotation_generator),
