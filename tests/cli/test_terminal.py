@@ -115,6 +115,7 @@ ATTACKS = [
     ("lax", EVIL),
     ("roundoff", EVIL),
     ("stress", EVIL),
+    ("claims", EVIL),
     ("stress", "--case", EVIL),
     ("stress", "hk", "--set", f"scheme.{EVIL}=1"),
     ("list", "runs", "--out", NAME),

@@ -10,7 +10,8 @@ from topcli.cli.options import Json
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, emit_text, print_json, print_table, say
 
 if TYPE_CHECKING:
-    from topcli.studies.claims.result import Claims, Decided
+    from topcli.studies.claims.decided import Decided
+    from topcli.studies.claims.result import Claims
 
 
 def complete_claim(incomplete: str) -> list[str]:

@@ -159,7 +159,7 @@ FIGURES: dict[str, Figure] = {
             "period",
             "Kowalevski top: why Figure 2 has another period than Figure 1",
             "kowalevski_hk",
-            Grid(figsize=(9.6, 4.6)),
+            Grid(figsize=(8.4, 4.4)),
         ),
         OrderFigure(
             "order", "Kowalevski top, generic: error over h, orders and the plateau of round-off", "topcli order"

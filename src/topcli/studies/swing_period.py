@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from topcli.analysis.swings import minima_times, swing_spacing
-from topcli.config.load import load_experiment
-from topcli.config.models import Experiment
 from topcli.contracts import Array
-from topcli.engine.fingerprint import fingerprint
-from topcli.engine.loop import Run
-from topcli.studies.entries import under_scheme
-from topcli.studies.identity import method_fingerprint
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
 
 SCENE = "kowalevski_hk"
 EPS = 1e-3
@@ -75,11 +73,16 @@ def _steps() -> list[tuple[str, int]]:
 
 
 def _experiment(name: str) -> Experiment:
+    from topcli.config.load import load_experiment
+    from topcli.studies.entries import under_scheme
+
     return under_scheme(load_experiment(SCENE), name)
 
 
 def _gamma1(experiment: Experiment, N: int) -> tuple[Array, Array]:
     """Times and gamma_1 of a run in N steps, each (m,)."""
+    from topcli.engine.loop import Run
+
     h = TIME / N
     run = Run(experiment.top, experiment.method(), experiment.y0, h, N, max(1, round(SAMPLING / h)))
     numbers, values = zip(*((chunk.n, chunk.states[:, 3].copy()) for chunk in run), strict=True)
@@ -113,6 +116,9 @@ def period_columns(on_progress: Callable[[int, int], None] = lambda done, total:
 
 def period_code() -> str:
     """Digest of everything that the columns depend on; equal digests mean equal columns."""
+    from topcli.engine.fingerprint import fingerprint
+    from topcli.studies.identity import method_fingerprint
+
     names = dict.fromkeys(name for name, _ in _steps())
     digests = [method_fingerprint(one.method()) + one.digest for one in map(_experiment, names)]
     return fingerprint(_gamma1, swing_spacing, compiled=False) + "".join(digests) + repr(_steps())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -96,6 +96,15 @@ class Dual:
 
 def _dual(value: Any) -> Dual:
     return value if isinstance(value, Dual) else Dual(value)
+
+
+def gradients(functions: Callable[[Sequence[Dual]], Sequence[Dual]], state: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """Gradients of several functions of a state, at one point."""
+    columns = []
+    for i in range(len(state)):
+        found = functions([Dual(x, Fraction(int(j == i))) for j, x in enumerate(state)])
+        columns.append([_dual(value).rate for value in found])
+    return list(zip(*columns, strict=True))
 
 
 class Draws:

@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable, Sequence
 
 from topcli.studies.claims.claim import NOT_TRIED, Claim, Finding, Kind
+from topcli.studies.claims.decided import Control, Decided
 from topcli.studies.claims.ledger import chosen
 from topcli.studies.claims.recorded import RECORDED
-from topcli.studies.claims.result import Claims, Control, Decided
+from topcli.studies.claims.result import Claims
 
 
 def decided(claim: Claim) -> Decided:

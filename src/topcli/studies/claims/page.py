@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from topcli.studies.claims.claim import FAILS, MISPRINT, number_text
+from topcli.studies.claims.decided import Control, Decided
 from topcli.studies.claims.ledger import SUBJECTS
-from topcli.studies.claims.result import Claims, Control, Decided
 
 HEAD = """# The paper's claims, measured
 
@@ -22,9 +22,11 @@ repository.
 - A law that is said to be exact is decided in rational numbers, where its deviation is 0, or with 50 digits.
 - *holds*: the figure lies within the bound. *holds within* a bound: the statement is approximate, and the figure lies
   within what the approximation may mean. *misprint*: the printed formula fails, and the corrected one does not.
+- Not in the ledger are statements that no experiment decides: that only three cases are integrable (a theorem), how
+  Yoshida computed, and what holds for the systems of Clebsch and Neumann, of which the paper gives no formulas.
 - Each kind of check is also carried out on a [known defect](#kinds-of-checks), which it must find.
 """
-COLUMNS = ("claim", "experiment", "measured", "bound", "verdict")
+COLUMNS = ("claim and experiment", "measured", "bound", "verdict")
 CONTROLS = """## Kinds of checks
 
 Each kind of check, with what it measures, and its positive control: a defect that it must find.
@@ -58,8 +60,7 @@ def _measured(row: Decided) -> str:
 def _row(row: Decided) -> tuple[str, ...]:
     claim = row.claim
     return (
-        f"**{claim.id}**: {_cell(claim.statement)} ({_cell(claim.source)})",
-        _experiment(claim.experiment),
+        f"**{claim.id}**: {_cell(claim.statement)} ({_cell(claim.source)})<br>{_experiment(claim.experiment)}",
         _measured(row),
         _cell(row.finding.bound.text) if row.finding else "–",
         _cell(row.verdict),
@@ -77,17 +78,17 @@ def _control(control: Control) -> tuple[str, ...]:
     )
 
 
-def claims_page(claims: Claims) -> str:
+def claims_page(decided: Sequence[Decided], controls: Sequence[Control], summary: str) -> str:
     """Content of ``docs/claims.md``: counts, what does not hold, all claims by section, and the controls."""
-    lines = [HEAD, f"{claims.summary}.", ""]
-    others = [row for row in claims.rows if row.category in (FAILS, MISPRINT)]
+    lines = [HEAD, f"{summary}.", ""]
+    others = [row for row in decided if row.category in (FAILS, MISPRINT)]
     if others:
         lines += ["## What does not hold", "", *_table(COLUMNS, [_row(row) for row in others]), ""]
-    rows = {row.claim.id: row for row in claims.rows}
+    rows = {row.claim.id: row for row in decided}
     for title, subject in SUBJECTS.items():
         found = [rows[claim.id] for claim in subject if claim.id in rows]
         if found:
             lines += [f"## {title}", "", *_table(COLUMNS, [_row(row) for row in found]), ""]
     header = ("kind", "measures", "defect", "measured", "bound")
-    lines += [CONTROLS, *_table(header, [_control(control) for control in claims.controls])]
+    lines += [CONTROLS, *_table(header, [_control(control) for control in controls])]
     return "\n".join(lines).rstrip() + "\n"

@@ -1,9 +1,8 @@
-"""Decided claims: plain data, a table, files."""
+"""Decided claims together: plain data, a table, files."""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,100 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from topcli.errors import UsageError
 from topcli.store.run_folder import io_failure, require_writable, write_whole
-from topcli.studies.claims.claim import FAILS, HOLDS_WITHIN, NOT_TRIED, Bound, Claim, Finding, Kind
-from topcli.studies.report import finite
+from topcli.studies.claims.decided import Control, Decided
+from topcli.studies.claims.page import claims_page
 
 if TYPE_CHECKING:
     import pandas as pd
 
 COLUMNS = ("id", "statement", "source", "experiment", "figure", "bound", "verdict")
-
-
-@dataclass(frozen=True)
-class Decided:
-    """One claim with its ``finding``; without one, ``reason`` says why it was not tried.
-
-    ``recorded`` is the verdict of the repository, None if there is none yet.
-    """
-
-    claim: Claim
-    finding: Finding | None
-    reason: str
-    recorded: str | None
-    seconds: float
-
-    @property
-    def category(self) -> str:
-        """Verdict without the bound."""
-        return self.finding.verdict if self.finding else NOT_TRIED
-
-    @property
-    def verdict(self) -> str:
-        """Verdict as it is shown: of an approximate statement with the bound."""
-        if self.finding is None or self.category != HOLDS_WITHIN:
-            return self.category
-        return f"{HOLDS_WITHIN} {self.finding.bound.text.removeprefix('≤ ')}"
-
-    @property
-    def changed(self) -> bool:
-        """True if the verdict differs from the recorded one; never for a claim that was not tried."""
-        return self.finding is not None and self.category != self.recorded
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON; ``figure`` is None if it is not finite."""
-        claim, finding = self.claim, self.finding
-        return finite(
-            {
-                "id": claim.id,
-                "statement": claim.statement,
-                "source": claim.source,
-                "kind": claim.kind.name,
-                "measures": claim.kind.measures,
-                "experiment": claim.experiment.replace("`", ""),
-                "figure": finding.figure if finding else None,
-                "corrected": finding.corrected if finding else None,
-                "bound": bound_data(finding.bound) if finding else None,
-                "bound_text": finding.bound.text if finding else None,
-                "bound_reason": finding.bound.reason if finding else None,
-                "note": finding.note if finding else self.reason,
-                "verdict": self.verdict,
-                "recorded": self.recorded,
-                "slow": claim.slow,
-                "seconds": self.seconds,
-            }
-        )
-
-
-def bound_data(bound: Bound) -> dict[str, float | None]:
-    """Ends of a bound, None where it has none."""
-    return {"low": bound.low if math.isfinite(bound.low) else None, "high": bound.high}
-
-
-@dataclass(frozen=True)
-class Control:
-    """Result of a kind of check on its positive control."""
-
-    kind: Kind
-    finding: Finding | None
-    reason: str
-
-    @property
-    def caught(self) -> bool:
-        """True if the check found the defect, or could not be tried."""
-        return self.finding is None or self.finding.verdict == FAILS
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON."""
-        return finite(
-            {
-                "measures": self.kind.measures,
-                "defect": self.kind.defect,
-                "figure": self.finding.figure if self.finding else None,
-                "bound": bound_data(self.finding.bound) if self.finding else None,
-                "bound_text": self.finding.bound.text if self.finding else None,
-                "verdict": self.finding.verdict if self.finding else self.reason,
-            }
-        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -208,6 +120,4 @@ class Claims:
 
     def to_markdown(self) -> str:
         """Page of the documentation with the claims."""
-        from topcli.studies.claims.page import claims_page
-
-        return claims_page(self)
+        return claims_page(self.rows, self.controls, self.summary)

@@ -59,11 +59,10 @@ BROKEN = Kind(
 
 def _return_defect(scene: Scene, h: Fraction) -> tuple[ExactMap, float]:
     found = exact_map(scene)
-    step = found.number(h)
-    there = found.step(found.y0, step)
+    there = found.step(found.y0, found.number(h))
+    back = found.step(there, found.number(-h))
     with found.run.arithmetic.active():
-        back = found.step(there, -step) - found.y0
-    return found, max(float(abs(value)) for value in back)
+        return found, max(float(abs(value)) for value in back - found.y0)
 
 
 def _exponent(found: ExactMap, scene: Scene, h: Fraction, figure: float) -> str:

@@ -27,8 +27,8 @@ def exchanged(scene: Scene, equation: str) -> Finding:
     """Residual of an equation after a step of a scheme that satisfies it, states exchanged and h reversed."""
     found = exact_map(scene)
     old = tuple(found.y0)
+    new = tuple(found.step(old, found.run.h))
     with found.run.arithmetic.active():
-        new = tuple(found.step(old, found.run.h))
         there = _residual(found, equation, found.run.h, old, new)
         back = _residual(found, equation, -found.run.h, new, old)
     bound = Bound(0.0, 1000.0 * found.eps, f"rounding with {DIGITS} digits")

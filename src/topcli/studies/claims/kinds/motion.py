@@ -75,6 +75,14 @@ def same_quality(scenes: Sequence[Scene], invariants: Sequence[str]) -> Finding:
     return Finding(max(ratios), bound, note="; ".join(notes))
 
 
+def worse(one: Scene, other: Scene, invariant: str) -> Finding:
+    """Deviation of an invariant under one scheme, in units of that under another."""
+    sizes = [float(np.abs(trajectory(s)[invariant] - trajectory(s)[invariant][0]).max()) for s in (one, other)]
+    note = ", ".join(f"{trajectory(s).scheme} {size:.2g}" for s, size in zip((one, other), sizes, strict=True))
+    bound = Bound(2.0, reason="more than the difference of error constants")
+    return Finding(sizes[0] / sizes[1], bound, note=note)
+
+
 def complete(scenes: Sequence[Scene]) -> Finding:
     """Smallest part of the steps of a run that is completed by each of several methods."""
     parts = {}
@@ -117,6 +125,12 @@ SMALL = Kind(
     "largest deviation relative to the size of the terms",
     "m·ω under the BS scheme of the Euler top, of order 1",
     lambda: small(Scene("euler_bs"), ("m_omega",)),
+)
+WORSE = Kind(
+    "unequal quality",
+    "ratio of the deviations under the two schemes",
+    "Bohlin A and Bohlin C",
+    lambda: worse(BOHLIN, Scene("kowalevski_bohlin_c"), "energy"),
 )
 COMPLETE = Kind(
     "completed run",

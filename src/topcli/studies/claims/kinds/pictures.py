@@ -13,7 +13,7 @@ from topcli.contracts import Array
 from topcli.studies.claims.claim import Bound, Finding, Kind
 from topcli.studies.claims.kinds.motion import BOHLIN
 from topcli.studies.claims.scenes import Scene, trajectory
-from topcli.studies.stress.general import swing_time
+from topcli.studies.swing_period import EPS, TIME, spacing_law
 
 WIDTH, HEIGHT = 45.0, 33.75
 """Size of a panel of the paper in millimetres: 4.5 cm wide, in the usual proportion of 4 to 3."""
@@ -22,8 +22,6 @@ LINE = 0.5 * 25.4 / 72.0
 SPACING = 0.1 * LINE
 """Distance between neighbouring points of a curve, which a distance between curves may be off by."""
 VECTORS = ("gamma1", "gamma2", "gamma3", "omega1", "omega2", "omega3")
-EPS = 1e-3
-"""Distance of the paper's initial state from the homoclinic orbit, gamma_3(0)."""
 HK = Scene("kowalevski_hk")
 
 
@@ -95,10 +93,10 @@ def _spacing(scene: Scene) -> float:
 
 def other_period(scenes: Sequence[Scene]) -> Finding:
     """Smallest relative difference between the time between swings and that of the motion."""
-    law = 2.0 * swing_time(EPS)
+    law = float(spacing_law(np.array(EPS)))
     found = {trajectory(scene).scheme: _spacing(scene) for scene in scenes}
     figure = min(abs(spacing / law - 1.0) for spacing in found.values())
-    visible = LINE / WIDTH * 50.0 / law
+    visible = LINE / WIDTH * TIME / law
     note = ", ".join(f"{name} {spacing:.4f}" for name, spacing in found.items()) + f"; motion {law:.4f}"
     return Finding(figure, Bound(visible, reason="a line's width on the paper's axis 0 to 50"), note=note)
 

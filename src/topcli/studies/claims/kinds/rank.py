@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 from topcli.studies.claims.algebra import Draws
 from topcli.studies.claims.claim import Bound, Finding, Kind
+from topcli.studies.claims.scenes import RATIONAL, Scene, exact_map
 
 POINTS = 5
 
@@ -39,9 +41,31 @@ def _dependent(draws: Draws) -> Sequence[Sequence[Any]]:
     return [tuple(2 * x for x in c), (1, 0, 0), (2 * c[0], 0, 0)]
 
 
+ELLIPTIC_STEPS = 9
+
+
+def elliptic(scene: Scene, component: int) -> Finding:
+    """Rank of the symmetric biquadratic monomials of successive values u, v of a component along an orbit.
+
+    A translation on an elliptic curve, and a function of order 2 on it, obey one symmetric biquadratic relation
+    between u and v (Euler's addition theorem), so that the 6 monomials have rank 5.
+    """
+    found = exact_map(scene)
+    states = found.orbit(found.y0, found.run.h, ELLIPTIC_STEPS)
+    values = [found.run.arithmetic.fraction(state[component]) for state in states]
+    rows = [(u * u * v * v, u * v * (u + v), u * u + v * v, u * v, u + v, 1) for u, v in pairwise(values)]
+    return Finding(float(rank(rows)), Bound(0.0, 5.0, "one relation between the 6 monomials"))
+
+
 RANK = Kind(
     "independence",
     "rank of the gradients, in rational numbers",
     "γ², γ₁ and γ₁², which are dependent",
     lambda: independent(_dependent, 3),
+)
+ELLIPTIC = Kind(
+    "elliptic function",
+    "rank of the symmetric biquadratic monomials of successive values, in rational numbers",
+    "m_1 of the Lagrange top under the BS scheme, which follows the precession too",
+    lambda: elliptic(Scene("lagrange_bs", RATIONAL), 0),
 )

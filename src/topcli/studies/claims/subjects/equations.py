@@ -7,12 +7,14 @@ from functools import partial
 from typing import Any
 
 from topcli.studies.claims import printed
-from topcli.studies.claims.algebra import Draws, Dual, Vector, commutator, flat, minus, plus, weighted
+from topcli.studies.claims.algebra import Draws, Dual, Vector, commutator, flat, gradients, minus, plus, weighted
 from topcli.studies.claims.claim import Claim
 from topcli.studies.claims.kinds.identity import IDENTITY, Difference, identity
 from topcli.studies.claims.kinds.integrability import NEIGHBOURS, SPECTRUM, carries_too_little, neighbours_part
+from topcli.studies.claims.kinds.rank import RANK, independent
 from topcli.studies.claims.scenes import Scene
 
+INDEPENDENT = "rank of the gradients at random rational states"
 RATES = "rational identity: the rate of change along the printed equations"
 
 
@@ -61,6 +63,28 @@ def kowalevski_integral(draws: Draws) -> Sequence[Any]:
     """Rate of change of k² for A = B = 2C = 2 and gravity c0 on the first axis."""
     c0 = draws.number()
     return along_motion(lambda moments, g, w, c: printed.k_squared(c0, w, c), (2, 2, 1), (c0, 0, 0), draws)
+
+
+def _four(fourth: Callable[[Sequence[Any]], Any], moments: Vector, g: Vector, draws: Draws) -> list[tuple[Any, ...]]:
+    """Gradients of the three quantities of (constant) and of a fourth one."""
+    state = (*draws.vector(), *draws.vector())
+    return gradients(
+        lambda at: (*printed.laws(moments, g, (at[0], at[1], at[2]), (at[3], at[4], at[5])), fourth(at)), state
+    )
+
+
+def euler_integrals(draws: Draws) -> list[tuple[Any, ...]]:
+    """Gradients of gamma², m·gamma, E and m² without gravity."""
+    A, B, C = moments = draws.moments()
+    return _four(
+        lambda at: A * A * at[0] * at[0] + B * B * at[1] * at[1] + C * C * at[2] * at[2], moments, (0, 0, 0), draws
+    )
+
+
+def lagrange_integrals(draws: Draws) -> list[tuple[Any, ...]]:
+    """Gradients of gamma², m·gamma, E and omega_3 for A = B and gravity on the third axis."""
+    A, C, z0 = draws.positive(), draws.positive(), draws.number()
+    return _four(lambda at: at[2], (A, A, C), (0, 0, z0), draws)
 
 
 def matrix_m(draws: Draws) -> Sequence[Any]:
@@ -128,16 +152,32 @@ CLAIMS = (
         kowalevski_integral,
         RATES,
     ),
+    Claim(
+        "euler-integrable",
+        "The Euler top has four independent integrals.",
+        "section 1.1, case (1)",
+        RANK,
+        INDEPENDENT,
+        partial(independent, euler_integrals, 4),
+    ),
+    Claim(
+        "lagrange-integrable",
+        "The Lagrange top has four independent integrals.",
+        "section 1.1, case (2)",
+        RANK,
+        INDEPENDENT,
+        partial(independent, lagrange_integrals, 4),
+    ),
     _identity(
         "matrix-m",
-        "Ṁ = [Ω, M] + [G, Γ] is the equation for m.",
+        "dM/dt = [Ω, M] + [G, Γ] is the equation for m.",
         "section 1.1, matrix form",
         matrix_m,
         "rational identity of 3x3 matrices",
     ),
     _identity(
         "matrix-gamma",
-        "Γ̇ = [Ω, Γ] is the equation for γ.",
+        "dΓ/dt = [Ω, Γ] is the equation for γ.",
         "section 1.1, matrix form",
         matrix_gamma,
         "rational identity of 3x3 matrices",

@@ -13,11 +13,13 @@ from topcli.studies.claims.kinds.conservation import CONSERVED, REVERSIBLE, cons
 from topcli.studies.claims.kinds.formula import FORMULA, formula_conserved
 from topcli.studies.claims.kinds.identity import LINEAR, linear_in_new
 from topcli.studies.claims.kinds.integrability import DIGITS_GROW, GENERIC, digits_grow
+from topcli.studies.claims.kinds.motion import WORSE, worse
 from topcli.studies.claims.kinds.pictures import HK, SAME_PICTURE, same_picture
 from topcli.studies.claims.scenes import FIFTY, RATIONAL, Scene
 
 HYBRID = Scene("kowalevski_hybrid", (*FIFTY, "N=50", *GENERIC))
 GROWTH = Scene("kowalevski_hk", (*RATIONAL, "max_digits=100000", *GENERIC))
+DRIFT = ("h=0.1", "N=50000", *GENERIC)
 SECTION = "section 3.2.3"
 
 
@@ -75,6 +77,15 @@ CLAIMS = (
         SAME_PICTURE,
         "`kowalevski_hybrid` against `kowalevski_hk`",
         partial(same_picture, HK, (Scene("kowalevski_hybrid"),)),
+        slow=True,
+    ),
+    Claim(
+        "reversal-important",
+        "Time reversal symmetry is very important (for the drift of E).",
+        "section 4, first paragraph",
+        WORSE,
+        "`kowalevski_hybrid` against its reversible form, `kowalevski_hybrid_sym`: generic, h = 0.1, to t = 5000",
+        partial(worse, Scene("kowalevski_hybrid", DRIFT), Scene("kowalevski_hybrid_sym", DRIFT), "energy"),
         slow=True,
     ),
     Claim(

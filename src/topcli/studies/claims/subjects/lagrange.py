@@ -19,6 +19,7 @@ from topcli.studies.claims.kinds.conservation import (
 from topcli.studies.claims.kinds.identity import LINEAR, linear_in_new
 from topcli.studies.claims.kinds.maps import SAME_MAP, satisfies
 from topcli.studies.claims.kinds.motion import CONVERGENCE, convergence_order
+from topcli.studies.claims.kinds.rank import ELLIPTIC, elliptic
 from topcli.studies.claims.scenes import RATIONAL, Scene
 
 BS = Scene("lagrange_bs", (*RATIONAL, "N=8"))
@@ -79,6 +80,14 @@ CLAIMS = (
     _law("m-p", "(L1), (L2) conserve m·p.", 2, "m_p"),
     _law("m-a", "(L1), (L2) conserve m·a.", 3, "m_a"),
     _law("energy", "(L1), (L2) conserve E with the term (h/2)(a × m)·p.", 4, "modified_energy"),
+    Claim(
+        "bs-lagrange-elliptic",
+        "The discrete Lagrange top has exact solutions by elliptic functions.",
+        "section 2.3, last sentence",
+        ELLIPTIC,
+        f"{BS.with_sets('N=9').code}: a·p of successive states",
+        partial(elliptic, BS.with_sets("N=9"), 5),
+    ),
     Claim(
         "bs-lagrange-energy-term",
         "The correction of E is of O(h).",

@@ -80,10 +80,14 @@ def rotation_generator(draws: Draws) -> Sequence[Any]:
     return minus(flat(slope), flat(product(printed.hat(n), printed.rotation(n, c, s))))
 
 
-def bohlin(turn: Gauss, c0: Any, old: tuple[Any, ...], new: tuple[Any, ...]) -> Sequence[Any]:
-    """Residual of Bohlin's equation for a given rotation."""
-    found = printed.bohlin(c0, turn, old, new)
-    return [found.re, found.im]
+def kepler(draws: Draws) -> Sequence[Any]:
+    """Hooke's motion w'' = -w as z = w² in the time tau, dtau = |w|² dt, against Kepler's d²z/dtau² = -4 E z/|z|³."""
+    w, rate = Gauss(*draws.vector()[:2]), Gauss(*draws.vector()[:2])
+    square = (w * w.bar).re
+    energy = ((rate * rate.bar).re + square) / 2
+    # dz/dtau = 2 w'/conj(w), differentiated once more with w'' = -w
+    second = (-2 * w / w.bar - 2 * rate * rate.bar / (w.bar * w.bar)) / square
+    return [second - -4 * energy * w * w / (square * square * square)]
 
 
 def _conserves(letter: str, invariant: str, symbol: str, where: str) -> Claim:
@@ -124,7 +128,8 @@ CLAIMS = (
         partial(linear_in_new, rotation_residual, 3),
     ),
     _formula("stereographic", "The formulas of (B) map z to the sphere and back.", "(B)", stereographic),
-    _formula("stereographic-rate", "In z, (K2) is ż = (i/2)(ω - 2ω₃z - ω̄z²).", "(B)", stereographic_rate),
+    _formula("stereographic-rate", "In z, (K2) is dz/dt = (i/2)(ω - 2ω₃z - ω*z²).", "(B)", stereographic_rate),
+    _formula("bohlin-kepler", "w² = z relates Hooke's motion with Kepler's.", "Bohlin's method", kepler),
     _formula("rotation", "R of (C) is a rotation about ω.", "(C)", rotation),
     _formula("rotation-flow", "R turns γ as (K2) does for constant ω.", "(C)", rotation_generator),
     *(_conserves(letter, "gamma_sq", "γ²", f"({letter.upper()})") for letter in LETTERS),

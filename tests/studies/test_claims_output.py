@@ -1,0 +1,185 @@
+"""What a user sees of the claims: tables, details, JSON, files, exit codes."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import topcli
+from topcli.errors import UsageError
+from topcli.studies.claims import decide, recorded
+from topcli.studies.claims.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Bound, Finding, Kind
+from topcli.studies.claims.decided import Control, Decided
+from topcli.studies.claims.ledger import LEDGER
+from topcli.studies.claims.recorded import RECORDED
+from topcli.studies.claims.result import Claims
+
+NAMED = {claim.id: claim for claim in LEDGER}
+IDS = ("matrix-m", "hk-heavy-equation", "hybrid-reversible")
+
+
+@pytest.mark.slow
+def test_json_has_one_list_of_claims(cli) -> None:
+    said = cli("claims", *IDS, "--json")
+    assert said.code == 0
+    document = json.loads(said.out)
+    assert [key for key, value in document.items() if isinstance(value, list)] == ["claims"]
+    assert [one["id"] for one in document["claims"]] == list(IDS)
+    for one in document["claims"]:
+        assert one.keys() >= {"id", "statement", "source", "figure", "bound", "verdict"}
+        claim = NAMED[one["id"]]
+        assert (one["statement"], one["source"], one["recorded"]) == (claim.statement, claim.source, RECORDED[claim.id])
+    assert [one["verdict"] for one in document["claims"]] == [HOLDS, MISPRINT, FAILS]
+    assert document["claims"][1]["bound"] == {"low": 0.0, "high": 0.0}
+    assert document["claims"][1]["corrected"] == 0.0
+    assert set(document["controls"]) == {"identity", "reversible"}
+
+
+@pytest.mark.slow
+def test_details_and_json_agree(cli) -> None:
+    (one,) = json.loads(cli("claims", "hk-heavy-small", "--json").out)["claims"]
+    assert one["verdict"] == "holds within 0.00064"
+    said = cli("claims", "HK-heavy-small")
+    assert said.code == 0
+    lines = dict(line.strip().split(": ", 1) for line in said.out.splitlines())
+    assert lines["hk-heavy-small"] == one["verdict"]
+    assert {key: lines[key] for key in ("statement", "source", "experiment")} == {
+        key: one[key] for key in ("statement", "source", "experiment")
+    }
+    assert lines["figure"] == f"{one['figure']:.2g} ({one['measures']})"
+    assert lines["bound"] == f"{one['bound_text']} ({one['bound_reason']})"
+    assert one["bound"]["high"] == pytest.approx(6.4e-4, rel=1e-2)
+
+
+def finding(figure: float, verdict_bound: Bound | None = None) -> Finding:
+    return Finding(figure, verdict_bound or Bound(0.0, 1.0))
+
+
+@pytest.fixture
+def small_ledger(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """A ledger of three claims, which hold, hold approximately and fail; ``control`` can be spoilt."""
+    content: dict[str, Any] = {"control": finding(2.0)}
+    kind = Kind("dummy", "a number", "the number 2", lambda: content["control"])
+    model = LEDGER[0]
+    findings = (finding(0.25), finding(0.5, Bound(0.0, 1.0, approximate=True, unit="mm")), finding(3.0))
+    claims = [
+        replace(model, id=name, statement=f"<b>{name}</b> | x.", kind=kind, decide=lambda one=one: one)
+        for name, one in zip(("one", "two", "three"), findings, strict=True)
+    ]
+    monkeypatch.setattr(decide, "chosen", lambda ids, fast: [one for one in claims if not ids or one.id in ids])
+    monkeypatch.setattr("topcli.studies.claims.ledger.LEDGER", tuple(claims))
+    for name, verdict in (("one", HOLDS), ("two", HOLDS_WITHIN), ("three", FAILS)):
+        monkeypatch.setitem(recorded.RECORDED, name, verdict)
+    content["claims"] = claims
+    return content
+
+
+def test_table_shows_the_figures_of_each_claim(cli, small_ledger: dict[str, Any]) -> None:
+    said = cli("claims")
+    assert said.code == 0
+    header, *lines = said.out.splitlines()
+    assert re.split(r"\s{2,}", header.strip()) == ["id", "statement", "verdict", "figure", "bound", "source"]
+    source = LEDGER[0].source
+    assert [re.split(r"\s{2,}", line.strip()) for line in lines] == [
+        ["one", "<b>one</b> | x.", "holds", "0.25", "≤ 1", source],
+        ["two", "<b>two</b> | x.", "holds within 1 mm", "0.5", "≤ 1 mm", source],
+        ["three", "<b>three</b> | x.", "does not hold as stated", "3", "≤ 1", source],
+    ]
+    assert said.err.strip() == "3 claims; does not hold as stated: 1, holds: 1, holds within: 1"
+
+
+def test_a_changed_verdict_exits_with_4(cli, small_ledger: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(recorded.RECORDED, "two", HOLDS)
+    said = cli("claims")
+    assert said.code == 4
+    assert "error: two: the verdict is 'holds within 1 mm'; recorded: 'holds'" in said.err
+    assert cli("claims", "one").code == 0
+    monkeypatch.delitem(recorded.RECORDED, "one")
+    assert cli("claims", "one", "--json").code == 4
+
+
+def test_a_check_that_misses_its_defect_exits_with_4(cli, small_ledger: dict[str, Any]) -> None:
+    small_ledger["control"] = finding(1.0)
+    said = cli("claims")
+    assert said.code == 4
+    assert "error: check 'dummy': did not find its positive control: the number 2" in said.err
+
+
+def test_missing_package_is_not_tried(cli, small_ledger: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def needs_heyoka() -> Finding:
+        import heyoka_that_nobody_has  # pyright: ignore[reportMissingImports]
+
+        return heyoka_that_nobody_has.finding()
+
+    small_ledger["claims"][0] = replace(small_ledger["claims"][0], decide=needs_heyoka)
+    said = cli("claims", "--json")
+    assert said.code == 0
+    one = json.loads(said.out)["claims"][0]
+    assert (one["verdict"], one["figure"], one["bound"]) == (NOT_TRIED, None, None)
+    assert one["note"] == "not tried: needs the package heyoka_that_nobody_has, which is not installed"
+    assert one["note"] in said.err
+    said = cli("claims")
+    assert said.code == 0
+    assert re.search(r"^one .* not tried +– +– ", said.out, re.MULTILINE)
+    page = topcli.claims().to_markdown()
+    assert "not tried: 1" in page
+    listed = page.partition("## What does not hold")[2].partition("## Kinds")[0]
+    assert "**three**" in listed
+    assert "**one**" not in listed
+    (line,) = (line for line in listed.splitlines() if "**three**" in line)
+    assert line.endswith("| 3 | ≤ 1 | does not hold as stated |")
+
+
+@pytest.mark.slow
+def test_a_claim_about_pictures_without_scipy_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.spatial", None)
+    (row,) = topcli.claims("fig2-abc").rows
+    assert row.verdict == NOT_TRIED
+    assert "scipy.spatial" in row.reason
+    assert not row.changed
+
+
+def test_unknown_claims_name_the_nearest(cli) -> None:
+    said = cli("claims", "hybrid-reversable")
+    assert said.code == 2
+    assert "unknown claim 'hybrid-reversable'; did you mean 'hybrid-reversible'" in said.err
+    assert said.out == ""
+    said = cli("claims", "qqq")
+    assert said.code == 2
+    assert "topcli claims --fast lists the claims" in said.err
+    assert cli("claims", "--json", "--markdown").code == 2
+
+
+def test_result_is_a_table_and_files(small_ledger: dict[str, Any], tmp_path: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    found = topcli.claims(on_progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert repr(found) == "<3 claims; does not hold as stated: 1, holds: 1, holds within: 1>"
+    assert found.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [0.5, "≤ 1 mm", "holds within 1 mm"]
+    html = found._repr_html_()
+    assert "&lt;b&gt;one&lt;/b&gt;" in html
+    assert "<b>one" not in html
+    assert json.loads(found.save(tmp_path / "a.json").read_text(encoding="utf-8")) == found.as_dict()
+    assert "holds within 1 mm" in found.save(tmp_path / "a.csv").read_text(encoding="utf-8")
+    assert "&lt;b&gt;one" in found.save(str(tmp_path / "a.html")).read_text(encoding="utf-8")
+    assert found.save(tmp_path / "a.MD").read_text(encoding="utf-8") == found.to_markdown()
+    with pytest.raises(UsageError, match=r"a\.xlsx: the name must end in \.json, \.csv, \.html or \.md"):
+        found.save(tmp_path / "a.xlsx")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.MD", "a.csv", "a.html", "a.json"]
+
+
+def test_a_figure_that_is_not_finite_is_null_in_json() -> None:
+    row = Decided(LEDGER[0], finding(math.nan), "", HOLDS, 0.0)
+    control = Control(NAMED["matrix-m"].kind, finding(math.inf), "")
+    found = Claims((row,), (control,)).as_dict()
+    json.dumps(found, allow_nan=False)
+    assert found["claims"][0]["figure"] is None
+    assert found["claims"][0]["verdict"] == FAILS
+    assert row.changed
