@@ -48,7 +48,8 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 	@PYTHON="$(PYTHON)" sh install.sh $(VENV) '.[docs]'
 	@touch $@
 
-docs: $(VENV)/.installed-docs
+# the gallery shows the figures
+docs: $(VENV)/.installed-docs figures
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 
 docs-images: $(VENV)/.installed

@@ -18,6 +18,8 @@ NOTATION = r"""
 A prime marks the new state, a bar the mean of the old and the new one; $f$ is the right-hand side of the equations of
 motion, $J$ holds the moments of inertia $I_i$, $m = J\omega$, and $r$ is the weight times the centre of gravity.
 """
+WIDEST = 48
+"""Width of a row of formulas, in letters."""
 HUGE = 1e15
 """Limits beyond it are those of the machine, and are not shown."""
 EXPLAINED = {
@@ -35,11 +37,30 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Page:
     return [*lines, *(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows), ""]
 
 
+def width(formula: str) -> int:
+    """Rough width of a formula in letters."""
+    plain = re.sub(r"\\(?:mathrm|text|tfrac|frac|begin|end|[bB]ig[lr]?|left|right|[,;!]|quad)", "", formula)
+    return len(re.sub(r"[{}_^&\s]", "", re.sub(r"\\[A-Za-z]+", "x", plain)))
+
+
+def rows_of(formula: str) -> str:
+    """Formula broken at wide gaps into rows that fit a page; one that is short, or broken already, as it is."""
+    if width(formula) <= WIDEST or r"\\" in formula:
+        return formula
+    rows = [""]
+    for part in re.split(r",\s*\\qquad\s*", formula):
+        if rows[-1] and width(rows[-1] + part) > WIDEST:
+            rows.append("")
+        rows[-1] += (r", \qquad " if rows[-1] else "") + part.strip()
+    body = ",\\\\[4pt]\n".join(rows)
+    return "\\begin{gathered}\n" + body + "\n\\end{gathered}" if len(rows) > 1 else formula
+
+
 def display(formula: str) -> Page:
     """Display formulas, one for each part between empty lines."""
     lines: Page = []
     for part in re.split(r"\n\s*\n", formula.strip()):
-        lines += ["$$", part, "$$", ""]
+        lines += ["$$", rows_of(part), "$$", ""]
     return lines
 
 

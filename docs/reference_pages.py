@@ -150,7 +150,7 @@ def gallery_page(folder: Path) -> Page:
         "",
     ]
     for name, figure in FIGURES.items():
-        lines += [f"## {figure.title}", "", "```sh", f"topcli plot {name}", "```", ""]
+        lines += [f"## {name}", "", f"{figure.title}.", "", "```sh", f"topcli plot {name}", "```", ""]
         source = next((path for path in (DRAWN / f"{name}.png", IMAGES / f"{name}.png") if path.is_file()), None)
         if source is not None:
             shutil.copyfile(source, folder / f"{name}.png")

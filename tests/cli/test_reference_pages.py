@@ -49,6 +49,16 @@ def test_types_of_keys_are_in_words(maker: ModuleType) -> None:
     assert maker.table(("a", "b"), [("x|y", "z")])[2] == r"| x\|y | z |"
 
 
+def test_wide_formulas_are_broken_at_gaps(maker: ModuleType) -> None:
+    rows = sys.modules["descriptor_pages"].rows_of
+    assert rows(r"a = b, \qquad c = d") == r"a = b, \qquad c = d"
+    part = "a" * 30
+    broken = rows(rf"{part}, \qquad {part}, \qquad b")
+    assert broken.splitlines() == [r"\begin{gathered}", rf"{part},\\[4pt]", rf"{part}, \qquad b", r"\end{gathered}"]
+    made = r"\begin{aligned}" + part + r"\\" + part + r"\end{aligned}"
+    assert rows(made) == made
+
+
 @pytest.mark.slow
 def test_there_is_a_page_for_each_scheme_and_top(made: Path) -> None:
     assert {path.stem for path in (made / "schemes").glob("*.md")} == {one.name for one in all_schemes()}
@@ -56,7 +66,7 @@ def test_there_is_a_page_for_each_scheme_and_top(made: Path) -> None:
     for name in {one.name for one in all_schemes()}:
         page = text(made, f"schemes/{name}")
         for scheme in (one for one in all_schemes() if one.name == name):
-            assert scheme.formula.strip().split("\n\n")[0] in page
+            assert all(part.strip() in page for part in re.split(r", \\qquad|\n\n", scheme.formula))
             assert all(limit in page for limit in scheme.limits.values())
             assert all(f"| `{key}` |" in page for key in scheme.options.model_fields)
         assert page.count("$$") % 2 == 0
@@ -122,7 +132,7 @@ def test_every_key_of_a_config_is_listed(made: Path) -> None:
 def test_the_gallery_has_every_figure_with_its_command(made: Path) -> None:
     page = text(made, "gallery")
     assert re.findall(r"^topcli plot (\S+)$", page, re.MULTILINE) == list(FIGURES)
-    assert all(f"## {figure.title}\n" in page for figure in FIGURES.values())
+    assert all(f"## {name}\n\n{figure.title}.\n" in page for name, figure in FIGURES.items())
     assert all((made / name).is_file() for name in re.findall(r"\]\((\S+\.png)\)", page))
     assert "](fig1.png)" in page
 

@@ -38,7 +38,7 @@ def test_rk2_by_hand() -> None:
     found = operations_of(find_scheme("rk2", "euler"))
     assert found is not None
     assert asdict(found) == {"sums": 6, "products": 18, "divisions": 0, "roots": 0, "functions": 0}
-    assert found.text == "6 +, 18 ×"
+    assert found.text == "6\N{NO-BREAK SPACE}+, 18\N{NO-BREAK SPACE}×"
 
 
 def test_a_composition_costs_its_stages() -> None:

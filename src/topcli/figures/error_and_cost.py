@@ -61,7 +61,12 @@ class ErrorPanel:
             x, y = data[column_name(scheme, self.kind)], data[column_name(scheme, "error")]
             shown = np.isfinite(x) & (y > 0.0) & (y <= LARGEST)
             colour, marker, line = LOOKS[scheme]
-            style: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "markersize": 3.5}
+            style: dict[str, Any] = {
+                "color": colour,
+                "marker": marker,
+                "linestyle": line,
+                "markersize": 5.0 if line == "none" else 3.5,
+            }
             axes.plot(x[shown], y[shown], label=NAMES.get(scheme, scheme), lw=1.0, mew=0.4, **style)
         axes.set_ylim(top=2.0 * LARGEST)
         axes.set_xlabel(ABSCISSAE[self.kind])
@@ -91,6 +96,9 @@ def loaded_study(study: Mapping[str, Any], source: str) -> Loaded:
             data[column_name(row["scheme"], kind)] = np.array(values, dtype=float)
     schemes = tuple(row["scheme"] for row in study["schemes"] if row["points"])
     span = rf"$0 \leq t \leq {study['duration']:g}$"
-    panels = (ErrorPanel(schemes, "h", f"(a) {span}"), ErrorPanel(schemes, "time", f"(b) {span}", keys=True))
+    panels = (
+        ErrorPanel(schemes, "h", f"(a) over the step, {span}"),
+        ErrorPanel(schemes, "time", f"(b) over the time it takes, {span}", keys=True),
+    )
     measured = [[row["scheme"], [one["seconds"] for one in row["points"]]] for row in study["schemes"]]
     return Loaded(panels, lambda: data, {"study": source, "measured": measured}, Grid(figsize=(8.6, 3.4)))

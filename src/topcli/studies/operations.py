@@ -198,7 +198,7 @@ class Operations:
         """Numbers for a table, such as ``74 +, 105 ×, 1 ÷``."""
         parts = [(self.sums, "+"), (self.products, "×"), (self.divisions, "÷"), (self.roots, "√")]
         parts.append((self.functions, "calls"))
-        return ", ".join(f"{round(number)} {sign}" for number, sign in parts if round(number))
+        return ", ".join(f"{round(number)}\N{NO-BREAK SPACE}{sign}" for number, sign in parts if round(number))
 
 
 def operations_of(scheme: Scheme) -> Operations | None:

@@ -316,7 +316,8 @@ FREE_MAP = Integrability(
 m^- = m + \tfrac h2\,\gamma\times r, \qquad
 h\,m^-_i = 2\,\bigl(I_i e_0 e_i + (I_k - I_j)\,e_j e_k\bigr), \quad e_0^2 + |e|^2 = 1, \quad (i, j, k) \text{ cyclic}
 
-v \mapsto v + 2e_0\,v\times e + 2\,(v\times e)\times e \ \text{ takes } m^-, \gamma \text{ to } m^+, \gamma', \qquad
+v \mapsto v + 2e_0\,v\times e + 2\,(v\times e)\times e \ \text{ takes } m^-, \gamma \text{ to } m^+, \gamma'
+
 m' = m^+ + \tfrac h2\,\gamma'\times r
 """,
     equations="kick h/2 by gamma x g, rotation of m and gamma by the quaternion (e0, e) with "

@@ -210,6 +210,7 @@ def domain(top: Top, y0: Floats, options: BacklundOptions) -> float:
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="after Kuznetsov, Vanhaecke 2000 (Bäcklund transformations); Bobenko, Reyman, Semenov-Tian-Shansky 1989 "
     "(Lax pair)",
+    integrable=Integrability("5x5, L' U = U L", "Lie-Poisson bracket of e(3)", "lie-poisson"),
     formula=r"""
 L'(\lambda)\,U(\lambda) = U(\lambda)\,L(\lambda), \qquad
 (a, b, n) = -\tfrac h2\,(\omega_1, \omega_2, \tfrac12\omega_3), \quad d = \tfrac18 c h^2\,\gamma, \quad t = 2 - \tau
@@ -239,7 +240,6 @@ a\,x + (b - d_3)\,y + (2 + t - d_1)\,z &= 2n + d_2
         "steps they are visible after 1e5 steps.",
     },
     longest_step=domain,
-    integrable=Integrability("5x5, L' U = U L", "Lie-Poisson bracket of e(3)", "lie-poisson"),
     order_with=lambda options: None if options.nodes == "exact" else 2,
 )
 def build(top: Top, options: BacklundOptions) -> Stepper:
