@@ -28,6 +28,8 @@ Equation = Callable[[Array, NDArray[np.intp]], tuple[Array, Array, Array]]
 ITERATIONS = 400
 EPS = float(np.finfo(float).eps)
 ZERO = Fraction(0)
+AT_PASSAGE = 1.0 - 2.0**-51
+"""Largest part of the time between two passages that is used."""
 
 
 class Course(Protocol):
@@ -216,14 +218,30 @@ class Pinch(Pair):
             c = difference[index]
             return A - B - c, slope, np.abs(A) + np.abs(B) + np.abs(c)
 
-        low, high = np.maximum(-P, total - Q), np.minimum(P, total + Q)
-        p = solved(equation, 0.5 * (low + high), low, high, 0.1 * P)
-        one, A, u1 = self.first.at(p)
-        two, B, u2 = self.second.at(total - p)
-        times = B + difference, A - difference
-        one, two = self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
+        if self.stands:
+            one, two = self._in_turn(total)
+        else:
+            # at the passage itself the ratio of the two distances is lost
+            total = np.clip(total, -(P + Q) * AT_PASSAGE, (P + Q) * AT_PASSAGE)
+            low, high = np.maximum(-P, total - Q), np.minimum(P, total + Q)
+            p = solved(equation, 0.5 * (low + high), low, high, 0.1 * P)
+            one, A, u1 = self.first.at(p)
+            two, B, u2 = self.second.at(total - p)
+            times = B + difference, A - difference
+            one, two = self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
         sign = 1.0 - 2.0 * np.mod(passages, 2.0)
         return one._replace(S=one.S * sign, C=one.C * sign), two._replace(S=two.S * sign, C=two.C * sign)
+
+    def _in_turn(self, total: Array) -> tuple[Place, Place]:
+        """Signed places if one variable rests in the double root while the other moves: first s2, then s1."""
+        P, Q = (float(v) for v in self.periods)
+        second_moves = total <= Q - P
+        one = self.first.at(np.where(second_moves, -P, total - Q))[0].signed()
+        two = self.second.at(np.where(second_moves, total + P, Q))[0].signed()
+        return (
+            one._replace(S=np.where(second_moves, 0.0, one.S)),
+            two._replace(S=np.where(second_moves, two.S, 0.0)),
+        )
 
 
 def _replaced(place: Place, where: NDArray[np.bool_], by: Place) -> Place:

@@ -78,12 +78,15 @@ class OvalTable:
     """Oval in double precision: ``weighted`` and ``time`` are its half periods, ``length`` its b - a or H.
 
     The integrals p and A of a motion are measured from theta = 0, or from the end that is not a double root; A is given
-    as its ``excess`` A - slope p, which is bounded by ``largest_excess``. With ``at_root`` the motion rests there.
+    as its ``excess`` A - slope p, which is bounded by ``largest_excess``. With ``at_root`` the motion rests there. The
+    oval is ``endless`` if p grows without bounds towards a double root; with ``from_high`` that is theta = 0.
     """
 
     def __init__(self, oval: Oval, slope: Real, at_root: bool) -> None:
         e = oval.curve.e
         self.touched, self.slope, self.at_root = oval.touched, float(slope), at_root
+        self.endless = any(oval.touched) and slope != 0
+        self.from_high = self.endless and oval.touched[0]
         self.unbounded, self.low, self.high = oval.high is None, oval.low, oval.high
         self.others, self.length = oval.others, float(oval.length)
         self.time, self.weighted = (float(v) for v in oval.half_periods)
@@ -113,8 +116,10 @@ class OvalTable:
 
     def _tabulate(self, oval: Oval, slope: Real) -> None:
         """Build the series of theta and of the time over p, and of theta over the time."""
-        root = 0 if oval.touched[0] else len(oval.anchors) - 1 if oval.touched[1] else None
-        zero = oval.half_periods if oval.touched[0] else (0, 0)
+        root = 0 if oval.touched[0] else len(oval.anchors) - 1
+        if not self.endless:
+            root = None
+        zero = oval.half_periods if self.from_high else (0, 0)
         at_anchor, time, weighted = {0: (-float(zero[0]), -float(zero[1]), 0.0)}, 0, 0
         from_root: dict[int, list[tuple[float, float]]] = {}
         for n, panel in enumerate(oval.panels):
@@ -187,7 +192,7 @@ class OvalTable:
             product = product * np.abs(squares[i])
         density = np.sqrt((self.length if self.unbounded else 1.0) / product)
         gap, unit = self.gap(S, C), C * C if self.unbounded else 1.0
-        if self.slope and any(self.touched):  # 1/|root - sigma|
+        if self.endless:  # slope is 1/|root - sigma|
             rest = self.slope * self.length * (C * C if self.touched[1] else -S * S)
         else:
             rest = unit - self.slope * gap
@@ -236,13 +241,13 @@ class OvalTable:
     def _folded(self, x: Array, half: float) -> tuple[NDArray[np.int64], Array, Array]:
         """Quadrant of the value ``x`` of an integral, the integral from theta = 0 in [0, half], and its direction.
 
-        If theta = 0 is a double root, the integral is that from theta = pi/2, in [-half, 0].
+        With ``from_high`` the integral is that from theta = pi/2, in [-half, 0].
         """
         if any(self.touched):
             negative, size = x < 0.0, np.minimum(np.abs(x), half)
             sign = np.where(negative, -1.0, 1.0)
             if self.touched[0]:
-                return np.where(negative, 0, 1), -size, -sign
+                return np.where(negative, 0, 1), -size if self.from_high else half - size, -sign
             return np.where(negative, 3, 0), size, sign
         quadrant = np.floor(x / half)
         odd = quadrant - 2.0 * np.floor(0.5 * quadrant)
