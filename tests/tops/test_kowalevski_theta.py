@@ -199,11 +199,11 @@ def test_zeros_of_omega2_follow_the_frequency_of_s2() -> None:
         a, b = first[0], second[0]
         period = 2 * abs(a * second[1] - b * first[1])
         frequency = float(a / period)
-    T = 20_000
-    omega2 = states(GEN, 0.01, np.arange(100 * T))[:, 1]
+    T = 5000
+    omega2 = states(GEN, 0.02, np.arange(50 * T))[:, 1]
     count = int(np.count_nonzero(np.diff(np.sign(omega2))))
     assert abs(count - frequency * T) <= 1.0
-    assert count > 1000
+    assert count > 500
 
 
 def in_terms_of_factors(curve: RealCurve, e: list[Any], f: list[Any], g: list[Any], x0: Any) -> tuple[Any, ...]:
@@ -226,8 +226,7 @@ def in_terms_of_factors(curve: RealCurve, e: list[Any], f: list[Any], g: list[An
     return x, w3, g3, x**2 - xi
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_the_formulas_in_50_digits(seed: int) -> None:
     """A state follows from s1, s2 and signs, and (s1 - s2)² s_i'² = -Phi(s_i); residuals 1e-48."""
     y = np.random.default_rng(seed).normal(size=6).tolist()
