@@ -107,9 +107,8 @@ NATURAL = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NATURAL)
 def test_degenerate_motions_of_whole_numbers(name: str) -> None:
-    """Typical errors 1e-15; a closed form in double precision alone is off by 1e-8 at the triple roots."""
-    assert_is_the_motion(NATURAL[name], times=np.array([1, 2, 7]))
-    for distance in (1e-3, 1e-6, 1e-9, 1e-12):
+    """Typical errors 1e-15. Times measured from the slow part of the motion would be off by 1e-8."""
+    for distance in (0.0, 1e-3, 1e-6, 1e-9, 1e-12):
         y = np.array(NATURAL[name])
         y[1] += distance
         assert_is_the_motion(y, times=np.array([1, 2, 7]))
@@ -124,7 +123,7 @@ def test_separatrices_at_long_times(name: str) -> None:
     here, there = states(y, h, n), states(y, h, n + 1)
     for start, end in zip(here, there, strict=True):
         later = reference_states(Kowalevski(), start.tolist(), np.array([h]))[0]
-        np.testing.assert_allclose(end, later, atol=1e-14 * max(1.0, float((y[:3] ** 2).sum())))
+        np.testing.assert_allclose(end, later, atol=5e-14 * max(1.0, float((y[:3] ** 2).sum())))
 
 
 @pytest.mark.slow
