@@ -22,7 +22,7 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.delone import has_triple_root
-from topcli.schemes.kowalevski.exact import _kept
+from topcli.schemes.kowalevski.exact import _kept, exact_accuracy
 from topcli.schemes.kowalevski.phase import TURN, Phase
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
@@ -87,6 +87,83 @@ def test_random_motions(seed: int) -> None:
 def test_degenerate_motions_and_their_neighbours(family: str) -> None:
     for distance in (0.0, 1e-3, 1e-6, 1e-9, 1e-12):
         assert_is_the_motion(FAMILIES[family](distance))
+
+
+NATURAL = {
+    # three roots of the curve coincide, elsewhere than k = 0
+    "root of the cubic three times": (1.0, 0.0, 2.0, 0.0, 2.0, -2.0),
+    "cubic and e5": (1.0, 0.0, 1.0, 0.0, 0.0, -1.0),
+    "cubic and e5, thirds": (0.0, 3.0, 1.0, 0.0, 0.0, -3.0),
+    "cubic and e5, rest of gamma1": (0.0, 1.0, 2.0, -1.0, -1.0, 0.0),
+    # s1 and s2 are in the double root together at t = 0, next to a conjugate pair
+    "pendulum at the passage": (0.0, 1.0, 0.0, 0.0, 0.0, -2.0),
+    "pinch at the passage": (0.0, 1.0, 2.0, -1.0, 2.0, -2.0),
+    "pinch at the passage, sideways": (1.0, 1.0, 0.0, 1.0, 2.0, 2.0),
+    # homoclinic to the upright position at rest, on none of its invariant planes
+    "homoclinic in space": (3.0, 2.0, 8.0, -20.0, 12.0, 9.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NATURAL)
+def test_degenerate_motions_of_whole_numbers(name: str) -> None:
+    """Typical errors 1e-15. Times measured from the slow part of the motion would be off by 1e-8."""
+    for distance in (0.0, 1e-3, 1e-6, 1e-9, 1e-12):
+        y = np.array(NATURAL[name])
+        y[1] += distance
+        assert_is_the_motion(y, times=np.array([1, 2, 7]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NATURAL)
+def test_separatrices_at_long_times(name: str) -> None:
+    """Up to t = 3e10 a Taylor step leads from each state to the next; a lost phase or branch would not."""
+    y, h = np.array(NATURAL[name]), 2.0**-5
+    n = np.array([0, 10**3, 10**6, 10**9, 10**12])
+    here, there = states(y, h, n), states(y, h, n + 1)
+    for start, end in zip(here, there, strict=True):
+        later = reference_states(Kowalevski(), start.tolist(), np.array([h]))[0]
+        np.testing.assert_allclose(end, later, atol=5e-14 * max(1.0, float((y[:3] ** 2).sum())))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after", [2.0**-k for k in (52, 40, 20, 10, 5)])
+def test_states_next_to_a_common_passage(after: float) -> None:
+    """s1 - s2 is proportional to the time from the passage; the plain formula is off by 1e-16 divided by it."""
+    for name in ("pendulum at the passage", "pinch at the passage", "pinch at the passage, sideways"):
+        y = NATURAL[name]
+        for sign in (1, -1):
+            expected = reference_states(Kowalevski(), list(y), np.array([sign * after]))[0]
+            np.testing.assert_allclose(states(y, after, [sign])[0], expected, atol=2e-13)
+
+
+@pytest.mark.slow
+def test_the_four_integrals_at_every_time() -> None:
+    """Typical deviation 2e-15 of the terms, also after t = 1e9."""
+    w = states(GEN, 0.1, np.concatenate([np.arange(0, 5000), 10**10 + np.arange(1000)])).T
+    values = np.array(
+        [
+            w[3] ** 2 + w[4] ** 2 + w[5] ** 2,
+            2 * (w[0] * w[3] + w[1] * w[4]) + w[2] * w[5],
+            w[0] ** 2 + w[1] ** 2 + w[2] ** 2 / 2 + w[3],
+            (w[0] ** 2 - w[1] ** 2 - w[3]) ** 2 + (2 * w[0] * w[1] - w[4]) ** 2,
+        ]
+    )
+    assert np.abs(values - values[:, :1]).max() < 2e-14
+
+
+@pytest.mark.slow
+def test_small_c() -> None:
+    """gamma is right to eps |omega|²/c, as the report says, and weaker gravity is refused by that figure."""
+    for c in (1e-2, 1e-4, 1e-6, 1e-8):
+        exact = reference_states(Kowalevski(c0=c), list(GEN), np.array([10.0]))[0]
+        error = np.abs(states(GEN, 1.0, [10], c)[0] - exact)
+        bound = exact_accuracy(np.array(GEN), 1.0, np.array([10]), (c,)).round_off
+        assert 2e-16 * 2.5 / c < bound < 2e-15 * 2.5 / c
+        assert error[:3].max() < 1e-13
+        assert error[3:].max() < 4 * bound
+    with pytest.raises(RunError, match=r"uncertain by eps .omega.²/c = 5e-04"):
+        states(GEN, 1.0, [10], 1e-12)
 
 
 @pytest.mark.slow

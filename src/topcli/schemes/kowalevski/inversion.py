@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array
-from topcli.schemes.kowalevski.oval_table import OvalTable, Place
+from topcli.schemes.kowalevski.oval_table import SLOW, OvalTable, Place
 from topcli.schemes.kowalevski.phase import Phase
 from topcli.schemes.kowalevski.separation import Real
 
@@ -27,7 +27,9 @@ Equation = Callable[[Array, NDArray[np.intp]], tuple[Array, Array, Array]]
 """Value, slope and size of the terms of an equation for arguments (m,) at the given indices."""
 ITERATIONS = 400
 EPS = float(np.finfo(float).eps)
-ZERO = Fraction(0)
+ZERO, QUARTER = Fraction(0), Fraction(1, 4)
+AT_PASSAGE = 1.0 - 2.0**-51
+"""Largest part of the time between two passages that is used."""
 
 
 class Course(Protocol):
@@ -128,7 +130,11 @@ class Lattice(Pair):
         rates = b / determinant, a / determinant
         one = (total * b + Q * difference) / determinant - rates[0] * time
         two = (total * a - P * difference) / determinant - rates[1] * time
-        return replace(self, rates=(fraction(rates[0]), fraction(rates[1])), starts=(fraction(one), fraction(two)))
+        starts = [
+            fraction(start) - (QUARTER if table.from_high and not table.endless else 0)
+            for table, start in zip((self.first, self.second), (one, two), strict=True)
+        ]
+        return replace(self, rates=(fraction(rates[0]), fraction(rates[1])), starts=(starts[0], starts[1]))
 
     def lasting(self) -> Lattice:
         """The same without numbers of mpmath."""
@@ -141,7 +147,8 @@ class Lattice(Pair):
         for table, start, rate in zip((self.first, self.second), self.starts, self.rates, strict=True):
             step = rate * h
             turns = any(table.touched)
-            found.append(float(start) + float(step) * n if turns else Phase.of(start, step).turns(n))
+            reduced = Phase.of(start, step)
+            found.append(float(start) + float(step) * n if turns else reduced.turns(n, table.from_high))
         return tuple(found)
 
     def places(self, at: Positions, near: float) -> tuple[Place, Place]:
@@ -158,7 +165,7 @@ class Lattice(Pair):
             return slope * x + excess - other, 1.0 / gap + two.C * two.C / other_gap, size
 
         bound = np.full_like(p, 1.01 * (first.largest_excess + second.largest_excess) / slope)
-        x = solved(equation, np.zeros_like(p), -bound, bound, 0.1 * P)
+        x = solved(equation, np.zeros_like(p), -bound, bound, 0.1 * min(P, max(Q, 10.0), SLOW))
         one, A, u1 = first.at(p + x)
         two, B, u2 = second.at(q - x)
         # A0 and B0 up to the same multiples of the periods as p and q
@@ -216,14 +223,30 @@ class Pinch(Pair):
             c = difference[index]
             return A - B - c, slope, np.abs(A) + np.abs(B) + np.abs(c)
 
-        low, high = np.maximum(-P, total - Q), np.minimum(P, total + Q)
-        p = solved(equation, 0.5 * (low + high), low, high, 0.1 * P)
-        one, A, u1 = self.first.at(p)
-        two, B, u2 = self.second.at(total - p)
-        times = B + difference, A - difference
-        one, two = self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
+        if self.stands:
+            one, two = self._in_turn(total)
+        else:
+            # at the passage itself the ratio of the two distances is lost
+            total = np.clip(total, -(P + Q) * AT_PASSAGE, (P + Q) * AT_PASSAGE)
+            low, high = np.maximum(-P, total - Q), np.minimum(P, total + Q)
+            p = solved(equation, 0.5 * (low + high), low, high, 0.1 * P)
+            one, A, u1 = self.first.at(p)
+            two, B, u2 = self.second.at(total - p)
+            times = B + difference, A - difference
+            one, two = self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
         sign = 1.0 - 2.0 * np.mod(passages, 2.0)
         return one._replace(S=one.S * sign, C=one.C * sign), two._replace(S=two.S * sign, C=two.C * sign)
+
+    def _in_turn(self, total: Array) -> tuple[Place, Place]:
+        """Signed places if one variable rests in the double root while the other moves: first s2, then s1."""
+        P, Q = (float(v) for v in self.periods)
+        second_moves = total <= Q - P
+        one = self.first.at(np.where(second_moves, -P, total - Q))[0].signed()
+        two = self.second.at(np.where(second_moves, total + P, Q))[0].signed()
+        return (
+            one._replace(S=np.where(second_moves, 0.0, one.S)),
+            two._replace(S=np.where(second_moves, two.S, 0.0)),
+        )
 
 
 def _replaced(place: Place, where: NDArray[np.bool_], by: Place) -> Place:

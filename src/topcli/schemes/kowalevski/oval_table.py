@@ -19,6 +19,9 @@ from topcli.schemes.kowalevski.oval import NODES, Oval
 from topcli.schemes.kowalevski.separation import Real
 
 Complexes = NDArray[np.complex128]
+SLOW = 200.0
+"""Half period, in a unit of time of the order of one, of which the motion next to theta = 0 takes nearly all; times are
+then measured from theta = pi/2, so that the fast part keeps its accuracy."""
 NEWTON_STEPS = 14
 """Newton steps that invert an integral on a panel, where it is almost linear."""
 
@@ -78,12 +81,20 @@ class OvalTable:
     """Oval in double precision: ``weighted`` and ``time`` are its half periods, ``length`` its b - a or H.
 
     The integrals p and A of a motion are measured from theta = 0, or from the end that is not a double root; A is given
-    as its ``excess`` A - slope p, which is bounded by ``largest_excess``. With ``at_root`` the motion rests there.
+    as its ``excess`` A - slope p, which is bounded by ``largest_excess``. With ``at_root`` the motion rests there. The
+    oval is ``endless`` if p grows without bounds towards a double root. With ``from_high``, p and A are measured from
+    theta = pi/2, because theta = 0 is this root, or next to it.
     """
 
     def __init__(self, oval: Oval, slope: Real, at_root: bool) -> None:
         e = oval.curve.e
         self.touched, self.slope, self.at_root = oval.touched, float(slope), at_root
+        self.endless = any(oval.touched) and slope != 0
+        slow = oval.half_periods[1] > SLOW and not any(oval.touched) and not at_root
+        self.from_high = slow or (self.endless and oval.touched[0])
+        # the density of the excess is that of the low end, whose s - sigma is exact, and a rest
+        self.low_slope = float(1 / abs(oval.a - oval.sigma)) if self.from_high else 0.0
+        self.slope_rest = float(1 / abs(oval.a - oval.sigma) - slope) if slow else 0.0
         self.unbounded, self.low, self.high = oval.high is None, oval.low, oval.high
         self.others, self.length = oval.others, float(oval.length)
         self.time, self.weighted = (float(v) for v in oval.half_periods)
@@ -113,19 +124,20 @@ class OvalTable:
 
     def _tabulate(self, oval: Oval, slope: Real) -> None:
         """Build the series of theta and of the time over p, and of theta over the time."""
-        root = 0 if oval.touched[0] else len(oval.anchors) - 1 if oval.touched[1] else None
-        zero = oval.half_periods if oval.touched[0] else (0, 0)
+        last = len(oval.anchors) - 1
+        zero = oval.half_periods if self.from_high else (0, 0)
         at_anchor, time, weighted = {0: (-float(zero[0]), -float(zero[1]), 0.0)}, 0, 0
-        from_root: dict[int, list[tuple[float, float]]] = {}
+        far: dict[int, list[tuple[float, float]]] = {}
         for n, panel in enumerate(oval.panels):
             before = time, weighted
             time, weighted = time + panel.time, weighted + panel.weighted
             if panel.direction == -1:
                 integrals = float(time - zero[0]), float(weighted - zero[1])
                 at_anchor[panel.anchor] = *integrals, float(time - slope * weighted)
-            if panel.anchor == root:  # measured from the regular end, because the root is infinitely far
-                ends = (before, (time, weighted))[:: panel.direction]
-                from_root[n] = [(-abs(float(t - zero[0])), -abs(float(p - zero[1]))) for t, p in ends]
+            if (panel.anchor != last) if self.from_high else (self.endless and panel.anchor == last):
+                # measured from the other end, because it takes very long or for ever to come here
+                ends, to = (before, (time, weighted))[:: panel.direction], panel.direction
+                far[n] = [(to * float(t - zero[0]), to * float(p - zero[1])) for t, p in ends]
         rows: dict[int, tuple[float, float, Array, Array, Array]] = {}
         offsets: dict[tuple[int, int], tuple[float, float, float]] = {}
         ends = {}
@@ -140,12 +152,12 @@ class OvalTable:
             rows[n] = t0, p0, angle_of_p, excess_of_p, angle_of_time
             ends[n] = t0 + dt, p0 + dp
             offsets[key] = (*ends[n], e0 + more)
-            if n in from_root:
-                rows[n], ends[n] = (*from_root[n][0], *rows[n][2:]), from_root[n][1]
+            if n in far:
+                rows[n], ends[n] = (*far[n][0], *rows[n][2:]), far[n][1]
         count = range(len(oval.panels))
         anchors = [at_anchor[p.anchor] for p in oval.panels]
         first, second, self.excess_at_anchor = (np.array([a[i] for a in anchors]) for i in range(3))
-        for n in from_root:
+        for n in far:
             first[n] = second[n] = 0.0
         begin, end = ([np.array([source[n][i] for n in count]) for i in (0, 1)] for source in (rows, ends))
         tables = [np.array([rows[n][i] for n in count]) for i in (2, 3, 4)]
@@ -187,8 +199,10 @@ class OvalTable:
             product = product * np.abs(squares[i])
         density = np.sqrt((self.length if self.unbounded else 1.0) / product)
         gap, unit = self.gap(S, C), C * C if self.unbounded else 1.0
-        if self.slope and any(self.touched):  # 1/|root - sigma|
-            rest = self.slope * self.length * (C * C if self.touched[1] else -S * S)
+        if self.from_high:
+            rest = self.slope_rest * gap - self.low_slope * self.length * S * S
+        elif self.endless:  # slope is 1/|root - sigma|
+            rest = self.slope * self.length * C * C
         else:
             rest = unit - self.slope * gap
         return density * unit, density * gap, density * rest
@@ -236,14 +250,19 @@ class OvalTable:
     def _folded(self, x: Array, half: float) -> tuple[NDArray[np.int64], Array, Array]:
         """Quadrant of the value ``x`` of an integral, the integral from theta = 0 in [0, half], and its direction.
 
-        If theta = 0 is a double root, the integral is that from theta = pi/2, in [-half, 0].
+        With ``from_high`` the integral is that from theta = pi/2, in [-half, 0].
         """
         if any(self.touched):
             negative, size = x < 0.0, np.minimum(np.abs(x), half)
             sign = np.where(negative, -1.0, 1.0)
             if self.touched[0]:
-                return np.where(negative, 0, 1), -size, -sign
+                return np.where(negative, 0, 1), -size if self.from_high else half - size, -sign
             return np.where(negative, 3, 0), size, sign
+        if self.from_high:
+            ends = np.rint(0.5 * x / half)
+            from_end = x - 2.0 * ends * half
+            past = from_end >= 0.0
+            return (2.0 * ends + past).astype(np.int64), -np.minimum(np.abs(from_end), half), np.where(past, -1.0, 1.0)
         quadrant = np.floor(x / half)
         odd = quadrant - 2.0 * np.floor(0.5 * quadrant)
         rest = x - quadrant * half

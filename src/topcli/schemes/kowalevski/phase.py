@@ -30,8 +30,11 @@ class Phase:
         """Phase from numbers of turns."""
         return cls(math.floor(start * TURN) % TURN, math.floor(step * TURN) % TURN)
 
-    def turns(self, n: NDArray[np.int64]) -> Array:
-        """Phases after ``n`` (m,) steps of either sign, in [-1/2, 1/2) turns; the error is less than 2^-64 + ulp."""
+    def turns(self, n: NDArray[np.int64], fine: bool = False) -> Array:
+        """Phases after ``n`` (m,) steps of either sign, in [-1/2, 1/2) turns; the error is less than 2^-64 + ulp.
+
+        With ``fine`` small phases have 128 bits, less those of ``n``.
+        """
         count = n.astype(np.int64).view(np.uint64)
         low = np.uint64(self.step & LOW)
         high = np.uint64(self.step >> 64) * count + _upper_half(low, count)
@@ -39,7 +42,8 @@ class Phase:
         lower = low * count + np.uint64(self.start & LOW)
         carry = lower < np.uint64(self.start & LOW)
         total = high + np.uint64(self.start >> 64) + carry
-        return total.view(np.int64) * 2.0**-64
+        upper = total.view(np.int64) * 2.0**-64
+        return upper + lower * 2.0**-128 if fine else upper
 
 
 def _upper_half(a: np.uint64, b: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -25,6 +25,8 @@ from topcli.contracts import Array
 
 CYCLIC = ((0, 1), (1, 2), (2, 0))
 TINY = 1e-300
+MEETING = 0.02
+"""Largest s1 - s2, relative to the differences of roots, at which h_i and k_i are found from each other."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,25 @@ class Formula:
 
     def states(self, f: Sequence[Any], g: Sequence[Any], tau: Array, D: Array) -> Array:
         """States, shape (m, 6), from f_i, tau g_i and tau² (s1 - s2)."""
+        found = self._states(f, g, tau, D, False)
+        meeting = MEETING * max(map(abs, self.differences)) * tau * tau > D
+        if meeting.any():
+            f, g = ([one[meeting] for one in both] for both in (f, g))
+            found[meeting] = self._states(f, g, tau[meeting], D[meeting], True)
+        return found
+
+    def _states(self, f: Sequence[Any], g: Sequence[Any], tau: Array, D: Array, meeting: bool) -> Array:
+        """The same; ``meeting`` avoids cancellation where s1 and s2 are close to each other and to a double root."""
         f1, f2, f3, f4, f5 = f
         g1, g2, g3, g4, g5 = g
         t2 = tau * tau
         h = [f[i] * tau - g[i] for i in range(3)]
-        product = h[0] * h[1] * h[2]
         minus, plus_ij, plus_ji = self._mixed(f, g, tau, t2)
+        if meeting:
+            k = [f[i] * tau + g[i] for i in range(3)]
+            k, h = map(list, zip(*(_both(*both, D) for both in zip(k, h, strict=True)), strict=True))
+            self._improve(minus, plus_ij, plus_ji, h, k, tau)
+        product = h[0] * h[1] * h[2]
         squared = D * D
         La = 8.0 * squared / (minus[0] * minus[1] * minus[2] * plus_ij[0] * plus_ij[1] * plus_ij[2])
         n = min(range(3), key=lambda i: abs(self.centred[i]))
@@ -62,6 +77,9 @@ class Formula:
         mixed = f2 * g3 + g2 * f3
         F = f1 * (ff * t2 + gg) + g1 * mixed
         G = g1 * (gg + ff * t2) + f1 * mixed * t2
+        if meeting:
+            sums = k[0] * k[1] * k[2]
+            F, G = 0.5 * (sums + product) / tau, 0.5 * (sums - product)
         scale = 1.0 / (N * squared)
         m2 = m * m
         w3 = 2.0 * ((F * B - G * A * tau) * (m2 + t2) - 2.0 * m * (F * A * (t2 * tau) - G * B)) * scale / below
@@ -72,6 +90,19 @@ class Formula:
         found[:, 0], found[:, 1], found[:, 2] = x.real, x.imag, w3.real
         found[:, 3], found[:, 4], found[:, 5] = vertical.real / self.c, vertical.imag / self.c, third.real / self.c
         return found
+
+    @staticmethod
+    def _improve(minus: list[Any], plus_ij: list[Any], plus_ji: list[Any], h: Any, k: Any, tau: Array) -> None:
+        """Replace what ``_mixed`` returns by sums of h and k where these are smaller than its terms."""
+        for pair, (i, j) in enumerate(CYCLIC):
+            for found, one, other, sign, scale in (
+                (minus, h[i], k[j], -1.0, 1.0),
+                (plus_ij, h[i], k[j], 1.0, tau),
+                (plus_ji, h[j], k[i], 1.0, tau),
+            ):
+                terms = np.maximum(_square(h[i]), _square(k[i])) + np.maximum(_square(h[j]), _square(k[j]))
+                small = np.maximum(_square(one), _square(other)) < 0.1 * terms
+                found[pair] = np.where(small, (one + sign * other) / scale, found[pair])
 
     def _mixed(
         self, f: Sequence[Any], g: Sequence[Any], tau: Array, t2: Array
