@@ -23,9 +23,9 @@ b e0 + 2 e2, 2 n e0 + 4 e3), so that every change is a sum of terms of its own s
 The code turns gamma by the quaternion (v0; -2Y v)/(H N) with v = (R(f); X cc): with s = v x gamma and i = -2/(H N)
 the change is Y i² (2Y v x s - v0 s).
 
-Performance: 132 operations and one division; the order of the terms keeps the longest chain at 17 of them. The scaling is
-internal, and only changes are scaled back, so that the state stays physical and a scaling error cannot accumulate when
-steps of several lengths follow each other.
+Performance: 132 operations and one division; the order of the terms keeps the longest chain at 17 of them. The scaling
+is internal, and only changes are scaled back, so that the state stays physical and a scaling error cannot accumulate
+when steps of several lengths follow each other.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def scaled_step(z: Floats, D: float, tau: float) -> Floats6:
 
 
 def scales_of(h: float) -> tuple[float, float, float]:
-    """Constants of ``length_step``: k = -h/2, and 1/k with its rounding error.
+    """Constants of a length: k = -h/2, and 1/k with its rounding error.
 
     The scale of omega, 1/k, is not a floating-point number. Its rounding error, the same in every step, would make the
     integrals drift; it is therefore used with its error.
@@ -115,19 +115,32 @@ def scales_of(h: float) -> tuple[float, float, float]:
     return (k, scale, fma(-k, scale, 1.0) * scale)
 
 
-def length_step(y: Floats, c: float, k: float, scale: float, error: float, tau: float) -> Floats6:
-    """New (omega, gamma) after one step, whose length is given by its ``scales_of`` and ``tau``."""
+def scaled_change(z: Floats, D: float, tau: float) -> Floats6:
+    """Change of (a, b, n) and gamma in one step."""
+    x1, x2, x3, y1, y2, y3, r, q = numerators(z, D, tau)
+    return (x1 * r, x2 * r, x3 * r, y1 * q, y2 * q, y3 * q)
+
+
+def length_numerators(y: Floats, c: float, k: float, scale: float, error: float, tau: float) -> Floats:
+    """Changes of omega, numerators of those of gamma, and their factor, for ``scales_of`` a length and its ``tau``."""
     z = (k * y[0], k * y[1], (0.5 * k) * y[2], y[3], y[4], y[5])
     x1, x2, x3, y1, y2, y3, r, q = numerators(z, (0.5 * c) * (k * k), tau)
     x1, x2, x3 = x1 * r, x2 * r, 2.0 * (x3 * r)
-    return (
-        y[0] + fma(x1, scale, x1 * error),
-        y[1] + fma(x2, scale, x2 * error),
-        y[2] + fma(x3, scale, x3 * error),
-        fma(y1, q, y[3]),
-        fma(y2, q, y[4]),
-        fma(y3, q, y[5]),
-    )
+    w1, w2, w3 = fma(x1, scale, x1 * error), fma(x2, scale, x2 * error), fma(x3, scale, x3 * error)
+    return (w1, w2, w3, y1, y2, y3, q)
+
+
+def length_step(y: Floats, c: float, k: float, scale: float, error: float, tau: float) -> Floats6:
+    """New (omega, gamma) after one step, whose length is given by its ``scales_of`` and ``tau``."""
+    w1, w2, w3, y1, y2, y3, q = length_numerators(y, c, k, scale, error, tau)
+    return (y[0] + w1, y[1] + w2, y[2] + w3, fma(y1, q, y[3]), fma(y2, q, y[4]), fma(y3, q, y[5]))
+
+
+def physical_change(y: Floats, h: float, c: float, tau: float) -> Floats6:
+    """Change of (omega, gamma) in one step of length h with the parameter ``tau``."""
+    k, scale, error = scales_of(h)
+    w1, w2, w3, y1, y2, y3, q = length_numerators(y, c, k, scale, error, tau)
+    return (w1, w2, w3, y1 * q, y2 * q, y3 * q)
 
 
 def physical_step(y: Floats, h: float, c: float, tau: float) -> Floats6:
