@@ -14,6 +14,7 @@ from conftest import GEN, PAPER, random_states
 from test_backlund import HANGING, deviations, integrals, stepper
 from test_beyond import AT_REST, DELONE, EQUILIBRIUM, ran
 from topcli.analysis.reference import reference_states
+from topcli.config.load import experiment_from
 from topcli.contracts import Floats, Outcome, Stepper
 from topcli.errors import StepTooLongError, UsageError
 from topcli.schemes.kowalevski import backlund_nodes
@@ -23,6 +24,7 @@ from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_composit
 from topcli.schemes.kowalevski.backlund_nodes import substeps_of
 from topcli.schemes.kowalevski.integer_series import motion
 from topcli.schemes.registry import find_scheme
+from topcli.studies.roundoff import forms_of
 from topcli.tops.kowalevski import Kowalevski
 
 CONFIG = {"top": "kowalevski", "initial": {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}}
@@ -244,6 +246,8 @@ def test_integrals_are_watched(options: dict[str, Any], slot: int, name: str) ->
 def test_options_that_do_not_go_together() -> None:
     with pytest.raises(UsageError, match="nodes: exact needs constants: frozen"):
         topcli.simulate({**CONFIG, "scheme": {**EXACT, "constants": "recomputed"}, "h": 0.5, "N": 3})
+    with pytest.raises(UsageError, match="nodes: exact has no compensated form"):
+        topcli.simulate({**CONFIG, "scheme": {**EXACT, "compensated": True}, "h": 0.5, "N": 3})
     with pytest.raises(UsageError, match="cannot be composed with these options"):
         topcli.simulate({**CONFIG, "scheme": {**EXACT, "compose": "suzuki4"}, "h": 0.5, "N": 3})
     with pytest.raises(UsageError, match="computes its lengths in doubles; use nodes: plain"):
@@ -251,6 +255,13 @@ def test_options_that_do_not_go_together() -> None:
     scheme = find_scheme("backlund", "kowalevski")
     assert scheme.order_for(scheme.options(nodes="exact")) is None
     assert scheme.order_for(scheme.options()) == 2
+
+
+def test_growth_of_round_off_without_a_compensated_form() -> None:
+    """The study has one form for exact nodes, and two for plain ones."""
+    for scheme, forms in ((EXACT, ["plain"]), ({"name": "backlund"}, ["plain", "compensated"])):
+        experiment = experiment_from({**CONFIG, "scheme": scheme, "h": 0.5, "N": 3})
+        assert list(forms_of(experiment)) == forms
 
 
 def test_projection_every_sixteen_steps() -> None:

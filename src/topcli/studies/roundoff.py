@@ -24,7 +24,7 @@ from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Invariant, Outcome, Sampler
 from topcli.engine.loop import Run, nanoseconds_per_step
-from topcli.errors import UsageError
+from topcli.errors import ConfigError, UsageError
 from topcli.schemes.registry import all_schemes
 from topcli.studies.entries import under_scheme
 from topcli.studies.report import finite
@@ -206,14 +206,19 @@ def _rows(
 
 
 def forms_of(experiment: Experiment) -> dict[str, Experiment]:
-    """Experiment with plain and with compensated sums, by name; only the former if the scheme has no such option."""
+    """Experiment with plain and with compensated sums, by name; only the former if these options have no other form."""
     if "compensated" not in type(experiment.options).model_fields:
         return {"plain": experiment}
     resolved = experiment.resolved()
-    return {
-        name: experiment_from(resolved | {"scheme": resolved["scheme"] | {"compensated": value}})
-        for name, value in (("plain", False), ("compensated", True))
-    }
+
+    def form(compensated: bool) -> Experiment:
+        return experiment_from(resolved | {"scheme": resolved["scheme"] | {"compensated": compensated}})
+
+    plain = form(False)
+    try:
+        return {"plain": plain, "compensated": form(True)}
+    except ConfigError:  # an option that cannot be combined with it
+        return {"plain": plain}
 
 
 def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str, Any]:

@@ -23,11 +23,14 @@ import math
 from dataclasses import replace
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import dot, subtract
 from topcli.contracts import Floats, Integrability, Stepper, Top
+from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.kowalevski import backlund_compensated
+from topcli.schemes.kowalevski.backlund_compensated import compensated
 from topcli.schemes.kowalevski.backlund_constants import (
     admits,
     frozen_constants,
@@ -49,10 +52,8 @@ PROJECTED_NODES = 16
 DOMAIN = "h is beyond the domain of the map, and is refused before the run."
 
 
-class BacklundOptions(BaseModel):
-    """Options: integrals in the step, projection, substeps."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class BacklundOptions(CompensatedOption):
+    """Options: compensated sums, integrals in the step, exact nodes, projection, substeps."""
 
     constants: Literal["frozen", "recomputed"] = Field(
         default="frozen",
@@ -76,9 +77,11 @@ class BacklundOptions(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _frozen(self) -> BacklundOptions:
+    def _compatible(self) -> BacklundOptions:
         if self.nodes == "exact" and self.constants != "frozen":
             raise ValueError("nodes: exact needs constants: frozen")
+        if self.nodes == "exact" and self.compensated:
+            raise ValueError("nodes: exact has no compensated form; its steps are projected instead")
         return self
 
     @property
@@ -142,6 +145,9 @@ def enter_recomputed(y: Floats, h: float, p: Floats) -> Floats:
 STAGE = Stepper(stage, 13, enter_stage, first6, iterative=True, checked=6)
 FROZEN = Stepper(frozen_step, 8, enter_frozen, leave_frozen, iterative=True, checked=6, composable=STAGE)
 RECOMPUTED = Stepper(recomputed_stage, 8, enter_recomputed, first6, iterative=True, checked=6)
+COMPENSATED_STAGE = compensated(backlund_compensated.stage, STAGE)
+COMPENSATED = compensated(backlund_compensated.frozen_step, FROZEN, COMPENSATED_STAGE)
+COMPENSATED_RECOMPUTED = compensated(backlund_compensated.recomputed_stage, RECOMPUTED)
 
 
 def substepped(stepper: Stepper) -> Stepper:
@@ -253,6 +259,9 @@ def build(top: Top, options: BacklundOptions) -> Stepper:
     (stages of a composition) by the shortest correction. Steps longer than about 3.6/sqrt(2E + 2k) are refused, or
     divided (`substeps: auto`).
 
+    With `compensated: true`, deviations of the integrals after 1e7 steps of h = 0.01 are smaller by a factor of 20 to
+    40; with h = 0.1 it is 2 to 5, and steps beyond h = 0.5 gain nothing. A step takes 1.16 times as long.
+
     With `nodes: exact` there is no error of time either. A step then consists of three or four steps of one length and
     one backward step of another; two equations make their composition the motion over h. The first step is compared
     with Taylor series of 26 terms in integers of 96 bits, and E and k² are watched during the run.
@@ -260,8 +269,10 @@ def build(top: Top, options: BacklundOptions) -> Stepper:
     auto = options.substeps == "auto"
     if options.nodes == "exact":
         stepper = PARTS if auto else NODES
+    elif options.constants == "frozen":
+        stepper = COMPENSATED if options.compensated else FROZEN
     else:
-        stepper = FROZEN if options.constants == "frozen" else RECOMPUTED
+        stepper = COMPENSATED_RECOMPUTED if options.compensated else RECOMPUTED
     if auto:
         stepper = substepped(stepper.composable or stepper)
     return projected(stepper.composable or stepper, options.period) if options.period else stepper
