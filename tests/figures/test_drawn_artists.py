@@ -449,6 +449,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         "work-precision",
         "compare",
         "stress",
+        *("bifurcation", "torus"),  # in test_motion_figures.py
         "order",  # in test_sweep_figures.py
         *("swings", "errors", "heavy-drift"),  # in test_sweep_studies.py
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import Grid, Styles
@@ -33,8 +34,8 @@ SMALL, LARGE = 0.035, 0.1
 class Diagram:
     """Diagram in the plane of E and k² for one ``two_l``, with the motion of ``scene`` as a point.
 
-    The columns are ``number:kind:E`` and ``number:kind:k_sq`` for each kind of critical curve, with nan between its
-    parts, and ``number:scene:E`` and ``number:scene:k_sq``.
+    The columns are ``number:kind:E`` and ``number:kind:k_sq`` for the ``kinds`` of critical curves, with nan between
+    their parts, and ``number:scene:E`` and ``number:scene:k_sq``. ``tori`` are the numbers of tori of the regions.
     """
 
     number: int
@@ -42,35 +43,27 @@ class Diagram:
     energies: tuple[float, float]
     k_sq: tuple[float, float]
     scene: str
-    tori: Mapping[str, int] = field(default_factory=dict)
-    """Number of tori of each region."""
+    kinds: tuple[str, ...]
+    tori: Mapping[str, int]
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns that the panel draws."""
-        return tuple(f"{self.number}:{name}:{axis}" for name in (*KINDS, "scene") for axis in ("E", "k_sq"))
-
-    def data(self, point: tuple[float, float]) -> dict[str, np.ndarray]:
-        """The columns, for a scene with the E and k² of ``point``."""
-        from topcli.analysis.motion.chart import branches
-
-        parts: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
-        for one in branches(0.5 * self.two_l, 1.0, self.energies, self.k_sq):
-            if one.kind in parts:
-                parts[one.kind] += [np.array([one.E, one.k_sq]), np.full((2, 1), np.nan)]
-        found = {kind: np.hstack(some) if some else np.full((2, 1), np.nan) for kind, some in parts.items()}
-        found["scene"] = np.array(point)[:, None]
-        return {f"{self.number}:{name}:{axis}": both[i] for name, both in found.items() for i, axis in enumerate(AXES)}
+        names = (*self.kinds, *(("scene",) if self.scene else ()))
+        return tuple(f"{self.number}:{name}:{axis}" for name in names for axis in AXES)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw regions, curves and the point of the scene into ``axes``."""
-        self._tint(axes, np.array([data[f"{self.number}:scene:{axis}"][0] for axis in AXES]))
-        for kind, (label, look) in KINDS.items():
-            x, y = (data[f"{self.number}:{kind}:{axis}"] for axis in AXES)
-            if np.isfinite(x).any():
-                axes.plot(x, y, label=label, zorder=3 if kind == "bobylev-steklov" else 4, clip_on=False, **look)
+        point = None
         if self.scene:
-            self._mark(axes, *(float(data[f"{self.number}:scene:{axis}"][0]) for axis in AXES))
+            E, k_sq = (float(data[f"{self.number}:scene:{axis}"][0]) for axis in AXES)
+            point = E, k_sq
+            self._mark(axes, E, k_sq)
+        self._tint(axes, point)
+        for kind in self.kinds:
+            label, look = KINDS[kind]
+            x, y = (data[f"{self.number}:{kind}:{axis}"] for axis in AXES)
+            axes.plot(x, y, label=label, zorder=3 if kind == "bobylev-steklov" else 4, clip_on=False, **look)
         axes.set(xlim=self.energies, ylim=self.k_sq)
         axes.set_xlabel("$E$")
         axes.set_ylabel("$k^2$")
@@ -86,7 +79,7 @@ class Diagram:
         text = axes.annotate(self.scene, (E, k_sq), xytext=(6, 0), **look)
         text.set_path_effects([withStroke(linewidth=2.5, foreground="white", alpha=0.8)])
 
-    def _tint(self, axes: Any, point: np.ndarray) -> None:
+    def _tint(self, axes: Any, point: tuple[float, float] | None) -> None:
         """Tint the regions, and write their names and numbers of tori into those that are large enough."""
         from matplotlib.colors import ListedColormap
 
@@ -100,7 +93,7 @@ class Diagram:
             codes, extent=extent, origin="lower", aspect="auto", cmap=ListedColormap(TINTS), vmin=-0.5, vmax=5.5
         )
         free = np.ones(codes.shape, dtype=bool)
-        if self.scene:  # room for its name
+        if point is not None:  # room for the name of the scene
             beside = point[0] - 0.05 * np.ptp(self.energies) < E
             free &= ~(beside & (np.abs(k_sq - point[1]) < 0.12 * np.ptp(self.k_sq)))
         for code, name in enumerate(NAMES[1:], 1):
@@ -127,10 +120,11 @@ def _middles(mask: np.ndarray, free: np.ndarray) -> list[tuple[int, int, float]]
     """
     from scipy.ndimage import distance_transform_edt, label
 
-    parts, count = label(mask)
+    parts: Any
+    parts, count = label(mask)  # type: ignore[misc]
     found = []
     for part in range(1, count + 1):
-        distance = distance_transform_edt(np.pad((parts == part) & free, 1))
+        distance: Any = distance_transform_edt(np.pad((parts == part) & free, 1))
         row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
         found.append((int(row) - 1, int(column) - 1, float(distance[row, column])))
     return found
@@ -155,6 +149,7 @@ class BifurcationFigure(Figure):
 
     def load(self, request: Request) -> Loaded:
         """Return a panel for each scene. Raises UsageError for a scene of another top."""
+        from topcli.analysis.motion.chart import branches, regions
         from topcli.analysis.motion.diagram import REGIONS
         from topcli.config.load import load_experiment
         from topcli.schemes.kowalevski.separation import integrals
@@ -162,18 +157,34 @@ class BifurcationFigure(Figure):
         panels, data = [], {}
         tori = {name: one.tori for name, one in REGIONS.items()}
         for number, window in enumerate(self.windows):
-            two_l, point, name = window.two_l, (np.nan, np.nan), ""
+            two_l, name = window.two_l, ""
             if window.scene:
                 experiment = load_experiment(scene_config(window.scene, request.configs))
                 name = experiment.name
                 if experiment.top.kind != "kowalevski":
                     raise UsageError(f"{self.name}: {name} is of the top {experiment.top.kind}, not kowalevski")
                 of = integrals(experiment.y0, experiment.top.constants()[0])
-                two_l, point = 2.0 * float(of.L), (3.0 * float(of.l1), float(of.k_sq))
-            panel = Diagram(number, two_l, window.energies, window.k_sq, name, tori)
-            panels.append(panel)
-            data |= panel.data(point)
-        return Loaded(tuple(panels), lambda: data, {"panels": [repr(panel) for panel in panels]}, self.layout)
+                two_l = 2.0 * float(of.L)
+                data[f"{number}:scene:E"] = np.array([3.0 * float(of.l1)])
+                data[f"{number}:scene:k_sq"] = np.array([float(of.k_sq)])
+            curves = _curves(two_l, window)
+            for kind, both in curves.items():
+                data |= {f"{number}:{kind}:{axis}": both[i] for i, axis in enumerate(AXES)}
+            panels.append(Diagram(number, two_l, window.energies, window.k_sq, name, tuple(curves), tori))
+        code = fingerprint(regions, branches, _middles, compiled=False)
+        source = {"panels": [repr(panel) for panel in panels], "code": code}
+        return Loaded(tuple(panels), lambda: data, source, self.layout)
+
+
+def _curves(two_l: float, window: Window) -> dict[str, np.ndarray]:
+    """Critical curves of each kind in the window, in the order of the legend: E and k² (2, m), nan between parts."""
+    from topcli.analysis.motion.chart import branches
+
+    parts: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
+    for one in branches(0.5 * two_l, 1.0, window.energies, window.k_sq):
+        if one.kind in parts:
+            parts[one.kind] += [np.array([one.E, one.k_sq]), np.full((2, 1), np.nan)]
+    return {kind: np.hstack(some) for kind, some in parts.items() if some}
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import Grid, Styles
@@ -46,7 +47,6 @@ class TorusPanel:
     separated by nan. The motion begins at the initial state.
     """
 
-    title: str
     elevation: float
     azimuth: float
 
@@ -69,7 +69,6 @@ class TorusPanel:
         _triad(axes, view, depths)
         axes.set_aspect("equal")
         axes.set_axis_off()
-        axes.set_title(self.title)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=4, fontsize=9)
 
 
@@ -135,14 +134,8 @@ def _facets(axes: Any, fine: np.ndarray, view: np.ndarray) -> None:
     colours = np.clip(SURFACE * (0.62 + 0.40 * diffuse)[:, None] + 0.08 * shine[:, None], 0.0, 1.0)
     flat = corners @ view.T
     order = np.argsort(flat[:, :, 2].mean(axis=1))
-    facets = PolyCollection(
-        flat[order, :, :2],
-        facecolors=colours[order],
-        edgecolors=colours[order],
-        linewidths=0.3,
-        rasterized=True,
-        zorder=2,
-    )
+    look: dict[str, Any] = {"facecolors": colours[order], "edgecolors": colours[order], "linewidths": 0.3}
+    facets = PolyCollection(list(flat[order, :, :2]), rasterized=True, zorder=2, **look)
     axes.add_collection(facets)
     axes.autoscale_view()
 
@@ -197,19 +190,21 @@ class TorusFigure(Figure):
 
     def load(self, request: Request) -> Loaded:
         """Return the panel and the columns. Raises UsageError for a scene of another top or without a torus."""
+        from topcli.analysis.motion.torus import Torus
         from topcli.config.load import load_experiment
 
         experiment = load_experiment(scene_config(self.scene, request.configs))
         if experiment.top.kind != "kowalevski":
             raise UsageError(f"{self.name}: {experiment.name} is of the top {experiment.top.kind}, not kowalevski")
         y, c = tuple(experiment.y0), float(experiment.top.constants()[0])
-        panel = TorusPanel("", self.elevation, self.azimuth)
-        return Loaded(
-            (panel,),
-            lambda: _data(self.name, y, c),
-            {"state": [*y, c], "size": [ROWS, COLUMNS], "projection": PROJECTION.tolist()},
-            self.layout,
-        )
+        panel = TorusPanel(self.elevation, self.azimuth)
+        source = {
+            "state": [*y, c],
+            "size": [ROWS, COLUMNS, COUNT, POINTS, MIDDLE, RETURNS],
+            "projection": PROJECTION.tolist(),
+            "code": fingerprint(Torus.states, Torus.surface, Torus.motion_line, Torus._lines, compiled=False),
+        }
+        return Loaded((panel,), lambda: _data(self.name, y, c), source, self.layout)
 
 
 def _data(name: str, y: tuple[float, ...], c: float) -> dict[str, np.ndarray]:

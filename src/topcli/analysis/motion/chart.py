@@ -74,7 +74,7 @@ def _parabola(L: float, G: float, limits: tuple[float, float], heights: tuple[fl
     """k = |E - 2 L²/G|: the cubic vanishes at e4 (left) or e5 (right)."""
     middle = 2.0 * L * L / G
     for side in (-1.0, 1.0):
-        k = np.linspace(*np.sqrt(heights), POINTS)
+        k = np.linspace(heights[0] ** 0.5, heights[1] ** 0.5, POINTS)
         E = middle + side * k
         inside = (limits[0] <= E) & (limits[1] >= E)
         double = (E / 3.0 - side * k) / 2.0  # e5 right, e4 left
