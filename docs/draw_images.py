@@ -25,6 +25,8 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "fig1": ("plot", "fig1", "--format", "png"),
     "polhodes": ("plot", "polhodes", "--format", "png"),
     "nutation": ("plot", "nutation", "--format", "png"),
+    "bifurcation": ("plot", "bifurcation", "--format", "png"),
+    "torus": ("plot", "torus", "--format", "png"),
     "compare": ("compare", *COMPARED, "--plot"),
     "period": ("plot", "period", "--format", "png"),
     "swings": ("plot", "swings", "--format", "png"),

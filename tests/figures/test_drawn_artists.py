@@ -561,6 +561,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         "work-precision",
         "compare",
         "stress",
+        *("bifurcation", "torus"),  # in test_motion_figures.py
         "order",  # in test_sweep_figures.py
         "error-and-cost",  # in test_integrable_map_figures.py
         "torus-points",

@@ -298,7 +298,7 @@ def interval_at_zeros(y) -> int:
     zeros = np.sort(np.roots([-1, 0, 2 * E, -4 * L, G - k_sq]).real)
     states = reference_states(Kowalevski(), list(y), np.linspace(0.0, 60.0, 30001))
     at = states[np.flatnonzero(np.diff(np.signbit(states[:, 1]))), 0]
-    assert len(at) > 5
+    assert len(at)
     return int(at.mean() > 0.5 * (zeros[1] + zeros[2]))
 
 
@@ -306,7 +306,7 @@ def interval_at_zeros(y) -> int:
 def test_tori_that_shrink_to_motions_of_bobylev_and_steklov() -> None:
     """Exactly those whose interval of omega1 at omega2 = 0 is the one that shrinks."""
     random, seen = np.random.default_rng(0), {True: 0, False: 0}
-    while min(seen.values()) < 2:
+    while min(seen.values()) < 4:
         gamma = random.normal(size=3)
         y = [*(random.normal(size=3) * 10 ** random.uniform(-1, 0.5)), *(gamma / np.linalg.norm(gamma))]
         if order(y) != "5eee4":

@@ -6,6 +6,7 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 from __future__ import annotations
 
 from topcli.errors import UnknownNameError, nearest, quoted
+from topcli.figures.bifurcation import BelowGrid, BifurcationFigure, Window
 from topcli.figures.comparison import ComparisonFigure
 from topcli.figures.contract import Figure
 from topcli.figures.curves import SlopeLegend
@@ -22,6 +23,7 @@ from topcli.figures.sphere import Sphere
 from topcli.figures.stress import StressFigure
 from topcli.figures.sweep import Choice
 from topcli.figures.sweep_studies import SweepStudyFigure, View
+from topcli.figures.torus import TorusFigure
 from topcli.figures.torus_points import TorusPointsFigure
 from topcli.figures.work_precision import WorkPrecisionFigure
 from topcli.studies.swing_period import spacing_law
@@ -128,6 +130,26 @@ FIGURES: dict[str, Figure] = {
                 for name in ("cusps", "loops", "waves")
             ),
             Grid(figsize=(7.0, 2.5)),
+        ),
+        BifurcationFigure(
+            "bifurcation",
+            "Kowalevski top: bifurcation diagrams with the classes of tori, and the scenes",
+            "kowalevski_hk",
+            (
+                Window((-0.9, 4.9), (0.0, 3.0), "kowalevski_generic_hk"),
+                Window((-0.9, 2.9), (0.0, 2.0), "kowalevski_torus"),
+                Window((1.66, 2.06), (0.0, 0.1), two_l=1.85),
+                Window((3.0, 12.5), (0.0, 20.0), "kowalevski_hk"),
+            ),
+            BelowGrid(2, figsize=(7.6, 6.4)),
+        ),
+        TorusFigure(
+            "torus",
+            "Kowalevski top: a torus with the lines of the flows of E and k²",
+            "kowalevski_torus",
+            elevation=32.0,
+            azimuth=165.0,
+            layout=Grid(figsize=(5.4, 4.8)),
         ),
         GrowthFigure(
             "roundoff",

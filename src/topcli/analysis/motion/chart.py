@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from topcli.analysis.motion.diagram import BOBYLEV, DELONE, PERIODIC, PINCH, REGULAR, SEPARATRIX
 from topcli.contracts import Array
 
-POINTS = 4000
+POINTS = 1000
 """Points of a curve."""
 
 
@@ -51,12 +51,14 @@ def regions(E: Array, k_sq: Array, L: float, G: float) -> NDArray[np.int64]:
     return np.where((above < -k) | (largest > e4), 0, found)
 
 
-def branches(L: float, G: float, E: tuple[float, float], k_sq_max: float) -> list[Branch]:
-    """Parts of the critical curves between the energies ``E``, up to ``k_sq_max``, one kind each."""
-    found = [*_parabola(L, G, E, k_sq_max), *_double_root_of_r(L, G, E, k_sq_max)]
-    line = np.linspace(*E, POINTS)
-    exists = np.where(regions(line, np.full(POINTS, 1e-9), L, G) > 0, DELONE, "")
-    return [*found, *_parts(line, np.zeros(POINTS), exists)]
+def branches(L: float, G: float, E: tuple[float, float], k_sq: tuple[float, float]) -> list[Branch]:
+    """Parts of the critical curves between the given energies and k², one kind each."""
+    found = [*_parabola(L, G, E, k_sq), *_double_root_of_r(L, G, E, k_sq)]
+    if k_sq[0] == 0.0:
+        line = np.linspace(*E, POINTS)
+        exists = np.where(regions(line, np.full(POINTS, 1e-9), L, G) > 0, DELONE, "")
+        found += _parts(line, np.zeros(POINTS), exists)
+    return found
 
 
 def _parts(E: Array, k_sq: Array, kinds: NDArray[np.str_]) -> Iterator[Branch]:
@@ -68,11 +70,11 @@ def _parts(E: Array, k_sq: Array, kinds: NDArray[np.str_]) -> Iterator[Branch]:
             yield Branch(str(kinds[begin]), E[begin:upto], k_sq[begin:upto])
 
 
-def _parabola(L: float, G: float, limits: tuple[float, float], k_sq_max: float) -> Iterator[Branch]:
+def _parabola(L: float, G: float, limits: tuple[float, float], heights: tuple[float, float]) -> Iterator[Branch]:
     """k = |E - 2 L²/G|: the cubic vanishes at e4 (left) or e5 (right)."""
-    middle, reach = 2.0 * L * L / G, np.sqrt(k_sq_max)
+    middle = 2.0 * L * L / G
     for side in (-1.0, 1.0):
-        k = np.linspace(0.0, reach, POINTS)
+        k = np.linspace(heights[0] ** 0.5, heights[1] ** 0.5, POINTS)
         E = middle + side * k
         inside = (limits[0] <= E) & (limits[1] >= E)
         double = (E / 3.0 - side * k) / 2.0  # e5 right, e4 left
@@ -89,13 +91,15 @@ def _parabola(L: float, G: float, limits: tuple[float, float], k_sq_max: float) 
         yield from _parts(E, k * k, np.where(inside, kinds, ""))
 
 
-def _double_root_of_r(L: float, G: float, limits: tuple[float, float], k_sq_max: float) -> Iterator[Branch]:
+def _double_root_of_r(
+    L: float, G: float, limits: tuple[float, float], heights: tuple[float, float]
+) -> Iterator[Branch]:
     """E = x² + L/x, k² = G + x⁴ - 2 L x: the cubic has the roots x² - E/3 and twice (E/3 - x²)/2."""
-    reach = 2.0 * max(abs(v) for v in (*limits, k_sq_max, 1.0))
+    reach = 2.0 * max(abs(v) for v in (*limits, *heights, 1.0))
     for sign in (-1.0, 1.0):
         x = sign * np.geomspace(1e-4, reach, 8 * POINTS)
         E, k_sq = x * x + L / x, G + x**4 - 2.0 * L * x
-        inside = (limits[0] <= E) & (limits[1] >= E) & (k_sq >= 0.0) & (k_sq <= k_sq_max)
+        inside = (limits[0] <= E) & (limits[1] >= E) & (heights[0] <= k_sq) & (heights[1] >= k_sq)
         if not inside.any():
             continue
         k, m = np.sqrt(np.maximum(k_sq, 0.0)), E / 3.0

@@ -150,19 +150,18 @@ class Ovals:
         """
         from topcli.schemes.kowalevski.multiprecision import digits, mpc, sqrt
 
-        roots = self.curve.e
-        gap = between(roots)
+        roots, gap = self.curve.e[:3], between(self.curve.e)
         found = self.separated(y, c)
         if len(gap) < 2 or found is None:
             return False
         state, s1, s2 = found
         with digits(DIGITS):
-            factors = [sqrt(s1 - e) * sqrt(s2 - e) for e in roots[:3]]
+            factors = [sqrt(s1 - e) * sqrt(s2 - e) for e in roots]
             lam = [1 / ((roots[i] - roots[i - 1]) * (roots[i] - roots[i - 2])) for i in range(3)]
 
             def missed(signs: Sequence[int]) -> float:
                 terms = [s * v * w for s, v, w in zip(signs, factors, lam, strict=True)]
-                N = 1 + sum(v * (e - self.curve.r2) for v, e in zip(terms, roots[:3], strict=True))
+                N = 1 + sum(v * (e - self.curve.r2) for v, e in zip(terms, roots, strict=True))
                 return float(abs(self.curve.x0 + self.curve.r1 * sum(terms) / N - mpc(state[0], state[1])))
 
             signs = min(product((1, -1), repeat=3), key=missed)
