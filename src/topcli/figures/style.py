@@ -40,7 +40,7 @@ def _installed(key: str, names: list[str], where: str) -> list[str]:
     known = {*get_font_names(), *(font.partition(".")[2] for font in FONTS)}
     found = [name for name in names if name in known]
     if not found:
-        hint = nearest(names[0], known)
+        hint = nearest(names[0], get_font_names())
         hint = hint if hint.startswith("did you mean") else "see matplotlib.font_manager.get_font_names()"
         raise UsageError(f"{where}: {key}: no font {quoted(', '.join(names))} on this machine; {hint}")
     return found
