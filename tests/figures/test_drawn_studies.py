@@ -173,7 +173,7 @@ def test_a_comparison_draws_errors_and_swings() -> None:
     middle = 0.5 * (np.cos(t).min() + np.cos(t).max())
     for i, (height, shift) in enumerate(zip(heights, shifts, strict=True)):
         reference, line = right.lines[2 * i : 2 * i + 2]
-        assert same_color(reference.get_color(), "0.75")
+        assert same_color(reference.get_color(), "0.8")
         assert same_color(line.get_color(), left.lines[i].get_color())
         np.testing.assert_allclose(data_of(reference)[:, 1], np.cos(t) + height - middle, atol=1e-12)
         np.testing.assert_allclose(data_of(line)[:, 1], np.cos(t - shift) + height - middle, atol=1e-12)

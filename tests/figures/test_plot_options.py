@@ -22,7 +22,7 @@ from topcli.figures.make import make_figure
 from topcli.figures.picture import draw, styled
 from topcli.figures.style import read_style
 
-GREY = "0.75"
+GREY = "0.8"
 
 
 def points(line: Any) -> np.ndarray:
