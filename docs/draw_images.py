@@ -23,6 +23,7 @@ SUMMARY = IMAGES / "data.json"
 COMPARED = ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")
 PICTURES: dict[str, tuple[str, ...]] = {
     "fig1": ("plot", "fig1", "--format", "png"),
+    "overlay": ("plot", "fig2", "--overlay", "exact", "--format", "png"),
     "polhodes": ("plot", "polhodes", "--format", "png"),
     "nutation": ("plot", "nutation", "--format", "png"),
     "bifurcation": ("plot", "bifurcation", "--format", "png"),
@@ -37,7 +38,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "work-precision": ("plot", "work-precision", "--format", "png"),
 }
 """The pictures, each with the command that draws it."""
-FILES = {"compare": "compare_kowalevski_hk"}
+FILES = {"compare": "compare_kowalevski_hk", "overlay": "fig2"}
 """File names of figures that are not called as their pictures are."""
 TIMES = ("work-precision", "error-and-cost")
 """Pictures of times, which no other machine repeats: their data have no summary."""

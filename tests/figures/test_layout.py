@@ -13,14 +13,17 @@ from figure_studies import figure_named
 from layout import drawn_texts, layout_faults, smallest_size
 from seen_colours import lines_alike
 from sweep_rows import write_rows
+from topcli.figures.analysis import loaded_analysis
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_comparison
 from topcli.figures.contract import Request
 from topcli.figures.picture import Grid, Line, Panel, draw, styled
 from topcli.figures.roundoff import loaded_roundoff
 from topcli.figures.sweep import Choice, sweep_figure
+from topcli.studies.analyse import Analysis
 from topcli.studies.compare import Comparison
 from topcli.studies.rows import read_rows
+from topcli.tops.kowalevski import Kowalevski
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +148,16 @@ def test_a_heading_and_a_shared_legend_are_apart() -> None:
     assert layout_faults(figure) == []
     (legend,) = figure.legends
     assert len(legend.get_texts()) == 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reference", [True, False])
+def test_the_figure_of_a_series(reference: bool) -> None:
+    top = Kowalevski()
+    t = np.linspace(0.0, 50.0, 300)
+    series = {"t": t, "swing": np.cos(t)} | ({"error": 1e-9 * t, "swing:reference": np.cos(t)} if reference else {})
+    series |= {f"deviation:{one.name}": 10.0 ** (-3.0 * i) * t for i, one in enumerate(top.invariants())}
+    loaded = loaded_analysis(Analysis({"config": {}, "file": "x.csv", "sha256": ""}, series), top)
+    figure = draw(loaded.panels, loaded.data(), loaded.layout)
+    assert layout_faults(figure) == []
+    assert lines_alike(figure) == []

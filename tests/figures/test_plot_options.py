@@ -22,7 +22,7 @@ from topcli.figures.make import make_figure
 from topcli.figures.picture import draw, styled
 from topcli.figures.style import read_style
 
-GREY = "0.75"
+GREY = "0.8"
 
 
 def points(line: Any) -> np.ndarray:
@@ -185,6 +185,14 @@ def test_a_style_replaces_the_print_style_and_the_figure_is_drawn_again(tmp_path
         ("backend: agg", ":1: backend is not part of a style; remove the line"),
         ("figure.figsize: 3", ":1: figure.figsize: Expected 2 values"),
         ("axes.prop_cycle: cycler('linestyle', ['-', ':'])", ":1: axes.prop_cycle: a cycle without colours"),
+        (
+            "font.serif: Nope, Noper",
+            ":1: font.serif: no font 'Nope, Noper' on this machine; see matplotlib.font_manager",
+        ),
+        (
+            "font.family: DejaVu Sanz",
+            ":1: font.family: no font 'DejaVu Sanz' on this machine; did you mean 'DejaVu Sans'",
+        ),
         ("axes.prop_cycle: cycler('color', [", ":1: axes.prop_cycle: "),
     ],
 )
@@ -205,6 +213,12 @@ def test_a_style_that_cannot_be_read(tmp_path: Path, content: bytes | None, reas
     path.mkdir() if content is None else path.write_bytes(content)
     with pytest.raises(UsageError, match=reason):
         read_style(path)
+
+
+def test_fonts_of_a_style_that_are_missing_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "fonts.mplstyle"
+    path.write_text("font.family: serif\nfont.serif: Nope, DejaVu Serif\n", encoding="utf-8")
+    assert read_style(path) == {"font.family": ["serif"], "font.serif": ["DejaVu Serif"]}
 
 
 @pytest.mark.slow

@@ -35,3 +35,14 @@ def test_a_figure_reads_the_scenes_that_its_columns_name() -> None:
     assert list(sources) == ["lagrange_cusps", "lagrange_loops", "lagrange_waves"]
     assert sources["lagrange_loops"] == {f"a{i}": f"lagrange_loops:a{i}" for i in (1, 2, 3)}
     assert find_figure("fig3").sources == {"kowalevski_bohlin_a": {"t": "t", "energy": "energy", "two_l": "two_l"}}
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_dots_are_a_unit_of_time_apart(direction: float) -> None:
+    """From the start on, forwards and backwards in time."""
+    t = direction * np.linspace(0.0, 3.0, 31)
+    circle = {"t": t, "x": np.cos(t), "y": np.sin(t), "z": 0.0 * t}
+    axes = draw([Sphere("equator", ("x", "y", "z"), elevation=90.0, time="t")], circle).axes[0]
+    dots = [line for line in axes.lines if line.get_marker() == "."]
+    shown = np.array(sorted(float(x) for line in dots for x in np.asarray(line.get_xdata())))
+    np.testing.assert_allclose(shown, sorted(direction * np.sin([0.0, 1.0, 2.0, 3.0])), atol=1e-12)

@@ -68,6 +68,8 @@ class GrowthPanel:
 
     def _guide(self, axes: Any, data: Mapping[str, np.ndarray], corner: float, high: float) -> None:
         """Draw the guide lines from ``corner``, labelled below ``high``."""
+        from matplotlib.patheffects import withStroke
+
         n = data[self.steps]
         for power, label in ((0.5, r"$\epsilon\sqrt{N}$"), (1.0, r"$\propto N$")):
             axes.plot(n, corner * (n / n[0]) ** power, color="0.75", linestyle="-", linewidth=0.9, zorder=1.0)
@@ -76,7 +78,8 @@ class GrowthPanel:
             near = int(np.argmin(np.abs(np.log(n / last))))
             crowded = any(1.0 < data[column][near] / at[1] < CROWDED for column, _ in self.lines)
             place: dict[str, Any] = {"xytext": (-2, -6), "va": "top"} if crowded else {"xytext": (-2, 3)}
-            axes.annotate(label, at, textcoords="offset points", ha="right", color="0.5", **place)
+            text = axes.annotate(label, at, textcoords="offset points", ha="right", color="0.5", **place)
+            text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
 
     def _label(self, axes: Any, ends: list[tuple[float, str, str]], x: float) -> None:
         """Label the lines at the right of the axes, moved apart if labels would overlap."""

@@ -231,7 +231,7 @@ def _styles(labels: Sequence[str]) -> Styles:
     """Line style of each label: the same for equal labels, different for different ones."""
     different = dict.fromkeys(label for label in labels if label != REFERENCE)
     styles = dict(zip(different, line_styles(len(different)), strict=True))
-    return {**styles, REFERENCE: {"color": "0.75", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}}
+    return {**styles, REFERENCE: {"color": "0.8", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}}
 
 
 @dataclass(frozen=True)

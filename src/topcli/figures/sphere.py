@@ -111,8 +111,9 @@ def _axis(axes: Any, view: Array, i: int, name: str) -> None:
 
 def _time_dots(axes: Any, view: Array, points: Array, times: Array) -> None:
     """Draw small dots at every unit of time, of which those on the far side are lighter."""
-    units = np.arange(math.ceil(times[0]), math.floor(times[-1]) + 1)
-    right, up, towards = view @ points[np.searchsorted(times, units - 1e-9)].T
+    elapsed = np.abs(times - times[0])
+    units = np.arange(math.floor(elapsed[-1] + 1e-9) + 1)
+    right, up, towards = view @ points[np.searchsorted(elapsed, units - 1e-9)].T
     for colour, mask, level in ((TRACE_FAR, towards < 0.0, 6), (TRACE, towards >= 0.0, 16)):
         axes.plot(right[mask], up[mask], linestyle="none", marker=".", markersize=4.5, color=colour, zorder=level)
 

@@ -8,6 +8,9 @@ from typing import Any
 
 from topcli.errors import UsageError, clipped, nearest, quoted
 
+FONTS = ("font.family", "font.serif", "font.sans-serif", "font.monospace", "font.cursive", "font.fantasy")
+"""Parameters that are lists of fonts; those that are missing would be replaced without a word in the picture."""
+
 
 def read_style(path: Path) -> dict[str, Any]:
     """Return the parameters of a style file (``key: value`` lines) by their names.
@@ -27,6 +30,19 @@ def read_style(path: Path) -> dict[str, Any]:
         if text:
             key, value = _parameter(text, f"--style {path}:{number}")
             found[key] = value
+    return found
+
+
+def _installed(key: str, names: list[str], where: str) -> list[str]:
+    """The fonts of a list that this machine has. Raises UsageError if there are none."""
+    from matplotlib.font_manager import get_font_names
+
+    known = {*get_font_names(), *(font.partition(".")[2] for font in FONTS)}
+    found = [name for name in names if name in known]
+    if not found:
+        hint = nearest(names[0], get_font_names())
+        hint = hint if hint.startswith("did you mean") else "see matplotlib.font_manager.get_font_names()"
+        raise UsageError(f"{where}: {key}: no font {quoted(', '.join(names))} on this machine; {hint}")
     return found
 
 
@@ -66,4 +82,4 @@ def _parameter(text: str, where: str) -> tuple[str, Any]:
         raise UsageError(f"{where}: {key}: {clipped(reason)}") from error
     if key == "axes.prop_cycle" and "color" not in checked.keys:
         raise UsageError(f"{where}: {key}: a cycle without colours; add cycler('color', [...])")
-    return key, checked
+    return key, _installed(key, checked, where) if key in FONTS else checked
