@@ -16,23 +16,44 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from topcli.analysis.ensemble import Ensemble as Ensemble
     from topcli.analysis.trajectory import Trajectory as Trajectory
+    from topcli.api.comparisons import compare as compare
+    from topcli.api.orders import order as order
+    from topcli.api.runs import run as run
+    from topcli.api.stresses import stress as stress
+    from topcli.api.sweeps import sweep as sweep
     from topcli.schemes.registry import scheme as scheme
     from topcli.studies.measures import measure as measure
     from topcli.studies.simulate import simulate as simulate
     from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
-    from topcli.studies.sweep.frame import sweep as sweep
 
 __version__ = "0.1.0"
-__all__ = ["Ensemble", "Trajectory", "__version__", "measure", "scheme", "simulate", "simulate_ensemble", "sweep"]
+__all__ = [
+    "Ensemble",
+    "Trajectory",
+    "__version__",
+    "compare",
+    "measure",
+    "order",
+    "run",
+    "scheme",
+    "simulate",
+    "simulate_ensemble",
+    "stress",
+    "sweep",
+]
 
 _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
     "Trajectory": "topcli.analysis.trajectory",
+    "compare": "topcli.api.comparisons",
     "measure": "topcli.studies.measures",
+    "order": "topcli.api.orders",
+    "run": "topcli.api.runs",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.studies.simulate",
     "simulate_ensemble": "topcli.studies.simulate_ensemble",
-    "sweep": "topcli.studies.sweep.frame",
+    "stress": "topcli.api.stresses",
+    "sweep": "topcli.api.sweeps",
 }
 
 
