@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +24,7 @@ from topcli.api.report import SUFFIXES, Report
 from topcli.api.runs import RunReport
 from topcli.api.stresses import StressReport
 from topcli.api.sweeps import SweepReport
-from topcli.errors import ConfigError, UnknownNameError, UsageError
+from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
 from topcli.store.series import read_series
 
 CONFIG = {**BASE, "name": "one", "scheme": "hk"}
@@ -309,9 +310,14 @@ def test_a_file_of_another_type_is_refused_and_an_earlier_one_is_kept(run: RunRe
         run.save(tmp_path / "run.xlsx")
     path = tmp_path / "run.csv"
     path.write_text("mine")
+
+    def full(table: pd.DataFrame, target: Path) -> None:
+        target.write_text("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
     with pytest.MonkeyPatch.context() as broken:
-        broken.setattr(pd.DataFrame, "to_csv", lambda *arguments: (_ for _ in ()).throw(OSError(28, "full")))
-        with pytest.raises(Exception, match="no space left"):
+        broken.setattr(pd.DataFrame, "to_csv", full)
+        with pytest.raises(RunError, match=r"run\.csv: no space left on the device; nothing was written"):
             run.save(path)
     assert path.read_text() == "mine"
     assert [one.name for one in tmp_path.iterdir()] == ["run.csv"]
