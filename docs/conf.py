@@ -1,4 +1,4 @@
-"""Sphinx settings of the documentation: MyST pages, the pydata theme, formulas by a bundled MathJax."""
+"""Sphinx settings of the documentation: MyST pages and notebooks, the pydata theme, formulas by a bundled MathJax."""
 
 import sys
 from importlib.metadata import version as version_of
@@ -17,7 +17,7 @@ copyright = author
 version = release = version_of("topcli")
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.mathjax",
@@ -26,7 +26,10 @@ extensions = [
 autodoc_typehints = "none"
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build"]
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+exclude_patterns = ["_build", "**.ipynb_checkpoints"]
 
 html_theme = "pydata_sphinx_theme"
 html_title = "topcli"

@@ -17,13 +17,17 @@ if TYPE_CHECKING:
     from topcli.analysis.ensemble import Ensemble as Ensemble
     from topcli.analysis.motion.result import Motion as Motion
     from topcli.analysis.trajectory import Trajectory as Trajectory
+    from topcli.api.comparisons import compare as compare
+    from topcli.api.orders import order as order
+    from topcli.api.runs import run as run
+    from topcli.api.stresses import stress as stress
+    from topcli.api.sweeps import sweep as sweep
     from topcli.schemes.registry import scheme as scheme
     from topcli.studies.claims.decide import claims as claims
     from topcli.studies.measures import measure as measure
     from topcli.studies.motion import motion as motion
     from topcli.studies.simulate import simulate as simulate
     from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
-    from topcli.studies.sweep.frame import sweep as sweep
 
 __version__ = "0.1.0"
 __all__ = [
@@ -32,11 +36,15 @@ __all__ = [
     "Trajectory",
     "__version__",
     "claims",
+    "compare",
     "measure",
     "motion",
+    "order",
+    "run",
     "scheme",
     "simulate",
     "simulate_ensemble",
+    "stress",
     "sweep",
 ]
 
@@ -45,12 +53,16 @@ _HOMES = {
     "Motion": "topcli.analysis.motion.result",
     "Trajectory": "topcli.analysis.trajectory",
     "claims": "topcli.studies.claims.decide",
+    "compare": "topcli.api.comparisons",
     "measure": "topcli.studies.measures",
     "motion": "topcli.studies.motion",
+    "order": "topcli.api.orders",
+    "run": "topcli.api.runs",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.studies.simulate",
     "simulate_ensemble": "topcli.studies.simulate_ensemble",
-    "sweep": "topcli.studies.sweep.frame",
+    "stress": "topcli.api.stresses",
+    "sweep": "topcli.api.sweeps",
 }
 
 

@@ -131,7 +131,7 @@ def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_c
     said = cli("report", "long", "--out", "page.html")
     assert said.code == 0
     page = read_html((in_tmp / "page.html").read_text())
-    assert page.with_class("badge")[0].text == "unfinished"
+    assert page.with_class("outcome")[0].text == "unfinished"
     (box,) = page.with_class("missing")
     assert "of 5000, its last checkpoint; topcli run with --resume continues from there" in box.text
     assert "name: long" in section_of(page, "Resolved config").text
@@ -150,7 +150,7 @@ def test_an_interrupted_run_says_which_rows_are_missing(cli: Cli, in_tmp: Path, 
     step = json.loads((in_tmp / "results" / "long" / "manifest.json").read_text())["step"]
     assert cli("report", "long", "--out", "page.html").code == 0
     page = read_html((in_tmp / "page.html").read_text())
-    assert page.with_class("badge")[0].text == "interrupted"
+    assert page.with_class("outcome")[0].text == "interrupted"
     assert f"rows after step {step} of 5000: the run was interrupted" in page.with_class("missing")[0].text
 
 

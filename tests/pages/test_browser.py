@@ -48,7 +48,7 @@ def extreme(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Facts(LONG, [(LONG, LONG), ("h", "0.1")]),
         Table("wide", [f"column {i}" for i in range(40)], cells),
         Table("long", ["a", "b"], [[LONG, LONG]], LONG),
-        Text("config", [LONG]),
+        Text("config", [LONG, *(f"line {i}" for i in range(100))]),
         Notes("notes", [LONG]),
     ]
     path = tmp_path_factory.mktemp("extreme") / "page.html"
@@ -107,6 +107,14 @@ def test_tables_and_pictures_fit_on_paper(browser: Browser, page: Path) -> None:
         pdf = seen.page.pdf(format="A4")
     assert pdf.startswith(b"%PDF")
     assert 8 < pdf.count(b"/Type /Page\n") < 40
+
+
+def test_nothing_of_a_long_text_is_cut_off_on_paper(browser: Browser, extreme: Path) -> None:
+    cut = "e => [e.scrollHeight - e.clientHeight, e.scrollWidth - e.clientWidth]"
+    with browser.visit(extreme, PAPER, media="print") as seen:
+        assert seen.page.locator("pre").first.evaluate(cut) == [0, 0]
+    with browser.visit(extreme, PAPER) as seen:
+        assert min(seen.page.locator("pre").first.evaluate(cut)) > 100, "on a screen it scrolls"
 
 
 def test_a_wide_table_scrolls_within_itself_by_keyboard(browser: Browser, extreme: Path) -> None:

@@ -85,7 +85,7 @@ def test_every_number_of_a_run_is_that_of_its_report(results: Path) -> None:
     facts = {one.all("dt")[0].text: one.all("dd")[0].text for one in section_of(page, "Setup").all("div")}
     assert (facts["step size h"], facts["steps N"], facts["time N h"]) == ("0.01", "400", "4")
     assert float(facts["initial gamma"].split(", ")[0]) == pytest.approx(np.sqrt(1.0 - 0.01), abs=1e-15)
-    assert page.with_class("badge")[0].text == "completed"
+    assert page.with_class("outcome")[0].text == "completed"
 
 
 @pytest.mark.slow
@@ -280,7 +280,7 @@ def test_a_damaged_run_says_what_is_missing_and_shows_the_rest(
 ) -> None:
     spoil(copied / "one")
     page = shown(copied, "one")
-    assert page.with_class("badge")[0].text == "damaged"
+    assert page.with_class("outcome")[0].text == "damaged"
     (box,) = page.with_class("missing")
     for part in missing:
         assert any(part in line for line in texts(box)), (part, texts(box))
@@ -294,7 +294,7 @@ def test_an_intact_run_misses_nothing(results: Path) -> None:
     """Control of the previous test."""
     page = shown(results, "one")
     assert not page.with_class("missing")
-    assert page.with_class("badge")[0].text == "completed"
+    assert page.with_class("outcome")[0].text == "completed"
 
 
 @pytest.mark.slow
@@ -346,7 +346,7 @@ def test_an_unfinished_sweep_says_which_rows_are_missing(copied: Path) -> None:
     (box,) = page.with_class("missing")
     assert "2 of 8 rows, which have not run yet" in box.text
     assert "topcli sweep continues it" in box.text
-    assert page.with_class("badge")[0].text == "unfinished"
+    assert page.with_class("outcome")[0].text == "unfinished"
 
 
 @pytest.mark.slow
@@ -354,7 +354,7 @@ def test_an_unfinished_sweep_says_which_rows_are_missing(copied: Path) -> None:
 def test_failed_entries_are_marked(tmp_path: Path) -> None:
     store_run(tmp_path, "explodes", "rk2", h=0.9, N=4000)
     page = shown(tmp_path, "explodes")
-    state = page.with_class("badge")[0]
+    state = page.with_class("outcome")[0]
     assert state.text in ("blew_up", "left_motion")
     assert "bad" in state.attributes["class"]
 

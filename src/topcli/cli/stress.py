@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, Schemes, load_scheme_files, top_option
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, on_terminal, print_json, print_table, say
-
-if TYPE_CHECKING:
-    from topcli.schemes.registry import Scheme
 
 MARKS = {"held": "·", "degraded": "o", "broke": "X", "not tried": " "}
 SHOWN = 40
@@ -72,18 +68,6 @@ def _summary(data: dict[str, Any]) -> str:
     return ", ".join(counts) + (f"; {limits} of the failures are declared limits" if limits else "")
 
 
-def _require_options(options: Iterable[str], schemes: Iterable[Scheme]) -> None:
-    """Raise UsageError for an option that none of the schemes has."""
-    from topcli.errors import UsageError, nearest, shortened
-
-    known = {name for scheme in schemes for name in scheme.options.model_fields}
-    for key in options:
-        if key not in known:
-            raise UsageError(
-                f"--set scheme.{shortened(key)}: none of the schemes has this option; {nearest(key, known)}"
-            )
-
-
 def _print_study(data: dict[str, Any], files: list[str], verbose: bool) -> None:
     """Print the outcomes of all trials and the files written."""
     trials = data["trials"]
@@ -136,13 +120,13 @@ def stress(
     """
     from topcli.store.run_folder import require_writable
     from topcli.studies.stress.record import stress_data, stress_source, write_stress
-    from topcli.studies.stress.suite import chosen
+    from topcli.studies.stress.suite import chosen, require_options
     from topcli.studies.stress.suite import stress as run_stress
 
     load_scheme_files(scheme_files)
     options = _options(sets or [])
     used, _ = chosen(schemes or (), cases or (), top)
-    _require_options(options, used)
+    require_options(options, used)
     whole = not (schemes or cases or top or options)
     if whole:
         require_writable(out)

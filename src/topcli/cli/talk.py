@@ -11,11 +11,11 @@ import os
 import shutil
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, TextIO
 
+from topcli.api.progress import PATIENCE, Bar, Pace, percent, plain_console, spell_seconds
 from topcli.cli.tables import table_lines
 from topcli.errors import TopcliError, clipped, printable
 
@@ -151,42 +151,6 @@ def print_table(
         print(line)
 
 
-def spell_seconds(seconds: float) -> str:
-    """Text of a duration: 42 s, 3:05 min, 7:03:20 h or 12 d 3 h."""
-    whole = round(seconds)
-    minutes, hours, days = whole // 60, whole // 3600, whole // 86400
-    if whole < 100:
-        return f"{whole} s"
-    if hours < 1:
-        return f"{minutes}:{whole % 60:02d} min"
-    return f"{hours}:{minutes % 60:02d}:{whole % 60:02d} h" if days < 2 else f"{days} d {hours % 24} h"
-
-
-def _percent(done: int, total: int) -> str:
-    """Percentage done, rounded down so that 100% means completed."""
-    return f"{1000 * done // total / 10:.1f}%"
-
-
-class _Pace:
-    """Rate over the last half minute, and the time left at that rate."""
-
-    def __init__(self, unit: str) -> None:
-        self._unit = unit
-        self._seen: deque[tuple[float, int]] = deque(maxlen=32)
-
-    def add(self, now: float, done: int) -> None:
-        if not self._seen or now - self._seen[-1][0] >= 1.0:
-            self._seen.append((now, done))
-
-    def text(self, now: float, done: int, total: int) -> str:
-        """``5.98e+07 steps/s, 3:05 min left``, or an empty text if the rate is not known yet."""
-        began, before = self._seen[0]
-        if done <= before or now <= began:
-            return ""
-        rate = (done - before) / (now - began)
-        return f"{rate:.3g} {self._unit}/s, {spell_seconds((total - done) / rate)} left"
-
-
 class ProgressDisplay:
     """Progress of several runs: a bar on a terminal, occasional lines in a log.
 
@@ -201,15 +165,14 @@ class ProgressDisplay:
         self._note = ""
         self._index, self._name = 0, ""
         self._began = self._reported = clock()
-        self._pace = _Pace(self._unit)
-        self._bar: Any = None
-        self._task: Any = None
+        self._pace = Pace(self._unit)
+        self._bar: Bar | None = None
 
     def begin(self, name: str) -> None:
         """Begin the next run."""
         self._index, self._name = self._index + 1, name
         self._began = self._reported = self._clock()
-        self._pace = _Pace(self._unit)
+        self._pace = Pace(self._unit)
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show that ``done`` of ``total`` steps of this run are done, and a ``note`` behind it."""
@@ -218,7 +181,7 @@ class ProgressDisplay:
         self._note = f", {note}" if note else ""
         now = self._clock()
         self._pace.add(now, done)
-        if now - self._began < 0.5:
+        if now - self._began < PATIENCE:
             return
         try:
             self._show(now, done, total)
@@ -233,31 +196,16 @@ class ProgressDisplay:
         elif now - self._reported > min(max(15.0, 0.2 * (now - self._began)), 600.0):
             self._reported = now
             pace = self._pace.text(now, done, total)
-            say(
-                f"{label}: {_percent(done, total)}, {done} of {total} {self._unit}{', ' * bool(pace)}{pace}{self._note}"
-            )
+            say(f"{label}: {percent(done, total)}, {done} of {total} {self._unit}{', ' * bool(pace)}{pace}{self._note}")
 
     def _show_bar(self, label: str, now: float, done: int, total: int) -> None:
         if self._bar is None:
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn
-
-            self._bar = Progress(
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                TextColumn("{task.fields[percent]}  {task.fields[pace]}", markup=False),
-                console=Console(stderr=True, markup=False, emoji=False, highlight=False),
-                transient=True,
-            )
-            self._bar.start()
-            self._task = self._bar.add_task(label, percent="", pace="")
-        pace = self._pace.text(now, done, total) + self._note
-        percent = _percent(done, total)
-        self._bar.update(self._task, description=label, completed=done, total=total, percent=percent, pace=pace)
+            self._bar = Bar(plain_console(stderr=True), label)
+        self._bar.show(label, done, total, self._pace.text(now, done, total) + self._note)
 
     def close(self) -> None:
         """Remove the display."""
         if self._bar is not None:
             with contextlib.suppress(OSError):
-                self._bar.stop()
+                self._bar.close()
             self._bar = None

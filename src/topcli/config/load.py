@@ -97,12 +97,20 @@ def load_named(
             raise UsageError(f"--name {quoted(name)}: {override_label(given)} names the run too; keep one of them")
         if fault := name_fault(name):
             raise UsageError(f"--name {fault}")
-    found = load_any(source, overrides, None if name is None else {"name": name})
-    if name is not None or given is not None or not overrides:
+    return load_changed(source, overrides, {} if name is None else {"name": name})
+
+
+def load_changed(
+    source: Path | str, overrides: Sequence[str] = (), changes: Changes = None
+) -> Experiment | EnsembleExperiment:
+    """Load an experiment or ensemble, renamed if ``changes`` or ``overrides`` change it without naming it."""
+    found = load_any(source, overrides, changes)
+    named = "name" in (changes or {}) or any(parse_override(text)[0] == ("name",) for text in overrides)
+    if named or not (overrides or changes):
         return found
     try:
         base = load_any(source).digest
-    except TopcliError:  # the overrides complete or correct it
+    except TopcliError:  # the changes complete or correct it
         base = ""
     return found if found.digest == base else found.renamed(changed_name(found.name, found.digest))
 

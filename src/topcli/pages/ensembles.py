@@ -19,11 +19,12 @@ MOST_POINTS = 60
 """Points of a curve of quantiles."""
 
 
-def ensemble_blocks(chapter: Chapter, folder: Path, report: dict[str, Any], name: str) -> None:
-    """Add the blocks of an ensemble, whose tables are in ``folder``."""
+def ensemble_blocks(chapter: Chapter, folder: Path, report: dict[str, Any], name: str | None) -> None:
+    """Add the blocks of an ensemble, whose tables are in ``folder``; without a ``name`` no pictures."""
     chapter.attempt("invariants", lambda: _table(report))
     chapter.attempt("outcomes", lambda: _outcomes(report))
-    chapter.attempt("distribution", lambda: _distribution(folder, report, name))
+    if name:
+        chapter.attempt("distribution", lambda: _distribution(folder, report, name))
 
 
 def _table(report: dict[str, Any]) -> Table:
@@ -54,11 +55,15 @@ def quantile_curves(deviations: Mapping[str, Sequence[float]]) -> tuple[CurvePan
     return (panel if drawn else CurvePanel(tuple(deviations), panel.xlabel, panel.ylabel, False, LINEAR)), data
 
 
-def _distribution(folder: Path, report: Mapping[str, Any], name: str) -> Pictures:
-    rows = report["invariants"]
+def stored_quantiles(folder: Path, report: Mapping[str, Any]) -> tuple[CurvePanel, dict[str, np.ndarray]]:
+    """``quantile_curves`` of the ensemble in ``folder``. Raises RunError if its table is damaged."""
     path = next(iter(sorted(folder.glob("trajectories.*"))), folder / "trajectories.parquet")
-    columns = {plain(str(row["symbol"])): f"{row['name']}_max_deviation" for row in rows}
+    columns = {plain(str(row["symbol"])): f"{row['name']}_max_deviation" for row in report["invariants"]}
     table = read_series(path, list(columns.values()))
-    panel, data = quantile_curves({symbol: table[column].tolist() for symbol, column in columns.items()})
+    return quantile_curves({symbol: table[column].tolist() for symbol, column in columns.items()})
+
+
+def _distribution(folder: Path, report: Mapping[str, Any], name: str) -> Pictures:
+    panel, data = stored_quantiles(folder, report)
     caption = "largest deviation of each invariant: the value that a given fraction of the trajectories stays below"
     return Pictures("Pictures", [Picture(svg_of(panel, data, f"{name}-quantiles", caption), caption)])

@@ -16,7 +16,7 @@ SUFFIXES = (".html", ".htm")
 
 
 @dataclass(frozen=True)
-class Report:
+class Page:
     """A page on results: its ``chapters`` and its ``text`` as HTML."""
 
     chapters: Sequence[Chapter]
@@ -29,12 +29,12 @@ def require_html(path: Path) -> None:
         raise UsageError(f"--out {path}: unknown type of page; use a name ending in .html")
 
 
-def page_of(chapters: Sequence[Chapter], title: str | None = None) -> Report:
+def page_of(chapters: Sequence[Chapter], title: str | None = None) -> Page:
     """Page on ``chapters``, after comparisons of the runs among them that share a top."""
     whole = [*comparison_of(chapters), *chapters]
-    return Report(whole, rendered(whole, title or ", ".join(chapter.title for chapter in chapters)))
+    return Page(whole, rendered(whole, title or ", ".join(chapter.title for chapter in chapters)))
 
 
-def report_page(places: Sequence[str], results: Path = Path("results"), title: str | None = None) -> Report:
+def report_page(places: Sequence[str], results: Path = Path("results"), title: str | None = None) -> Page:
     """Page on the results that ``places`` name: paths, or names of folders in ``results``. Raises UsageError."""
     return page_of(all_chapters(places, results), title)

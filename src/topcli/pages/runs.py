@@ -28,8 +28,8 @@ DAMAGED = "damaged"
 UNFINISHED = "unfinished"
 
 
-def run_chapter(run: StoredRun, name: str) -> Chapter:
-    """Chapter on a finished or interrupted run; ``name`` is unique within the page."""
+def run_chapter(run: StoredRun, name: str | None) -> Chapter:
+    """Chapter on a finished or interrupted run; ``name`` is unique within the page, None leaves out pictures."""
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "ensemble" if manifest.get("kind") == "ensemble" else "run")
     chapter.state, chapter.message = run.outcome.value, value_text(manifest.get("message", ""))
@@ -104,7 +104,7 @@ def _report(chapter: Chapter, folder: Path) -> dict[str, Any]:
 
 
 def _fill(
-    chapter: Chapter, folder: Path, manifest: Mapping[str, Any], report: dict[str, Any], series: Path, name: str
+    chapter: Chapter, folder: Path, manifest: Mapping[str, Any], report: dict[str, Any], series: Path, name: str | None
 ) -> None:
     """Add all blocks that the files in ``folder`` allow, from the setup to the citation."""
     config = manifest["config"]
@@ -118,7 +118,7 @@ def _fill(
         else:
             chapter.attempt("invariants", lambda: _invariants(report))
             chapter.attempt("verdicts", lambda: _verdicts(report))
-    if chapter.kind != "ensemble":
+    if chapter.kind != "ensemble" and name:
         h = config.get("h", report.get("h", 1.0))
         chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))
     chapter.attempt("config", lambda: _config(config, folder))

@@ -39,13 +39,16 @@ def _about(chapter: Chapter, data: Mapping[str, Any]) -> None:
     chapter.attempt("citation", lambda: citation_block([experiment], version))
 
 
-def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], name: str) -> Chapter:
-    """Chapter on a comparison of schemes; without ``series`` it has no pictures."""
+def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], name: str | None) -> Chapter:
+    """Chapter on a comparison of schemes.
+
+    ``name`` is unique within the page; None leaves out pictures, which need ``series``.
+    """
     chapter = Chapter("Comparison", "comparison")
     chapter.attempt("comparison", lambda: _compared(chapter, figures))
-    if series:
+    if series and name:
         chapter.attempt("pictures", lambda: _comparison_pictures(figures, series, name))
-    elif figures.get("kind") != "ensemble":
+    elif name and figures.get("kind") != "ensemble":
         chapter.missing.append("pictures: the series are not in this file; topcli compare with --save stores them")
     _about(chapter, figures)
     return chapter
@@ -88,11 +91,12 @@ def _comparison_pictures(figures: dict[str, Any], series: Mapping[str, Array], n
     )
 
 
-def order_chapter(study: dict[str, Any], name: str) -> Chapter:
-    """Chapter on a study of orders of convergence."""
+def order_chapter(study: dict[str, Any], name: str | None) -> Chapter:
+    """Chapter on a study of orders; ``name`` is unique within the page, None leaves out pictures."""
     chapter = Chapter("Orders of convergence", "order")
     chapter.attempt("orders", lambda: _orders(chapter, study))
-    chapter.attempt("pictures", lambda: _order_picture(study, name))
+    if name:
+        chapter.attempt("pictures", lambda: _order_picture(study, name))
     chapter.attempt("errors", lambda: _errors(study))
     chapter.attempt("notes", lambda: _order_notes(study))
     _about(chapter, study)

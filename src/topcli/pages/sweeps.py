@@ -28,8 +28,11 @@ MOST_CURVES = 12
 SIZE = (5.6, 3.2)
 
 
-def sweep_chapter(folder: Path, name: str) -> Chapter:
-    """Chapter on the sweep in ``folder``, finished or not; ``name`` is unique within the page."""
+def sweep_chapter(folder: Path, name: str | None) -> Chapter:
+    """Chapter on the sweep in ``folder``, finished or not.
+
+    ``name`` is unique within the page; None leaves out pictures.
+    """
     chapter = Chapter(folder.name, "sweep", "rows of a sweep")
     stored = stored_sweep(folder)
     _state(chapter, stored)
@@ -41,7 +44,8 @@ def sweep_chapter(folder: Path, name: str) -> Chapter:
     total = _planned(folder)
     if rows is not None:
         _outcomes(chapter, rows, total)
-        chapter.attempt("pictures", lambda: sweep_pictures(rows, name))
+        if name:
+            chapter.attempt("pictures", lambda: sweep_pictures(rows, name))
         chapter.attempt("rows", lambda: rows_table(rows))
     chapter.attempt("sweep file", lambda: text_block("Sweep file", (folder / SWEEP_FILE).read_text(encoding="utf-8")))
     if stored is not None:

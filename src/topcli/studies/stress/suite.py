@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,6 +109,16 @@ def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tup
             f"none of the schemes {shortened(', '.join(schemes))} has one of the cases; see topcli list cases"
         )
     return used, wanted
+
+
+def require_options(options: Iterable[str], schemes: Iterable[Scheme]) -> None:
+    """Raise UsageError for an option that none of the schemes has."""
+    known = {name for scheme in schemes for name in scheme.options.model_fields}
+    for key in options:
+        if key not in known:
+            raise UsageError(
+                f"--set scheme.{shortened(key)}: none of the schemes has this option; {nearest(key, known)}"
+            )
 
 
 def _names_for(fits: Collection[str]) -> list[str]:

@@ -1,0 +1,234 @@
+"""``topcli.run``: run an experiment or ensemble into a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from topcli.api.progress import Progress
+from topcli.api.report import Report, painted
+from topcli.config.duration import changed
+from topcli.config.ensemble import EnsembleExperiment
+from topcli.config.load import any_from, load_changed
+from topcli.config.models import Experiment
+from topcli.contracts import Outcome
+from topcli.errors import UsageError, nearest, quoted
+from topcli.studies.run import Feedback, RunResult, run_experiment
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from topcli.pages.contents import Chapter
+
+
+@dataclass(frozen=True, repr=False)
+class RunReport(Report):
+    """Report on a run or ensemble in a folder, as ``topcli.run`` returns it.
+
+    ``report[name]`` is a column of the stored series by name.
+
+    Attributes
+    ----------
+    result : RunResult
+        Folder with its manifest, the content of ``report.json``, and the status of the call.
+    table : pandas.DataFrame
+        A row for each invariant, indexed by its name: deviations, drift, verdict; of an ensemble, quantiles over the
+        trajectories.
+    """
+
+    result: RunResult
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run."""
+        return self.result.stored.folder
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the run; of an ensemble, that of the first trajectory that failed."""
+        return self.result.outcome
+
+    @property
+    def status(self) -> str:
+        """``"ran"``, ``"resumed"`` or ``"up to date"``."""
+        return self.result.status
+
+    @property
+    def is_ensemble(self) -> bool:
+        """True for an ensemble."""
+        return self.result.report.get("kind") == "ensemble"
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """DataFrame of the invariants, one row each, indexed by name."""
+        import pandas as pd
+
+        rows = []
+        for row in self.result.report["invariants"]:
+            measures = {key: value for key, value in row.items() if isinstance(value, dict)}
+            plain = {key: value for key, value in row.items() if key not in measures}
+            rows.append(plain | {f"{key}, {one}": x for key, found in measures.items() for one, x in found.items()})
+        return pd.DataFrame(rows).set_index("name")
+
+    @property
+    def series(self) -> pd.DataFrame:
+        """DataFrame of all stored rows. Raises RunError if the file is damaged."""
+        import pandas as pd
+
+        from topcli.store.series import read_series
+
+        return pd.DataFrame(read_series(self.result.stored.series))
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Column of the series by name, shape (m,). Raises UsageError for an unknown name."""
+        from topcli.store.series import read_series, series_names
+
+        known = series_names(self.result.stored.series)
+        if name not in known:
+            raise UsageError(f"unknown column {quoted(name)}; {nearest(name, known)}")
+        return read_series(self.result.stored.series, [name])[name]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
+        return {"folder": str(self.folder), "status": self.status, **self.result.report}
+
+    def chapter(self, name: str | None) -> Chapter:
+        """Return the chapter of a page."""
+        from topcli.pages.runs import run_chapter
+
+        return run_chapter(self.result.stored, name)
+
+    def plot(self, ax: Axes | None = None, *, columns: Sequence[str] = (), deviation: bool = False) -> Axes:
+        """Draw columns of the series over time; of an ensemble, quantiles of the deviations of all invariants.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into, in their own style; new ones by default.
+        columns : sequence of str, optional
+            Names of columns; by default the last vector of the state, or with ``deviation`` the invariants.
+        deviation : bool, optional
+            True to draw absolute deviations from the first values, on a logarithmic axis.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes.
+
+        Raises
+        ------
+        UsageError
+            For an unknown column, or columns of an ensemble.
+        """
+        if self.is_ensemble:
+            return self._plot_ensemble(ax, columns)
+        from topcli.pages import series_pictures as pictures
+        from topcli.store.envelope import envelope
+        from topcli.store.series import series_names
+
+        config = self.result.stored.manifest["config"]
+        experiment = any_from(config)
+        assert isinstance(experiment, Experiment)
+        path = self.result.stored.series
+        known = series_names(path)
+        for name in columns:
+            if name not in known:
+                raise UsageError(f"plot: unknown column {quoted(name)}; {nearest(name, known)}")
+        vectors = list(pictures.vectors_of(known, experiment).values())
+        integrals = [one.name for one in (*experiment.top.invariants(), *experiment.modified) if one.name in known]
+        chosen = list(columns) or (integrals if deviation else (vectors or [integrals])[-1])
+        time = "t" if "t" in known else "n"
+        data = envelope(path, list(dict.fromkeys([time, *chosen])))
+        data.setdefault("t", data[time] * config["h"])
+        if not deviation:
+            return painted(pictures.motion_panel(chosen, experiment), data, ax)
+        moved = pictures.deviations(data, chosen)
+        return painted(pictures.deviation_panel(list(moved), experiment), data | moved, ax)
+
+    def _plot_ensemble(self, ax: Axes | None, columns: Sequence[str]) -> Axes:
+        from topcli.pages.ensembles import stored_quantiles
+
+        if columns:
+            raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
+        panel, data = stored_quantiles(self.folder, self.result.report)
+        return painted(panel, data, ax)
+
+
+def run(
+    config: str | Path | Mapping[str, Any],
+    out: str | Path = "results",
+    *,
+    overrides: Sequence[str] = (),
+    force: bool = False,
+    resume: bool = False,
+    threads: int | None = None,
+    progress: bool = True,
+    **changes: Any,
+) -> RunReport:
+    """Run an experiment or ensemble into a folder, unless it has been run before.
+
+    Parameters
+    ----------
+    config : path, str or mapping
+        Config file (YAML or TOML), name of a packaged scene, or the content of a config as nested mappings.
+    out : path or str, optional
+        Folder for the run folder ``out/name``, as ``--out`` on the command line.
+    overrides : sequence of str, optional
+        Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
+    force : bool, optional
+        True to run again; an existing different run of the same name is renamed, not overwritten.
+    resume : bool, optional
+        True to continue an interrupted or killed run from its last checkpoint.
+    threads : int, optional
+        Number of threads of an ensemble, which does not change the results; all CPUs by default.
+    progress : bool, optional
+        False to show no progress bar in a notebook or terminal.
+    **changes
+        Values that replace whole top-level keys of the config, such as ``h=0.01``. A run that they or the overrides
+        change gets the first digits of its digest behind its name, unless ``name`` is given.
+
+    Returns
+    -------
+    RunReport
+        The report with the folder of the run. A run that fails is reported too; see its ``outcome``.
+
+    Raises
+    ------
+    ConfigError
+        If the config cannot be read or has a fault; the message names the key and, in a file, the line.
+    UsageError
+        If the folder holds something else.
+    RunError
+        If the results cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, topcli
+    >>> folder = tempfile.mkdtemp()
+    >>> report = topcli.run("kowalevski_hybrid", folder, h=0.01, N=1000)
+    >>> report
+    <RunReport of kowalevski_hybrid-02a68c: completed 1000 steps (t = 10)>
+    >>> report.table.loc["k_sq", "verdict"]
+    'exact'
+    >>> report["gamma1"].shape
+    (1001,)
+    >>> topcli.run("kowalevski_hybrid", folder, h=0.01, N=1000).status
+    'up to date'
+    """
+    if isinstance(config, Mapping):
+        found = any_from(changed(config, changes), overrides)
+    else:
+        found = load_changed(config, overrides, changes)
+    with Progress(found.name, progress) as bar:
+        if isinstance(found, EnsembleExperiment):
+            from topcli.studies.ensemble import run_ensemble
+
+            if resume:
+                raise UsageError("resume=True works for runs of one trajectory; run the ensemble again without it")
+            return RunReport(run_ensemble(found, Path(out), force=force, threads=threads, progress=bar))
+        return RunReport(run_experiment(found, Path(out), force=force, resume=resume, feedback=Feedback(bar)))
