@@ -14,6 +14,7 @@ import numpy as np
 from topcli.contracts import Array, Floats
 from topcli.schemes.kowalevski.inversion import Lattice
 from topcli.schemes.kowalevski.separated_motion import SeparatedMotion
+from topcli.schemes.kowalevski.separation import DIGITS, curve, integrals
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,19 @@ class Torus:
 
         Raises RunError for motions that the closed form does not cover, and ValueError if the orbit is not on a torus.
         """
+        from topcli.schemes.kowalevski.multiprecision import digits
+
         motion = SeparatedMotion(y, c)
         course = motion.course
         if not isinstance(course, Lattice) or any(course.first.touched) or any(course.second.touched):
             raise ValueError("the motion is on a separatrix, not on a torus")
         one, two = (float(v) for v in course.starts)
         P, a, Q, b = (float(v) for v in course.periods)
-        sigma = float(motion.curve.e[course.second.low].real + motion.curve.e[course.first.low].real) / 2
-        shift = sigma - float(motion.curve.of.l1) / 2
+        of = integrals(y, c)
+        with digits(DIGITS):
+            e = curve(of).e
+        sigma = float(e[course.second.low].real + e[course.first.low].real) / 2
+        shift = sigma - float(of.l1) / 2
         A, B = P + shift * a, Q - shift * b
         D = A * b + B * a
         first = 0.5 if course.first.low == 4 else 1.0
