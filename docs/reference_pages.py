@@ -122,10 +122,10 @@ def integrable_page() -> Page:
     return [
         "# Integrable maps of topcli",
         "",
-        "Maps whose orbits lie on tori (or curves), as those of the continuous top "
-        "do: they conserve as many independent integrals, exactly or in modified form. All others conserve fewer, or "
-        "conserve them without being integrable: a projection or a discrete gradient keeps the energy and k² of the "
-        "Kowalevski top, but is not Poisson.",
+        "Maps whose orbits lie on tori (or curves), as those of the continuous top do: they conserve as many "
+        "independent integrals, exactly or in modified form. Other schemes conserve fewer, or are not known to us to "
+        "be integrable: a projection or a discrete gradient keeps the energy and k² of the Kowalevski top, but no "
+        "Poisson bracket that we know of.",
         "",
         *integrable_table(),
         "For the Kowalevski top `backlund` is such a map; we know of no earlier one. It follows the general recipe of "

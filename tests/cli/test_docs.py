@@ -290,6 +290,22 @@ def test_every_page_is_in_the_contents() -> None:
     assert sorted(listed) == sorted(pages | made)
 
 
+def test_formulas_are_well_formed() -> None:
+    """MathJax shows its errors in the page, and Sphinx does not know of them."""
+    seen = 0
+    for page in READ:
+        text = re.sub(r"^```.*?^```$", "", page.path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        assert text.count("$$") % 2 == 0, page.name
+        for formula in re.findall(r"\$\$(.*?)\$\$", text, re.DOTALL):
+            assert formula.count("{") == formula.count("}"), (page.name, formula)
+            begun, ended = (sorted(re.findall(rf"\\{word}\{{(\w+)\}}", formula)) for word in ("begin", "end"))
+            assert begun == ended, (page.name, formula)
+            assert len(re.findall(r"\\left\b", formula)) == len(re.findall(r"\\right\b", formula)), (page.name, formula)
+            assert r"\tag" not in formula, f"{page.name}: write $$ (label) after the formula"
+            seen += 1
+    assert seen > 40
+
+
 def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 150
     assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 130
