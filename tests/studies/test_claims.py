@@ -238,7 +238,7 @@ def test_the_misprint_is_one_half_of_a_term() -> None:
 
 
 @pytest.mark.slow
-def test_the_hybrid_returns_as_the_literature_of_the_project_says() -> None:
+def test_return_defect_of_the_hybrid_is_that_of_plain_doubles() -> None:
     """1.4e-5 at h = 0.1 and of order 4, at 50 digits and by plain doubles here."""
     finding = NAMED["hybrid-reversible"].decide()
     assert finding.figure == pytest.approx(1.36e-5, rel=1e-2)
@@ -294,6 +294,7 @@ def test_rank_of_rational_matrices() -> None:
     assert rank.rank([[0, 0], [0, 0]]) == 0
 
 
+@pytest.mark.slow
 def test_distance_between_pictures() -> None:
     """Two horizontal lines 0.3 mm apart, and one with a bump of 2 mm."""
     x = np.linspace(0.0, 45.0, 500)

@@ -157,6 +157,7 @@ def test_unknown_claims_name_the_nearest(cli) -> None:
     assert cli("claims", "--json", "--markdown").code == 2
 
 
+@pytest.mark.slow
 def test_result_is_a_table_and_files(small_ledger: dict[str, Any], tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     found = topcli.claims(on_progress=lambda done, total: steps.append((done, total)))
