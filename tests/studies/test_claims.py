@@ -160,7 +160,7 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
 def same_line(shown: str, now: str) -> bool:
-    """True if two lines have equal words, and numbers equal to a hundredth or, below 1e-9, of any size below it."""
+    """True if two lines have equal words, and numbers that differ by a tenth at most or are both below 1e-9."""
     if NUMBER.sub("#", shown) != NUMBER.sub("#", now):
         return False
     pairs = zip(map(float, NUMBER.findall(shown)), map(float, NUMBER.findall(now)), strict=True)
