@@ -160,7 +160,7 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
 def same_line(shown: str, now: str) -> bool:
-    """True if two lines have equal words, and numbers equal to a hundredth or, below 1e-9, of any size below it."""
+    """True if two lines have equal words, and numbers that differ by a tenth at most or are both below 1e-9."""
     if NUMBER.sub("#", shown) != NUMBER.sub("#", now):
         return False
     pairs = zip(map(float, NUMBER.findall(shown)), map(float, NUMBER.findall(now)), strict=True)
@@ -187,7 +187,7 @@ def test_page_lists_every_claim_with_its_recorded_verdict() -> None:
     sections = PAGE.read_text(encoding="utf-8").split("\n## ")
     for title, claims in SUBJECTS.items():
         (section,) = (text for text in sections if text.startswith(title + "\n"))
-        rows = dict(re.findall(r"^\| \*\*([a-z0-9-]+)\*\*.*\| ([^|]+) \|$", section, re.MULTILINE))
+        rows = dict(re.findall(r"^\| \*\*([a-z0-9-]+)\*\*(?:[^|]|\\\|)*? \| ([^|]+) \| ", section, re.MULTILINE))
         assert list(rows) == [claim.id for claim in claims]
         for claim in claims:
             assert rows[claim.id].startswith(RECORDED[claim.id])
@@ -238,7 +238,7 @@ def test_the_misprint_is_one_half_of_a_term() -> None:
 
 
 @pytest.mark.slow
-def test_the_hybrid_returns_as_the_literature_of_the_project_says() -> None:
+def test_return_defect_of_the_hybrid_is_that_of_plain_doubles() -> None:
     """1.4e-5 at h = 0.1 and of order 4, at 50 digits and by plain doubles here."""
     finding = NAMED["hybrid-reversible"].decide()
     assert finding.figure == pytest.approx(1.36e-5, rel=1e-2)
@@ -294,6 +294,7 @@ def test_rank_of_rational_matrices() -> None:
     assert rank.rank([[0, 0], [0, 0]]) == 0
 
 
+@pytest.mark.slow
 def test_distance_between_pictures() -> None:
     """Two horizontal lines 0.3 mm apart, and one with a bump of 2 mm."""
     x = np.linspace(0.0, 45.0, 500)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import topcli
-from topcli.errors import UsageError
+from topcli.errors import RunError, UsageError
 from topcli.studies.claims import decide, recorded
 from topcli.studies.claims.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Bound, Finding, Kind
 from topcli.studies.claims.decided import Control, Decided
@@ -134,7 +134,28 @@ def test_missing_package_is_not_tried(cli, small_ledger: dict[str, Any], monkeyp
     assert "**three**" in listed
     assert "**one**" not in listed
     (line,) = (line for line in listed.splitlines() if "**three**" in line)
-    assert line.endswith("| 3 | ≤ 1 | does not hold as stated |")
+    assert line.endswith("| does not hold as stated | 3 | ≤ 1 |")
+
+
+def test_failed_run_leaves_the_other_verdicts(cli, small_ledger: dict[str, Any]) -> None:
+    def fails() -> Finding:
+        raise RunError("euler_bs: blew up at step 3", "second line")
+
+    small_ledger["claims"][0] = replace(small_ledger["claims"][0], decide=fails)
+    said = cli("claims", "--json")
+    assert said.code == 1
+    assert [one["verdict"] for one in json.loads(said.out)["claims"]] == [
+        NOT_TRIED,
+        "holds within 1 mm",
+        FAILS,
+    ]
+    assert said.err.splitlines()[-1] == "error: one: euler_bs: blew up at step 3"
+    small_ledger["control"] = None
+    kind = replace(small_ledger["claims"][1].kind, control=fails)
+    small_ledger["claims"][1] = replace(small_ledger["claims"][1], kind=kind)
+    said = cli("claims", "two")
+    assert said.code == 4
+    assert "error: check 'dummy': did not find its positive control" in said.err
 
 
 @pytest.mark.slow
@@ -157,6 +178,7 @@ def test_unknown_claims_name_the_nearest(cli) -> None:
     assert cli("claims", "--json", "--markdown").code == 2
 
 
+@pytest.mark.slow
 def test_result_is_a_table_and_files(small_ledger: dict[str, Any], tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     found = topcli.claims(on_progress=lambda done, total: steps.append((done, total)))

@@ -39,6 +39,7 @@ def test_columns_are_those_of_the_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fine - coarse == pytest.approx(math.sqrt(2.0) * math.log(10.0), rel=0.01)
 
 
+@pytest.mark.slow
 def test_code_of_the_figure_names_what_it_depends_on(monkeypatch: pytest.MonkeyPatch) -> None:
     before = swing_period.period_code()
     assert swing_period.period_code() == before

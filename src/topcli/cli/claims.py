@@ -64,10 +64,10 @@ def _print_details(row: Decided) -> None:
 
 
 def _judge(found: Claims) -> None:
-    """Report what differs from the record, and exit with 4 if anything does."""
+    """Report what differs from the record, and exit with 4 if anything does, with 1 if a run failed."""
     for row in found.rows:
         if row.finding is None:
-            say(f"{row.claim.id}: {row.reason}")
+            say(f"{'error: ' if row.failed else ''}{row.claim.id}: {row.reason}")
     for row in found.rows:
         if row.changed:
             say(f"error: {row.claim.id}: the verdict is {row.verdict!r}; recorded: {row.recorded or 'none'!r}")
@@ -76,6 +76,8 @@ def _judge(found: Claims) -> None:
             say(f"error: check {control.kind.name!r}: did not find its positive control: {control.kind.defect}")
     if found.changed or found.blunt:
         raise typer.Exit(4)
+    if found.failed:
+        raise typer.Exit(1)
 
 
 def claims(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+from topcli.errors import RunError
 from topcli.studies.claims.claim import NOT_TRIED, Claim, Finding, Kind
 from topcli.studies.claims.decided import Control, Decided
 from topcli.studies.claims.ledger import chosen
@@ -15,19 +16,21 @@ from topcli.studies.claims.result import Claims
 def decided(claim: Claim) -> Decided:
     """Carry out the experiment of one claim, and compare its verdict with the recorded one.
 
-    A claim whose experiment needs a package that is not installed is "not tried".
+    A claim whose experiment needs a package that is not installed, or fails, is "not tried".
     """
     start = time.perf_counter()
-    finding, reason = _tried(claim.decide)
-    return Decided(claim, finding, reason, RECORDED.get(claim.id), time.perf_counter() - start)
+    finding, reason, failed = _tried(claim.decide)
+    return Decided(claim, finding, reason, RECORDED.get(claim.id), time.perf_counter() - start, failed)
 
 
-def _tried(check: Callable[[], Finding]) -> tuple[Finding | None, str]:
-    """Finding of a check; without the package that it needs, None and the reason."""
+def _tried(check: Callable[[], Finding]) -> tuple[Finding | None, str, bool]:
+    """Finding of a check; if there is none, the reason, and True if a run failed instead of lacking a package."""
     try:
-        return check(), ""
+        return check(), "", False
     except ModuleNotFoundError as error:
-        return None, f"{NOT_TRIED}: needs the package {error.name}, which is not installed"
+        return None, f"{NOT_TRIED}: needs the package {error.name}, which is not installed", False
+    except RunError as error:
+        return None, str(error).splitlines()[0], True
 
 
 def claims(
@@ -53,8 +56,6 @@ def claims(
     ------
     UnknownNameError
         If there is no such claim; the message names the nearest ones.
-    RunError
-        If an experiment cannot be carried out.
 
     Examples
     --------
@@ -75,7 +76,7 @@ def claims(
         report(len(rows), total)
     controls: list[Control] = []
     for kind in kinds:
-        finding, reason = _tried(kind.control)
-        controls.append(Control(kind, finding, reason))
+        finding, reason, failed = _tried(kind.control)
+        controls.append(Control(kind, finding, reason, failed))
         report(len(rows) + len(controls), total)
     return Claims(tuple(rows), tuple(controls))

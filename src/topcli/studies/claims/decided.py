@@ -14,7 +14,8 @@ from topcli.studies.report import finite
 class Decided:
     """One claim with its ``finding``; without one, ``reason`` says why it was not tried.
 
-    ``recorded`` is the verdict of the repository, None if there is none yet.
+    ``recorded`` is the verdict of the repository, None if there is none yet. ``failed`` is True if a run of the
+    experiment failed.
     """
 
     claim: Claim
@@ -22,6 +23,7 @@ class Decided:
     reason: str
     recorded: str | None
     seconds: float
+    failed: bool = False
 
     @property
     def category(self) -> str:
@@ -77,11 +79,12 @@ class Control:
     kind: Kind
     finding: Finding | None
     reason: str
+    failed: bool = False
 
     @property
     def caught(self) -> bool:
-        """True if the check found the defect, or could not be tried."""
-        return self.finding is None or self.finding.verdict == FAILS
+        """True if the check found the defect, or lacked a package."""
+        return not self.failed if self.finding is None else self.finding.verdict == FAILS
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""

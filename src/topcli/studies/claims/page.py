@@ -26,7 +26,7 @@ repository.
   Yoshida computed, and what holds for the systems of Clebsch and Neumann, of which the paper gives no formulas.
 - Each kind of check is also carried out on a [known defect](#kinds-of-checks), which it must find.
 """
-COLUMNS = ("claim and experiment", "measured", "bound", "verdict")
+COLUMNS = ("claim and experiment", "verdict", "measured", "bound")
 CONTROLS = """## Kinds of checks
 
 Each kind of check, with what it measures, and its positive control: a defect that it must find.
@@ -61,9 +61,9 @@ def _row(row: Decided) -> tuple[str, ...]:
     claim = row.claim
     return (
         f"**{claim.id}**: {_cell(claim.statement)} ({_cell(claim.source)})<br>{_experiment(claim.experiment)}",
+        _cell(row.verdict),
         _measured(row),
         _cell(row.finding.bound.text) if row.finding else "–",
-        _cell(row.verdict),
     )
 
 

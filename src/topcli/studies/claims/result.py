@@ -58,6 +58,11 @@ class Claims:
         return tuple(row.claim.id for row in self.rows if row.changed)
 
     @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the claims of which a run failed."""
+        return tuple(row.claim.id for row in self.rows if row.failed)
+
+    @property
     def blunt(self) -> tuple[str, ...]:
         """Names of the kinds of checks that did not find the defect of their positive control."""
         return tuple(control.kind.name for control in self.controls if not control.caught)
