@@ -46,7 +46,8 @@ def changed(path: PLACES, value: Any, schema: dict[str, Any]) -> Any:
         case list():
             rest = math.hypot(value[0], value[1])
             return [rest, 0.0, *value[2:]] if value[0] != rest else [0.6 * rest, 0.8 * rest, *value[2:]]
-    return {("name",): "other", ("output", "format"): "csv", ("output", "columns"): ["t"]}[path]
+    others = {("name",): "other", ("output", "format"): "csv", ("output", "columns"): ["t"], ("scheme", "project"): 3}
+    return others[path]
 
 
 def replaced(data: dict[str, Any], path: PLACES, value: Any) -> dict[str, Any]:

@@ -237,6 +237,8 @@ a\,x + (b - d_3)\,y + (2 + t - d_1)\,z &= 2n + d_2
         "before the run; a member of an ensemble ends as `no_convergence` at step 1.",
         "hanging top": "Within about 1e-2 of the hanging equilibrium deviations hardly contract: with h beyond "
         "0.1/sqrt(c) the small 2l deviates by more than round-off after 1e5 steps. `project: 16` prevents it.",
+        "no gravity": "With c0 = 0 omega rotates uniformly, and the rounding errors of gamma recur with it: after 1e5 "
+        "steps gamma² deviates by up to 15 times the bound of round-off. `project: 16` prevents it.",
         "exact nodes": "The longest h is 1.1 to 2 times that of a plain step. Setting up an initial state takes 3 to "
         "20 ms, also for each member of an ensemble. If the first step differs from the motion by more than 1e-12, or "
         "E or k² later deviates by more than 1e-11 of the size of its terms, the run ends as `no_convergence`. Without "
