@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -30,6 +32,21 @@ def test_every_cell_is_the_value_of_the_field(cli: Callable[..., Said]) -> None:
     ]
     assert len({float(cells[1]) for cells in listed}) == 3
     assert text.startswith(f"{SCENE}: {found.title}\n")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", [(), ("--motion",)])
+def test_only_the_option_imports_the_closed_forms(option: tuple[str, ...]) -> None:
+    code = (
+        "import atexit, sys\n"
+        f"sys.argv = ['topcli', 'show', {SCENE!r}, *{option!r}]\n"
+        "atexit.register(lambda: print('\\n'.join(sys.modules)))\n"
+        "from topcli.__main__ import main\nmain()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {"mpmath", "topcli.analysis.motion.of_top"} & set(done.stdout.split())
+    assert len(loaded) == (2 if option else 0)
+    assert not {"matplotlib", "pandas"} & set(done.stdout.split())
 
 
 def test_infinite_periods_are_shown(cli: Callable[..., Said]) -> None:

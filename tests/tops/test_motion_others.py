@@ -12,7 +12,7 @@ from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.motion.result import Motion, neighbour_rows, quantity_rows
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Top
-from topcli.errors import UnknownNameError
+from topcli.errors import UnknownNameError, UsageError
 from topcli.studies.motion import motion
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
@@ -250,6 +250,16 @@ def test_heavy_tops_of_special_shape_have_the_motion_of_their_class() -> None:
         else:
             assert found == of(special, *y)
     assert of(Heavy(A=2.0, B=2.0, C=1.0, x0=1.5, y0=0.0, z0=1e-9), *y).kind == "no closed form"
+
+
+def test_states_whose_integrals_overflow_are_refused() -> None:
+    for top, y in (
+        (Kowalevski(), (1e71, 0.0, 0.0, 0.6, 0.0, 0.8)),
+        (Lagrange(mu=1e80), (1.0, 0.0, 1.0, 0.6, 0.0, 0.8)),
+    ):
+        with pytest.raises(UsageError, match="too large"):
+            of(top, *y)
+    assert math.isfinite(of(Kowalevski(), 1e69, 2e69, 1e69, 0.6, 0.0, 0.8)["k_sq"])
 
 
 @pytest.mark.slow

@@ -66,6 +66,13 @@ def _integral(density: Callable[[Real], Real], anchors: Sequence[Real]) -> Real:
         return quad(precise, anchors)
 
 
+def _root_of_end(of: Oval) -> Real:
+    """Root of x at the end of the oval with theta = 0; x >= 0 there, but for rounding."""
+    from topcli.schemes.kowalevski.multiprecision import mpf, sqrt
+
+    return sqrt(max(of.a + real(of.curve.of.l1), mpf(0)))
+
+
 def _of_first(of: Oval) -> Real:
     from topcli.schemes.kowalevski.multiprecision import cos_sin, mpf, pi, sqrt
 
@@ -79,7 +86,7 @@ def _of_first(of: Oval) -> Real:
     if of.length:
         total = _integral(density, of.anchors)
     if of.low < 3:
-        total += pi * (sqrt(of.a + l1) - abs(real(exact.L)) / sqrt(real(exact.G)))
+        total += pi * (_root_of_end(of) - abs(real(exact.L)) / sqrt(real(exact.G)))
     return total
 
 
@@ -96,4 +103,4 @@ def _of_second(of: Oval) -> Real:
         return (2 * H * momentum * tan / C - root * tan * log(scale / C**4)) / C
 
     total = _integral(density, of.anchors) - (root * log(scale) - 4 * root)
-    return total - pi * sqrt(of.a + l1) if of.low < 3 else total
+    return total - pi * _root_of_end(of) if of.low < 3 else total

@@ -5,15 +5,24 @@ from __future__ import annotations
 from topcli.analysis.motion.euler import free_motion_of
 from topcli.analysis.motion.result import Motion, integrals_of
 from topcli.contracts import Floats, Top
+from topcli.errors import UsageError
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
+LARGEST = 1e70
+"""Largest number of a state or a top; the fourth power of larger ones overflows."""
+
 
 def motion_of(top: Top, y0: Floats) -> Motion:
-    """Motion of ``top`` from the state ``y0`` (d,); of a top without a closed form only its integrals."""
+    """Motion of ``top`` from the state ``y0`` (d,); of a top without a closed form only its integrals.
+
+    Raises UsageError if the integrals overflow.
+    """
     y = tuple(float(v) for v in y0)
+    if max(map(abs, (*y, *top.constants()))) > LARGEST:
+        raise UsageError(f"motion: the state or the parameters are too large: more than {LARGEST:g} in magnitude")
     if isinstance(top, Heavy):
         top = _special(top)
     if isinstance(top, Kowalevski):
