@@ -312,8 +312,9 @@ def draw(
                 if not shared:
                     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
         if shared:
-            place = f"outside {'lower' if layout.heading else 'upper'} center"
-            figure.legend(handles.values(), handles.keys(), loc=place, ncols=min(6, len(handles)))
+            place = "lower" if layout.heading else "upper"
+            where: dict[str, Any] = {"loc": f"outside {place} center", "ncols": min(6, len(handles))}
+            figure.legend(handles.values(), handles.keys(), **where)
         if layout.heading:
             figure.suptitle(layout.heading, fontsize="medium")
         layout.annotate(figure)
