@@ -79,6 +79,10 @@ class UsageError(TopcliError):
 
     exit_code = 2
 
+    def _render_traceback_(self) -> list[str]:
+        """Lines that IPython and notebooks show in place of a traceback through topcli."""
+        return [f"{type(self).__name__}: {self}"]
+
 
 class ConfigError(UsageError):
     """Error in a config; the message names file, line and key (exit code 2)."""

@@ -333,3 +333,11 @@ def test_html_of_a_report_is_escaped(run: RunReport) -> None:
 
     assert evil in read_html(fragment(chapter)).text
     assert not read_html(fragment(chapter)).all("script")
+
+
+def test_an_error_of_the_user_has_no_traceback_in_a_notebook() -> None:
+    """IPython shows the lines of ``_render_traceback_`` in place of one."""
+    with pytest.raises(UnknownNameError) as caught:
+        topcli.compare("hkk")
+    assert caught.value._render_traceback_() == ["UnknownNameError: unknown scheme 'hkk'; did you mean 'hk'?"]
+    assert not hasattr(RunError("x"), "_render_traceback_"), "a failure of a run keeps its place"

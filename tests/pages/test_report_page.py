@@ -25,7 +25,7 @@ from topcli.errors import UsageError
 from topcli.pages.contents import Chapter, Facts, Notes, Picture, Pictures, Table, Text
 from topcli.pages.page import rendered
 from topcli.pages.report import page_of, report_page
-from topcli.pages.series_pictures import deviations
+from topcli.pages.series_pictures import before_explosion, deviations
 from topcli.store.series import read_series
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
@@ -111,6 +111,14 @@ def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:
     found = deviations(data, ["a", "b"])
     assert list(found) == ["deviation:a"]
     np.testing.assert_array_equal(found["deviation:a"], [np.nan, np.nan, 0.5, 0.25])
+
+
+def test_motion_is_drawn_up_to_its_explosion() -> None:
+    data = {"t": np.arange(5.0), "a": np.array([2.0, 3.0, 1999.0, 2001.0, 0.0]), "b": np.zeros(5)}
+    assert before_explosion(data, ["a", "b"])["t"].tolist() == [0.0, 1.0, 2.0]
+    assert len(before_explosion(data | {"a": np.full(5, 5e3)}, ["a", "b"])["a"]) == 5, "large from the start"
+    missing = data | {"a": np.array([1.0, 1.0, np.nan, 1.0, 1.0])}
+    assert len(before_explosion(missing, ["a", "b"])["a"]) == 2
 
 
 @pytest.mark.slow
@@ -326,6 +334,22 @@ def test_studies_of_another_form_say_what_is_missing(copied: Path, name: str) ->
                 assert page.with_class("missing"), key
 
 
+def test_claims_are_listed_with_figure_bound_and_verdict(tmp_path: Path) -> None:
+    keys = ("id", "statement", "source", "figure", "bound", "verdict")
+    one = dict(zip(keys, ("hk.k_sq", "k² < kept", "(3.2)", 1.25e-7, 1e-6, "holds"), strict=True))
+    other = dict(zip(keys, ("fig2", "same", "Fig. 2", None, {"below": 2}, "does not hold as stated"), strict=True))
+    path = tmp_path / "claims.json"
+    path.write_text(json.dumps({"claims": [one, other, one], "verdicts": {}}))
+    page = shown(tmp_path, "claims.json")
+    header, *rows = page.all("table")[0].cells()
+    assert header == ["id", "statement", "verdict", "figure", "bound", "source"]
+    assert rows[0] == ["hk.k_sq", "k² < kept", "holds", "1.2e-07", "1.0e-06", "(3.2)"]
+    assert rows[1] == ["fig2", "same", "does not hold as stated", "–", "below = 2", "Fig. 2"]
+    assert "2 holds, 1 does not hold as stated" in page.text
+    path.write_text(json.dumps({"claims": [{"id": "x"}]}))
+    assert "claims: not of the form" in shown(tmp_path, "claims.json").with_class("missing")[0].text
+
+
 @pytest.mark.slow
 def test_a_comparison_without_series_says_so(copied: Path) -> None:
     path = copied / "compared.json"
@@ -351,9 +375,26 @@ def test_an_unfinished_sweep_says_which_rows_are_missing(copied: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
+def test_recorded_columns_limit_the_pictures(tmp_path: Path) -> None:
+    def about(name: str, columns: list[str]) -> tuple[list[str], list[str]]:
+        store_run(tmp_path, name, output={"columns": columns})
+        page = shown(tmp_path, name)
+        return [one.text for one in page.all("figcaption")], [
+            one.text for one in page.all("li") if "pictures" in one.text
+        ]
+
+    assert about("n", ["n", "gamma1"]) == (["gamma over time t"], [])
+    assert about("integral", ["t", "energy"]) == (["absolute deviations from the first values over time t"], [])
+    assert about("no_times", ["gamma1"]) == ([], ["pictures: the config records neither t nor n"])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_failed_entries_are_marked(tmp_path: Path) -> None:
     store_run(tmp_path, "explodes", "rk2", h=0.9, N=4000)
     page = shown(tmp_path, "explodes")
+    captions = [one.text for one in page.all("figcaption")]
+    assert re.fullmatch(r"omega over time t, up to t = [0-9.]+ before the motion explodes", captions[0])
     state = page.with_class("outcome")[0]
     assert state.text in ("blew_up", "left_motion")
     assert "bad" in state.attributes["class"]

@@ -10,7 +10,7 @@ from typing import Any
 from topcli.errors import UsageError, nearest, quoted
 from topcli.pages.contents import Chapter
 from topcli.pages.runs import damaged_chapter, part_chapter, run_chapter
-from topcli.pages.studies import bench_chapter, comparison_chapter, order_chapter, stress_chapter
+from topcli.pages.studies import bench_chapter, claims_chapter, comparison_chapter, order_chapter, stress_chapter
 from topcli.pages.sweeps import sweep_chapter
 from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
 from topcli.store.parts import is_part, parts_of
@@ -97,6 +97,8 @@ def _study(data: dict[str, Any], name: str) -> Chapter | None:
     if data.get("command") == "compare":
         series = data.get("series")
         return comparison_chapter(data, series if isinstance(series, dict) else {}, name)
+    if isinstance(data.get("claims"), list):
+        return claims_chapter(data)
     if "trials" in data:
         return stress_chapter(data)
     if "duration" in data and "schemes" in data:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,14 @@ from topcli.figures.comparison import loaded_comparison
 from topcli.figures.order import loaded_order
 from topcli.figures.picture import Grid
 from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures, Table
-from topcli.pages.origin import citation_block, config_block, experiment_of, files_block, provenance_block
+from topcli.pages.origin import citation_block, config_block, experiment_of, files_block, provenance_block, value_text
 from topcli.pages.svg import svg_of
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
 from topcli.studies.compare import Comparison
 from topcli.studies.compare_table import comparison_table
 from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
+from topcli.studies.report import number
 
 SIZE = (5.6, 3.2)
 SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
@@ -179,6 +181,26 @@ def _failures(trials: Sequence[Mapping[str, Any]]) -> Table | None:
 def _questions(cases: Sequence[Mapping[str, Any]]) -> Table:
     lines = [[one["case"], one["top"], one["question"]] for one in cases]
     return Table("Cases", ["case", "top", "question"], lines, keys=2, numbers=False)
+
+
+def claims_chapter(found: dict[str, Any]) -> Chapter:
+    """Chapter on claims of the paper with their verdicts."""
+    chapter = Chapter("Claims of the paper", "claims", "each with the figure that decides it and its bound", "decided")
+    chapter.attempt("claims", lambda: _claims(chapter, found["claims"]))
+    _about(chapter, found)
+    return chapter
+
+
+def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Table:
+    counted = Counter(str(one["verdict"]) for one in claims)
+    chapter.message = ", ".join(f"{count} {verdict}" for verdict, count in counted.most_common())
+    keys = ("id", "statement", "verdict", "figure", "bound", "source")
+    lines = [[_figure(one[key]) for key in keys] for one in claims]
+    return Table("Claims", keys, lines, numbers=False, marks={"holds": "good", "does not hold as stated": "bad"})
+
+
+def _figure(value: object) -> str:
+    return number(value) if isinstance(value, float) else value_text(value)
 
 
 def bench_chapter(run: StoredRun) -> Chapter:
