@@ -45,7 +45,7 @@ from topcli.schemes.kowalevski.separation import (
 from topcli.tops.kowalevski import Kowalevski, field
 
 SHIFTS = (0, 3, 5)
-"""Times, in units of 1/32, at which s1 and s2 are computed until they are determined."""
+"""Times, in 1/32 of the time in which the state turns, at which s1 and s2 are computed until they are determined."""
 HALVES = 2
 """Half periods of s2 after which all signs of the state are those of the start."""
 
@@ -118,11 +118,12 @@ class Ovals:
         """State on the orbit of ``y`` with its finite s1 and s2; None if they are undetermined at all times tried."""
         from topcli.schemes.kowalevski.multiprecision import digits, isinf, mpf
 
+        rate = max(*map(abs, y[:3]), math.sqrt(abs(c) * max(map(abs, y[3:]))))
         for shift in SHIFTS:
             with digits(2 * DIGITS):
                 start = [mpf(v) for v in y]
                 if shift:
-                    start = series_step(start, mpf(c), mpf(shift) / 32, 90)
+                    start = series_step(start, mpf(c), mpf(shift) / 32 / mpf(rate), 90)
                 try:
                     one, two = separated(self.curve.of, start)
                 except ZeroDivisionError:
