@@ -296,6 +296,20 @@ def test_distance_to_the_separatrix_of_the_paper() -> None:
     assert found["separatrix.distance"] == pytest.approx(1e-6 / 8.0, rel=1e-5)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [1e-3, 1e2, 1e4])
+@pytest.mark.parametrize("shrinks", [True, False])
+def test_neighbours_by_scaling(shrinks: bool, factor: float) -> None:
+    """omega times ``factor`` and gravity times its square, from a state with omega2 = 0, where s2 is infinite."""
+    y = (-0.98, 0.0, 0.04, 0.3, 0.95, -0.09) if shrinks else (1.23, 0.0, -0.02, -0.07, -0.06, -1.0)
+    slow, fast = motion(y), motion((*(factor * v for v in y[:3]), *y[3:]), c0=factor**2)
+    assert ("bobylev-steklov" in [one.kind for one in slow.neighbours]) == shrinks
+    assert [one.kind for one in fast.neighbours] == [one.kind for one in slow.neighbours]
+    powers = {"energy": 2, "k_sq": 4}
+    for one, other in zip(slow.neighbours, fast.neighbours, strict=True):
+        assert other.distance == pytest.approx(one.distance * factor ** powers[one.along], rel=1e-9)
+
+
 def interval_at_zeros(y) -> int:
     """Half of the four real zeros of R, 0 or 1, between which omega1 is whenever omega2 = 0."""
     E, L, G, k_sq = constants(y)

@@ -39,8 +39,7 @@ REGIONS = {name: Region(name, tori) for name, tori in (("I", 1), ("II", 2), ("II
 def region(of: Curve) -> Region:
     """Region of a curve: by sign(|E - 2 L²/G| - k), a conjugate pair or double root, and the lower end of s1."""
     pair = of.pair or "cubic" in of.of.double_roots
-    e4, e5 = of.of.e4_e5()
-    k, above = e4 - e5, real(3 * of.of.l1 - 2 * of.of.L**2 / of.of.G)
+    k, above = (of.e[3] - of.e[4]).real, real(3 * of.of.l1 - 2 * of.of.L**2 / of.of.G)
     if abs(above) < k:
         return REGIONS["I" if pair else "II"]
     if pair:

@@ -30,7 +30,7 @@ from topcli.analysis.motion.result import Motion, Neighbour, Quantity, integrals
 from topcli.contracts import Floats
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.oval import Oval
-from topcli.schemes.kowalevski.pendulum import Pendulum, is_pendulum
+from topcli.schemes.kowalevski.pendulum import is_pendulum
 from topcli.schemes.kowalevski.separation import (
     DIGITS,
     Curve,
@@ -45,7 +45,7 @@ from topcli.schemes.kowalevski.separation import (
 from topcli.tops.kowalevski import Kowalevski, field
 
 SHIFTS = (0, 3, 5)
-"""Times, in units of 1/32, at which s1 and s2 are computed until they are determined."""
+"""Times, in 1/32 of the time in which the state turns, at which s1 and s2 are computed until they are determined."""
 HALVES = 2
 """Half periods of s2 after which all signs of the state are those of the start."""
 
@@ -118,11 +118,12 @@ class Ovals:
         """State on the orbit of ``y`` with its finite s1 and s2; None if they are undetermined at all times tried."""
         from topcli.schemes.kowalevski.multiprecision import digits, isinf, mpf
 
+        rate = max(*map(abs, y[:3]), math.sqrt(abs(c) * max(map(abs, y[3:]))))
         for shift in SHIFTS:
             with digits(2 * DIGITS):
                 start = [mpf(v) for v in y]
                 if shift:
-                    start = series_step(start, mpf(c), mpf(shift) / 32, 90)
+                    start = series_step(start, mpf(c), mpf(shift) / 32 / mpf(rate), 90)
                 try:
                     one, two = separated(self.curve.of, start)
                 except ZeroDivisionError:
@@ -302,30 +303,35 @@ def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> l
             found.append(abs(one.distance) / unit)
         else:
             with digits(DIGITS):
-                e4, e5 = of.e4_e5()
-                found.append(float(abs(mpf(one.distance) / (sqrt(real(of.k_sq) + mpf(one.distance)) + e4 - e5))))
+                k_sq = real(of.k_sq)
+                found.append(float(abs(mpf(one.distance) / (sqrt(k_sq + mpf(one.distance)) + sqrt(k_sq)))))
     meaning = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
     return [Quantity("separatrix.distance", min(found), meaning)] if found else []
 
 
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
-    from topcli.schemes.kowalevski.multiprecision import digits
+    """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (``schemes.kowalevski.pendulum``)."""
+    from topcli.schemes.kowalevski.multiprecision import digits, ellipk, sqrt
 
-    pendulum = Pendulum.of(y, c)
     what = "pendulum (Bobylev-Steklov): ω2 = 0 for ever"
-    if pendulum.phase.quarter is None:
+    w1, _, w3, g1, g2, _ = map(Fraction, y)
+    xi = (w1 * w1 - Fraction(c) * g1, -Fraction(c) * g2)
+    energy, k_sq = w3 * w3 - 2 * xi[0], xi[0] ** 2 + xi[1] ** 2
+    if energy >= 0 and energy**2 == 4 * k_sq:
         period = Quantity("period", math.inf, "time of the homoclinic motion")
         return Motion(top.form, "separatrix", f"{what}; homoclinic to its upper equilibrium", y, (*conserved, period))
-    halves = 2 if pendulum.rotates else 4
-    time = abs(float(halves * pendulum.phase.quarter / pendulum.phase.rate))
-    way = "rotates" if pendulum.rotates else "oscillates"
+    with digits(2 * DIGITS):
+        k = sqrt(real(k_sq))
+        m = (real(energy) + 2 * k) / (4 * k)  # of sin²(theta/2) at the turning points
+        rotates = m > 1
+        time = float(2 * ellipk(1 / m) / sqrt(k * m) if rotates else 4 * ellipk(m) / sqrt(k))
+        stable = pendulum_is_stable(curve(integrals(y, c)))
     quantities = (
         *conserved,
         Quantity("frequency", 1.0 / time, "cycles per unit time"),
-        Quantity("period", time, "time of one rotation" if pendulum.rotates else "time of one oscillation"),
+        Quantity("period", time, "time of one rotation" if rotates else "time of one oscillation"),
     )
-    with digits(2 * DIGITS):
-        stable = pendulum_is_stable(curve(integrals(y, c)))
+    way = "rotates" if rotates else "oscillates"
     word = {True: "; stable", False: "; unstable", None: ""}[stable]
     return Motion(top.form, "pendulum", f"{what}; it {way}{word}", y, quantities)
 

@@ -42,21 +42,22 @@ class Torus:
         course = motion.course
         if not isinstance(course, Lattice) or any(course.first.touched) or any(course.second.touched):
             raise ValueError("the motion is on a separatrix, not on a torus")
-        one, two = (float(v) for v in course.starts)
-        P, a, Q, b = (float(v) for v in course.periods)
-        of = integrals(y, c)
         with digits(DIGITS):
-            e = curve(of).e
-        sigma = float(e[course.second.low].real + e[course.first.low].real) / 2
-        shift = sigma - float(of.l1) / 2
+            start = course.positions(np.zeros(1, dtype=np.int64), 0)
+            roots = curve(integrals(y, c))
+        P, a, Q, b = (float(v) for v in course.periods)
+        sigma = float(roots.e[course.second.low].real + roots.e[course.first.low].real) / 2
+        shift = sigma - float(roots.of.l1) / 2
         A, B = P + shift * a, Q - shift * b
         D = A * b + B * a
         first = 0.5 if course.first.low == 4 else 1.0
-        return cls(motion, (one, two), (first, 1.0), (b / (4 * D), a / (4 * D)), (B / D, -A / D))
+        return cls(
+            motion, (float(start[0][0]), float(start[1][0])), (first, 1.0), (b / (4 * D), a / (4 * D)), (B / D, -A / D)
+        )
 
     def states(self, one: Array, two: Array) -> Array:
         """States at the phases (...), shape (..., 6)."""
-        one, two = np.broadcast_arrays(one, two)
+        one, two = np.broadcast_arrays(one - np.round(one), two - np.round(two))
         with np.errstate(all="ignore"):
             found = self.motion._evaluate(self.motion.course, (one.ravel(), two.ravel()))
         return found.reshape(*one.shape, 6)
