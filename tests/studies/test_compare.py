@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,6 +19,7 @@ from steppers import RK2
 from topcli.analysis.swings import swing_spacing
 from topcli.config.load import load_experiment
 from topcli.engine.loop import Run
+from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
 from topcli.studies.compare import Comparison, compare_schemes
 from topcli.studies.entries import under_scheme
@@ -189,3 +193,52 @@ def test_a_scheme_without_integrals_of_its_own_has_none() -> None:
     comparison = compare_schemes(load_experiment("euler_hk", ["N=100"]), ["hk", "bs"])
     assert of(comparison, "hk")["modified"]
     assert of(comparison, "bs")["modified"] == []
+
+
+@pytest.mark.slow
+def test_the_closed_form_as_the_reference() -> None:
+    """It agrees with the Taylor series to round-off, of which it knows nothing; its own error is then nearly zero."""
+    experiment = load_experiment(HK, ["N=2000", "h=0.01"])
+    series = compare_schemes(experiment, ["hk", "exact"])
+    closed = compare_schemes(experiment, ["hk", "exact"], reference="exact")
+    assert series.figures["reference"]["method"] == "Taylor series in double-double arithmetic"
+    assert closed.figures["reference"]["method"] == "closed form (scheme exact)"
+    assert of(closed, "hk")["max_error"] == pytest.approx(of(series, "hk")["max_error"], rel=1e-9)
+    assert 0.0 < of(series, "exact")["max_error"] < 1e-13
+    assert of(closed, "exact")["max_error"] < 1e-16  # row 0 is the initial state itself
+    assert np.abs(series.series["swing:reference"] - closed.series["swing:reference"]).max() < 1e-13
+
+
+@pytest.mark.slow
+def test_a_state_of_a_closed_form_and_its_set_up_have_their_times() -> None:
+    found = compare_schemes(load_experiment(HK, ["N=2000"]), ["hk", "exact"])
+    hk, exact = of(found, "hk"), of(found, "exact")
+    assert (hk["closed_form"], hk["setup_seconds"]) == (False, None)
+    assert exact["closed_form"]
+    assert exact["setup_seconds"] >= 0.0
+    assert 300.0 < exact["nanoseconds_per_step"] < 1e5  # no state costs 4 ns
+
+
+@pytest.mark.parametrize(
+    ("config", "reference", "words"),
+    [
+        (HK, "theta", "unknown reference 'theta'; use taylor or exact"),
+        ("heavy_hk", "exact", "the top heavy has no scheme exact to compare with; use the reference taylor"),
+    ],
+)
+def test_a_reference_that_there_is_not(config: str, reference: str, words: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(words)):
+        compare_schemes(load_experiment(config, ["N=10"]), ["hk"], reference=reference)
+
+
+@pytest.mark.slow
+def test_the_reference_is_named_above_the_table(cli: Callable[..., Any]) -> None:
+    command = ("compare", "hk", "exact", "--set", "N=200")
+    assert "errors from" not in cli(*command).out
+    assert cli(*command, "--reference", "exact").out.startswith(
+        "kowalevski_hk: Kowalevski top (A = B = 2C, centre of gravity on the first axis), h = 0.001, N = 200, "
+        "errors from the closed form (scheme exact)\n"
+    )
+    refused = cli("compare", "hk", "--config", "kowalevski_ensemble", "--reference", "exact")
+    assert refused.code == 2
+    assert "chooses the reference of one trajectory" in refused.err

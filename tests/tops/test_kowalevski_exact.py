@@ -99,6 +99,8 @@ NATURAL = {
     "pendulum at the passage": (0.0, 1.0, 0.0, 0.0, 0.0, -2.0),
     "pinch at the passage": (0.0, 1.0, 2.0, -1.0, 2.0, -2.0),
     "pinch at the passage, sideways": (1.0, 1.0, 0.0, 1.0, 2.0, 2.0),
+    # next to a turning point, where the wrong direction is a shift of time that shows at t = 97
+    "next to a turning point": (0.0, 0.6, 0.0, 0.5, 1e-12, 1e-9),
     # homoclinic to the upright position at rest, on none of its invariant planes
     "homoclinic in space": (3.0, 2.0, 8.0, -20.0, 12.0, 9.0),
 }
@@ -112,6 +114,19 @@ def test_degenerate_motions_of_whole_numbers(name: str) -> None:
         y = np.array(NATURAL[name])
         y[1] += distance
         assert_is_the_motion(y, times=np.array([1, 2, 7]))
+
+
+@pytest.mark.slow
+def test_the_direction_next_to_a_turning_point() -> None:
+    """The wrong one, which fits the first states as well, is off by 6e-10 on this swing."""
+    y = NATURAL["next to a turning point"]
+    exact = reference_states(Kowalevski(), list(y), np.array([97.0]))[0]
+    np.testing.assert_allclose(states(y, 1.0, [97])[0], exact, atol=1e-13)
+
+
+def test_critical_orbits_are_refused() -> None:
+    with pytest.raises(RunError, match="no choice of the signs"):
+        states((0.0, 1.0, 2.0, 0.0, 0.0, 2.0), 0.1, [1])
 
 
 @pytest.mark.slow

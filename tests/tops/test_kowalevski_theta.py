@@ -11,22 +11,25 @@ from functools import cached_property
 from itertools import product
 from typing import Any
 
-import mpmath
+import mpmath as _mpmath
 import numpy as np
 import pytest
-from mpmath import mpc, mpf
 
 from conftest import GEN
 from topcli.analysis.reference import reference_states
+from topcli.contracts import Sampler
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
+mpmath: Any = _mpmath  # its annotations make every root complex
+mpc, mpf = mpmath.mpc, mpmath.mpf
 SHORT = (0.0, 0.37, 0.81)
 CHARACTERISTICS = list(product((mpf(0), mpf(1) / 2), repeat=4))
 
 
 def states(y0, h: float, n) -> np.ndarray:
     method = find_scheme("exact", "kowalevski").build(Kowalevski(), None)
+    assert isinstance(method, Sampler)
     return method.states(np.array(y0, dtype=float), h, np.array(n, dtype=np.int64), (1.0,))
 
 
@@ -76,7 +79,7 @@ class RealCurve:
         size = abs(self.R(mpc(w1, w2)))
         return self.l1 / 2 + (size - R12) / (8 * w2**2), self.l1 / 2 - (size + R12) / (8 * w2**2)
 
-    def between(self, low: Any, high: Any) -> mpmath.matrix:
+    def between(self, low: Any, high: Any) -> Any:
         """Integrals of ds/|w| and s ds/|w|, w² = -4 prod (s - a_i), between two points without branch points inside."""
 
         def density(theta: Any, k: int) -> Any:
@@ -92,7 +95,7 @@ class RealCurve:
         points = [mpf(0), mpmath.pi / 8, mpmath.pi / 4, 3 * mpmath.pi / 8, mpmath.pi / 2]
         return mpmath.matrix([mpmath.quad(lambda th, k=k: density(th, k), points) for k in (0, 1)])
 
-    def to_infinity(self) -> mpmath.matrix:
+    def to_infinity(self) -> Any:
         """The same from minus infinity to the lowest branch point, without the second integral's factor s."""
         first = self.a[0]
 
@@ -151,7 +154,7 @@ def identified(theta: Theta, y) -> tuple[tuple[int, int], list[tuple[int, int]]]
     """Signs of the initial integrals and, for each ratio, the numbers of its two characteristics."""
     reference = reference_states(Kowalevski(), list(y), np.array(SHORT))
     wanted = [theta.ratios(theta.curve.separated(state)) for state in reference]
-    for signs in product((1, -1), repeat=2):
+    for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         squares = [theta.squares(signs, mpf(t)) for t in SHORT]
         pairs: list[tuple[int, int]] = []
         for i in range(4):

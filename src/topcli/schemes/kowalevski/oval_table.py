@@ -57,7 +57,8 @@ class Series:
 
     def __init__(self, origin: Array, direction: Array, begin: Array, end: Array, tables: list[Array]) -> None:
         self.origin, self.direction, self.begin, self.end = origin, direction, begin, end
-        self.width = 2.0 / (end - begin)
+        with np.errstate(divide="ignore"):  # a motion that rests in a triple root has empty panels and uses none
+            self.width = 2.0 / (end - begin)
         upper = np.where(direction > 0, origin + end, origin - begin)
         self.uppers = upper[:-1]
         self.tables = [np.ascontiguousarray(table.T) for table in tables]

@@ -44,6 +44,11 @@ PROBE_STEP = 2.0**-5
 AGREEMENT = 1e-10
 """Largest difference relative to the terms of the equations."""
 NO_TAU = 1e-100
+BOTH = (1, -1)
+AT_END = 1e-45, 1e-26
+"""Angles from 0 and pi/2 within which 60 digits do not show the direction."""
+MOMENT = 2.0**-46
+"""Time after the start at which the directions of s1 and s2 show."""
 SIDEWAYS = 0.01
 """Part of gamma² across the angular momentum from which on gamma² determines its length."""
 REFUSED = "kowalevski, scheme exact: {}; use scheme 'taylor'"
@@ -93,25 +98,30 @@ class SeparatedMotion:
             start = [mpf(v) for v in self.y]
             if shift:
                 start = series_step(start, mpf(self.c), time, 90)
-            s1, s2 = separated(roots.of, start)
+            now = separated(roots.of, start)
+            later = separated(roots.of, series_step(start, mpf(self.c), mpf(MOMENT), 8))
         with digits(DIGITS):
-            first, second = ovals = _ovals(roots)
-            angles = first.angle(s1), second.angle(s2)
+            ovals = _ovals(roots)
+            angles, moved = ([oval.angle(s) for oval, s in zip(ovals, both, strict=True)] for both in (now, later))
+            ways = [_direction(before, after) for before, after in zip(angles, moved, strict=True)]
             begun = [oval.from_regular_end(angle) for oval, angle in zip(ovals, angles, strict=True)]
             course, begun = _course(ovals, begun)
             self.course = course
-            self.apart = float(first.a - second.a)
+            self.apart = float(ovals[0].a - ovals[1].a)
             self.formula = _formula(roots, self.c)
-            self._choose(course, begun, angles, np.array([float(v) for v in start]), elapsed)
+            self._choose(course, begun, (angles, ways), np.array([float(v) for v in start]), elapsed)
 
-    def _choose(self, course: Lattice | Pinch, begun: Any, angles: Any, start: Array, time: Fraction) -> None:
-        """Choose directions and signs so that the state and its change over a short time are the right ones."""
-        (A, p), (B, q) = begun
+    def _choose(self, course: Lattice | Pinch, begun: Any, placed: Any, start: Array, time: Fraction) -> None:
+        """Choose directions and signs so that the state and its change over a short time are the right ones.
+
+        ``placed`` are the angles and the possible directions of each.
+        """
+        ((A, p), (B, q)), (angles, ways) = begun, placed
         size = 1.0 + float(np.abs(start).max())
         later = np.array(series_step(list(start), self.c, PROBE_STEP, 20))
         best, found = np.inf, None
         stands = course.stands if isinstance(course, Pinch) else 0
-        for one, two in product((1, -1), repeat=2):
+        for one, two in product(*ways):
             # a variable that rests in the double root is there at the end of its half period
             ends = one if stands != 1 else -1, two if stands != 2 else 1
             difference = -2 * (A + B) if stands else one * A - two * B
@@ -126,6 +136,8 @@ class SeparatedMotion:
                 missed = max(missed, float(np.abs(ahead - later).max()))
                 if missed < best:
                     best, found = missed, (begin, signs)
+        if (found is None or not best < FIT * size) and ways != [BOTH, BOTH]:
+            return self._choose(course, begun, (angles, [BOTH, BOTH]), start, time)
         if found is None or not best < FIT * size:
             raise _UnfitError("no choice of the signs of the square roots gives the initial state")
         self.course = found[0].lasting()
@@ -217,6 +229,17 @@ class SeparatedMotion:
         if not missed < AGREEMENT:
             why = f"too close to a degenerate motion: a Taylor step differs by {missed:.0e} of the terms"
             raise RunError(REFUSED.format(why))
+
+
+def _direction(before: Any, after: Any) -> tuple[int, ...]:
+    """Directions in which an angle in [0, pi/2] may move that is ``after`` soon; both at an end, where they agree.
+
+    Next to a turning point both fit the state, and the wrong one is a shift of time.
+    """
+    from topcli.schemes.kowalevski.multiprecision import pi
+
+    clear = min(before, pi / 2 - before, abs(after - before)) > AT_END[before > 1]
+    return BOTH if not clear else (1,) if after > before else (-1,)
 
 
 def _middle(table: OvalTable) -> Place:
