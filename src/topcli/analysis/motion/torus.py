@@ -8,6 +8,7 @@ and D = A b + B a (``actions``); the energy at b/(4 D) and a/(4 D), in revolutio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class Torus:
         if not isinstance(course, Lattice) or any(course.first.touched) or any(course.second.touched):
             raise ValueError("the motion is on a separatrix, not on a torus")
         with digits(DIGITS):
-            start = course.positions(np.zeros(1, dtype=np.int64), 0)
+            start = course.positions(np.zeros(1, dtype=np.int64), Fraction(0))
             roots = curve(integrals(y, c))
         P, a, Q, b = (float(v) for v in course.periods)
         sigma = float(roots.e[course.second.low].real + roots.e[course.first.low].real) / 2
