@@ -25,6 +25,7 @@ class _Topcli(LazyGroup):
         "table": "table.table",
         "order": "order.order",
         "plot": "plot.plot",
+        "animate": "animate.animate",
         "lax": "lax.lax",
         "roundoff": "roundoff.roundoff",
         "stress": "stress.stress",

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.arithmetic.quaternions import (
+    Quaternion,
     canonical,
     canonical_rows,
     conjugate,
@@ -29,7 +30,7 @@ from topcli.contracts import Array, Floats, Method, Sampler, Scheme, StopAsked, 
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Position, Run
-from topcli.schemes.attitude import SCRATCH, fixed_direction, turn, turn_order
+from topcli.schemes.attitude import SCRATCH, TO_ROUND_OFF, fixed_direction, turn, turn_order
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native
@@ -94,7 +95,7 @@ def constants_of(top: Top, order: int) -> Array:
     return np.array((*equations.moments, *equations.gravity, *settings))
 
 
-def start_attitude(top: Top, y0: Floats) -> Floats:
+def start_attitude(top: Top, y0: Floats) -> Quaternion:
     """Quaternion of the attitude in the state ``y0``: the shortest rotation that puts the fixed direction upright."""
     c = constants_of(top, 2)
     w1, w2, w3 = (c[8] * float(value) for value in y0[:3])
@@ -188,6 +189,22 @@ def attitude_run(
     else:
         loop = with_attitude(loop_of(method, d, len(p)), d, constants)
     return Run(top, loop, (*y0, *start_attitude(top, y0)), h, N, every, stop, start)
+
+
+def attitude_of_rows(top: Top, states: Array, span: float) -> Array:
+    """Attitudes (m, 4) reconstructed from ``states`` (m, d) at equal intervals ``span`` of time.
+
+    From row to row the body turns like the exact motion through both states.
+    """
+    d, rows = states.shape[1], len(states)
+    constants, start = constants_of(top, TO_ROUND_OFF), start_attitude(top, tuple(states[0].tolist()))
+    work, out = np.zeros(HEAD), np.empty((rows, d + NUMBERS))
+    work[:d], out[0] = states[0], (*states[0], *start)
+    work[:3] *= constants[8]
+    work[6:10] = conjugate(start) if top.in_space else start
+    later = np.ascontiguousarray(states[1:], dtype=np.float64)
+    _compiled()(work, later.ravel(), out[1:].ravel(), constants, np.empty(SCRATCH), span, rows - 1, 1, 1)
+    return out[:, d:]
 
 
 def attitude_code(method: Method) -> str:
