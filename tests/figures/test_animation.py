@@ -1,0 +1,418 @@
+"""Animations: what a frame shows, the files, and what is said before anything is drawn."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from conftest import Said
+from resuming import after, killed, small
+from topcli.config.load import load_experiment
+from topcli.contracts import Top
+from topcli.errors import RunError, UsageError
+from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, planned, turns
+from topcli.figures.body import body_of, shown_faces, view_azimuth
+from topcli.figures.sphere import projection
+from topcli.store.series import read_series
+from topcli.studies.motion import Motion, stored_motion
+from topcli.studies.run import run_experiment
+from topcli.tops.euler import Euler, EulerGamma
+from topcli.tops.heavy import Heavy
+from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
+
+TURNED = "output.attitude=quaternion"
+
+
+def stored(out: Path, scene: str, *sets: str) -> Path:
+    return run_experiment(load_experiment(scene, list(sets)), out).stored.folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run of the generic Kowalevski top, with its attitude."""
+    return stored(tmp_path_factory.mktemp("runs"), "kowalevski_generic_hk", "N=400", TURNED, "name=turned")
+
+
+@pytest.fixture(scope="module")
+def motion(folder: Path) -> Motion:
+    return stored_motion(folder)
+
+
+def test_motion_is_that_of_the_rows(folder: Path, motion: Motion) -> None:
+    series = read_series(folder / "series.parquet")
+    np.testing.assert_array_equal(motion.attitude, np.column_stack([series[f"q{i}"] for i in range(4)]))
+    np.testing.assert_array_equal(motion.t, series["t"])
+    assert list(motion.invariants) == ["gamma_sq", "two_l", "energy", "k_sq"]
+    for name, values in motion.invariants.items():
+        np.testing.assert_array_equal(values, series[name])
+    assert motion.notes == ()
+
+
+def test_euler_angles_give_the_same_motion(tmp_path: Path, motion: Motion) -> None:
+    found = stored_motion(stored(tmp_path, "kowalevski_generic_hk", "N=400", "output.attitude=euler-angles"))
+    assert turned_apart(found.attitude, motion.attitude).max() < 1e-14
+
+
+def turned_apart(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Angles between attitudes, which q and -q share."""
+    return (Rotation.from_quat(p, scalar_first=True).inv() * Rotation.from_quat(q, scalar_first=True)).magnitude()
+
+
+@pytest.mark.slow
+def test_missing_attitude_is_reconstructed_and_said(tmp_path: Path) -> None:
+    """To round-off from rows of the exact motion, to the error of the scheme from those of HK."""
+    exact = ("scheme=exact", "h=0.05", "N=100")
+    with_it = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *exact, TURNED, "name=a"))
+    without = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *exact, "name=b"))
+    assert turned_apart(with_it.attitude, without.attitude).max() < 1e-11
+    assert without.notes == (
+        "b: no attitude is recorded; reconstructed from the rows (--set output.attitude=quaternion records the "
+        "scheme's own)",
+    )
+    rows = ("N=400", "output.every=10", "name=c")
+    coarse = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *rows))
+    fine = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *rows[:2], TURNED, "name=d"))
+    assert 1e-7 < turned_apart(coarse.attitude, fine.attitude).max() < 1e-3
+
+
+@pytest.mark.parametrize("scene", ["lagrange_cusps", "euler_hk", "euler_tennis_racket"])
+def test_every_form_of_a_top_is_reconstructed(tmp_path: Path, scene: str) -> None:
+    sets = ("scheme=exact", "h=0.01", "N=200")
+    one = stored_motion(stored(tmp_path, scene, *sets, TURNED, "name=a"))
+    other = stored_motion(stored(tmp_path, scene, *sets, "name=b"))
+    assert turned_apart(one.attitude, other.attitude).max() < 1e-11
+
+
+def test_rows_that_are_too_few_are_refused(tmp_path: Path) -> None:
+    folder = stored(tmp_path, "kowalevski_hk", "N=2000", "output.every=1000")
+    with pytest.raises(UsageError, match="turns by up to 2 radians from row to row") as caught:
+        stored_motion(folder)
+    assert "--set output.attitude=quaternion, or with rows at least 4." in caught.value.lines[1]
+    narrow = stored(tmp_path, "kowalevski_hk", "N=100", "output.columns=[t, gamma1]", "name=narrow")
+    with pytest.raises(UsageError, match="records neither the attitude nor all of omega1"):
+        stored_motion(narrow)
+
+
+@pytest.mark.slow
+def test_what_is_no_finished_run_is_refused(folder: Path, small_chunks: None, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"no run is stored here .* did you mean 'turned'"):
+        stored_motion(folder.parent / "tuned")
+    with pytest.raises(UsageError, match="give the folder of a run, such as results/NAME"):
+        stored_motion(Path("kowalevski_hk"))
+    half = killed(tmp_path, small(), 3)
+    for place in (half, tmp_path / "kowalevski_hk"):
+        with pytest.raises(UsageError, match="the run is unfinished; topcli run --resume continues it"):
+            stored_motion(place)
+
+
+@pytest.mark.slow
+def test_an_ensemble_is_refused(cli: Callable[..., Said]) -> None:
+    small_one = ("--set", "ensemble.random.count=2", "--set", "N=10", "--name", "many")
+    assert cli("run", "kowalevski_ensemble", *small_one).code == 0
+    said = cli("animate", "results/many", "--out", "a.gif")
+    assert said.code == 2
+    assert "results/many: an ensemble of many trajectories; run a single one of them" in said.err
+
+
+def test_a_damaged_run_is_refused(tmp_path: Path) -> None:
+    folder = stored(tmp_path, "kowalevski_hk", "N=50", TURNED)
+    with (folder / "series.parquet").open("r+b") as file:
+        file.seek(100)
+        file.write(b"\x00\x01\x02")
+    with pytest.raises(RunError, match=r"series\.parquet: damaged: its SHA-256 differs"):
+        stored_motion(folder)
+
+
+def test_an_interrupted_run_is_announced(tmp_path: Path, small_chunks: None) -> None:
+    one = load_experiment("kowalevski_hk", ["N=300", TURNED])
+    done = run_experiment(one, tmp_path, stop=after(3))
+    found = stored_motion(done.stored.folder)
+    assert len(found.notes) == 1
+    assert found.notes[0].startswith("kowalevski_hk: interrupted at step ")
+
+
+@pytest.mark.parametrize(
+    ("top", "state", "axis", "label"),
+    [
+        (Kowalevski(), None, (1.0, 0.0, 0.0), r"$\boldsymbol{e}_1$"),
+        (Kowalevski(c0=-1.0), None, (-1.0, 0.0, 0.0), r"$-\boldsymbol{e}_1$"),
+        (Lagrange(), None, (0.0, 0.0, 1.0), r"$\boldsymbol{e}_3$"),
+        (LagrangeInertial(), None, (0.0, 0.0, 1.0), r"$\boldsymbol{a}$"),
+        (Heavy(x0=0.0, y0=3.0, z0=4.0), None, (0.0, 0.6, 0.8), r"$\boldsymbol{s}$"),
+        (Euler(), (0.1, 2.0, 0.2), (0.0, 1.0, 0.0), r"$\boldsymbol{e}_2$"),
+        (EulerGamma(A=1.0, B=2.0, C=2.5), (3.0, 1.0, 0.1, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0), r"$\boldsymbol{e}_1$"),
+    ],
+)
+def test_axis_passes_through_the_centre_of_gravity(top: Top, state: Any, axis: Any, label: str) -> None:
+    body = body_of(top, state)
+    assert body.axis == pytest.approx(axis)
+    assert body.label == label
+    outwards = ((body.faces.mean(axis=1) - body.faces.reshape(-1, 3).mean(axis=0)) * body.normals).sum(axis=1)
+    assert outwards.min() > 0.0
+    assert np.linalg.norm(body.faces, axis=2).max() < 1.0  # within the sphere of the trace
+
+
+def test_body_is_the_ellipsoid_of_the_moments() -> None:
+    """A : B : C = b² + c² : c² + a² : a² + b² of the semi-axes."""
+    size = np.abs(body_of(Heavy(A=2.0, B=1.5, C=1.0, x0=1.0, y0=0.0, z0=0.0), None).faces).max(axis=(0, 1))
+    squares = size**2
+    found = np.array([squares[1] + squares[2], squares[2] + squares[0], squares[0] + squares[1]])
+    assert found / found[2] == pytest.approx([2.0, 1.5, 1.0], rel=0.02)
+
+
+def test_only_faces_turned_to_the_viewer_are_drawn() -> None:
+    body, view = body_of(Kowalevski(), None), projection(22.0, 35.0)
+    rotation = Rotation.from_euler("ZXZ", [0.4, 1.1, -2.0]).as_matrix()
+    corners, colours = shown_faces(body, view, rotation)
+    towards = (body.normals @ (view @ rotation).T)[:, 2]
+    assert len(corners) == len(colours) == (towards > 0.0).sum()
+    first = int(np.argmax(towards > 0.0))
+    np.testing.assert_allclose(corners[0], (body.faces[first] @ rotation.T @ view.T)[:, :2], atol=1e-14)
+    assert colours.min() >= 0.0
+    assert colours.max() <= 1.0
+
+
+def test_the_start_of_the_axis_is_seen_from_the_side() -> None:
+    assert view_azimuth(np.array([0.0, 0.0, 1.0])) == 35.0
+    for axis in ([1.0, 0.0, 0.2], [-0.3, 0.5, -0.4]):
+        right, _, _ = projection(22.0, view_azimuth(np.array(axis))) @ np.array(axis)
+        assert right < -0.8 * np.hypot(axis[0], axis[1])
+
+
+def test_frames_show_the_run_at_their_times(motion: Motion) -> None:
+    film = planned(motion, 10.0, 2.0, 300, None, None)
+    stage = Stage(motion, film)
+    picture = stage.frame(12)
+    assert picture.shape == (200, 300, 3)
+    assert picture.dtype == np.uint8
+    time = film.times[12]
+    row = int(np.searchsorted(motion.t, time, side="right")) - 1
+    assert stage.time.get_text() == f"$t = {time:.2f}$"
+    shown = [tuple(text.get_text() for text in pair) for pair in stage.values]
+    for (value, change), values in zip(shown, motion.invariants.values(), strict=True):
+        assert float(value) == pytest.approx(values[row], rel=1e-5)
+        assert float(change.replace("\N{MINUS SIGN}", "-")) == pytest.approx(
+            values[row] - values[0], rel=0.06, abs=1e-16
+        )
+    rotation = Rotation.from_quat(attitudes_at(motion, film.times)[0][12], scalar_first=True)
+    tip = stage.artist.view @ rotation.apply([1.0, 0.0, 0.0])
+    (x,), (y,) = stage.artist.dot.get_data()
+    assert (x, y) == pytest.approx(tip[:2], abs=1e-12)
+    heights = stage.cursor[1].get_data()
+    assert (heights[0][0], heights[1][0]) == pytest.approx((time, rotation.apply([1.0, 0.0, 0.0])[2]))
+    assert (stage.frame(13) != picture).any()
+    np.testing.assert_array_equal(stage.frame(12), picture)
+
+
+@pytest.mark.slow
+def test_trace_is_the_path_of_the_axis_so_far(motion: Motion) -> None:
+    stage = Stage(motion, planned(motion, 10.0, 2.0, 300, None, None))
+    stage.frame(19)
+    axis = Rotation.from_quat(motion.attitude, scalar_first=True).apply([1.0, 0.0, 0.0]) @ stage.artist.view.T
+    last = int(stage.rows[19])
+    for near, far in ((stage.artist.old[0], stage.artist.old[1]), (stage.artist.new[0], stage.artist.new[1])):
+        points = np.where(np.isfinite(near.get_xydata()), near.get_xydata(), far.get_xydata())
+        first = 0 if near is stage.artist.old[0] else len(stage.artist.old[0].get_xdata()) - 1
+        count = len(points) - (near is stage.artist.new[0])
+        np.testing.assert_allclose(points[:count], axis[first : first + count, :2], atol=1e-12)
+        assert first + count <= last + 1
+    assert first + count == last + 1
+    hidden = np.isfinite(stage.artist.new[1].get_xdata())[:-1]
+    np.testing.assert_array_equal(hidden, (axis[first : last + 1] @ [0.0, 0.0, 1.0]) < 0.0)
+
+
+def test_attitudes_between_rows_are_on_great_circles(motion: Motion) -> None:
+    times = np.array([motion.t[10], 0.25 * motion.t[10] + 0.75 * motion.t[11], motion.t[-1]])
+    found, rows = attitudes_at(motion, times)
+    assert rows.tolist() == [10, 10, 399]
+    assert turned_apart(found[[0, 2]], motion.attitude[[10, -1]]).max() < 1e-14
+    whole = turned_apart(motion.attitude[10:11], motion.attitude[11:12])[0]
+    assert turned_apart(motion.attitude[10:11], found[1:2])[0] == pytest.approx(0.75 * whole, rel=1e-9)
+    assert turns(motion.attitude)[10] == pytest.approx(whole, rel=1e-9)
+    assert turns(-motion.attitude[10:12] * np.array([[1.0], [-1.0]]))[0] == pytest.approx(whole, rel=1e-9)
+
+
+def test_default_end_keeps_the_motion_smooth(motion: Motion) -> None:
+    film = planned(motion, 25.0, 1.0, 720, None, None)
+    turned = turns(attitudes_at(motion, film.times)[0])
+    assert film.times[0] == 0.0
+    assert film.times[-1] < motion.t[-1]
+    assert turned.mean() == pytest.approx(0.12, rel=0.06)
+    whole = planned(motion, 25.0, 60.0, 720, None, None)
+    assert whole.times[-1] == motion.t[-1]
+    part = planned(motion, 25.0, 1.0, 720, 1.0, 3.5)
+    assert (part.times[0], part.times[-1], len(part.times)) == (1.0, 3.5, 25)
+
+
+@pytest.mark.slow
+def test_backward_runs_are_shown_backwards(tmp_path: Path) -> None:
+    found = stored_motion(stored(tmp_path, "kowalevski_generic_hk", "N=200", "h=-0.01", TURNED))
+    film = planned(found, 10.0, 1.0, 240, None, None)
+    assert film.times[0] == 0.0
+    assert -2.0 <= film.times[-1] < -0.5
+    q, _ = attitudes_at(found, np.array([-0.5]))
+    assert turned_apart(q, found.attitude[50:51])[0] < 1e-9
+    Stage(found, film).frame(5)
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "expected"),
+    [(5.0, None, "--start 5: the run is from t = 0 to 4"), (None, -1.0, "--stop -1"), (2.0, 2.0, "are both 2")],
+)
+def test_times_outside_the_run_are_refused(motion: Motion, start: Any, stop: Any, expected: str) -> None:
+    with pytest.raises(UsageError, match=expected):
+        planned(motion, 25.0, 1.0, 720, start, stop)
+
+
+@pytest.mark.slow
+def test_gif_holds_all_frames_at_the_wanted_speed(tmp_path: Path, motion: Motion) -> None:
+    film = planned(motion, 30.0, 0.5, 240, None, None)
+    seen: list[tuple[int, int]] = []
+    path = tmp_path / "new" / "a.gif"
+    animate(motion, film, path, lambda done, total: seen.append((done, total)))
+    with Image.open(path) as picture:
+        assert picture.size == (240, 160)
+        assert picture.n_frames == 15
+        assert picture.info["loop"] == 0
+        lengths = []
+        for index in range(picture.n_frames):
+            picture.seek(index)
+            lengths.append(picture.info["duration"])
+        assert sum(lengths) == 500
+        assert set(lengths) == {30, 40}
+        picture.seek(9)
+        shown = np.asarray(picture.convert("RGB"), dtype=float)
+    expected = Stage(motion, film).frame(9).astype(float)
+    assert np.abs(shown - expected).mean() < 4.0  # of 256; the palette
+    assert seen[0] == (0, 15)
+    assert seen[-1] == (15, 15)
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_durations_of_a_gif_are_whole_ticks() -> None:
+    assert gif_durations(3, 30.0) == [30, 40, 30]
+    assert sum(gif_durations(300, 24.0)) == 12500
+    assert gif_durations(2, 50.0) == [20, 20]
+
+
+def test_a_failed_animation_keeps_the_earlier_file(
+    tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.gif"
+    path.write_bytes(b"earlier")
+    film = planned(motion, 10.0, 0.5, 240, None, None)
+
+    def broken(self: Stage, index: int) -> Any:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Stage, "frame", broken)
+    with pytest.raises(RunError, match="no space left on the device; no animation was written"):
+        animate(motion, film, path)
+    assert path.read_bytes() == b"earlier"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.fixture
+def without_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+
+
+def test_a_missing_encoder_is_said_first(folder: Path, without_encoder: None, cli: Callable[..., Said]) -> None:
+    said = cli("animate", str(folder / "nowhere"), "--out", "a.mp4")
+    assert said.code == 2
+    assert said.err.splitlines() == [
+        "error: --out a.mp4: MP4 needs an encoder, which is not installed",
+        "pip install 'topcli[video]' brings it; a .gif needs nothing more",
+    ]
+
+
+@pytest.mark.slow
+def test_frames_reach_the_encoder(tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[Any] = []
+    asked: dict[str, Any] = {}
+
+    def write_frames(path: str, size: tuple[int, int], **options: Any) -> Iterator[None]:
+        asked.update(options, size=size, path=path)
+        try:
+            while True:
+                sent.append((yield))
+        finally:
+            Path(path).write_bytes(b"film")
+
+    fake = SimpleNamespace(write_frames=write_frames, get_ffmpeg_exe=lambda: "ffmpeg")
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", fake)
+    film = planned(motion, 10.0, 0.5, 241, None, None)
+    animate(motion, film, tmp_path / "a.mp4")
+    assert asked["size"] == (240, 160)
+    assert asked["fps"] == 10.0
+    assert asked["pix_fmt_out"] == "yuv420p"
+    assert asked["path"].endswith(".mp4")
+    stage = Stage(motion, film)
+    assert len(sent) == 5
+    np.testing.assert_array_equal(sent[3], stage.frame(3))
+    assert (tmp_path / "a.mp4").read_bytes() == b"film"
+
+
+@pytest.mark.slow
+def test_mp4_is_playable(tmp_path: Path, motion: Motion) -> None:
+    encoder = pytest.importorskip("imageio_ffmpeg")
+    film = planned(motion, 20.0, 1.0, 240, None, None)
+    animate(motion, film, tmp_path / "a.mp4")
+    reader = encoder.read_frames(str(tmp_path / "a.mp4"))
+    about = next(reader)
+    frames = [np.frombuffer(frame, dtype=np.uint8).reshape(160, 240, 3) for frame in reader]
+    assert about["codec"] == "h264"
+    assert about["fps"] == 20.0
+    assert len(frames) == 20
+    assert np.abs(frames[7].astype(float) - Stage(motion, film).frame(7)).mean() < 4.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("--out", "a.webm"), "--out a.webm: must end in .gif or .mp4"),
+        (("--out", "a.gif", "--fps", "60"), "--fps 60: a GIF has at most 50 frames per second; write an .mp4"),
+        (("--out", "a.gif", "--seconds", "200"), "a GIF has at most 2500 frames, not 5000; write an .mp4"),
+        (("--out", "a.gif", "--stop", "9"), "--stop 9: the run is from t = 0 to 4"),
+        (("--out", "a.gif", "--size", "10"), "--size"),
+    ],
+)
+def test_wrong_options_are_refused(
+    folder: Path, cli: Callable[..., Said], arguments: tuple[str, ...], expected: str
+) -> None:
+    said = cli("animate", str(folder), *arguments)
+    assert said.code == 2
+    assert expected in said.err
+    assert not Path("a.gif").exists()
+
+
+@pytest.mark.slow
+def test_the_command_reports_what_it_wrote(folder: Path, cli: Callable[..., Said]) -> None:
+    said = cli("animate", str(folder), "--out", "a.gif", "--seconds", "0.2", "--size", "240", "--stop", "4")
+    assert said.code == 0
+    assert said.out == "turned: 5 frames, 240 x 160 -> a.gif\n"
+    shown = cli("animate", str(folder), "--out", "a.gif", "--seconds", "0.2", "--size", "240", "--json")
+    assert json.loads(shown.out) == {
+        "schema_version": 1,
+        "command": "animate",
+        "run": "turned",
+        "file": "a.gif",
+        "frames": 5,
+        "fps": 25.0,
+        "width": 240,
+        "height": 160,
+        "t_first": 0.0,
+        "t_last": pytest.approx(0.4, abs=0.1),
+    }
+    assert "turned: shows t = 0 to 0." in shown.err
+    assert "of 4; --stop 4 shows all, faster" in shown.err
