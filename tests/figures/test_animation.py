@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -336,43 +337,64 @@ def test_a_missing_encoder_is_said_first(folder: Path, without_encoder: None, cl
     ]
 
 
+FAKE = """#!{python}
+import sys
+arguments = sys.argv[1:]
+frames = sys.stdin.buffer.read()
+if {fails}:
+    sys.exit("first line\\nno such codec")
+open(arguments[-1], "wb").write("\\n".join(arguments).encode() + b"\\n\\n" + frames)
+"""
+
+
+def fake_encoder(folder: Path, monkeypatch: pytest.MonkeyPatch, fails: bool = False) -> None:
+    """Install an encoder that writes its arguments and all that it is sent."""
+    program = folder / "encoder"
+    program.write_text(FAKE.format(python=sys.executable, fails=fails))
+    program.chmod(0o755)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", SimpleNamespace(get_ffmpeg_exe=lambda: str(program)))
+
+
 @pytest.mark.slow
 def test_frames_reach_the_encoder(tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
-    sent: list[Any] = []
-    asked: dict[str, Any] = {}
-
-    def write_frames(path: str, size: tuple[int, int], **options: Any) -> Iterator[None]:
-        asked.update(options, size=size, path=path)
-        try:
-            while True:
-                sent.append((yield))
-        finally:
-            Path(path).write_bytes(b"film")
-
-    fake = SimpleNamespace(write_frames=write_frames, get_ffmpeg_exe=lambda: "ffmpeg")
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", fake)
+    fake_encoder(tmp_path, monkeypatch)
     film = planned(motion, 10.0, 0.5, 241, None, None)
-    animate(motion, film, tmp_path / "a.mp4")
-    assert asked["size"] == (240, 160)
-    assert asked["fps"] == 10.0
-    assert asked["pix_fmt_out"] == "yuv420p"
-    assert asked["path"].endswith(".mp4")
-    stage = Stage(motion, film)
-    assert len(sent) == 5
-    np.testing.assert_array_equal(sent[3], stage.frame(3))
-    assert (tmp_path / "a.mp4").read_bytes() == b"film"
+    path = tmp_path / "out" / "a.mp4"
+    animate(motion, film, path)
+    said, _, sent = path.read_bytes().partition(b"\n\n")
+    words = said.decode().splitlines()
+    assert words[words.index("-s") + 1] == "240x160"
+    assert float(words[words.index("-r") + 1]) == 10.0
+    assert words.index("rgb24") < words.index("-i") < words.index("yuv420p")
+    frames = np.frombuffer(sent, dtype=np.uint8).reshape(-1, 160, 240, 3)
+    assert len(frames) == 5
+    np.testing.assert_array_equal(frames[3], Stage(motion, film).frame(3))
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_what_the_encoder_says_is_reported(tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_encoder(tmp_path, monkeypatch, fails=True)
+    (tmp_path / "out").mkdir()
+    path = tmp_path / "out" / "a.mp4"
+    path.write_bytes(b"earlier")
+    with pytest.raises(RunError, match="the encoder failed: no such codec"):
+        animate(motion, planned(motion, 10.0, 0.3, 240, None, None), path)
+    assert path.read_bytes() == b"earlier"
+    assert list(path.parent.iterdir()) == [path]
 
 
 @pytest.mark.slow
 def test_mp4_is_playable(tmp_path: Path, motion: Motion) -> None:
-    encoder = pytest.importorskip("imageio_ffmpeg")
+    program = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
     film = planned(motion, 20.0, 1.0, 240, None, None)
     animate(motion, film, tmp_path / "a.mp4")
-    reader = encoder.read_frames(str(tmp_path / "a.mp4"))
-    about = next(reader)
-    frames = [np.frombuffer(frame, dtype=np.uint8).reshape(160, 240, 3) for frame in reader]
-    assert about["codec"] == "h264"
-    assert about["fps"] == 20.0
+    decode = [program, "-i", str(tmp_path / "a.mp4"), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    made = subprocess.run(decode, check=True, capture_output=True)
+    frames = np.frombuffer(made.stdout, dtype=np.uint8).reshape(-1, 160, 240, 3)
+    about = made.stderr.decode()
+    assert "h264" in about
+    assert "20 fps" in about
+    assert "yuv420p" in about
     assert len(frames) == 20
     assert np.abs(frames[7].astype(float) - Stage(motion, film).frame(7)).mean() < 4.0
 

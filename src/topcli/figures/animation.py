@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -261,21 +263,20 @@ def write_mp4(path: Path, film: Film, frames: Iterator[Array]) -> None:
     """Write an MP4 (H.264) that browsers and slides play. Raises RunError if the encoder fails."""
     import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
 
-    writer = imageio_ffmpeg.write_frames(
-        str(path),
-        film.size,
-        fps=film.fps,
-        codec="libx264",
-        pix_fmt_out="yuv420p",
-        quality=None,
-        output_params=["-crf", "18", "-preset", "slow", "-movflags", "+faststart"],
-        macro_block_size=2,
-        ffmpeg_log_level="error",
-    )
-    try:
-        with contextlib.closing(writer):
-            writer.send(None)
-            for frame in frames:
-                writer.send(np.ascontiguousarray(frame))
-    except OSError as error:
-        raise RunError(f"{path}: the encoder failed: {str(error).splitlines()[0]}") from error
+    width, height = film.size
+    raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", repr(film.fps), "-i", "-")
+    coded = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-preset", "slow", "-movflags", "+faststart")
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *coded, os.fspath(path.absolute())]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        assert encoder.stderr is not None
+        try:
+            with contextlib.suppress(BrokenPipeError), encoder.stdin:  # then it has said why on stderr
+                for frame in frames:
+                    encoder.stdin.write(frame.tobytes())
+            said = encoder.stderr.read().decode(errors="replace").strip().splitlines()
+        except BaseException:
+            encoder.kill()
+            raise
+    if encoder.returncode:
+        raise RunError(f"the encoder failed: {said[-1] if said else f'exit code {encoder.returncode}'}")
