@@ -25,6 +25,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "fig1": ("plot", "fig1", "--format", "png"),
     "polhodes": ("plot", "polhodes", "--format", "png"),
     "nutation": ("plot", "nutation", "--format", "png"),
+    "body": ("plot", "body", "--format", "png"),
     "compare": ("compare", *COMPARED, "--plot"),
     "swings": ("plot", "swings", "--format", "png"),
     "integrable": ("plot", "integrable", "--format", "png"),

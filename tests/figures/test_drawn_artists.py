@@ -450,6 +450,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         "compare",
         "stress",
         "order",  # in test_sweep_figures.py
+        *("body", "traces"),  # in test_traces.py
         *("swings", "errors", "heavy-drift"),  # in test_sweep_studies.py
     }
 
