@@ -48,7 +48,9 @@ def animate(
     film = planned(motion, fps, seconds, size, start, stop)
     begin, end, last = float(film.times[0]), float(film.times[-1]), float(motion.t[-1])
     if stop is None and end != last:
-        say(f"{motion.experiment.name}: shows t = {begin:g} to {end:g} of {last:g}; --stop {last:g} shows all, faster")
+        say(
+            f"{motion.experiment.name}: shows t = {begin:g} to {end:.4g} of {last:g}; --stop {last:g} shows all, faster"
+        )
     display = ProgressDisplay(1, as_json, unit="frames")
     display.begin(str(out))
     try:

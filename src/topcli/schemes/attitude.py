@@ -48,11 +48,13 @@ def mean_turn(y: State, z: State, h: float) -> Quaternion:
     return unit_turn(f * (y[0] + z[0]), f * (y[1] + z[1]), f * (y[2] + z[2]))
 
 
-def expand(y: State, order: int, c: Any, s: Any) -> None:
+def expand(y: State, order: int, span: float, c: Any, s: Any) -> int:
     """Fill ``s`` with the Taylor coefficients of omega, gamma and the quaternion from the state ``y`` and identity.
 
-    ``c`` holds the moments (A, B, C) and mg(x0, y0, z0).
+    ``c`` holds the moments (A, B, C) and mg(x0, y0, z0). Return the order of the last coefficient: ``order``, or less
+    where two terms of the quaternion in succession are below ``RESOLVED`` at the time ``span``.
     """
+    power, before = 1.0, math.inf
     s[0], s[1], s[2], s[3], s[4], s[5] = y[0], y[1], y[2], y[3], y[4], y[5]
     s[6], s[7], s[8], s[9] = 1.0, 0.0, 0.0, 0.0
     for k in range(order):
@@ -77,6 +79,12 @@ def expand(y: State, order: int, c: Any, s: Any) -> None:
         s[n + 3], s[n + 4], s[n + 5] = f * p1, f * p2, f * p3
         f *= 0.5
         s[n + 6], s[n + 7], s[n + 8], s[n + 9] = f * r0, f * r1, f * r2, f * r3
+        power *= abs(span)
+        term = f * (abs(r0) + abs(r1) + abs(r2) + abs(r3)) * power
+        if span != 0.0 and term < RESOLVED and before < RESOLVED:
+            return k + 1
+        before = term
+    return order
 
 
 def value(s: Any, i: int, order: int, t: float) -> float:
@@ -101,11 +109,11 @@ def reach(s: Any, order: int) -> float:
 
 def flown(y: State, span: float, order: int, c: Any, s: Any) -> Quaternion:
     """Rotation of the body in the time ``span`` of the exact motion from ``y``; ``s`` is scratch space."""
-    q, left, terms = IDENTITY, span, order if order else MAX_ORDER
+    q, left = IDENTITY, span
     for _ in range(MOST_PARTS):
-        expand(y, terms, c, s)
+        terms = expand(y, order, 0.0, c, s) if order else expand(y, MAX_ORDER, left, c, s)
         t = left
-        if not order:
+        if terms == MAX_ORDER:
             longest = reach(s, terms)
             if longest < abs(left):
                 t = math.copysign(longest, left)
