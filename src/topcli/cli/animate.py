@@ -12,8 +12,12 @@ from topcli.cli.talk import ProgressDisplay, emit, print_json, say
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, such as results/NAME.")]
 Out = Annotated[Path, typer.Option("--out", metavar="FILE", help="Write this file, a .gif or an .mp4.")]
-Fps = Annotated[float, typer.Option("--fps", min=1.0, max=120.0, help="Show this number of frames per second.")]
-Seconds = Annotated[float, typer.Option("--seconds", min=0.1, max=600.0, help="Make it last this long.")]
+Fps = Annotated[
+    float, typer.Option("--fps", metavar="RATE", min=1.0, max=120.0, help="Show this number of frames per second.")
+]
+Seconds = Annotated[
+    float, typer.Option("--seconds", metavar="SECONDS", min=0.1, max=600.0, help="Make it last this long.")
+]
 Size = Annotated[int, typer.Option("--size", metavar="PIXELS", min=240, max=3840, help="Set the width; 3:2.")]
 Start = Annotated[float | None, typer.Option("--start", metavar="T", help="Begin at this time of the run.")]
 Stop = Annotated[
