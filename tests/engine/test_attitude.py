@@ -21,7 +21,6 @@ from topcli.engine.driver import loop_of
 from topcli.engine.loop import Run
 from topcli.engine.native import native
 from topcli.errors import UsageError
-from topcli.schemes.attitude import SCRATCH
 from topcli.studies.prepare import run_of
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
@@ -245,11 +244,11 @@ def test_compiled_and_plain_code_agree(order: int) -> None:
     states = Run(top, load_experiment("kowalevski_hk").method(), GEN, h, steps).collect().states
     constants = constants_of(top, order)
     found = []
-    calls: list[Callable[..., int]] = [native(carry, "pppppdqqq", inline=False), carry]
+    calls: list[Callable[..., int]] = [native(carry, "ppppdqqq", inline=False), carry]
     for call in calls:
-        work, out, scratch = np.zeros(HEAD), np.zeros(10 * steps), np.zeros(SCRATCH)
+        work, out = np.zeros(HEAD), np.zeros(10 * steps)
         work[:6], work[6:10] = GEN, start_attitude(top, GEN)
-        assert call(work, states[1:].ravel().copy(), out, constants, scratch, h, steps, 1, 1) == steps
+        assert call(work, states[1:].ravel().copy(), out, constants, h, steps, 1, 1) == steps
         found.append(out.reshape(steps, 10))
     assert np.abs(found[0] - found[1]).max() < 1e-15
 
@@ -303,9 +302,9 @@ def test_a_top_at_rest_keeps_its_attitude() -> None:
 def test_a_turn_too_large_to_resolve_is_no_number() -> None:
     """The run goes on; its attitude is nan, and neither hangs nor is silently wrong."""
     top, y = Kowalevski(), np.array([1e9, 0.0, 0.0, 1.0, 0.0, 0.0])
-    work, out, scratch = np.zeros(HEAD), np.zeros(10), np.zeros(SCRATCH)
+    work, out = np.zeros(HEAD), np.zeros(10)
     work[:6], work[6:10] = y, start_attitude(top, tuple(y))
-    assert native(carry, "pppppdqqq", inline=False)(work, y, out, constants_of(top, 0), scratch, 1.0, 1, 1, 1) == 1
+    assert native(carry, "ppppdqqq", inline=False)(work, y, out, constants_of(top, 0), 1.0, 1, 1, 1) == 1
     assert out[:6].tolist() == y.tolist()
     assert np.isnan(out[6:]).all()
 
