@@ -191,9 +191,17 @@ def test_attitude_does_not_depend_on_the_recorded_rows(top: str, scheme: str) ->
     assert some.tobytes() == np.ascontiguousarray(all_rows[::7]).tobytes()
 
 
-@pytest.mark.parametrize("scheme", ["hk", "rk4", "taylor", "exact", "dop853", "hybrid-sym"])
-def test_a_stopped_run_continues_bit_for_bit(scheme: str, small_chunks: None) -> None:
-    one = experiment("kowalevski", scheme, 0.02, 120, every=7)
+@pytest.mark.parametrize(
+    ("top", "scheme"),
+    [
+        *(("kowalevski", name) for name in ("hk", "rk4", "taylor", "exact", "dop853", "hybrid-sym")),
+        ("lagrange", "exact"),
+        ("euler", "exact"),
+        ("lagrange/inertial", "bs"),
+    ],
+)
+def test_a_stopped_run_continues_bit_for_bit(top: str, scheme: str, small_chunks: None) -> None:
+    one = experiment(top, scheme, 0.02, 120, every=7)
     whole = run_of(one, one.method())
     expected = b"".join(chunk.states.tobytes() for chunk in whole)
     first = run_of(one, one.method(), after(3))

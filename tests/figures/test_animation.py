@@ -20,7 +20,7 @@ from resuming import after, killed, small
 from topcli.config.load import load_experiment
 from topcli.contracts import Top
 from topcli.errors import RunError, UsageError
-from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, planned, turns
+from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
 from topcli.figures.body import body_of, shown_faces, view_azimuth
 from topcli.figures.sphere import projection
 from topcli.store.series import read_series
@@ -298,6 +298,18 @@ def test_gif_holds_all_frames_at_the_wanted_speed(tmp_path: Path, motion: Motion
     assert seen[0] == (0, 15)
     assert seen[-1] == (15, 15)
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_palette_of_a_gif_has_all_colours_of_a_frame(motion: Motion) -> None:
+    """No pixel is far from its nearest colour, also of frames whose marked sector is hidden in the first one."""
+    colours = palette().astype(float)
+    assert len(colours) <= 256
+    stage = Stage(motion, planned(motion, 10.0, 2.0, 300, None, None))
+    for index in (0, 7, 19):
+        seen = np.unique(stage.frame(index).reshape(-1, 3), axis=0).astype(float)
+        nearest = np.array([np.abs(colours - one).max(axis=1).min() for one in seen])
+        assert np.quantile(nearest, 0.9) <= 24.0
+        assert nearest.max() <= 60.0  # of pixels between two colours
 
 
 def test_durations_of_a_gif_are_whole_ticks() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
+import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,18 @@ from numpy.typing import NDArray
 from topcli.arithmetic.quaternions import matrices
 from topcli.contracts import Array
 from topcli.errors import RunError, UsageError
-from topcli.figures.body import BodyArtist, body_of
+from topcli.figures.body import (
+    BLUE,
+    DOT,
+    MARK,
+    OLD,
+    OLD_FAR,
+    PALE,
+    TRACE,
+    TRACE_FAR,
+    BodyArtist,
+    body_of,
+)
 from topcli.figures.picture import STYLE, scheme_label
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.studies.motion import Motion
@@ -30,6 +42,8 @@ GIF_TICK = 100.0
 """Units of time of a GIF in a second."""
 GIF_FRAMES = 2500
 """Largest number of frames of a GIF, which are all held in memory."""
+NAME_LENGTH = 28
+"""Letters of a name that fit in a frame."""
 INCHES = 7.2
 """Width of a frame in inches, to which the sizes of letters refer."""
 
@@ -153,9 +167,11 @@ class Stage:
             self.figure = Figure(figsize=(INCHES, INCHES * height / width), dpi=width / INCHES)
             self.canvas = FigureCanvasAgg(self.figure)
             self.artist = BodyArtist(self.figure.add_axes((0.0, 0.0, 0.62, 1.0)), body, self.path[self.first :])
-            self.figure.text(0.62, 0.91, one.name.replace("$", r"\$"), fontsize=13, va="top")
-            about = f"{one.top.title.partition(' (')[0]}, {scheme_label(one)}, $h = {one.h:g}$"
-            self.figure.text(0.62, 0.845, about, fontsize=8.5, color="0.35", va="top")
+            name = one.name if len(one.name) <= NAME_LENGTH else f"{one.name[: NAME_LENGTH - 1]}\N{HORIZONTAL ELLIPSIS}"
+            self.figure.text(0.62, 0.925, name.replace("$", r"\$"), fontsize=13, va="top")
+            about = (one.top.title.partition(" (")[0], f"{scheme_label(one)}, h = {one.h:g}")
+            lines = [line for text in about for line in textwrap.wrap(text, 50)[:1]]
+            self.figure.text(0.62, 0.865, "\n".join(lines), fontsize=8.5, color="0.35", va="top")
             self.time = self.figure.text(0.62, 0.755, "", fontsize=13, va="top")
             self.values = self._table()
             self.cursor = self._heights(body.label)
@@ -186,10 +202,10 @@ class Stage:
         axes = self.figure.add_axes((0.685, 0.145, 0.295, max(0.14, min(0.24, lines - 0.20))))
         low, high = sorted((float(self.film.times[0]), float(self.film.times[-1])))
         heights = (matrices(self.attitudes) @ self.artist.body.axis)[:, 2]
-        axes.plot(self.film.times, heights, "-", color="#0072B2", lw=0.9)
+        axes.plot(self.film.times, heights, "-", color=TRACE, lw=0.9)
         axes.set(xlim=(low, high), ylim=(-1.08, 1.08), yticks=(-1, 0, 1), xlabel="$t$")
         axes.set_title(f"height of {label}", loc="left", fontsize=9)
-        return axes.axvline(low, color="0.4", lw=0.7, ls="-"), axes.plot([], [], "o", color="#D55E00", ms=4.5)[0]
+        return axes.axvline(low, color="0.4", lw=0.7, ls="-"), axes.plot([], [], "o", color=DOT, ms=4.5)[0]
 
     def frame(self, index: int) -> Array:
         """Picture (height, width, 3) of frame ``index``, 8 bits per colour."""
@@ -242,17 +258,28 @@ def gif_durations(count: int, fps: float) -> list[int]:
     return (np.diff(ends, prepend=0) * round(1000.0 / GIF_TICK)).tolist()
 
 
+def palette() -> NDArray[np.uint8]:
+    """Colours (k, 3), at most 256, that all frames of a GIF share: lit and dark sectors, lines on paper, greys."""
+    from matplotlib.colors import to_rgb
+
+    dim, bright = np.linspace(0.5, 1.02, 28)[:, None], np.linspace(0.78, 1.02, 4)[:, None]
+    found = [np.linspace(0.0, 1.0, 40)[:, None] * np.ones(3)]
+    for colour in (PALE, BLUE, MARK):
+        found.append(np.array(colour) * dim)
+        found += [np.array(colour) * bright + gloss for gloss in (0.04, 0.08, 0.12, 0.16)]
+    paper = np.linspace(0.0, 0.9, 10)[:, None]
+    for name in (TRACE, TRACE_FAR, OLD, OLD_FAR, DOT):
+        found.append(paper * 0.975 + (1.0 - paper) * np.array(to_rgb(name)))
+    return np.unique(np.round(255.0 * np.clip(np.vstack(found), 0.0, 1.0)).astype(np.uint8), axis=0)
+
+
 def write_gif(path: Path, film: Film, frames: Iterator[Array]) -> None:
-    """Write an endless GIF; all frames share the colours of the first and the middle one."""
+    """Write an endless GIF."""
     from PIL import Image
 
-    pictures: list[Any] = []
-    palette: Any = None
-    for frame in frames:
-        picture = Image.fromarray(frame)
-        if palette is None:
-            palette = picture.quantize(192, method=Image.Quantize.MEDIANCUT)
-        pictures.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
+    colours = Image.new("P", (1, 1))
+    colours.putpalette(palette().ravel().tolist())
+    pictures = [Image.fromarray(one).quantize(palette=colours, dither=Image.Dither.NONE) for one in frames]
     durations = gif_durations(len(pictures), film.fps)
     pictures[0].save(
         path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=False, disposal=1

@@ -26,7 +26,7 @@ LARGEST = 0.66
 THINNEST = 0.12
 """Smallest semi-axis relative to the largest one."""
 TRACE, TRACE_FAR, OLD, OLD_FAR = "#0072B2", "#A6CDE6", "#7FB8D8", "#D3E5F0"
-VERTICAL = "0.15"
+VERTICAL, DOT = "0.15", "#D55E00"
 SHOWN_POINTS = 6000
 """Largest number of points of a drawn trace."""
 _SILHOUETTE = ((0.0, 0.0), (0.10, 0.10), (0.62, 0.58), (0.64, 0.66), (0.50, 0.80), (0.10, 1.0), (0.0, 1.0))
@@ -191,7 +191,7 @@ class BodyArtist:
         self.faces = PolyCollection([], closed=True, linewidths=0.35, antialiaseds=True, zorder=10)
         axes.add_collection(self.faces)
         self.rod = axes.plot([], [], color="0.1", lw=1.6, ls="-", solid_capstyle="round")[0]
-        self.dot = axes.plot([], [], "o", color="#D55E00", ms=5.5, mec="white", mew=0.8)[0]
+        self.dot = axes.plot([], [], "o", color=DOT, ms=5.5, mec="white", mew=0.8)[0]
         self.name = axes.text(0.0, 0.0, body.label, ha="center", va="center", zorder=30)
         self.name.set_path_effects([withStroke(linewidth=2.2, foreground="white")])
         self._vertical(axes)
@@ -249,6 +249,6 @@ class BodyArtist:
         self.dot.set_data([tip[0]], [tip[1]])
         self.dot.set_zorder(22 if near else 4)
         out = tip[:2] / max(float(np.hypot(*tip[:2])), 0.15)
-        if abs(tip[0]) < 0.15 and tip[1] > 0.7:  # beside the arrow of the vertical
+        if abs(tip[0]) < 0.2 and abs(tip[1]) > 0.7:  # beside the arrow of the vertical, within the picture
             out = np.array([-1.0, 0.35])
         self.name.set_position(tuple(tip[:2] + 0.14 * out))
