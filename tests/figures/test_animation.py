@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,7 +22,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Top
 from topcli.errors import RunError, UsageError
 from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
-from topcli.figures.body import body_of, shown_faces, view_azimuth
+from topcli.figures.body import body_of, shown_faces, surface_distance, view_azimuth
 from topcli.figures.sphere import projection
 from topcli.store.series import read_series
 from topcli.studies.motion import Motion, stored_motion
@@ -161,6 +162,19 @@ def test_axis_passes_through_the_centre_of_gravity(top: Top, state: Any, axis: A
     outwards = ((body.faces.mean(axis=1) - body.faces.reshape(-1, 3).mean(axis=0)) * body.normals).sum(axis=1)
     assert outwards.min() > 0.0
     assert np.linalg.norm(body.faces, axis=2).max() < 1.0  # within the sphere of the trace
+
+
+@pytest.mark.parametrize("top", [Heavy(), Heavy(x0=0.0, y0=3.0, z0=4.0), Kowalevski()])
+def test_axis_leaves_the_body_at_its_surface(top: Top) -> None:
+    body = body_of(top, None)
+    semi = np.abs(body.faces).max(axis=(0, 1))
+    assert surface_distance(body) == pytest.approx(1.0 / math.sqrt(((body.axis / semi) ** 2).sum()), rel=0.03)
+
+
+def test_spinning_top_ends_where_its_axis_leaves_it() -> None:
+    body = body_of(Lagrange(), None)
+    assert surface_distance(body) == pytest.approx(body.faces[:, :, 2].max(), rel=1e-12)
+    assert body.faces[:, :, 2].min() == 0.0  # the tip is in the fixed point
 
 
 def test_body_is_the_ellipsoid_of_the_moments() -> None:

@@ -169,7 +169,8 @@ class Stage:
             self.artist = BodyArtist(self.figure.add_axes((0.0, 0.0, 0.62, 1.0)), body, self.path[self.first :])
             name = one.name if len(one.name) <= NAME_LENGTH else f"{one.name[: NAME_LENGTH - 1]}\N{HORIZONTAL ELLIPSIS}"
             self.figure.text(0.62, 0.925, name.replace("$", r"\$"), fontsize=13, va="top")
-            about = (one.top.title.partition(" (")[0], f"{scheme_label(one)}, h = {one.h:g}")
+            title = one.top.title.partition(" (")[0]
+            about = (title[:1].upper() + title[1:], f"{scheme_label(one)}, h = {one.h:g}")
             lines = [line for text in about for line in textwrap.wrap(text, 50)[:1]]
             self.figure.text(0.62, 0.865, "\n".join(lines), fontsize=8.5, color="0.35", va="top")
             self.time = self.figure.text(0.62, 0.755, "", fontsize=13, va="top")

@@ -167,6 +167,14 @@ def view_azimuth(axis: Array) -> float:
     return 35.0 if np.hypot(axis[0], axis[1]) < 0.1 else math.degrees(math.atan2(axis[1], axis[0])) + 70.0
 
 
+def surface_distance(body: Body) -> float:
+    """Distance from the fixed point at which the axis leaves the body."""
+    corners = body.faces.reshape(-1, 3)
+    size = np.linalg.norm(corners, axis=1)
+    cosine = np.where(size > 0.0, corners @ body.axis / np.where(size > 0.0, size, 1.0), -1.0)
+    return float(size[int(np.argmax(cosine))])
+
+
 class BodyArtist:
     """Artists of a body, its axis and the trace of that, on ``axes``; ``show`` moves them to a row of the motion.
 
@@ -180,6 +188,7 @@ class BodyArtist:
         from matplotlib.patheffects import withStroke
 
         self.body, self.view = body, projection(elevation, view_azimuth(path[0]) if azimuth is None else azimuth)
+        self.reach = surface_distance(body)
         self.stride = -(-len(path) // SHOWN_POINTS)
         self.path = path[:: self.stride] @ self.view.T
         axes.set_aspect("equal")
@@ -243,7 +252,7 @@ class BodyArtist:
         self._place(self.old, self.path[: first + 1])
         self._place(self.new, np.vstack([self.path[first : last + 1], tip]))
         near = tip[2] >= 0.0
-        reach = float(np.max(self.body.faces @ self.body.axis)) if near else 0.0
+        reach = self.reach if near else 0.0
         self.rod.set_data([reach * tip[0], tip[0]], [reach * tip[1], tip[1]])
         self.rod.set_zorder(21 if near else 3)
         self.dot.set_data([tip[0]], [tip[1]])
