@@ -246,13 +246,19 @@ def test_an_interrupted_call_counts_no_step() -> None:
     assert work.tobytes() == begun.tobytes()
 
 
+def test_machine_code_is_stored() -> None:
+    """A second process must not compile it for seconds: its code needs no symbol of numba's."""
+    native(carry, "ppppdqqq")
+    assert native(carry, "ppppdqqq").cached
+
+
 @pytest.mark.parametrize("order", [2, 4, 0])
 def test_compiled_and_plain_code_agree(order: int) -> None:
     top, h, steps = Kowalevski(), 0.3, 20
     states = Run(top, load_experiment("kowalevski_hk").method(), GEN, h, steps).collect().states
     constants = constants_of(top, order)
     found = []
-    calls: list[Callable[..., int]] = [native(carry, "ppppdqqq", inline=False), carry]
+    calls: list[Callable[..., int]] = [native(carry, "ppppdqqq"), carry]
     for call in calls:
         work, out = np.zeros(HEAD), np.zeros(10 * steps)
         work[:6], work[6:10] = GEN, start_attitude(top, GEN)
@@ -312,7 +318,7 @@ def test_a_turn_too_large_to_resolve_is_no_number() -> None:
     top, y = Kowalevski(), np.array([1e9, 0.0, 0.0, 1.0, 0.0, 0.0])
     work, out = np.zeros(HEAD), np.zeros(10)
     work[:6], work[6:10] = y, start_attitude(top, tuple(y))
-    assert native(carry, "ppppdqqq", inline=False)(work, y, out, constants_of(top, 0), 1.0, 1, 1, 1) == 1
+    assert native(carry, "ppppdqqq")(work, y, out, constants_of(top, 0), 1.0, 1, 1, 1) == 1
     assert out[:6].tolist() == y.tolist()
     assert np.isnan(out[6:]).all()
 

@@ -80,7 +80,7 @@ def carry(work: Any, states: Any, out: Any, c: Any, h: float, steps: int, every:
 def _compiled() -> Native:
     from topcli.engine.native import native
 
-    return native(carry, "ppppdqqq", inline=False)
+    return native(carry, "ppppdqqq")
 
 
 def constants_of(top: Top, order: int) -> Array:
