@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,26 +16,10 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from conftest import Said
-from resuming import after, killed, small
-from topcli.config.load import load_experiment
-from topcli.contracts import Top
 from topcli.errors import RunError, UsageError
 from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
-from topcli.figures.body import body_of, shown_faces, surface_distance, view_azimuth
-from topcli.figures.sphere import projection
-from topcli.store.series import read_series
 from topcli.studies.motion import Motion, stored_motion
-from topcli.studies.run import run_experiment
-from topcli.tops.euler import Euler, EulerGamma
-from topcli.tops.heavy import Heavy
-from topcli.tops.kowalevski import Kowalevski
-from topcli.tops.lagrange import Lagrange, LagrangeInertial
-
-TURNED = "output.attitude=quaternion"
-
-
-def stored(out: Path, scene: str, *sets: str) -> Path:
-    return run_experiment(load_experiment(scene, list(sets)), out).stored.folder
+from turning import TURNED, stored, turned_apart
 
 
 @pytest.fixture(scope="module")
@@ -48,160 +31,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def motion(folder: Path) -> Motion:
     return stored_motion(folder)
-
-
-def test_motion_is_that_of_the_rows(folder: Path, motion: Motion) -> None:
-    series = read_series(folder / "series.parquet")
-    np.testing.assert_array_equal(motion.attitude, np.column_stack([series[f"q{i}"] for i in range(4)]))
-    np.testing.assert_array_equal(motion.t, series["t"])
-    assert list(motion.invariants) == ["gamma_sq", "two_l", "energy", "k_sq"]
-    for name, values in motion.invariants.items():
-        np.testing.assert_array_equal(values, series[name])
-    assert motion.notes == ()
-
-
-def test_euler_angles_give_the_same_motion(tmp_path: Path, motion: Motion) -> None:
-    found = stored_motion(stored(tmp_path, "kowalevski_generic_hk", "N=400", "output.attitude=euler-angles"))
-    assert turned_apart(found.attitude, motion.attitude).max() < 1e-14
-
-
-def turned_apart(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Angles between attitudes, which q and -q share."""
-    return (Rotation.from_quat(p, scalar_first=True).inv() * Rotation.from_quat(q, scalar_first=True)).magnitude()
-
-
-@pytest.mark.slow
-def test_missing_attitude_is_reconstructed_and_said(tmp_path: Path) -> None:
-    """To round-off from rows of the exact motion, to the error of the scheme from those of HK."""
-    exact = ("scheme=exact", "h=0.05", "N=100")
-    with_it = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *exact, TURNED, "name=a"))
-    without = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *exact, "name=b"))
-    assert turned_apart(with_it.attitude, without.attitude).max() < 1e-11
-    assert without.notes == (
-        "b: no attitude is recorded; reconstructed from the rows (--set output.attitude=quaternion records the "
-        "scheme's own)",
-    )
-    rows = ("N=400", "output.every=10", "name=c")
-    coarse = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *rows))
-    fine = stored_motion(stored(tmp_path, "kowalevski_generic_hk", *rows[:2], TURNED, "name=d"))
-    assert 1e-7 < turned_apart(coarse.attitude, fine.attitude).max() < 1e-3
-
-
-@pytest.mark.parametrize("scene", ["lagrange_cusps", "euler_hk", "euler_tennis_racket"])
-def test_every_form_of_a_top_is_reconstructed(tmp_path: Path, scene: str) -> None:
-    sets = ("scheme=exact", "h=0.01", "N=200")
-    one = stored_motion(stored(tmp_path, scene, *sets, TURNED, "name=a"))
-    other = stored_motion(stored(tmp_path, scene, *sets, "name=b"))
-    assert turned_apart(one.attitude, other.attitude).max() < 1e-11
-
-
-def test_rows_that_are_too_few_are_refused(tmp_path: Path) -> None:
-    folder = stored(tmp_path, "kowalevski_hk", "N=2000", "output.every=1000")
-    with pytest.raises(UsageError, match="turns by up to 2 radians from row to row") as caught:
-        stored_motion(folder)
-    assert "--set output.attitude=quaternion, or with rows at least 4." in caught.value.lines[1]
-    narrow = stored(tmp_path, "kowalevski_hk", "N=100", "output.columns=[t, gamma1]", "name=narrow")
-    with pytest.raises(UsageError, match="records neither the attitude nor all of omega1"):
-        stored_motion(narrow)
-
-
-@pytest.mark.slow
-def test_what_is_no_finished_run_is_refused(folder: Path, small_chunks: None, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"no run is stored here .* did you mean 'turned'"):
-        stored_motion(folder.parent / "tuned")
-    with pytest.raises(UsageError, match="give the folder of a run, such as results/NAME"):
-        stored_motion(Path("kowalevski_hk"))
-    half = killed(tmp_path, small(), 3)
-    for place in (half, tmp_path / "kowalevski_hk"):
-        with pytest.raises(UsageError, match="the run is unfinished; topcli run --resume continues it"):
-            stored_motion(place)
-
-
-@pytest.mark.slow
-def test_an_ensemble_is_refused(cli: Callable[..., Said]) -> None:
-    small_one = ("--set", "ensemble.random.count=2", "--set", "N=10", "--name", "many")
-    assert cli("run", "kowalevski_ensemble", *small_one).code == 0
-    said = cli("animate", "results/many", "--out", "a.gif")
-    assert said.code == 2
-    assert "results/many: an ensemble of many trajectories; run a single one of them" in said.err
-
-
-def test_a_damaged_run_is_refused(tmp_path: Path) -> None:
-    folder = stored(tmp_path, "kowalevski_hk", "N=50", TURNED)
-    with (folder / "series.parquet").open("r+b") as file:
-        file.seek(100)
-        file.write(b"\x00\x01\x02")
-    with pytest.raises(RunError, match=r"series\.parquet: damaged: its SHA-256 differs"):
-        stored_motion(folder)
-
-
-def test_an_interrupted_run_is_announced(tmp_path: Path, small_chunks: None) -> None:
-    one = load_experiment("kowalevski_hk", ["N=300", TURNED])
-    done = run_experiment(one, tmp_path, stop=after(3))
-    found = stored_motion(done.stored.folder)
-    assert len(found.notes) == 1
-    assert found.notes[0].startswith("kowalevski_hk: interrupted at step ")
-
-
-@pytest.mark.parametrize(
-    ("top", "state", "axis", "label"),
-    [
-        (Kowalevski(), None, (1.0, 0.0, 0.0), r"$\boldsymbol{e}_1$"),
-        (Kowalevski(c0=-1.0), None, (-1.0, 0.0, 0.0), r"$-\boldsymbol{e}_1$"),
-        (Lagrange(), None, (0.0, 0.0, 1.0), r"$\boldsymbol{e}_3$"),
-        (LagrangeInertial(), None, (0.0, 0.0, 1.0), r"$\boldsymbol{a}$"),
-        (Heavy(x0=0.0, y0=3.0, z0=4.0), None, (0.0, 0.6, 0.8), r"$\boldsymbol{s}$"),
-        (Euler(), (0.1, 2.0, 0.2), (0.0, 1.0, 0.0), r"$\boldsymbol{e}_2$"),
-        (EulerGamma(A=1.0, B=2.0, C=2.5), (3.0, 1.0, 0.1, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0), r"$\boldsymbol{e}_1$"),
-    ],
-)
-def test_axis_passes_through_the_centre_of_gravity(top: Top, state: Any, axis: Any, label: str) -> None:
-    body = body_of(top, state)
-    assert body.axis == pytest.approx(axis)
-    assert body.label == label
-    outwards = ((body.faces.mean(axis=1) - body.faces.reshape(-1, 3).mean(axis=0)) * body.normals).sum(axis=1)
-    assert outwards.min() > 0.0
-    assert np.linalg.norm(body.faces, axis=2).max() < 1.0  # within the sphere of the trace
-
-
-@pytest.mark.parametrize("top", [Heavy(), Heavy(x0=0.0, y0=3.0, z0=4.0), Kowalevski()])
-def test_axis_leaves_the_body_at_its_surface(top: Top) -> None:
-    body = body_of(top, None)
-    semi = np.abs(body.faces).max(axis=(0, 1))
-    assert surface_distance(body) == pytest.approx(1.0 / math.sqrt(((body.axis / semi) ** 2).sum()), rel=0.03)
-
-
-def test_spinning_top_ends_where_its_axis_leaves_it() -> None:
-    body = body_of(Lagrange(), None)
-    assert surface_distance(body) == pytest.approx(body.faces[:, :, 2].max(), rel=1e-12)
-    assert body.faces[:, :, 2].min() == 0.0  # the tip is in the fixed point
-
-
-def test_body_is_the_ellipsoid_of_the_moments() -> None:
-    """A : B : C = b² + c² : c² + a² : a² + b² of the semi-axes."""
-    size = np.abs(body_of(Heavy(A=2.0, B=1.5, C=1.0, x0=1.0, y0=0.0, z0=0.0), None).faces).max(axis=(0, 1))
-    squares = size**2
-    found = np.array([squares[1] + squares[2], squares[2] + squares[0], squares[0] + squares[1]])
-    assert found / found[2] == pytest.approx([2.0, 1.5, 1.0], rel=0.02)
-
-
-def test_only_faces_turned_to_the_viewer_are_drawn() -> None:
-    body, view = body_of(Kowalevski(), None), projection(22.0, 35.0)
-    rotation = Rotation.from_euler("ZXZ", [0.4, 1.1, -2.0]).as_matrix()
-    corners, colours = shown_faces(body, view, rotation)
-    towards = (body.normals @ (view @ rotation).T)[:, 2]
-    assert len(corners) == len(colours) == (towards > 0.0).sum()
-    first = int(np.argmax(towards > 0.0))
-    np.testing.assert_allclose(corners[0], (body.faces[first] @ rotation.T @ view.T)[:, :2], atol=1e-14)
-    assert colours.min() >= 0.0
-    assert colours.max() <= 1.0
-
-
-def test_the_start_of_the_axis_is_seen_from_the_side() -> None:
-    assert view_azimuth(np.array([0.0, 0.0, 1.0])) == 35.0
-    for axis in ([1.0, 0.0, 0.2], [-0.3, 0.5, -0.4]):
-        right, _, _ = projection(22.0, view_azimuth(np.array(axis))) @ np.array(axis)
-        assert right < -0.8 * np.hypot(axis[0], axis[1])
 
 
 def test_frames_show_the_run_at_their_times(motion: Motion) -> None:
