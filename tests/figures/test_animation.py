@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from conftest import Said
 from topcli.errors import RunError, UsageError
 from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
-from topcli.studies.motion import Motion, stored_motion
+from topcli.studies.body_motion import BodyMotion, stored_body_motion
 from turning import TURNED, stored, turned_apart
 
 
@@ -29,11 +29,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def motion(folder: Path) -> Motion:
-    return stored_motion(folder)
+def motion(folder: Path) -> BodyMotion:
+    return stored_body_motion(folder)
 
 
-def test_frames_show_the_run_at_their_times(motion: Motion) -> None:
+def test_frames_show_the_run_at_their_times(motion: BodyMotion) -> None:
     film = planned(motion, 10.0, 2.0, 300, None, None)
     stage = Stage(motion, film)
     picture = stage.frame(12)
@@ -59,7 +59,7 @@ def test_frames_show_the_run_at_their_times(motion: Motion) -> None:
 
 
 @pytest.mark.slow
-def test_trace_is_the_path_of_the_axis_so_far(motion: Motion) -> None:
+def test_trace_is_the_path_of_the_axis_so_far(motion: BodyMotion) -> None:
     stage = Stage(motion, planned(motion, 10.0, 2.0, 300, None, None))
     stage.frame(19)
     axis = Rotation.from_quat(motion.attitude, scalar_first=True).apply([1.0, 0.0, 0.0]) @ stage.artist.view.T
@@ -75,7 +75,7 @@ def test_trace_is_the_path_of_the_axis_so_far(motion: Motion) -> None:
     np.testing.assert_array_equal(hidden, (axis[first : last + 1] @ [0.0, 0.0, 1.0]) < 0.0)
 
 
-def test_attitudes_between_rows_are_on_great_circles(motion: Motion) -> None:
+def test_attitudes_between_rows_are_on_great_circles(motion: BodyMotion) -> None:
     times = np.array([motion.t[10], 0.25 * motion.t[10] + 0.75 * motion.t[11], motion.t[-1]])
     found, rows = attitudes_at(motion, times)
     assert rows.tolist() == [10, 10, 399]
@@ -86,7 +86,7 @@ def test_attitudes_between_rows_are_on_great_circles(motion: Motion) -> None:
     assert turns(-motion.attitude[10:12] * np.array([[1.0], [-1.0]]))[0] == pytest.approx(whole, rel=1e-9)
 
 
-def test_default_end_keeps_the_motion_smooth(motion: Motion) -> None:
+def test_default_end_keeps_the_motion_smooth(motion: BodyMotion) -> None:
     film = planned(motion, 25.0, 1.0, 720, None, None)
     turned = turns(attitudes_at(motion, film.times)[0])
     assert film.times[0] == 0.0
@@ -100,7 +100,7 @@ def test_default_end_keeps_the_motion_smooth(motion: Motion) -> None:
 
 @pytest.mark.slow
 def test_backward_runs_are_shown_backwards(tmp_path: Path) -> None:
-    found = stored_motion(stored(tmp_path, "kowalevski_generic_hk", "N=200", "h=-0.01", TURNED))
+    found = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", "N=200", "h=-0.01", TURNED))
     film = planned(found, 10.0, 1.0, 240, None, None)
     assert film.times[0] == 0.0
     assert -2.0 <= film.times[-1] < -0.5
@@ -113,13 +113,13 @@ def test_backward_runs_are_shown_backwards(tmp_path: Path) -> None:
     ("start", "stop", "expected"),
     [(5.0, None, "--start 5: the run is from t = 0 to 4"), (None, -1.0, "--stop -1"), (2.0, 2.0, "are both 2")],
 )
-def test_times_outside_the_run_are_refused(motion: Motion, start: Any, stop: Any, expected: str) -> None:
+def test_times_outside_the_run_are_refused(motion: BodyMotion, start: Any, stop: Any, expected: str) -> None:
     with pytest.raises(UsageError, match=expected):
         planned(motion, 25.0, 1.0, 720, start, stop)
 
 
 @pytest.mark.slow
-def test_gif_holds_all_frames_at_the_wanted_speed(tmp_path: Path, motion: Motion) -> None:
+def test_gif_holds_all_frames_at_the_wanted_speed(tmp_path: Path, motion: BodyMotion) -> None:
     film = planned(motion, 30.0, 0.5, 240, None, None)
     seen: list[tuple[int, int]] = []
     path = tmp_path / "new" / "a.gif"
@@ -143,7 +143,7 @@ def test_gif_holds_all_frames_at_the_wanted_speed(tmp_path: Path, motion: Motion
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_palette_of_a_gif_has_all_colours_of_a_frame(motion: Motion) -> None:
+def test_palette_of_a_gif_has_all_colours_of_a_frame(motion: BodyMotion) -> None:
     """No pixel is far from its nearest colour, also of frames whose marked sector is hidden in the first one."""
     colours = palette().astype(float)
     assert len(colours) <= 256
@@ -162,7 +162,7 @@ def test_durations_of_a_gif_are_whole_ticks() -> None:
 
 
 def test_a_failed_animation_keeps_the_earlier_file(
-    tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.gif"
     path.write_bytes(b"earlier")
@@ -211,7 +211,7 @@ def fake_encoder(folder: Path, monkeypatch: pytest.MonkeyPatch, fails: bool = Fa
 
 
 @pytest.mark.slow
-def test_frames_reach_the_encoder(tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_reach_the_encoder(tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_encoder(tmp_path, monkeypatch)
     film = planned(motion, 10.0, 0.5, 241, None, None)
     path = tmp_path / "out" / "a.mp4"
@@ -227,7 +227,7 @@ def test_frames_reach_the_encoder(tmp_path: Path, motion: Motion, monkeypatch: p
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_what_the_encoder_says_is_reported(tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_encoder_says_is_reported(tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_encoder(tmp_path, monkeypatch, fails=True)
     (tmp_path / "out").mkdir()
     path = tmp_path / "out" / "a.mp4"
@@ -239,7 +239,7 @@ def test_what_the_encoder_says_is_reported(tmp_path: Path, motion: Motion, monke
 
 
 @pytest.mark.slow
-def test_mp4_is_playable(tmp_path: Path, motion: Motion) -> None:
+def test_mp4_is_playable(tmp_path: Path, motion: BodyMotion) -> None:
     program = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
     film = planned(motion, 20.0, 1.0, 240, None, None)
     animate(motion, film, tmp_path / "a.mp4")

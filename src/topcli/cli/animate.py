@@ -43,10 +43,10 @@ def animate(
     """
     from topcli.figures.animation import animate as draw
     from topcli.figures.animation import encoder_for, planned
-    from topcli.studies.motion import stored_motion
+    from topcli.studies.body_motion import stored_body_motion
 
     encoder_for(out, fps, seconds)  # before anything is read or drawn
-    motion = stored_motion(run)
+    motion = stored_body_motion(run)
     for note in motion.notes:
         say(note)
     film = planned(motion, fps, seconds, size, start, stop)

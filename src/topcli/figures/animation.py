@@ -31,7 +31,7 @@ from topcli.figures.body import (
 )
 from topcli.figures.picture import STYLE, scheme_label
 from topcli.store.run_folder import io_failure, require_writable, write_whole
-from topcli.studies.motion import Motion
+from topcli.studies.body_motion import BodyMotion
 
 FORMATS = (".gif", ".mp4")
 SMOOTH_TURN = 0.12
@@ -92,7 +92,9 @@ def encoder_for(path: Path, fps: float, seconds: float) -> Callable[[Path, Film,
     return write_mp4
 
 
-def planned(motion: Motion, fps: float, seconds: float, width: int, start: float | None, stop: float | None) -> Film:
+def planned(
+    motion: BodyMotion, fps: float, seconds: float, width: int, start: float | None, stop: float | None
+) -> Film:
     """Times of the frames: from ``start`` to ``stop``, by default from the first row as far as the film is smooth.
 
     Raises UsageError for times outside the run.
@@ -112,7 +114,7 @@ def planned(motion: Motion, fps: float, seconds: float, width: int, start: float
     return Film(np.linspace(begin, end, count), fps, width)
 
 
-def _smooth_end(motion: Motion, begin: float, count: int) -> float:
+def _smooth_end(motion: BodyMotion, begin: float, count: int) -> float:
     """Time up to which ``count`` frames from ``begin`` turn the body by SMOOTH_TURN on average; at most the last."""
     turned = np.concatenate([[0.0], np.cumsum(turns(motion.attitude))])
     forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
@@ -126,7 +128,7 @@ def turns(q: Array) -> Array:
     return 4.0 * np.arcsin(np.minimum(0.5 * apart, 1.0))
 
 
-def attitudes_at(motion: Motion, times: Array) -> tuple[Array, NDArray[np.int64]]:
+def attitudes_at(motion: BodyMotion, times: Array) -> tuple[Array, NDArray[np.int64]]:
     """Attitudes (k, 4) at ``times`` (k,), on great circles between the rows, and the last row (k,) before each."""
     forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
     rows = np.clip(
@@ -148,7 +150,7 @@ def attitudes_at(motion: Motion, times: Array) -> tuple[Array, NDArray[np.int64]
 class Stage:
     """A figure that shows the motion at any time: the body on the left, time and invariants on the right."""
 
-    def __init__(self, motion: Motion, film: Film) -> None:
+    def __init__(self, motion: BodyMotion, film: Film) -> None:
         import matplotlib as mpl
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -232,7 +234,7 @@ class Stage:
         return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
 
 
-def animate(motion: Motion, film: Film, path: Path, on_progress: Progress = lambda done, total: None) -> None:
+def animate(motion: BodyMotion, film: Film, path: Path, on_progress: Progress = lambda done, total: None) -> None:
     """Draw all frames and write them to ``path``, which appears complete or not at all.
 
     Raises UsageError if the format cannot be written here, and RunError if the file cannot be.

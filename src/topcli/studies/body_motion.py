@@ -27,7 +27,7 @@ ASK = "--set output.attitude=quaternion"
 
 
 @dataclass(frozen=True)
-class Motion:
+class BodyMotion:
     """Rows of a run: times (m,), attitudes as unit quaternions (m, 4), states (m, d) and invariants (m,) by name.
 
     ``states`` and ``invariants`` are empty if the run does not record the components. ``notes`` are messages about
@@ -42,8 +42,8 @@ class Motion:
     notes: tuple[str, ...]
 
 
-def stored_motion(folder: Path) -> Motion:
-    """Motion of the finished or interrupted run in ``folder``.
+def stored_body_motion(folder: Path) -> BodyMotion:
+    """BodyMotion of the finished or interrupted run in ``folder``.
 
     Raises UsageError if there is no run, or if its rows do not determine the attitude, and RunError if it is damaged.
     """
@@ -64,7 +64,7 @@ def stored_motion(folder: Path) -> Motion:
     last = len(good) if good.all() else int(np.argmin(good))
     if last < len(good):
         notes.append(f"{name}: the attitude is not finite after row {last}")
-    return Motion(
+    return BodyMotion(
         experiment,
         _times(experiment, series, len(good))[:last],
         attitude[:last],
