@@ -28,6 +28,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "nutation": ("plot", "nutation", "--format", "png"),
     "bifurcation": ("plot", "bifurcation", "--format", "png"),
     "torus": ("plot", "torus", "--format", "png"),
+    "body": ("plot", "body", "--format", "png"),
     "compare": ("compare", *COMPARED, "--plot"),
     "period": ("plot", "period", "--format", "png"),
     "swings": ("plot", "swings", "--format", "png"),

@@ -21,7 +21,6 @@ from topcli.engine.driver import loop_of
 from topcli.engine.loop import Run
 from topcli.engine.native import native
 from topcli.errors import UsageError
-from topcli.schemes.attitude import SCRATCH
 from topcli.studies.prepare import run_of
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
@@ -192,9 +191,17 @@ def test_attitude_does_not_depend_on_the_recorded_rows(top: str, scheme: str) ->
     assert some.tobytes() == np.ascontiguousarray(all_rows[::7]).tobytes()
 
 
-@pytest.mark.parametrize("scheme", ["hk", "rk4", "taylor", "exact", "dop853", "hybrid-sym"])
-def test_a_stopped_run_continues_bit_for_bit(scheme: str, small_chunks: None) -> None:
-    one = experiment("kowalevski", scheme, 0.02, 120, every=7)
+@pytest.mark.parametrize(
+    ("top", "scheme"),
+    [
+        *(("kowalevski", name) for name in ("hk", "rk4", "taylor", "exact", "dop853", "hybrid-sym")),
+        ("lagrange", "exact"),
+        ("euler", "exact"),
+        ("lagrange/inertial", "bs"),
+    ],
+)
+def test_a_stopped_run_continues_bit_for_bit(top: str, scheme: str, small_chunks: None) -> None:
+    one = experiment(top, scheme, 0.02, 120, every=7)
     whole = run_of(one, one.method())
     expected = b"".join(chunk.states.tobytes() for chunk in whole)
     first = run_of(one, one.method(), after(3))
@@ -239,17 +246,23 @@ def test_an_interrupted_call_counts_no_step() -> None:
     assert work.tobytes() == begun.tobytes()
 
 
+def test_machine_code_is_stored() -> None:
+    """A second process must not compile it for seconds: its code needs no symbol of numba's."""
+    native(carry, "ppppdqqq")
+    assert native(carry, "ppppdqqq").cached
+
+
 @pytest.mark.parametrize("order", [2, 4, 0])
 def test_compiled_and_plain_code_agree(order: int) -> None:
     top, h, steps = Kowalevski(), 0.3, 20
     states = Run(top, load_experiment("kowalevski_hk").method(), GEN, h, steps).collect().states
     constants = constants_of(top, order)
     found = []
-    calls: list[Callable[..., int]] = [native(carry, "pppppdqqq", inline=False), carry]
+    calls: list[Callable[..., int]] = [native(carry, "ppppdqqq"), carry]
     for call in calls:
-        work, out, scratch = np.zeros(HEAD), np.zeros(10 * steps), np.zeros(SCRATCH)
+        work, out = np.zeros(HEAD), np.zeros(10 * steps)
         work[:6], work[6:10] = GEN, start_attitude(top, GEN)
-        assert call(work, states[1:].ravel().copy(), out, constants, scratch, h, steps, 1, 1) == steps
+        assert call(work, states[1:].ravel().copy(), out, constants, h, steps, 1, 1) == steps
         found.append(out.reshape(steps, 10))
     assert np.abs(found[0] - found[1]).max() < 1e-15
 
@@ -303,9 +316,9 @@ def test_a_top_at_rest_keeps_its_attitude() -> None:
 def test_a_turn_too_large_to_resolve_is_no_number() -> None:
     """The run goes on; its attitude is nan, and neither hangs nor is silently wrong."""
     top, y = Kowalevski(), np.array([1e9, 0.0, 0.0, 1.0, 0.0, 0.0])
-    work, out, scratch = np.zeros(HEAD), np.zeros(10), np.zeros(SCRATCH)
+    work, out = np.zeros(HEAD), np.zeros(10)
     work[:6], work[6:10] = y, start_attitude(top, tuple(y))
-    assert native(carry, "pppppdqqq", inline=False)(work, y, out, constants_of(top, 0), scratch, 1.0, 1, 1, 1) == 1
+    assert native(carry, "ppppdqqq")(work, y, out, constants_of(top, 0), 1.0, 1, 1, 1) == 1
     assert out[:6].tolist() == y.tolist()
     assert np.isnan(out[6:]).all()
 

@@ -226,6 +226,7 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
         "order",  # in test_sweep_figures.py
         "error-and-cost",  # in test_integrable_map_figures.py
         "torus-points",
+        *("body", "traces"),  # in test_traces.py
         *("swings", "errors", "heavy-drift"),  # in test_sweep_studies.py
     }
 

@@ -145,7 +145,8 @@ def test_every_figure_reads_columns_that_its_scene_records() -> None:
         for scene, columns in FIGURES[name].sources.items():
             experiment = load_experiment(scene_config(scene, ROOT / "configs"))
             integrals = (*experiment.top.invariants(), *experiment.modified)
-            assert set(columns) <= {"n", "t", *experiment.top.components, *(integral.name for integral in integrals)}
+            known = {"n", "t", *experiment.top.components, *(integral.name for integral in integrals)}
+            assert set(columns) <= known | set(experiment.output.attitude_columns)
     assert find_figure("FIG1").name == "fig1"
 
 

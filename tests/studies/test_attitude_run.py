@@ -61,6 +61,15 @@ def test_euler_angles_are_those_of_the_quaternion() -> None:
         topcli.simulate(HK, N=10)["q0"]
 
 
+def test_another_format_is_rewritten_with_the_same_attitude(tmp_path: Path) -> None:
+    first = read_series(run_experiment(small(ANGLES), tmp_path).stored.series)
+    again = run_experiment(small(ANGLES, "output.format=csv"), tmp_path)
+    assert again.status == "rewritten as csv"
+    second = read_series(again.stored.series)
+    assert list(second) == list(first)
+    assert all(second[name].tobytes() == first[name].tobytes() for name in first)
+
+
 def test_columns_may_place_the_attitude() -> None:
     assert small(ANGLES, "output.columns=[t, theta]").recorded == ["t", "theta", "psi", "phi"]
     assert small(QUATERNION, "output.columns=[t]").recorded == ["t", "q0", "q1", "q2", "q3"]

@@ -26,6 +26,7 @@ class _Topcli(LazyGroup):
         "order": "order.order",
         "plot": "plot.plot",
         "report": "report.report",
+        "animate": "animate.animate",
         "lax": "lax.lax",
         "roundoff": "roundoff.roundoff",
         "stress": "stress.stress",

@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from topcli.analysis.attitude import ATTITUDES
 from topcli.analysis.columns import spellings
 from topcli.config.ensemble import Random, Section, Spaced, energy_of
 from topcli.config.members import SOURCES
@@ -60,7 +61,14 @@ def _for_top(cls: type[Top]) -> Schema:
     schemes = [scheme for scheme in all_schemes() if scheme.top == cls.form]
     top = cls.new()
     integrals = [*top.invariants(), *(one for s in schemes if s.modified for one in s.modified(top, 0.01, s.options()))]
-    columns = ["n", "t", *cls.components, *(text for one in integrals for text in spellings(one.name, one.symbol))]
+    attitude = [name for names in ATTITUDES.values() for name in names]
+    columns = [
+        "n",
+        "t",
+        *cls.components,
+        *attitude,
+        *(text for one in integrals for text in spellings(one.name, one.symbol)),
+    ]
     items: Schema = {"anyOf": [{"enum": list(dict.fromkeys(columns))}, {"pattern": "^modified_"}]}
     initial = {name: _vector(cls, name) for name in cls.vectors}
     complete: Schema = {"anyOf": [{"required": ["ensemble"]}, {"properties": {"initial": {"required": list(initial)}}}]}

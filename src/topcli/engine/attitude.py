@@ -8,7 +8,6 @@ for bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.arithmetic.quaternions import (
+    Quaternion,
     canonical,
     canonical_rows,
     conjugate,
@@ -28,8 +28,7 @@ from topcli.arithmetic.quaternions import (
 from topcli.contracts import Array, Floats, Method, Sampler, Scheme, StopAsked, Top, checked_equations
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.fingerprint import fingerprint
-from topcli.engine.loop import Position, Run
-from topcli.schemes.attitude import SCRATCH, fixed_direction, turn, turn_order
+from topcli.schemes.attitude import BUFFER, CONSTANTS, TO_ROUND_OFF, fixed_direction, turn, turn_order
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native
@@ -43,7 +42,7 @@ BLOCK = 2048
 """Steps between two passes over the rows."""
 
 
-def carry(work: Any, states: Any, out: Any, c: Any, scratch: Any, h: float, steps: int, every: int, until: int) -> int:
+def carry(work: Any, states: Any, out: Any, c: Any, h: float, steps: int, every: int, until: int) -> int:
     """Carry the attitude in ``work`` along ``steps`` rows of ``states``; return the number of rows written to ``out``.
 
     The first row is written after ``until`` steps, then every ``every``-th. ``c`` are ``constants_of`` the run.
@@ -57,7 +56,7 @@ def carry(work: Any, states: Any, out: Any, c: Any, scratch: Any, h: float, step
         k = i * d
         g1, g2, g3 = (states[k + 3], states[k + 4], states[k + 5]) if d == 6 else (0.0, 0.0, 0.0)
         z = (sign * states[k], sign * states[k + 1], sign * states[k + 2], g1, g2, g3)
-        q, low = sum_turned(q, low, product(q, turn(y, z, h, order, c, scratch)))
+        q, low = sum_turned(q, low, product(q, turn(y, z, h, order, c)))
         v = fixed_direction(z, c, d == 6)
         if v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0:
             q, low = sum_turned(q, low, product(turn_upright(rotate(q, v)), q))
@@ -81,20 +80,22 @@ def carry(work: Any, states: Any, out: Any, c: Any, scratch: Any, h: float, step
 def _compiled() -> Native:
     from topcli.engine.native import native
 
-    return native(carry, "pppppdqqq", inline=False)
+    return native(carry, "ppppdqqq")
 
 
 def constants_of(top: Top, order: int) -> Array:
-    """Constants of ``carry`` for turns of this ``order``.
+    """Buffer with the constants of ``carry`` for turns of this ``order``.
 
     Raises UsageError for a top whose motion is not described by Euler-Poisson equations.
     """
     equations = checked_equations(top, NEEDED_BY)
     settings = (float(len(top.components)), float(order), equations.omega_sign, float(top.in_space))
-    return np.array((*equations.moments, *equations.gravity, *settings))
+    buffer = np.zeros(BUFFER)
+    buffer[:CONSTANTS] = (*equations.moments, *equations.gravity, *settings)
+    return buffer
 
 
-def start_attitude(top: Top, y0: Floats) -> Floats:
+def start_attitude(top: Top, y0: Floats) -> Quaternion:
     """Quaternion of the attitude in the state ``y0``: the shortest rotation that puts the fixed direction upright."""
     c = constants_of(top, 2)
     w1, w2, w3 = (c[8] * float(value) for value in y0[:3])
@@ -108,7 +109,7 @@ def with_attitude(loop: Loop, d: int, constants: Array) -> Loop:
 
     The first state passed to ``enter`` holds the attitude too.
     """
-    code, scratch, rows = _compiled(), np.empty(SCRATCH), np.empty(BLOCK * d)
+    code, rows = _compiled(), np.empty(BLOCK * d)
     sign, in_space = constants[8], bool(constants[9])
 
     def enter(y: Array, work: Array, p: Array, h: float) -> int:
@@ -127,7 +128,7 @@ def with_attitude(loop: Loop, d: int, constants: Array) -> Loop:
                 went = loop.drive(work[HEAD:], rows, p, h, size, 1, 1)
                 good = went if went >= 0 else -went - 1
                 left, rest = until + written * every - taken, out[written * (d + NUMBERS) :]
-                written += code(work, rows, rest, constants, scratch, h, good, every, left)
+                written += code(work, rows, rest, constants, h, good, every, left)
                 if went < 0:
                     return went - taken
                 taken += went
@@ -165,29 +166,33 @@ def _closed(sampler: Sampler, d: int) -> Sampler:
     return Sampler(states)
 
 
-def attitude_run(
-    top: Top,
-    scheme: Scheme,
-    options: Any,
-    method: Method,
-    y0: Floats,
-    h: float,
-    N: int,
-    every: int = 1,
-    stop: Callable[[], bool] = lambda: False,
-    start: Position | None = None,
-) -> Run:
-    """Run whose recorded states are followed by the attitude; the arguments are those of ``Run``.
+def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loop:
+    """Time loop of a ``scheme`` with ``options``, made ready as ``method``, that records the attitude with the states.
 
-    Raises UsageError for a top without Euler-Poisson equations.
+    Its initial state is that of the top, followed by ``start_attitude``. Raises UsageError for a top without
+    Euler-Poisson equations.
     """
-    d, p = len(y0), top.constants()
-    constants = constants_of(top, turn_order(scheme.order_for(options), scheme.adaptive))
+    d, constants = len(top.components), len(top.constants())
+    turns = constants_of(top, turn_order(scheme.order_for(options), scheme.adaptive))
     if isinstance(method, Sampler) and method.attitude is not None:
-        loop = loop_of(_closed(method, d), d + NUMBERS, len(p))
-    else:
-        loop = with_attitude(loop_of(method, d, len(p)), d, constants)
-    return Run(top, loop, (*y0, *start_attitude(top, y0)), h, N, every, stop, start)
+        return loop_of(_closed(method, d), d + NUMBERS, constants)
+    return with_attitude(loop_of(method, d, constants), d, turns)
+
+
+def attitude_of_rows(top: Top, states: Array, span: float) -> Array:
+    """Attitudes (m, 4) reconstructed from ``states`` (m, d) at equal intervals ``span`` of time.
+
+    From row to row the body turns like the exact motion through both states.
+    """
+    d, rows = states.shape[1], len(states)
+    constants, start = constants_of(top, TO_ROUND_OFF), start_attitude(top, tuple(states[0].tolist()))
+    work, out = np.zeros(HEAD), np.empty((rows, d + NUMBERS))
+    work[:d], out[0] = states[0], (*states[0], *start)
+    work[:3] *= constants[8]
+    work[6:10] = conjugate(start) if top.in_space else start
+    later = np.ascontiguousarray(states[1:], dtype=np.float64)
+    _compiled()(work, later.ravel(), out[1:].ravel(), constants, span, rows - 1, 1, 1)
+    return out[:, d:]
 
 
 def attitude_code(method: Method) -> str:

@@ -25,6 +25,7 @@ from topcli.figures.sweep import Choice
 from topcli.figures.sweep_studies import SweepStudyFigure, View
 from topcli.figures.torus import TorusFigure
 from topcli.figures.torus_points import TorusPointsFigure
+from topcli.figures.traces import BodyPanel, VectorPanel
 from topcli.figures.work_precision import WorkPrecisionFigure
 from topcli.studies.swing_period import spacing_law
 
@@ -150,6 +151,31 @@ FIGURES: dict[str, Figure] = {
             elevation=32.0,
             azimuth=165.0,
             layout=Grid(figsize=(5.4, 4.8)),
+        ),
+        SceneFigure(
+            "body",
+            "Bodies in space with the traces of their axes: free, Lagrange, Kowalevski",
+            "euler_attitude",
+            (
+                BodyPanel("(a) Euler", until=0.45),
+                BodyPanel("(b) Lagrange", "lagrange_attitude", until=0.93),
+                BodyPanel("(c) Kowalevski", "kowalevski_attitude", until=0.5),
+            ),
+            Grid(figsize=(8.4, 3.0)),
+        ),
+        SceneFigure(
+            "traces",
+            "Traces of omega and gamma, seen from the body and from space",
+            "euler_attitude",
+            (
+                VectorPanel(r"(a) Euler: $\boldsymbol{\omega}$ in the body", "omega"),
+                VectorPanel(r"(b) Euler: $\boldsymbol{\omega}$ in space", "omega", in_space=True),
+                VectorPanel(r"(c) Kowalevski: $\boldsymbol{\gamma}$ in the body", "gamma", "kowalevski_attitude"),
+                VectorPanel(
+                    r"(d) Kowalevski: $\boldsymbol{\omega}$ in space", "omega", "kowalevski_attitude", in_space=True
+                ),
+            ),
+            Grid(2, figsize=(7.0, 6.4)),
         ),
         GrowthFigure(
             "roundoff",

@@ -25,8 +25,10 @@ MAX_ORDER = 20
 """Order of the Taylor series of a turn to round-off."""
 TO_ROUND_OFF = 0
 """In the place of an order: as accurate as rounding allows."""
-SCRATCH = 10 * (MAX_ORDER + 1)
-"""Numbers in the coefficients of a series: omega, gamma and the quaternion."""
+CONSTANTS = 10
+"""Numbers before the series in the buffer ``c``: moments (A, B, C), mg(x0, y0, z0), and four for the caller."""
+BUFFER = CONSTANTS + 10 * (MAX_ORDER + 1)
+"""Length of the buffer: the series are those of omega, gamma and the quaternion."""
 RESOLVED = 2.0**-56
 """Size of the last terms of a series that is accurate to round-off."""
 MOST_PARTS = 10_000
@@ -48,92 +50,101 @@ def mean_turn(y: State, z: State, h: float) -> Quaternion:
     return unit_turn(f * (y[0] + z[0]), f * (y[1] + z[1]), f * (y[2] + z[2]))
 
 
-def expand(y: State, order: int, c: Any, s: Any) -> None:
-    """Fill ``s`` with the Taylor coefficients of omega, gamma and the quaternion from the state ``y`` and identity.
+def expand(y: State, order: int, span: float, c: Any) -> int:
+    """Fill ``c`` with the Taylor coefficients of omega, gamma and the quaternion from the state ``y`` and identity.
 
-    ``c`` holds the moments (A, B, C) and mg(x0, y0, z0).
+    Coefficient k starts at ``CONSTANTS + 10 * k``. Return the order of the last one: ``order``, or less where two terms
+    of the quaternion in succession are below ``RESOLVED`` at the time ``span``.
     """
-    s[0], s[1], s[2], s[3], s[4], s[5] = y[0], y[1], y[2], y[3], y[4], y[5]
-    s[6], s[7], s[8], s[9] = 1.0, 0.0, 0.0, 0.0
+    power, before = 1.0, math.inf
+    b = CONSTANTS
+    c[b], c[b + 1], c[b + 2], c[b + 3], c[b + 4], c[b + 5] = y[0], y[1], y[2], y[3], y[4], y[5]
+    c[b + 6], c[b + 7], c[b + 8], c[b + 9] = 1.0, 0.0, 0.0, 0.0
     for k in range(order):
         w23 = w31 = w12 = p1 = p2 = p3 = r0 = r1 = r2 = r3 = 0.0
         for j in range(k + 1):
-            a, b = 10 * j, 10 * (k - j)
-            v1, v2, v3 = s[b], s[b + 1], s[b + 2]
-            w23 += s[a + 1] * v3
-            w31 += s[a + 2] * v1
-            w12 += s[a] * v2
-            p1 += s[a + 4] * v3 - s[a + 5] * v2
-            p2 += s[a + 5] * v1 - s[a + 3] * v3
-            p3 += s[a + 3] * v2 - s[a + 4] * v1
-            r0 -= s[a + 7] * v1 + s[a + 8] * v2 + s[a + 9] * v3
-            r1 += s[a + 6] * v1 + s[a + 8] * v3 - s[a + 9] * v2
-            r2 += s[a + 6] * v2 + s[a + 9] * v1 - s[a + 7] * v3
-            r3 += s[a + 6] * v3 + s[a + 7] * v2 - s[a + 8] * v1
-        b, n, f = 10 * k, 10 * (k + 1), 1.0 / (k + 1.0)
-        s[n] = f * ((c[1] - c[2]) * w23 + (s[b + 4] * c[5] - s[b + 5] * c[4])) / c[0]
-        s[n + 1] = f * ((c[2] - c[0]) * w31 + (s[b + 5] * c[3] - s[b + 3] * c[5])) / c[1]
-        s[n + 2] = f * ((c[0] - c[1]) * w12 + (s[b + 3] * c[4] - s[b + 4] * c[3])) / c[2]
-        s[n + 3], s[n + 4], s[n + 5] = f * p1, f * p2, f * p3
+            a, b = CONSTANTS + 10 * j, CONSTANTS + 10 * (k - j)
+            v1, v2, v3 = c[b], c[b + 1], c[b + 2]
+            w23 += c[a + 1] * v3
+            w31 += c[a + 2] * v1
+            w12 += c[a] * v2
+            p1 += c[a + 4] * v3 - c[a + 5] * v2
+            p2 += c[a + 5] * v1 - c[a + 3] * v3
+            p3 += c[a + 3] * v2 - c[a + 4] * v1
+            r0 -= c[a + 7] * v1 + c[a + 8] * v2 + c[a + 9] * v3
+            r1 += c[a + 6] * v1 + c[a + 8] * v3 - c[a + 9] * v2
+            r2 += c[a + 6] * v2 + c[a + 9] * v1 - c[a + 7] * v3
+            r3 += c[a + 6] * v3 + c[a + 7] * v2 - c[a + 8] * v1
+        b, n, f = CONSTANTS + 10 * k, CONSTANTS + 10 * (k + 1), 1.0 / (k + 1.0)
+        c[n] = f * ((c[1] - c[2]) * w23 + (c[b + 4] * c[5] - c[b + 5] * c[4])) / c[0]
+        c[n + 1] = f * ((c[2] - c[0]) * w31 + (c[b + 5] * c[3] - c[b + 3] * c[5])) / c[1]
+        c[n + 2] = f * ((c[0] - c[1]) * w12 + (c[b + 3] * c[4] - c[b + 4] * c[3])) / c[2]
+        c[n + 3], c[n + 4], c[n + 5] = f * p1, f * p2, f * p3
         f *= 0.5
-        s[n + 6], s[n + 7], s[n + 8], s[n + 9] = f * r0, f * r1, f * r2, f * r3
+        c[n + 6], c[n + 7], c[n + 8], c[n + 9] = f * r0, f * r1, f * r2, f * r3
+        power *= abs(span)
+        term = f * (abs(r0) + abs(r1) + abs(r2) + abs(r3)) * power
+        if span != 0.0 and term < RESOLVED and before < RESOLVED:
+            return k + 1
+        before = term
+    return order
 
 
-def value(s: Any, i: int, order: int, t: float) -> float:
-    """Component ``i`` of the series ``s`` at the time ``t``."""
-    total = s[10 * order + i]
+def value(c: Any, i: int, order: int, t: float) -> float:
+    """Component ``i`` of the series in ``c`` at the time ``t``."""
+    total = c[CONSTANTS + 10 * order + i]
     for k in range(order - 1, -1, -1):
-        total = total * t + s[10 * k + i]
+        total = total * t + c[CONSTANTS + 10 * k + i]
     return total
 
 
-def reach(s: Any, order: int) -> float:
-    """Time up to which the last two terms of the quaternion in ``s`` are below ``RESOLVED``."""
+def reach(c: Any, order: int) -> float:
+    """Time up to which the last two terms of the quaternion in ``c`` are below ``RESOLVED``."""
     longest = math.inf
     for m in (order - 1, order):
         size = 0.0
         for i in range(6, 10):
-            size += abs(s[10 * m + i])
+            size += abs(c[CONSTANTS + 10 * m + i])
         if size > 0.0:
             longest = min(longest, math.exp(math.log(RESOLVED / size) / m))
     return longest
 
 
-def flown(y: State, span: float, order: int, c: Any, s: Any) -> Quaternion:
-    """Rotation of the body in the time ``span`` of the exact motion from ``y``; ``s`` is scratch space."""
-    q, left, terms = IDENTITY, span, order if order else MAX_ORDER
+def flown(y: State, span: float, order: int, c: Any) -> Quaternion:
+    """Rotation of the body in the time ``span`` of the exact motion from ``y``."""
+    q, left = IDENTITY, span
     for _ in range(MOST_PARTS):
-        expand(y, terms, c, s)
+        terms = expand(y, order, 0.0, c) if order else expand(y, MAX_ORDER, left, c)
         t = left
-        if not order:
-            longest = reach(s, terms)
+        if terms == MAX_ORDER:
+            longest = reach(c, terms)
             if longest < abs(left):
                 t = math.copysign(longest, left)
-        q = product(q, (value(s, 6, terms, t), value(s, 7, terms, t), value(s, 8, terms, t), value(s, 9, terms, t)))
+        q = product(q, (value(c, 6, terms, t), value(c, 7, terms, t), value(c, 8, terms, t), value(c, 9, terms, t)))
         if t == left:
             size = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
             return (size * q[0], size * q[1], size * q[2], size * q[3])
         left -= t
         y = (
-            value(s, 0, terms, t),
-            value(s, 1, terms, t),
-            value(s, 2, terms, t),
-            value(s, 3, terms, t),
-            value(s, 4, terms, t),
-            value(s, 5, terms, t),
+            value(c, 0, terms, t),
+            value(c, 1, terms, t),
+            value(c, 2, terms, t),
+            value(c, 3, terms, t),
+            value(c, 4, terms, t),
+            value(c, 5, terms, t),
         )
     return (math.nan, math.nan, math.nan, math.nan)
 
 
-def turn(y: State, z: State, h: float, order: int, c: Any, s: Any) -> Quaternion:
-    """Turn of a step of ``h`` from ``y`` to ``z``, of the ``order`` of ``turn_order``; ``s`` is scratch space.
+def turn(y: State, z: State, h: float, order: int, c: Any) -> Quaternion:
+    """Turn of a step of ``h`` from ``y`` to ``z``, of the ``order`` of ``turn_order``.
 
-    ``c`` holds the moments (A, B, C) and mg(x0, y0, z0). The states are omega and gamma.
+    ``c`` is a buffer (``BUFFER``) with the constants of the top. The states are omega and gamma.
     """
     if order == 2:
         return mean_turn(y, z, h)
-    first = flown(y, 0.5 * h, order, c, s)
-    return turn_of(product(first, conjugate(flown(z, -0.5 * h, order, c, s))))
+    first = flown(y, 0.5 * h, order, c)
+    return turn_of(product(first, conjugate(flown(z, -0.5 * h, order, c))))
 
 
 def fixed_direction(y: State, c: Any, has_vertical: bool) -> Vector:

@@ -19,6 +19,7 @@ def run_of(
     top, y0, h, N, every = experiment.top, experiment.y0, experiment.h, experiment.N, experiment.output.every
     if not experiment.output.attitude:
         return Run(top, method, y0, h, N, every, stop, start)
-    from topcli.engine.attitude import attitude_run
+    from topcli.engine.attitude import attitude_loop, start_attitude
 
-    return attitude_run(top, experiment.scheme, experiment.options, method, y0, h, N, every, stop, start)
+    loop = attitude_loop(top, experiment.scheme, experiment.options, method)
+    return Run(top, loop, (*y0, *start_attitude(top, y0)), h, N, every, stop, start)

@@ -1,0 +1,312 @@
+"""Animations of stored runs: frames of the spinning body, and the files they are written to."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import textwrap
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.arithmetic.quaternions import matrices
+from topcli.contracts import Array
+from topcli.errors import RunError, UsageError
+from topcli.figures.body import (
+    BLUE,
+    DOT,
+    MARK,
+    OLD,
+    OLD_FAR,
+    PALE,
+    TRACE,
+    TRACE_FAR,
+    BodyArtist,
+    body_of,
+)
+from topcli.figures.picture import STYLE, scheme_label
+from topcli.store.run_folder import io_failure, require_writable, write_whole
+from topcli.studies.body_motion import BodyMotion
+
+FORMATS = (".gif", ".mp4")
+SMOOTH_TURN = 0.12
+"""Mean turn of the body between two frames, in radians, up to which a whole run is shown by default."""
+RECENT = 0.12
+"""Part of the shown time in which the trace is drawn strongly."""
+GIF_TICK = 100.0
+"""Units of time of a GIF in a second."""
+GIF_FRAMES = 2500
+"""Largest number of frames of a GIF, which are all held in memory."""
+NAME_LENGTH = 28
+"""Letters of a name that fit in a frame."""
+INCHES = 7.2
+"""Width of a frame in inches, to which the sizes of letters refer."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames of an animation: ``times`` (k,) in the run, shown at ``fps`` frames per second, ``width`` in pixels."""
+
+    times: Array
+    fps: float
+    width: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, both even."""
+        return 2 * (self.width // 2), 2 * round(self.width / 3.0)
+
+
+def encoder_for(path: Path, fps: float, seconds: float) -> Callable[[Path, Film, Iterator[Array]], None]:
+    """Writer of the format of ``path``.
+
+    Raises UsageError if there is none here, or for a GIF of too many frames, in a second or at all.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise UsageError(f"--out {path}: must end in {' or '.join(FORMATS)}")
+    if suffix == ".gif":
+        if fps > GIF_TICK / 2.0:
+            raise UsageError(f"--fps {fps:g}: a GIF has at most {GIF_TICK / 2.0:g} frames per second; write an .mp4")
+        if fps * seconds > GIF_FRAMES:
+            raise UsageError(
+                f"--out {path}: a GIF has at most {GIF_FRAMES} frames, not {fps * seconds:g}; write an .mp4"
+            )
+        return write_gif
+    try:
+        import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError, OSError):
+        raise UsageError(
+            f"--out {path}: MP4 needs an encoder, which is not installed",
+            "pip install 'topcli[video]' brings it; a .gif needs nothing more",
+        ) from None
+    return write_mp4
+
+
+def planned(
+    motion: BodyMotion, fps: float, seconds: float, width: int, start: float | None, stop: float | None
+) -> Film:
+    """Times of the frames: from ``start`` to ``stop``, by default from the first row as far as the film is smooth.
+
+    Raises UsageError for times outside the run.
+    """
+    t = motion.t
+    low, high = sorted((float(t[0]), float(t[-1])))
+    for name, value in (("--start", start), ("--stop", stop)):
+        if value is not None and not low <= value <= high:
+            raise UsageError(f"{name} {value:g}: the run is from t = {low:g} to {high:g}")
+    begin = float(t[0]) if start is None else start
+    count = max(2, round(fps * seconds))
+    end = float(t[-1]) if stop is None else stop
+    if begin == end:
+        raise UsageError(f"--start and --stop are both {begin:g}; there is no motion between them")
+    if stop is None:
+        end = _smooth_end(motion, begin, count)
+    return Film(np.linspace(begin, end, count), fps, width)
+
+
+def _smooth_end(motion: BodyMotion, begin: float, count: int) -> float:
+    """Time up to which ``count`` frames from ``begin`` turn the body by SMOOTH_TURN on average; at most the last."""
+    turned = np.concatenate([[0.0], np.cumsum(turns(motion.attitude))])
+    forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
+    at = np.interp(forwards * begin, forwards * motion.t, turned)
+    return forwards * float(np.interp(at + SMOOTH_TURN * count, turned, forwards * motion.t))
+
+
+def turns(q: Array) -> Array:
+    """Angles (m - 1,) of the rotations from each attitude (m, 4) to the next."""
+    apart = np.minimum(*(np.linalg.norm(q[1:] - sign * q[:-1], axis=1) for sign in (1.0, -1.0)))
+    return 4.0 * np.arcsin(np.minimum(0.5 * apart, 1.0))
+
+
+def attitudes_at(motion: BodyMotion, times: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Attitudes (k, 4) at ``times`` (k,), on great circles between the rows, and the last row (k,) before each."""
+    forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
+    rows = np.clip(
+        np.searchsorted(forwards * motion.t, forwards * times, side="right") - 1, 0, len(motion.t) - 2
+    ).astype(np.int64)
+    first, second = motion.attitude[rows], motion.attitude[rows + 1]
+    part = (times - motion.t[rows]) / (motion.t[rows + 1] - motion.t[rows])
+    cosine = (first * second).sum(axis=1)
+    second = second * np.where(cosine < 0.0, -1.0, 1.0)[:, None]
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    straight = angle < 1e-6
+    sine = np.where(straight, 1.0, np.sin(angle))
+    before = np.where(straight, 1.0 - part, np.sin((1.0 - part) * angle) / sine)
+    after = np.where(straight, part, np.sin(part * angle) / sine)
+    q = before[:, None] * first + after[:, None] * second
+    return q / np.linalg.norm(q, axis=1, keepdims=True), rows
+
+
+class Stage:
+    """A figure that shows the motion at any time: the body on the left, time and invariants on the right."""
+
+    def __init__(self, motion: BodyMotion, film: Film) -> None:
+        import matplotlib as mpl
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        self.motion, self.film = motion, film
+        width, height = film.size
+        one = motion.experiment
+        state = None if motion.states is None else motion.states[0].tolist()
+        body = body_of(one.top, state)
+        self.attitudes, self.rows = attitudes_at(motion, film.times)
+        self.path = matrices(motion.attitude) @ body.axis
+        self.first = int(self.rows[0])
+        self.elapsed = np.abs(motion.t[self.first :] - film.times[0])
+        with mpl.rc_context(fname=STYLE):
+            mpl.rcParams["figure.constrained_layout.use"] = False
+            self.figure = Figure(figsize=(INCHES, INCHES * height / width), dpi=width / INCHES)
+            self.canvas = FigureCanvasAgg(self.figure)
+            self.artist = BodyArtist(self.figure.add_axes((0.0, 0.0, 0.62, 1.0)), body, self.path[self.first :])
+            name = one.name if len(one.name) <= NAME_LENGTH else f"{one.name[: NAME_LENGTH - 1]}\N{HORIZONTAL ELLIPSIS}"
+            self.figure.text(0.62, 0.925, name.replace("$", r"\$"), fontsize=13, va="top")
+            title = one.top.title.partition(" (")[0]
+            about = (title[:1].upper() + title[1:], f"{scheme_label(one)}, h = {one.h:g}")
+            lines = [line for text in about for line in textwrap.wrap(text, 50)[:1]]
+            self.figure.text(0.62, 0.865, "\n".join(lines), fontsize=8.5, color="0.35", va="top")
+            self.time = self.figure.text(0.62, 0.755, "", fontsize=13, va="top")
+            self.values = self._table()
+            self.cursor = self._heights(body.label)
+            for one in self._moving():
+                one.set_animated(True)
+            self.canvas.draw()
+            self.still = self.canvas.copy_from_bbox(self.figure.bbox)
+
+    def _moving(self) -> list[Any]:
+        """Artists that differ from frame to frame, in the order in which they are drawn."""
+        return [*self.artist.moving, self.time, *(text for pair in self.values for text in pair), *self.cursor]
+
+    def _table(self) -> list[tuple[Any, ...]]:
+        """Names of the invariants, and pairs of texts for their values and changes."""
+        known = {one.name: one for one in self.motion.experiment.top.invariants()}
+        texts: list[tuple[Any, ...]] = []
+        if known:
+            self.figure.text(0.98, 0.715, "change", fontsize=8.5, color="0.35", va="top", ha="right")
+        for line, name in enumerate(self.motion.invariants):
+            y = 0.665 - 0.062 * line
+            self.figure.text(0.62, y, f"${known[name].tex}$", fontsize=10, va="top")
+            texts.append(tuple(self.figure.text(x, y, "", fontsize=10, va="top", ha="right") for x in (0.84, 0.98)))
+        return texts
+
+    def _heights(self, label: str) -> tuple[Any, Any]:
+        """Height of the axis over the shown time, and the marks that move along it."""
+        lines = 0.665 - 0.062 * max(len(self.values), 1)
+        axes = self.figure.add_axes((0.685, 0.145, 0.295, max(0.14, min(0.24, lines - 0.20))))
+        low, high = sorted((float(self.film.times[0]), float(self.film.times[-1])))
+        heights = (matrices(self.attitudes) @ self.artist.body.axis)[:, 2]
+        axes.plot(self.film.times, heights, "-", color=TRACE, lw=0.9)
+        axes.set(xlim=(low, high), ylim=(-1.08, 1.08), yticks=(-1, 0, 1), xlabel="$t$")
+        axes.set_title(f"height of {label}", loc="left", fontsize=9)
+        return axes.axvline(low, color="0.4", lw=0.7, ls="-"), axes.plot([], [], "o", color=DOT, ms=4.5)[0]
+
+    def frame(self, index: int) -> Array:
+        """Picture (height, width, 3) of frame ``index``, 8 bits per colour."""
+        import matplotlib as mpl
+
+        time, row = float(self.film.times[index]), int(self.rows[index])
+        rotation = matrices(self.attitudes[index : index + 1])[0]
+        recent = RECENT * abs(float(self.film.times[-1] - self.film.times[0]))
+        since = int(np.searchsorted(self.elapsed, abs(time - self.film.times[0]) - recent))
+        self.artist.show(row - self.first, min(since, row - self.first), rotation)
+        self.time.set_text(f"$t = {time:.2f}$")
+        for (value, off), values in zip(self.values, self.motion.invariants.values(), strict=True):
+            change = float(values[row] - values[0])
+            value.set_text(f"{float(values[row]):.6g}")
+            off.set_text(f"{change:+.1e}".replace("-", "\N{MINUS SIGN}") if change else "0")
+        line, dot = self.cursor
+        line.set_xdata([time, time])
+        dot.set_data([time], [(rotation @ self.artist.body.axis)[2]])
+        with mpl.rc_context(fname=STYLE):
+            self.canvas.restore_region(self.still)
+            for one in self._moving():
+                self.figure.draw_artist(one)
+        return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def animate(motion: BodyMotion, film: Film, path: Path, on_progress: Progress = lambda done, total: None) -> None:
+    """Draw all frames and write them to ``path``, which appears complete or not at all.
+
+    Raises UsageError if the format cannot be written here, and RunError if the file cannot be.
+    """
+    write = encoder_for(path, film.fps, len(film.times) / film.fps)
+    require_writable(path.parent)
+    stage, count = Stage(motion, film), len(film.times)
+
+    def frames() -> Iterator[Array]:
+        for index in range(count):
+            on_progress(index, count)
+            yield stage.frame(index)
+        on_progress(count, count)
+
+    try:
+        write_whole(path, lambda temporary: write(temporary, film, frames()))
+    except OSError as error:
+        raise io_failure(error, path, "no animation was written") from error
+
+
+def gif_durations(count: int, fps: float) -> list[int]:
+    """Milliseconds of each of ``count`` frames: multiples of 10, as a GIF has, with the mean of ``fps``."""
+    ends = np.round(np.arange(1, count + 1) * GIF_TICK / fps).astype(int)
+    return (np.diff(ends, prepend=0) * round(1000.0 / GIF_TICK)).tolist()
+
+
+def palette() -> NDArray[np.uint8]:
+    """Colours (k, 3), at most 256, that all frames of a GIF share: lit and dark sectors, lines on paper, greys."""
+    from matplotlib.colors import to_rgb
+
+    dim, bright = np.linspace(0.5, 1.02, 28)[:, None], np.linspace(0.78, 1.02, 4)[:, None]
+    found = [np.linspace(0.0, 1.0, 40)[:, None] * np.ones(3)]
+    for colour in (PALE, BLUE, MARK):
+        found.append(np.array(colour) * dim)
+        found += [np.array(colour) * bright + gloss for gloss in (0.04, 0.08, 0.12, 0.16)]
+    paper = np.linspace(0.0, 0.9, 10)[:, None]
+    for name in (TRACE, TRACE_FAR, OLD, OLD_FAR, DOT):
+        found.append(paper * 0.975 + (1.0 - paper) * np.array(to_rgb(name)))
+    return np.unique(np.round(255.0 * np.clip(np.vstack(found), 0.0, 1.0)).astype(np.uint8), axis=0)
+
+
+def write_gif(path: Path, film: Film, frames: Iterator[Array]) -> None:
+    """Write an endless GIF."""
+    from PIL import Image
+
+    colours = Image.new("P", (1, 1))
+    colours.putpalette(palette().ravel().tolist())
+    pictures = [Image.fromarray(one).quantize(palette=colours, dither=Image.Dither.NONE) for one in frames]
+    durations = gif_durations(len(pictures), film.fps)
+    pictures[0].save(
+        path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=False, disposal=1
+    )
+
+
+def write_mp4(path: Path, film: Film, frames: Iterator[Array]) -> None:
+    """Write an MP4 (H.264) that browsers and slides play. Raises RunError if the encoder fails."""
+    import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+
+    width, height = film.size
+    raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", repr(film.fps), "-i", "-")
+    coded = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-preset", "slow", "-movflags", "+faststart")
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *coded, os.fspath(path.absolute())]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        assert encoder.stderr is not None
+        try:
+            with contextlib.suppress(BrokenPipeError), encoder.stdin:  # then it has said why on stderr
+                for frame in frames:
+                    encoder.stdin.write(frame.tobytes())
+            said = encoder.stderr.read().decode(errors="replace").strip().splitlines()
+        except BaseException:
+            encoder.kill()
+            raise
+    if encoder.returncode:
+        raise RunError(f"the encoder failed: {said[-1] if said else f'exit code {encoder.returncode}'}")

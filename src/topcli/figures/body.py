@@ -1,0 +1,263 @@
+"""A spinning body in orthographic projection: its shape from the moments of inertia, its axis, the vertical.
+
+Matplotlib's three-dimensional axes sort whole surfaces and not their parts. The body is therefore convex, of which the
+faces turned to the viewer hide all others, and everything else is drawn behind or in front of it by its depth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from topcli.contracts import Array, Top, checked_equations
+from topcli.figures.sphere import projection
+
+LONGITUDES, LATITUDES = 56, 28
+LIGHT = (-0.45, 0.35, 0.82)
+"""Direction of the light as (right, up, towards the viewer)."""
+PALE, BLUE, MARK = (0.93, 0.90, 0.83), (0.20, 0.47, 0.69), (0.87, 0.42, 0.10)
+"""Colours of the sectors; one of them is marked, so that the spin is seen."""
+LARGEST = 0.66
+"""Largest distance of a point of the body from the fixed point; the traces lie on the sphere of radius one."""
+THINNEST = 0.12
+"""Smallest semi-axis relative to the largest one."""
+TRACE, TRACE_FAR, OLD, OLD_FAR = "#0072B2", "#A6CDE6", "#7FB8D8", "#D3E5F0"
+VERTICAL, DOT = "0.15", "#D55E00"
+SHOWN_POINTS = 6000
+"""Largest number of points of a drawn trace."""
+_SILHOUETTE = ((0.0, 0.0), (0.10, 0.10), (0.62, 0.58), (0.64, 0.66), (0.50, 0.80), (0.10, 1.0), (0.0, 1.0))
+"""Distance from the axis and height of a Lagrange top, convex."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """Convex body of a top: faces (k, 4, 3) in the body's frame, outward normals (k, 3), colours (k, 3).
+
+    ``axis`` (3,) is the body's direction that is traced and ``label`` its name; ``vertical`` names the fixed direction.
+    """
+
+    faces: Array
+    normals: Array
+    colours: Array
+    axis: Array
+    label: str
+    vertical: str
+
+
+def body_of(top: Top, state: Sequence[float] | None) -> Body:
+    """Body of a top, whose motion starts in ``state`` (None if that is not known).
+
+    The axis passes through the centre of gravity, or without gravity it is the principal axis that is nearest to the
+    angular momentum at the start. A top with a symmetry axis through its centre of gravity looks like a spinning top;
+    any other is the homogeneous ellipsoid of its moments.
+    """
+    equations = checked_equations(top, "the body")
+    moments, gravity = np.array(equations.moments), np.array(equations.gravity)
+    free = not gravity.any()
+    vertical = r"$\boldsymbol{m}$" if free and len(top.components) == 3 else r"$\boldsymbol{p}$"
+    if top.in_space or (moments[0] == moments[1] and gravity[:2].tolist() == [0.0, 0.0] and not free):
+        faces = _revolved(0.5 if top.in_space else float(moments[2] / (moments[0] + moments[2])))
+        axis, label = np.array([0.0, 0.0, 1.0]), r"$\boldsymbol{a}$" if top.in_space else r"$\boldsymbol{e}_3$"
+        return Body(*_coloured(faces, axis), axis, label, vertical)
+    if free:
+        m = np.abs(moments * np.array((state or (0.0, 0.0, 1.0))[:3]))
+        axis = np.eye(3)[int(np.argmax(m))]
+    else:
+        axis = gravity / np.linalg.norm(gravity)
+    return Body(*_coloured(_ellipsoid(_semi_axes(moments), axis), axis), axis, _axis_name(axis), vertical)
+
+
+def _axis_name(axis: Array) -> str:
+    """Mathtext of a principal axis, or of the direction of the centre of gravity."""
+    along = np.flatnonzero(axis)
+    if len(along) == 1:
+        return rf"${'-' if axis[along[0]] < 0.0 else ''}\boldsymbol{{e}}_{along[0] + 1}$"
+    return r"$\boldsymbol{s}$"
+
+
+def _semi_axes(moments: Array) -> Array:
+    """Semi-axes (3,) of the homogeneous ellipsoid with the ``moments``; the longest is LARGEST, none is too thin."""
+    squares = moments.sum() - 2.0 * moments  # A = (b² + c²)/5 of the mass, and so on
+    sizes = np.sqrt(np.maximum(squares, 0.0))
+    return LARGEST * np.maximum(sizes / sizes.max(), THINNEST)
+
+
+def _grid(rows: int) -> tuple[Array, Array]:
+    """Angles of the corners of the faces: polar angles (rows + 1,), longitudes (LONGITUDES + 1,)."""
+    return np.linspace(0.0, math.pi, rows + 1), np.linspace(0.0, 2.0 * math.pi, LONGITUDES + 1)
+
+
+def _quads(points: Array) -> Array:
+    """Faces (k, 4, 3) between neighbouring points (rows, columns, 3)."""
+    corners = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    return np.stack(corners, axis=2).reshape(-1, 4, 3)
+
+
+def _ellipsoid(semi: Array, axis: Array) -> Array:
+    """Faces of the ellipsoid with semi-axes ``semi``, with poles on ``axis``."""
+    polar, around = _grid(LATITUDES)
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first = first / np.linalg.norm(first)
+    frame = np.stack([first, np.cross(axis, first), axis])
+    sphere = np.stack(
+        [
+            np.sin(polar)[:, None] * np.cos(around),
+            np.sin(polar)[:, None] * np.sin(around),
+            np.broadcast_to(np.cos(polar)[:, None], (len(polar), len(around))),
+        ],
+        axis=2,
+    )
+    return _quads((sphere @ frame) * semi)
+
+
+def _revolved(weight: float) -> Array:
+    """Faces of a spinning top about the third axis with its tip in the fixed point, wider for a larger ``weight``."""
+    radius, height = np.array(_SILHOUETTE).T
+    radius = radius * min(1.25, max(0.5, 2.0 * weight))
+    at = np.linspace(0.0, 1.0, LATITUDES + 1) * (len(radius) - 1)
+    radius, height = (LARGEST * 1.3 * np.interp(at, np.arange(len(height)), one) for one in (radius, height))
+    _, around = _grid(1)
+    points = np.stack(
+        [
+            radius[:, None] * np.cos(around),
+            radius[:, None] * np.sin(around),
+            np.broadcast_to(height[:, None], (len(height), len(around))),
+        ],
+        axis=2,
+    )
+    return _quads(points[::-1])  # from the top downwards, as on an ellipsoid
+
+
+def _coloured(faces: Array, axis: Array) -> tuple[Array, Array, Array]:
+    """Faces, outward normals, and colours in eight sectors around the axis."""
+    normals = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
+    middle = faces.mean(axis=1)
+    inside = faces.reshape(-1, 3).mean(axis=0)
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    kept = size[:, 0] > 1e-12
+    faces, normals, middle = faces[kept], normals[kept] / size[kept], middle[kept]
+    normals = normals * np.where(((middle - inside) * normals).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    sector = (np.arange(len(kept)) % LONGITUDES)[kept] * 8 // LONGITUDES
+    colours = np.where((sector % 2 == 0)[:, None], PALE, BLUE)
+    return faces, normals, np.where((sector == 0)[:, None], MARK, colours)
+
+
+def shown_faces(body: Body, view: Array, rotation: Array) -> tuple[Array, Array]:
+    """Corners (k, 4, 2) and colours (k, 3) of the faces turned to the viewer.
+
+    ``rotation`` (3, 3) is the attitude, ``view`` (3, 3) maps space to (right, up, towards the viewer).
+    """
+    seen = view @ rotation
+    normals = body.normals @ seen.T
+    near = normals[:, 2] > 0.0
+    corners, normals = (body.faces[near] @ seen.T)[:, :, :2], normals[near]
+    light = np.array(LIGHT) / np.linalg.norm(LIGHT)
+    halfway = (light + np.array([0.0, 0.0, 1.0])) / np.linalg.norm(light + np.array([0.0, 0.0, 1.0]))
+    shade = 0.50 + 0.52 * np.maximum(normals @ light, 0.0)
+    gloss = 0.16 * np.maximum(normals @ halfway, 0.0) ** 12
+    return corners, np.clip(body.colours[near] * shade[:, None] + gloss[:, None], 0.0, 1.0)
+
+
+def view_azimuth(axis: Array) -> float:
+    """Azimuth of the viewer, in degrees, that sees the direction ``axis`` (3,) on the left; 35 if it is upright."""
+    return 35.0 if np.hypot(axis[0], axis[1]) < 0.1 else math.degrees(math.atan2(axis[1], axis[0])) + 70.0
+
+
+def surface_distance(body: Body) -> float:
+    """Distance from the fixed point at which the axis leaves the body."""
+    corners = body.faces.reshape(-1, 3)
+    size = np.linalg.norm(corners, axis=1)
+    cosine = np.where(size > 0.0, corners @ body.axis / np.where(size > 0.0, size, 1.0), -1.0)
+    return float(size[int(np.argmax(cosine))])
+
+
+class BodyArtist:
+    """Artists of a body, its axis and the trace of that, on ``axes``; ``show`` moves them to a row of the motion.
+
+    ``path`` (m, 3) are the directions of the axis in space. The viewer's ``azimuth`` follows from its start if None.
+    """
+
+    def __init__(
+        self, axes: Any, body: Body, path: Array, elevation: float = 22.0, azimuth: float | None = None
+    ) -> None:
+        from matplotlib.collections import PolyCollection
+        from matplotlib.patheffects import withStroke
+
+        self.body, self.view = body, projection(elevation, view_azimuth(path[0]) if azimuth is None else azimuth)
+        self.reach = surface_distance(body)
+        self.stride = -(-len(path) // SHOWN_POINTS)
+        self.path = path[:: self.stride] @ self.view.T
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+        axes.set_xlim(-1.2, 1.2)
+        axes.set_ylim(-1.12, 1.42)
+        self._globe(axes)
+        self.old, self.new = self._pair(axes, OLD, OLD_FAR, 0.9), self._pair(axes, TRACE, TRACE_FAR, 1.9)
+        self.faces = PolyCollection([], closed=True, linewidths=0.35, antialiaseds=True, zorder=10)
+        axes.add_collection(self.faces)
+        self.rod = axes.plot([], [], color="0.1", lw=1.6, ls="-", solid_capstyle="round")[0]
+        self.dot = axes.plot([], [], "o", color=DOT, ms=5.5, mec="white", mew=0.8)[0]
+        self.name = axes.text(0.0, 0.0, body.label, ha="center", va="center", zorder=30)
+        self.name.set_path_effects([withStroke(linewidth=2.2, foreground="white")])
+        self._vertical(axes)
+
+    def _globe(self, axes: Any) -> None:
+        """Outline and equator of the unit sphere."""
+        angle = np.linspace(0.0, 2.0 * math.pi, 361)
+        axes.fill(np.cos(angle), np.sin(angle), facecolor="0.975", edgecolor="0.75", lw=0.6, zorder=0)
+        for height in (0.0, math.sqrt(0.5), -math.sqrt(0.5)):
+            radius = math.sqrt(1.0 - height * height)
+            ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full_like(angle, height)])
+            self._place(self._pair(axes, "0.80", "0.89", 0.5), ring @ self.view.T)
+
+    def _vertical(self, axes: Any) -> None:
+        """Arrow of the direction fixed in space, from the sphere outwards."""
+        foot, tip = self.view @ np.array([0.0, 0.0, 1.0]), self.view @ np.array([0.0, 0.0, 1.38])
+        arrow = {"arrowstyle": "-|>", "color": VERTICAL, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", tip[:2], foot[:2], arrowprops=arrow, zorder=31)
+        axes.text(tip[0] + 0.06, tip[1] - 0.03, self.body.vertical, va="top", zorder=31)
+
+    @staticmethod
+    def _pair(axes: Any, near: str, far: str, width: float) -> tuple[Any, Any]:
+        """Lines for the part of a curve in front of the body and for that behind it."""
+        style = {"ls": "-", "solid_capstyle": "round", "solid_joinstyle": "round"}
+        return (
+            axes.plot([], [], color=near, lw=width, zorder=20, **style)[0],
+            axes.plot([], [], color=far, lw=0.8 * width, zorder=2, **style)[0],
+        )
+
+    @property
+    def moving(self) -> list[Any]:
+        """Artists that ``show`` changes, the furthest first."""
+        artists = (*self.old, *self.new, self.faces, self.rod, self.dot, self.name)
+        return sorted(artists, key=lambda one: one.get_zorder())
+
+    @staticmethod
+    def _place(pair: tuple[Any, Any], points: Array) -> None:
+        """Move a pair of lines to the curve (m, 3): its near part, and its far part."""
+        far = points[:, 2:] < 0.0
+        pair[0].set_data(*np.where(far, np.nan, points[:, :2]).T)
+        pair[1].set_data(*np.where(far, points[:, :2], np.nan).T)
+
+    def show(self, row: int, since: int, rotation: Array) -> None:
+        """Show the attitude ``rotation`` (3, 3) after the trace up to ``row``, whose part from ``since`` is strong."""
+        corners, colours = shown_faces(self.body, self.view, rotation)
+        self.faces.set(verts=list(corners), facecolor=colours, edgecolor=colours)
+        tip = self.view @ rotation @ self.body.axis
+        first, last = since // self.stride, row // self.stride
+        self._place(self.old, self.path[: first + 1])
+        self._place(self.new, np.vstack([self.path[first : last + 1], tip]))
+        near = tip[2] >= 0.0
+        reach = self.reach if near else 0.0
+        self.rod.set_data([reach * tip[0], tip[0]], [reach * tip[1], tip[1]])
+        self.rod.set_zorder(21 if near else 3)
+        self.dot.set_data([tip[0]], [tip[1]])
+        self.dot.set_zorder(22 if near else 4)
+        out = tip[:2] / max(float(np.hypot(*tip[:2])), 0.15)
+        if abs(tip[0]) < 0.2 and abs(tip[1]) > 0.7:  # beside the arrow of the vertical, within the picture
+            out = np.array([-1.0, 0.35])
+        self.name.set_position(tuple(tip[:2] + 0.14 * out))
