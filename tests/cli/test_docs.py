@@ -286,6 +286,7 @@ def test_every_page_is_in_the_contents() -> None:
         if line and not line.startswith(":")
     ]
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    pages |= {f"notebooks/{path.stem}" for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")}
     made = {name.removesuffix(".md") for name in generated() if name.count("/") == 1}
     assert sorted(listed) == sorted(pages | made)
 
@@ -308,7 +309,7 @@ def test_formulas_are_well_formed() -> None:
 
 def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 150
-    assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 130
+    assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 150
 
 
 def inline(program: str) -> list[str]:

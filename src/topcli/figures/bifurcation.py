@@ -20,7 +20,10 @@ NAMES = ("", "I", "II", "III", "IV", "V")
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "separatrix": ("separatrix", {"color": "0.1", "linestyle": "-", "linewidth": 1.4}),
     "pinch": ("pinch", {"color": "#B2182B", "linestyle": (0, (4, 1.5)), "linewidth": 1.6}),
-    "periodic": (r"periodic: $E-2\ell^2=-k$", {"color": "#0072B2", "linestyle": "-", "linewidth": 1.8}),
+    "periodic": (
+        r"periodic: $E-2\ell^2=-k$",
+        {"color": "#0072B2", "linestyle": (0, (7, 1.5, 1.5, 1.5)), "linewidth": 1.8},
+    ),
     "delone": (r"Delone: $k=0$", {"color": "#009E73", "linestyle": "-", "linewidth": 2.6}),
     "bobylev-steklov": ("Bobylev, Steklov", {"color": "#0072B2", "linestyle": (0, (1, 1.2)), "linewidth": 1.4}),
 }

@@ -142,7 +142,7 @@ FIGURES: dict[str, Figure] = {
                 Window((1.66, 2.06), (0.0, 0.1), two_l=1.85),
                 Window((3.0, 12.5), (0.0, 20.0), "kowalevski_hk"),
             ),
-            BelowGrid(2, figsize=(7.6, 6.4)),
+            BelowGrid(2, figsize=(7.0, 6.2)),
         ),
         TorusFigure(
             "torus",
@@ -161,7 +161,7 @@ FIGURES: dict[str, Figure] = {
                 BodyPanel("(b) Lagrange", "lagrange_attitude", until=0.93),
                 BodyPanel("(c) Kowalevski", "kowalevski_attitude", until=0.5),
             ),
-            Grid(figsize=(8.4, 3.0)),
+            Grid(figsize=(7.0, 2.6)),
         ),
         SceneFigure(
             "traces",
@@ -207,7 +207,7 @@ FIGURES: dict[str, Figure] = {
             "period",
             "Kowalevski top: why Figure 2 has another period than Figure 1",
             "kowalevski_hk",
-            Grid(figsize=(8.4, 4.4)),
+            Grid(figsize=(7.0, 4.4)),
         ),
         OrderFigure(
             "order", "Kowalevski top, generic: error over h, orders and the plateau of round-off", "topcli order"

@@ -65,10 +65,14 @@ class Figure(ABC):
     """
 
     takes_overrides: ClassVar[bool] = False
-    takes_overlay: ClassVar[bool] = False
     name: str
     title: str
     scene: str
+
+    @property
+    def takes_overlay(self) -> bool:
+        """True if the figure can show the exact motion."""
+        return False
 
     @abstractmethod
     def load(self, request: Request) -> Loaded:

@@ -101,4 +101,4 @@ def loaded_study(study: Mapping[str, Any], source: str) -> Loaded:
         ErrorPanel(schemes, "time", f"(b) over the time it takes, {span}", keys=True),
     )
     measured = [[row["scheme"], [one["seconds"] for one in row["points"]]] for row in study["schemes"]]
-    return Loaded(panels, lambda: data, {"study": source, "measured": measured}, Grid(figsize=(8.6, 3.4)))
+    return Loaded(panels, lambda: data, {"study": source, "measured": measured}, Grid(figsize=(7.0, 3.1)))

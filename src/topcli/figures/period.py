@@ -76,7 +76,7 @@ class MotionRows:
             axes.plot(data["t"], data[motion_column(name, h)] + height, color=colours[name], linestyle="-")
         axes.set_xlim(0.0, float(data["t"][-1]))
         axes.set_ylim(heights[-1] - 1.4, 1.4)
-        axes.set_yticks([height + 0.4 for height in heights], [_row_label(name, h) for name, h in SHOWN], fontsize=8)
+        axes.set_yticks([height + 0.4 for height in heights], [_row_label(name, h) for name, h in SHOWN], fontsize=8.6)
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False)
         axes.set_xlabel("$t$")

@@ -53,7 +53,11 @@ class SceneFigure(Figure):
     panels: tuple[RunPanel, ...]
     layout: Grid = field(default_factory=Grid)
     takes_overrides: ClassVar[bool] = True
-    takes_overlay: ClassVar[bool] = True
+
+    @property
+    def takes_overlay(self) -> bool:
+        """True if a panel shows components or integrals themselves."""
+        return any(isinstance(panel, Overlaid) for panel in self.panels)
 
     @property
     def sources(self) -> dict[str, dict[str, str]]:

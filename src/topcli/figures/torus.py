@@ -27,8 +27,11 @@ ROWS, COLUMNS = 64, 128
 """Points of the surface along the first and the second angle."""
 FINER, FINEST = 4, 12
 """Facets, and points of the map of depths, for each point of the surface in both directions."""
-LINES = {"energy": ("flow of $E$", "#B2182B"), "k_sq": ("flow of $k^2$", "#1F4E9C")}
-"""Kinds of lines: labels and colours."""
+LINES: dict[str, tuple[str, str, Any]] = {
+    "energy": ("flow of $E$", "#B2182B", "-"),
+    "k_sq": ("flow of $k^2$", "#1F4E9C", (0, (5, 1.5))),
+}
+"""Kinds of lines: labels, colours and dashes."""
 COUNT, POINTS = 12, 361
 MIDDLE = 0.25
 """Middle of the lines of the energy, in periods of the second angle from the initial state; their ends are behind."""
@@ -61,10 +64,10 @@ class TorusPanel:
         surface = np.stack([data[f"surface:{name}"][: ROWS * COLUMNS].reshape(ROWS, COLUMNS) for name in AXES], -1)
         depths = _Depths(_refined(surface, FINEST) @ view.T)
         _facets(axes, _refined(surface, FINER), view)
-        for part, (label, colour) in LINES.items():
+        for part, (label, colour, dashes) in LINES.items():
             line = _points(data, part) @ view.T
             flat = np.where(depths.visible(line)[:, None], line[:, :2], np.nan)
-            axes.plot(*flat.T, color=colour, ls="-", lw=0.8, label=label, zorder=4)
+            axes.plot(*flat.T, color=colour, ls=dashes, lw=0.8, label=label, zorder=4)
         _motion(axes, _points(data, "motion") @ view.T, depths)
         _triad(axes, view, depths)
         axes.set_aspect("equal")
@@ -144,7 +147,7 @@ def _motion(axes: Any, line: np.ndarray, depths: _Depths) -> None:
     """Draw the motion as a broader line with its start and arrows."""
     seen, colour = depths.visible(line), LINES["energy"][1]
     flat = np.where(seen[:, None], line[:, :2], np.nan)
-    axes.plot(*flat.T, color=colour, ls="-", lw=2.0, zorder=5, label="the motion")
+    axes.plot(*flat.T, color=colour, ls="-", lw=2.6, zorder=5, label="the motion")
     if seen[0]:
         look = {"color": colour, "markersize": 5.0, "markeredgecolor": "white"}
         axes.plot(*line[0, :2], "o", zorder=7, label="initial state", **look)

@@ -85,7 +85,7 @@ class TorusSection:
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the section of the torus in grey and the points into ``axes``."""
         u, v, x, y = (data[name] for name in self.columns)
-        axes.plot(u, v, ".", color="0.75", ms=7.0, mew=0.0, rasterized=True, label="motion")
+        axes.plot(u, v, "s", color="0.75", ms=3.4, mew=0.0, rasterized=True, label="motion")
         size = 1.8 if np.isfinite(x).sum() > 1000 else 3.0
         axes.plot(x, y, ".", color="#0072B2", ms=size, mew=0.0, rasterized=True, label=self.scheme)
         axes.set(xlim=(-2.1, 2.1), ylim=(-1.7, 1.7), xlabel=r"$\omega_2$", ylabel=r"$\gamma_2$")
