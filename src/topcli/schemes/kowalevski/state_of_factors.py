@@ -57,6 +57,7 @@ class Formula:
         t2 = tau * tau
         h = [f[i] * tau - g[i] for i in range(3)]
         minus, plus_ij, plus_ji = self._mixed(f, g, tau, t2)
+        k: list[Any] = []
         if meeting:
             k = [f[i] * tau + g[i] for i in range(3)]
             k, h = map(list, zip(*(_both(*both, D) for both in zip(k, h, strict=True)), strict=True))
@@ -131,7 +132,7 @@ def _square(z: Any) -> Array:
     return z.real * z.real + z.imag * z.imag
 
 
-def _both(total: Any, difference: Any, product: complex) -> tuple[Any, Any]:
+def _both(total: Any, difference: Any, product: complex | Array) -> tuple[Any, Any]:
     """Sum and difference, of which the smaller one is ``product`` divided by the larger."""
     larger = _square(total) >= _square(difference)
     divisor = np.where(larger, total, difference)
