@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from topcli.analysis.ensemble import Ensemble as Ensemble
     from topcli.analysis.motion.result import Motion as Motion
     from topcli.analysis.trajectory import Trajectory as Trajectory
+    from topcli.api.claims import claims as claims
     from topcli.api.comparisons import compare as compare
+    from topcli.api.motions import motion as motion
     from topcli.api.orders import order as order
     from topcli.api.runs import run as run
     from topcli.api.stresses import stress as stress
     from topcli.api.sweeps import sweep as sweep
     from topcli.schemes.registry import scheme as scheme
-    from topcli.studies.claims.decide import claims as claims
     from topcli.studies.measures import measure as measure
-    from topcli.studies.motion import motion as motion
     from topcli.studies.simulate import simulate as simulate
     from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
 
@@ -52,10 +52,10 @@ _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
     "Motion": "topcli.analysis.motion.result",
     "Trajectory": "topcli.analysis.trajectory",
-    "claims": "topcli.studies.claims.decide",
+    "claims": "topcli.api.claims",
     "compare": "topcli.api.comparisons",
     "measure": "topcli.studies.measures",
-    "motion": "topcli.studies.motion",
+    "motion": "topcli.api.motions",
     "order": "topcli.api.orders",
     "run": "topcli.api.runs",
     "scheme": "topcli.schemes.registry",

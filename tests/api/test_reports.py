@@ -1,4 +1,4 @@
-"""Results of ``topcli.run``, ``compare``, ``sweep``, ``order`` and ``stress``: tables, plots, files, notebooks."""
+"""Results of all functions that return a report: tables, plots, files, notebooks."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 import topcli
 from reading_html import read_html
 from stored_results import BASE, START
+from topcli.api.claims import ClaimsReport
 from topcli.api.comparisons import ComparisonReport
 from topcli.api.orders import OrderReport
 from topcli.api.report import SUFFIXES, Report
@@ -71,13 +72,32 @@ def stressed() -> StressReport:
     return topcli.stress("hk", "dg4", cases=["delone", "pole", "racket-1e-3"])
 
 
-NAMES = ("run", "ensemble", "compared", "swept", "ordered", "stressed")
+@pytest.fixture(scope="module")
+def claimed() -> ClaimsReport:
+    return topcli.claims(["matrix-m", "hk-heavy-small", "hk-heavy-equation", "hybrid-reversible"])
 
 
-@pytest.fixture(params=NAMES)
+FUNCTIONS = {
+    "run": "run",
+    "ensemble": "run",
+    "compared": "compare",
+    "swept": "sweep",
+    "ordered": "order",
+    "stressed": "stress",
+    "claimed": "claims",
+    "kowalevski_generic_hk": "motion",
+    "euler_hk": "motion",
+    "lagrange_hk": "motion",
+    "heavy_hk": "motion",
+}
+"""Function that makes the report of each fixture, or of each packaged scene."""
+
+
+@pytest.fixture(params=FUNCTIONS)
 def report(request: pytest.FixtureRequest) -> Report:
     """Each kind of report in turn."""
-    return request.getfixturevalue(request.param)
+    name = request.param
+    return topcli.motion(name) if FUNCTIONS[name] == "motion" else request.getfixturevalue(name)
 
 
 @pytest.fixture
@@ -97,6 +117,13 @@ def drawn(axes: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Data of the labelled lines."""
     lines = [line for line in axes.get_lines() if not line.get_label().startswith("_")]
     return {line.get_label(): (np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in lines}
+
+
+def test_every_function_that_returns_a_report_is_tested() -> None:
+    functions = {name: getattr(topcli, name) for name in topcli.__all__}
+    returned = {name: getattr(one, "__annotations__", {}).get("return", "") for name, one in functions.items()}
+    assert {name for name, kind in returned.items() if str(kind).endswith("Report")} == set(FUNCTIONS.values())
+    assert {kind.__name__ for kind in Report.__subclasses__()} == {returned[name] for name in FUNCTIONS.values()}
 
 
 @pytest.mark.slow

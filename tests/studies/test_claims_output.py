@@ -7,13 +7,14 @@ import math
 import re
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 import topcli
-from topcli.errors import RunError, UsageError
+from reading_html import read_html
+from topcli.errors import RunError
 from topcli.studies.claims import decide, recorded
 from topcli.studies.claims.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Bound, Finding, Kind
 from topcli.studies.claims.decided import Control, Decided
@@ -178,23 +179,36 @@ def test_unknown_claims_name_the_nearest(cli) -> None:
     assert cli("claims", "--json", "--markdown").code == 2
 
 
-@pytest.mark.slow
-def test_result_is_a_table_and_files(small_ledger: dict[str, Any], tmp_path: Path) -> None:
+def test_progress_counts_claims_and_controls(small_ledger: dict[str, Any]) -> None:
     steps: list[tuple[int, int]] = []
-    found = topcli.claims(on_progress=lambda done, total: steps.append((done, total)))
+    decide.decide_claims(on_progress=lambda done, total: steps.append((done, total)))
     assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    assert repr(found) == "<3 claims; does not hold as stated: 1, holds: 1, holds within: 1>"
+
+
+@pytest.mark.slow
+def test_report_has_the_figures_of_each_claim_and_escapes_their_texts(small_ledger: dict[str, Any]) -> None:
+    found = topcli.claims()
+    assert repr(found).endswith("1 holds, 1 holds within, 1 does not hold as stated>")
     assert found.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [0.5, "≤ 1 mm", "holds within 1 mm"]
     html = found._repr_html_()
     assert "&lt;b&gt;one&lt;/b&gt;" in html
     assert "<b>one" not in html
-    assert json.loads(found.save(tmp_path / "a.json").read_text(encoding="utf-8")) == found.as_dict()
-    assert "holds within 1 mm" in found.save(tmp_path / "a.csv").read_text(encoding="utf-8")
-    assert "&lt;b&gt;one" in found.save(str(tmp_path / "a.html")).read_text(encoding="utf-8")
-    assert found.save(tmp_path / "a.MD").read_text(encoding="utf-8") == found.to_markdown()
-    with pytest.raises(UsageError, match=r"a\.xlsx: the name must end in \.json, \.csv, \.html or \.md"):
-        found.save(tmp_path / "a.xlsx")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.MD", "a.csv", "a.html", "a.json"]
+    (table,) = read_html(html).all("table")
+    assert table.cells()[2][2:5] == ["holds within 1 mm", "0.5", "≤ 1 mm"]
+
+
+@pytest.mark.slow
+def test_plot_counts_the_verdicts_of_each_part_of_the_paper() -> None:
+    names = ("hk-heavy-small", "hk-heavy-equation", "hybrid-k-sq", "hybrid-reversible")
+    axes = topcli.claims(names, progress=False).plot(Figure().add_subplot())
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "HK scheme of heavy tops",
+        "Hybrid scheme and summary",
+    ]
+    bars = {one.get_label(): [bar.get_width() for bar in one] for one in axes.containers}
+    assert bars == {HOLDS: [0, 1], HOLDS_WITHIN: [1, 0], MISPRINT: [1, 0], FAILS: [0, 1]}
+    assert sorted(text.get_text() for text in axes.texts) == ["1"] * 4
+    assert [bar.get_x() for bar in axes.containers[-1]] == [2, 1], "bars are side by side"
 
 
 def test_a_figure_that_is_not_finite_is_null_in_json() -> None:

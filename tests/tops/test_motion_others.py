@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
 
+import topcli
+from reading_html import read_html
 from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.motion.result import Motion, neighbour_rows, quantity_rows
 from topcli.analysis.reference import reference_states
+from topcli.api.motions import motion
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError
-from topcli.studies.motion import motion
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -265,7 +268,7 @@ def test_states_whose_integrals_overflow_are_refused() -> None:
 @pytest.mark.slow
 def test_result_is_a_table() -> None:
     found = motion("lagrange_bs")
-    table = found.to_pandas()
+    table = found.table
     assert list(table.index) == list(found)
     assert table.loc["period.nutation", "value"] == found["period.nutation"]
     assert len(quantity_rows(found)) == len(table)
@@ -273,15 +276,18 @@ def test_result_is_a_table() -> None:
     assert all(name in html for name in found)
     assert found.title in html
     assert "frequency.nutation" in found
-    assert repr(found) == "<Motion of lagrange/inertial: nutation with waves: precession in one sense>"
+    assert isinstance(found, topcli.Motion)
+    assert repr(found) == "<MotionReport of lagrange_bs: nutation with waves: precession in one sense>"
     with pytest.raises(UnknownNameError, match=r"did you mean 'period\.nutation'"):
         found["period.nutatoin"]
 
 
 @pytest.mark.slow
-def test_html_shows_the_neighbours() -> None:
+def test_page_shows_the_neighbours(tmp_path: Path) -> None:
     found = motion("kowalevski_generic_hk")
-    html = found._repr_html_()
     assert len(neighbour_rows(found)) == len(found.neighbours) == 3
-    assert html.count("separatrix</td>") == 3
+    page = read_html(found.save(tmp_path / "motion.html").read_text(encoding="utf-8"))
+    _, neighbours = page.all("table")
+    assert neighbours.cells()[1:] == neighbour_rows(found)
+    assert [row[3] for row in neighbours.cells()[1:]] == ["separatrix"] * 3
     assert found.as_dict()["neighbours"][0]["kind"] == "separatrix"

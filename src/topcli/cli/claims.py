@@ -97,7 +97,7 @@ def claims(
     if a check does not find the defect of its positive control.
     """
     from topcli.errors import UsageError
-    from topcli.studies.claims.decide import claims as decide_claims
+    from topcli.studies.claims.decide import decide_claims
     from topcli.studies.claims.ledger import chosen
 
     if as_json and as_markdown:

@@ -38,7 +38,8 @@ class Diagram:
     """Diagram in the plane of E and k² for one ``two_l``, with the motion of ``scene`` as a point.
 
     The columns are ``number:kind:E`` and ``number:kind:k_sq`` for the ``kinds`` of critical curves, with nan between
-    their parts, and ``number:scene:E`` and ``number:scene:k_sq``. ``tori`` are the numbers of tori of the regions.
+    their parts, and ``number:scene:E`` and ``number:scene:k_sq``. ``tori`` are the numbers of tori of the regions. By
+    default the ``title`` is a letter and ``two_l``.
     """
 
     number: int
@@ -48,6 +49,7 @@ class Diagram:
     scene: str
     kinds: tuple[str, ...]
     tori: Mapping[str, int]
+    title: str = ""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -71,7 +73,7 @@ class Diagram:
         axes.set_xlabel("$E$")
         axes.set_ylabel("$k^2$")
         axes.grid(False)
-        axes.set_title(rf"({'abcdef'[self.number]}) $2\ell = {self.two_l:.6g}$", loc="left")
+        axes.set_title(self.title or rf"({'abcdef'[self.number]}) $2\ell = {self.two_l:.6g}$", loc="left")
 
     def _mark(self, axes: Any, E: float, k_sq: float) -> None:
         """Draw the point of the scene and its name."""
@@ -170,7 +172,7 @@ class BifurcationFigure(Figure):
                 two_l = 2.0 * float(of.L)
                 data[f"{number}:scene:E"] = np.array([3.0 * float(of.l1)])
                 data[f"{number}:scene:k_sq"] = np.array([float(of.k_sq)])
-            curves = _curves(two_l, window)
+            curves = critical_curves(two_l, window.energies, window.k_sq)
             for kind, both in curves.items():
                 data |= {f"{number}:{kind}:{axis}": both[i] for i, axis in enumerate(AXES)}
             panels.append(Diagram(number, two_l, window.energies, window.k_sq, name, tuple(curves), tori))
@@ -179,12 +181,12 @@ class BifurcationFigure(Figure):
         return Loaded(tuple(panels), lambda: data, source, self.layout)
 
 
-def _curves(two_l: float, window: Window) -> dict[str, np.ndarray]:
-    """Critical curves of each kind in the window, in the order of the legend: E and k² (2, m), nan between parts."""
+def critical_curves(two_l: float, energies: tuple[float, float], k_sq: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Critical curves of each kind in a window, in the order of the legend: E and k² (2, m), nan between parts."""
     from topcli.analysis.motion.chart import branches
 
     parts: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
-    for one in branches(0.5 * two_l, 1.0, window.energies, window.k_sq):
+    for one in branches(0.5 * two_l, 1.0, energies, k_sq):
         if one.kind in parts:
             parts[one.kind] += [np.array([one.E, one.k_sq]), np.full((2, 1), np.nan)]
     return {kind: np.hstack(some) for kind, some in parts.items() if some}

@@ -29,7 +29,8 @@ class Polhodes:
     """Ellipsoid for moments (A, B, C), all different, at the energy of the run; the run's own curve is highlighted.
 
     ``levels`` are the positions of the thin polhodes between the separatrix (0) and the axes (1), on either side.
-    ``view`` is the azimuth and the elevation of the viewer, in degrees, with omega3 upright.
+    ``view`` is the azimuth and the elevation of the viewer, in degrees, with omega3 upright. ``label`` names the run's
+    curve in the legend.
     """
 
     moments: tuple[float, float, float]
@@ -38,6 +39,7 @@ class Polhodes:
     view: tuple[float, float] = (52.0, 24.0)
     pixels: int = 900
     exact: tuple[str, ...] = ()
+    label: str = "run"
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -93,7 +95,7 @@ class Polhodes:
 
         dot: dict[str, Any] = {"color": "none", "marker": "o", "markeredgecolor": "0.1"}
         entries = {
-            "run": Line2D([], [], color=RUN, linestyle="-", linewidth=1.8),
+            self.label: Line2D([], [], color=RUN, linestyle="-", linewidth=1.8),
             "separatrix": Line2D([], [], color="0.15", linestyle="-", linewidth=1.2),
             "stable rotation": Line2D([], [], markerfacecolor="0.1", **dot),
             "unstable": Line2D([], [], markerfacecolor="white", **dot),

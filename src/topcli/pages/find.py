@@ -98,7 +98,7 @@ def _study(data: dict[str, Any], name: str) -> Chapter | None:
         series = data.get("series")
         return comparison_chapter(data, series if isinstance(series, dict) else {}, name)
     if isinstance(data.get("claims"), list):
-        return claims_chapter(data)
+        return claims_chapter(data, name)
     if "trials" in data:
         return stress_chapter(data)
     if "duration" in data and "schemes" in data:

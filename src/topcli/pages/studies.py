@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array
+from topcli.figures.claims import verdict_category, verdict_panel
 from topcli.figures.comparison import loaded_comparison
 from topcli.figures.order import loaded_order
 from topcli.figures.picture import Grid
@@ -183,20 +184,32 @@ def _questions(cases: Sequence[Mapping[str, Any]]) -> Table:
     return Table("Cases", ["case", "top", "question"], lines, keys=2, numbers=False)
 
 
-def claims_chapter(found: dict[str, Any]) -> Chapter:
-    """Chapter on claims of the paper with their verdicts."""
+def claims_chapter(found: dict[str, Any], name: str | None = None) -> Chapter:
+    """Chapter on claims of the paper with their verdicts.
+
+    ``name`` is unique within the page; None leaves out pictures.
+    """
     chapter = Chapter("Claims of the paper", "claims", "each with the figure that decides it and its bound", "decided")
     chapter.attempt("claims", lambda: _claims(chapter, found["claims"]))
+    if name:
+        chapter.attempt("pictures", lambda: _claims_picture(found["claims"], name))
     _about(chapter, found)
     return chapter
 
 
 def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Table:
-    counted = Counter(str(one["verdict"]) for one in claims)
+    counted = Counter(verdict_category(str(one["verdict"])) for one in claims)
     chapter.message = ", ".join(f"{count} {verdict}" for verdict, count in counted.most_common())
     keys = ("id", "statement", "verdict", "figure", "bound", "source")
-    lines = [[_figure(one[key]) for key in keys] for one in claims]
+    shown = [{**one, "bound": one.get("bound_text", one["bound"])} for one in claims]
+    lines = [[_figure(one[key]) for key in keys] for one in shown]
     return Table("Claims", keys, lines, numbers=False, marks={"holds": "good", "does not hold as stated": "bad"})
+
+
+def _claims_picture(claims: Sequence[Mapping[str, Any]], name: str) -> Pictures:
+    panel, data = verdict_panel(claims)
+    caption = "claims with each verdict, by parts of the paper"
+    return Pictures("Pictures", [Picture(svg_of(panel, data, name, caption, Grid(figsize=SIZE)), caption)])
 
 
 def _figure(value: object) -> str:

@@ -23,8 +23,7 @@ def motion_of(top: Top, y0: Floats) -> Motion:
     y = tuple(float(v) for v in y0)
     if max(map(abs, (*y, *top.constants()))) > LARGEST:
         raise UsageError(f"motion: the state or the parameters are too large: more than {LARGEST:g} in magnitude")
-    if isinstance(top, Heavy):
-        top = _special(top)
+    top = closed_form_top(top)
     if isinstance(top, Kowalevski):
         from topcli.analysis.motion.kowalevski import kowalevski_motion
 
@@ -39,10 +38,12 @@ def motion_of(top: Top, y0: Floats) -> Motion:
     return Motion(top.form, "no closed form", title, y, integrals_of(top, y))
 
 
-def _special(top: Heavy) -> Top:
-    """The Euler, Lagrange or Kowalevski top with these parameters, if there is one; otherwise ``top``."""
+def closed_form_top(top: Top) -> Top:
+    """Return ``top``; in place of a heavy top the Euler, Lagrange or Kowalevski top with its parameters, if any."""
     from topcli.tops.euler import EulerGamma
 
+    if not isinstance(top, Heavy):
+        return top
     A, B, C = top.A, top.B, top.C
     if top.x0 == top.y0 == top.z0 == 0.0:
         return EulerGamma(A=A, B=B, C=C)

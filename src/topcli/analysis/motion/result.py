@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 class Quantity(NamedTuple):
@@ -39,7 +35,7 @@ class Neighbour(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Motion:
-    """Class, periods and frequencies of one motion, as ``topcli.motion`` returns them.
+    """Class, periods and frequencies of one motion.
 
     ``motion[name]`` is the value of a quantity such as ``frequency.s1``; ``name in motion`` is true if it has one.
 
@@ -79,9 +75,6 @@ class Motion:
     neighbours: tuple[Neighbour, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        return f"<Motion of {self.top}: {self.title}>"
-
     def __iter__(self) -> Iterator[str]:
         return (one.name for one in self.quantities)
 
@@ -108,19 +101,6 @@ class Motion:
             "notes": list(self.notes),
         }
 
-    def to_pandas(self) -> pd.DataFrame:
-        """Return the quantities as a DataFrame with the columns ``value`` and ``meaning``, indexed by name."""
-        import pandas as pd
-
-        return pd.DataFrame(self.quantities).set_index("name")
-
-    def _repr_html_(self) -> str:
-        """Tables for a notebook."""
-        parts = [f"<p><b>{escape(self.top)}</b>: {escape(self.title)}</p>", _html(QUANTITIES, quantity_rows(self))]
-        if self.neighbours:
-            parts.append(_html(NEIGHBOURS, neighbour_rows(self)))
-        return "".join([*parts, *(f"<p>{escape(note)}</p>" for note in self.notes)])
-
 
 def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
     """Integrals of ``top`` at the state ``y``."""
@@ -146,10 +126,3 @@ def neighbour_rows(motion: Motion) -> list[list[str]]:
 
 def _text(value: float) -> str:
     return "∞" if value == math.inf else f"{value:.10g}"
-
-
-def _html(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-    return "<table>" + line(header, "th") + "".join(line(row, "td") for row in rows) + "</table>"

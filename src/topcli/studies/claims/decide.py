@@ -33,38 +33,12 @@ def _tried(check: Callable[[], Finding]) -> tuple[Finding | None, str, bool]:
         return None, str(error).splitlines()[0], True
 
 
-def claims(
+def decide_claims(
     ids: str | Sequence[str] = (), *, fast: bool = False, on_progress: Callable[[int, int], None] | None = None
 ) -> Claims:
-    """Decide the claims of the paper by experiments.
+    """Decide the claims with these names, by default all; with ``fast`` slow ones are left out unless they are named.
 
-    Parameters
-    ----------
-    ids : str or sequence of str, optional
-        Names of claims, such as ``"hybrid-reversible"``; all by default.
-    fast : bool, optional
-        True to leave out claims that take more than a few tenths of a second, unless they are named.
-    on_progress : callable, optional
-        ``on_progress(done, total)`` is called after each claim.
-
-    Returns
-    -------
-    Claims
-        The claims with figures, bounds and verdicts, and the positive controls of the kinds of checks.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such claim; the message names the nearest ones.
-
-    Examples
-    --------
-    >>> import topcli
-    >>> found = topcli.claims(["hybrid-k-sq", "hybrid-reversible"])
-    >>> found.table["verdict"].tolist()
-    ['holds', 'does not hold as stated']
-    >>> found.changed, found.blunt
-    ((), ())
+    ``on_progress(done, total)`` is called after each check. Raises UnknownNameError with the nearest names.
     """
     wanted = chosen((ids,) if isinstance(ids, str) else ids, fast)
     kinds: list[Kind] = list(dict.fromkeys(claim.kind for claim in wanted))

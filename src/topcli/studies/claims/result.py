@@ -1,27 +1,17 @@
-"""Decided claims together: plain data, a table, files."""
+"""Decided claims together."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from topcli.errors import UsageError
-from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.studies.claims.decided import Control, Decided
 from topcli.studies.claims.page import claims_page
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-COLUMNS = ("id", "statement", "source", "experiment", "figure", "bound", "verdict")
 
 
 @dataclass(frozen=True, repr=False)
 class Claims:
-    """Claims of the paper with their verdicts, as ``topcli.claims`` returns them.
+    """Claims of the paper with their verdicts.
 
     Attributes
     ----------
@@ -36,9 +26,6 @@ class Claims:
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    def __repr__(self) -> str:
-        return f"<{self.summary}>"
 
     @property
     def summary(self) -> str:
@@ -67,17 +54,6 @@ class Claims:
         """Names of the kinds of checks that did not find the defect of their positive control."""
         return tuple(control.kind.name for control in self.controls if not control.caught)
 
-    @property
-    def table(self) -> pd.DataFrame:
-        """DataFrame of the claims, one row each, indexed by ``id``."""
-        import pandas as pd
-
-        rows = [{**row.as_dict(), "bound": row.finding.bound.text if row.finding else None} for row in self.rows]
-        return pd.DataFrame(rows, columns=[*COLUMNS, "note", "recorded", "seconds"]).set_index("id")
-
-    def _repr_html_(self) -> str:
-        return self.table[list(COLUMNS[1:])].to_html()
-
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON: the list ``claims``, and ``controls`` and ``verdicts`` by name."""
         return {
@@ -85,43 +61,6 @@ class Claims:
             "controls": {control.kind.name: control.as_dict() for control in self.controls},
             "verdicts": self.counts,
         }
-
-    def save(self, path: str | Path) -> Path:
-        """Write the claims to a file, whole or not at all.
-
-        Parameters
-        ----------
-        path : path or str
-            File ending in ``.json``, ``.csv``, ``.html`` or ``.md``; the last is the page of the documentation.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        UsageError
-            If the name has another ending, or its folder cannot be written.
-        RunError
-            If writing fails.
-        """
-        path = Path(path)
-        writers: dict[str, Callable[[], str]] = {
-            ".json": lambda: json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
-            ".csv": lambda: self.table.to_csv(),
-            ".html": lambda: self.table.to_html() + "\n",
-            ".md": self.to_markdown,
-        }
-        if path.suffix.lower() not in writers:
-            raise UsageError(f"{path}: the name must end in {', '.join(list(writers)[:-1])} or {list(writers)[-1]}")
-        text = writers[path.suffix.lower()]()
-        require_writable(path.parent)
-        try:
-            write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-        except OSError as error:
-            raise io_failure(error, path, "nothing was written") from error
-        return path
 
     def to_markdown(self) -> str:
         """Page of the documentation with the claims."""

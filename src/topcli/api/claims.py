@@ -1,0 +1,102 @@
+"""``topcli.claims``: the paper's claims, decided by experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from topcli.api.progress import Progress
+from topcli.api.report import Report, painted
+from topcli.studies.claims.decide import decide_claims
+from topcli.studies.claims.result import Claims
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from topcli.pages.contents import Chapter
+
+COLUMNS = ("id", "statement", "source", "experiment", "figure", "bound", "verdict", "note", "recorded", "seconds")
+
+
+@dataclass(frozen=True, repr=False)
+class ClaimsReport(Claims, Report):
+    """Claims of the paper with their verdicts, as ``topcli.claims`` returns them.
+
+    Attributes
+    ----------
+    rows : tuple of Decided
+        The claims, in the order of the ledger.
+    controls : tuple of Control
+        The positive control of each kind of check that was used.
+    table : pandas.DataFrame
+        A row for each claim, indexed by ``id``: statement, source, experiment, figure, bound, verdict.
+    """
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """DataFrame of the claims, one row each, indexed by ``id``."""
+        import pandas as pd
+
+        rows = [{**row, "bound": row["bound_text"]} for row in self.as_dict()["claims"]]
+        return pd.DataFrame(rows, columns=list(COLUMNS)).set_index("id")
+
+    def chapter(self, name: str | None) -> Chapter:
+        """Return the chapter of a page."""
+        from topcli.pages.studies import claims_chapter
+
+        return claims_chapter(self.as_dict(), name)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the number of claims with each verdict, a bar for each part of the paper.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into; new ones by default.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes.
+        """
+        from topcli.figures.claims import verdict_panel
+
+        return painted(*verdict_panel(self.as_dict()["claims"]), ax)
+
+
+def claims(ids: str | Sequence[str] = (), *, fast: bool = False, progress: bool = True) -> ClaimsReport:
+    """Decide the claims of the paper by experiments.
+
+    Parameters
+    ----------
+    ids : str or sequence of str, optional
+        Names of claims, such as ``"hybrid-reversible"``; all by default.
+    fast : bool, optional
+        True to leave out claims that take more than a few tenths of a second, unless they are named.
+    progress : bool, optional
+        False to show no progress bar.
+
+    Returns
+    -------
+    ClaimsReport
+        The claims with figures, bounds and verdicts, and the positive controls of the kinds of checks.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such claim; the message names the nearest ones.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> found = topcli.claims(["hybrid-k-sq", "hybrid-reversible"])
+    >>> found.table["verdict"].tolist()
+    ['holds', 'does not hold as stated']
+    >>> found.changed, found.blunt
+    ((), ())
+    """
+    with Progress("claims", progress, unit="checks") as bar:
+        found = decide_claims(ids, fast=fast, on_progress=bar)
+    return ClaimsReport(found.rows, found.controls)
