@@ -43,7 +43,7 @@ def test_kowalevski_motion_is_a_place_in_its_diagram(unit: float) -> None:
     omega, gamma = [0.7 * unit, -0.4 * unit, 1.3 * unit], [0.6, 0.48, 0.64]
     found = topcli.motion({"top": {"kind": "kowalevski", "c0": unit**2}, "initial": {"omega": omega, "gamma": gamma}})
     axes = found.plot(Figure().add_subplot())
-    (point,) = [line for line in axes.get_lines() if line.get_label() == "_scene"]
+    (point,) = [line for line in axes.get_lines() if line.get_label() == "motion"]
     assert point.get_xdata()[0] == pytest.approx(found["energy"] / unit**2, rel=1e-14)
     assert point.get_ydata()[0] == pytest.approx(found["k_sq"] / unit**4, rel=1e-14)
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()

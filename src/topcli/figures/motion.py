@@ -25,8 +25,9 @@ Drawn = tuple[Drawable, dict[str, np.ndarray]]
 SAMPLES, MOST_SAMPLES = 240, 6000
 """Points of one oscillation or revolution, and of a curve."""
 MOST_NUTATIONS = 12
-LEFT, RIGHT, NAME = 1.7, 1.12, 0.9
-"""Ends of the diagram from its middle, and room for the name of the motion, in units of the largest k."""
+LEFT, RIGHT, BESIDE = 2.1, 1.12, 0.5
+"""In units of the largest k: ends of the diagram from its middle, the left one with room for the legend, and room on
+the right of the motion."""
 TURNS = 4.0
 """Revolutions at the initial rate for which a motion without a period is drawn."""
 LARGEST = 1e12
@@ -59,6 +60,11 @@ class PlaceDiagram(Diagram):
         super().paint(axes, data, styles)
         axes.legend(loc="lower left", fontsize="small", frameon=False, handlelength=1.6, borderaxespad=0.3)
 
+    def _mark(self, axes: Any, E: float, k_sq: float) -> None:
+        """Draw the point of the motion, whose name is in the legend."""
+        look = {"color": "0.05", "linestyle": "none", "markersize": 5.0, "markeredgecolor": "white"}
+        axes.plot([E], [k_sq], marker="o", zorder=6, label=self.scene, **look)
+
 
 def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
     """Place in the plane of E and k², in units in which c |gamma| = 1."""
@@ -72,7 +78,7 @@ def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
         return _components(top, motion)
     middle, high = 0.5 * two_l**2, max(2.0 * k_sq, 2.0)
     width = math.sqrt(high)
-    energies = middle - LEFT * width, max(middle + RIGHT * width, E + NAME * width)
+    energies = middle - LEFT * width, max(middle + RIGHT * width, E + BESIDE * width)
     curves = critical_curves(two_l, energies, (0.0, high))
     data = {f"0:{kind}:{axis}": both[i] for kind, both in curves.items() for i, axis in enumerate(AXES)}
     data |= {"0:scene:E": np.array([E]), "0:scene:k_sq": np.array([k_sq])}
