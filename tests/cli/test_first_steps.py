@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -86,6 +88,19 @@ def test_the_next_command_stays_on_a_line_of_its_own(tmp_path: Path) -> None:
     code, shown = in_terminal([*TOPCLI, "init", name], tmp_path)
     assert code == 0
     assert shown.splitlines()[-1] == f"next: topcli run {name}"
+
+
+@pytest.mark.slow
+def test_messages_follow_the_data_in_one_log(tmp_path: Path) -> None:
+    """As in topcli ... 2>&1 | tee log, where Python keeps what goes to stdout."""
+    command = [*TOPCLI, "compare", "hk", "--set", "N=200", "--save", "hk.json"]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path, env=environment
+    )
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("kowalevski_hk")
+    assert lines[-1] == "wrote hk.json"
 
 
 def store_run(cli) -> None:
