@@ -34,6 +34,7 @@ exclude_patterns = ["_build", "**.ipynb_checkpoints"]
 html_theme = "pydata_sphinx_theme"
 html_title = "topcli"
 html_show_sourcelink = False
+html_context = {"default_mode": "auto"}
 html_static_path = ["_static"]
 html_css_files = ["topcli.css"]
 html_sidebars = {"**": ["globaltoc.html"]}

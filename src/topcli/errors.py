@@ -26,6 +26,8 @@ from collections.abc import Iterable
 
 NAME_LENGTH = 60
 """Longest name or value that a message repeats."""
+LIST_LENGTH = 300
+"""Longest list of names in a message that could name the command that lists them."""
 MESSAGE_LENGTH = 900
 """Longest message; with the prefix of a command it has less than 1,000 characters."""
 
@@ -104,8 +106,10 @@ class RunError(TopcliError):
     """Run that could not be carried out or written (exit code 1)."""
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, known: Iterable[str], listed_by: str = "") -> str:
     """Return a hint for a misspelt ``name``: the nearest of the ``known`` names, or all of them.
+
+    Instead of more names than fit on a few lines, the command ``listed_by`` is named if it is given.
 
     >>> nearest("hkk", ["hk", "hybrid"])
     "did you mean 'hk'?"
@@ -114,4 +118,5 @@ def nearest(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name[:NAME_LENGTH].lower(), names, n=2, cutoff=0.6)
     if close:
         return "did you mean " + " or ".join(repr(c) for c in close) + "?"
-    return "known: " + ", ".join(names)
+    text = ", ".join(names)
+    return f"`{listed_by}` lists them" if listed_by and len(text) > LIST_LENGTH else f"known: {text}"

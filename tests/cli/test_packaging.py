@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from conftest import ROOT
+from documentation import difference, read_page, run, sessions
 
 SUFFIXES = {".py", ".yaml", ".toml", ".mplstyle", ".bib", ".jinja", ".css"}
 
@@ -111,3 +112,87 @@ def test_an_editable_install_points_to_the_checkout_alone(tmp_path: Path, monkey
     (path,) = (name for name in archive.namelist() if ".dist-info/" not in name)
     assert path.endswith(".pth")
     assert archive.read(path).decode().strip() == str(ROOT / "src")
+
+
+SCRIPTS = "Scripts" if os.name == "nt" else "bin"
+KEPT = ("LANG", "LC_ALL", "TMPDIR", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE", "http_proxy", "https_proxy", "no_proxy")
+"""Settings of a machine that a new user's shell has too; pip's own begin with PIP_."""
+PIP_CONFIG = Path.home() / ".config" / "pip" / "pip.conf"
+"""The index that pip uses here, which lies in another home."""
+
+
+@pytest.fixture(scope="module")
+def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """The scripts of an empty environment into which pip installed the wheel, and the variables of a new user.
+
+    Skipped where the smallest dependency cannot be had from pip's index; after that nothing may fail.
+    """
+    folder = tmp_path_factory.mktemp("bare")
+    home = folder / "home"
+    home.mkdir()
+    kept = {name: value for name, value in os.environ.items() if name in KEPT or name.startswith("PIP_")}
+    pip = [str(folder / "env" / SCRIPTS / "python"), "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    pinned = ["--constraint", str(ROOT / "constraints.txt")]
+    venv.create(folder / "env", symlinks=True, with_pip=True)
+    environment = {**kept, "HOME": str(home), "PATH": f"{folder / 'env' / SCRIPTS}:/usr/bin:/bin"}
+    settings = {} if "PIP_CONFIG_FILE" in kept or not PIP_CONFIG.exists() else {"PIP_CONFIG_FILE": str(PIP_CONFIG)}
+    for wanted in (["download", "--no-deps", "--dest", str(folder / "probe"), "platformdirs"], ["install", str(wheel)]):
+        done = subprocess.run(
+            [*pip, *wanted, *pinned], cwd=home, env=environment | settings, capture_output=True, text=True
+        )
+        if done.returncode and wanted[0] == "download":
+            pytest.skip(f"pip reaches no index: {done.stderr.strip().splitlines()[-1]}")
+        assert done.returncode == 0, done.stderr
+    return folder / "env" / SCRIPTS, environment
+
+
+@pytest.mark.slow
+def test_the_tutorial_works_on_a_bare_machine(bare: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
+    """Every command of it, in one folder, far from any checkout, with what pip installed."""
+    scripts, environment = bare
+    page = read_page(ROOT / "docs" / "tutorial.md")
+    for name, text in page.files().items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    commands = [one for block in page.blocks if block.language == "console" for one in sessions(block)]
+    assert [command.split()[1] for command, _ in commands] == ["run", "compare", "plot"]
+    for command, shown in commands:
+        code, printed = run(command, tmp_path, [str(scripts / "topcli")], [], environment)
+        assert code == 0, (command, printed)
+        assert not difference(shown, printed), command
+    assert (tmp_path / "results" / "figures" / "fig1.png").stat().st_size > 10_000
+    for command in inline_commands(page.path):
+        code, printed = run(command, tmp_path, [str(scripts / "topcli")], [], environment)
+        assert code == 0, (command, printed)
+    rows = run_python(
+        scripts / "python", tmp_path, "-c", "import topcli; print(len(topcli.simulate('top.yaml').to_pandas()))"
+    )
+    assert rows == "1001\n"
+
+
+def inline_commands(page: Path) -> list[str]:
+    """Commands in the text of a page."""
+    found = [part for part in page.read_text(encoding="utf-8").split("`")[1::2] if part.startswith("topcli ")]
+    assert "topcli doctor" in found
+    return found
+
+
+@pytest.mark.slow
+def test_first_steps_work_on_a_bare_machine(bare: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
+    """What the help proposes, and it leaves nothing beside the folder of work and the user's cache."""
+    scripts, environment = bare
+    for command in (
+        "topcli --help",
+        "topcli init",
+        "topcli run experiment.yaml",
+        "topcli report results/kowalevski_hybrid --out page.html",
+        "topcli show results/kowalevski_hybrid",
+        "topcli cite hk",
+        "topcli list sweeps",
+    ):
+        code, printed = run(command, tmp_path, [str(scripts / "topcli")], [], environment)
+        assert code == 0, (command, printed)
+        assert not [line for line in printed if "docs/" in line], command
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "experiment.yaml", "page.html", "results", "topcli.schema.json"
+    ]  # fmt: skip
+    assert {path.name for path in Path(environment["HOME"]).iterdir()} <= {".cache", ".config", ".local", "Library"}

@@ -249,7 +249,7 @@ def test_unreadable_config_files_are_refused(tmp_path: Path) -> None:
     write(tmp_path, BASE, "wobble.yaml")
     (tmp_path / "folder.yaml").mkdir()
     assert refusal(tmp_path / "woble.yaml") == f"{tmp_path}/woble.yaml: no such file; did you mean 'wobble.yaml'?"
-    assert refusal(tmp_path / "q.yaml").endswith("q.yaml: no such file; there are folder.yaml, wobble.yaml")
+    assert refusal(tmp_path / "q.yaml").endswith("q.yaml: no such file; configs there: folder.yaml, wobble.yaml")
     assert "nor is there a folder" in refusal(tmp_path / "no" / "x.yaml")
     assert "is a folder" in refusal(tmp_path / "folder.yaml")
     assert "ends in .yaml, .yml or .toml" in refusal(tmp_path / "x.txt")

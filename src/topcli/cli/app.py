@@ -36,7 +36,7 @@ class _Topcli(LazyGroup):
         "schema": "inspect.schema",
         "doctor": "inspect.doctor",
         "cite": "cite.cite",
-        "list": "inspect.list_app",
+        "list": "listing.list_app",
     }
 
 
@@ -48,7 +48,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Numerical experiments on discrete spinning tops: run, measure, compare, draw.",
-    epilog="Exit codes: 0 success, 1 a run failed, 2 wrong usage or config, 3 part of several runs failed, "
+    epilog="First steps: topcli init, topcli run experiment.yaml, topcli report results/NAME --out NAME.html.\n\n"
+    "Exit codes: 0 success, 1 a run failed, 2 wrong usage or config, 3 part of several runs failed, "
     "4 a stated tolerance or claim was violated, 70 an internal error, 130 interrupted.",
 )
 

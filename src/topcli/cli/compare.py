@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.files import Overwrite, require_new
+from topcli.cli.hints import compare_hint, hinting
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, print_json, print_table, say, say_warnings
 from topcli.errors import UsageError, quoted
@@ -179,11 +180,13 @@ def compare(
                 f"--reference {quoted(reference)}: chooses the reference of one trajectory, and {experiment.name} is "
                 f"an ensemble of {experiment.count}"
             )
-        code = _compare_ensemble(experiment, entries, options, _Outputs(None, save, as_json))
+        with hinting(entries, compare_hint):
+            code = _compare_ensemble(experiment, entries, options, _Outputs(None, save, as_json))
     else:
         if plot:
             require_writable(out)
         outputs = _Outputs(out if plot else None, save, as_json)
-        code = _compare_one(experiment, entries, options, outputs, reference)
+        with hinting(entries, compare_hint):
+            code = _compare_one(experiment, entries, options, outputs, reference)
     if code:
         raise typer.Exit(code)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from topcli.cli.hints import hinting, plot_hint
 from topcli.cli.options import FigureOut, Force, Json, Sets, complete_figure
 from topcli.cli.table import Aggregate, Where
 from topcli.cli.talk import ProgressDisplay, emit, print_json, say
@@ -131,6 +132,7 @@ def plot(
     """Draw figures as PNG and PDF, with their data as Parquet.
 
     For a sweep: topcli plot sweep DIR/NAME --x KEY --y MEASURE --by KEY.
+    For a run: topcli report DIR/NAME --out FILE.html.
     --set changes the runs that a figure draws, and its file has digits of
     the changed experiment in its name.
     """
@@ -153,7 +155,8 @@ def plot(
     chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
     looks = read_style(style) if style else {}
     options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
-    figures = _chosen(names or [], options, where or [])
+    with hinting(names or [], lambda name: plot_hint(name, results)):
+        figures = _chosen(names or [], options, where or [])
     _require(figures, bool(sets), overlay is not None)
     display = ProgressDisplay(len(figures), as_json)
     request = Request(

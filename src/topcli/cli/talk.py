@@ -53,7 +53,9 @@ def print_document(document: dict[str, Any]) -> None:
 
 
 def say(line: str) -> None:
-    """Print a message on stderr, wrapped at words on a terminal."""
+    """Print a message on stderr, wrapped at words on a terminal; behind the data printed before it, also in one log."""
+    with contextlib.suppress(OSError):  # reported at the end, when it is flushed again
+        sys.stdout.flush()
     for part in _wrapped(clipped(printable(line), 990), sys.stderr):
         print(part, file=sys.stderr)
     sys.stderr.flush()

@@ -159,11 +159,11 @@ def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]
         one = load_any(path)
         first, count = (one, 1) if isinstance(one, Experiment) else (one.first, one.count)
         if first.top.form in wanted:
-            yield name, first, count, _first_sentence(path)
+            yield name, first, count, first_sentence(path)
 
 
-def _first_sentence(path: Path) -> str:
-    """First sentence of the comment at the top of a config; empty if there is none."""
+def first_sentence(path: Path) -> str:
+    """Return the first sentence of the comment at the top of a config; empty if there is none."""
     lines = itertools.takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines())
     words = " ".join(line.removeprefix("#").strip() for line in lines)
     return words.split(". ")[0].removesuffix(".")
@@ -186,7 +186,7 @@ def find_config(source: Path | str) -> Path:
         if name.lower().replace("-", "_") == wanted:
             return scene
     files = [text + suffix for suffix in SUFFIXES if os.path.isfile(text + suffix)]
-    near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes)
+    near = f"did you mean the file {files[0]}?" if files else nearest(wanted, scenes, "topcli list scenes")
     raise UnknownNameError(f"no packaged scene is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
 
 
@@ -233,7 +233,9 @@ def _files_nearby(path: Path) -> str:
     close = [stems[stem] for stem in difflib.get_close_matches(path.stem, stems, n=2)]
     if close:
         return f"; did you mean {' or '.join(map(quoted, close))}?"
-    return f"; there are {', '.join(map(shortened, names[:5]))}{', ...' if len(names) > 5 else ''}" if names else ""
+    return (
+        f"; configs there: {', '.join(map(shortened, names[:5]))}{', ...' if len(names) > 5 else ''}" if names else ""
+    )
 
 
 def read_document(path: Path) -> Document:
@@ -243,7 +245,11 @@ def read_document(path: Path) -> Document:
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise ConfigError(f"{path}: not a config; the name of a config ends in .yaml, .yml or .toml")
+        inside = path / "config.yaml"
+        known = (
+            f"; that of this run is {inside}" if os.path.isfile(inside) else "; its name ends in .yaml, .yml or .toml"
+        )
+        raise ConfigError(f"{path}: not a config{known}")
     text = read_text(path)
     if suffix == ".toml":
         from topcli.config.toml_text import parse_toml

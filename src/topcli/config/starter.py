@@ -121,4 +121,4 @@ def _ensemble(cls: type[Top], toml: bool) -> list[str]:
         first, *others = draw_examples(cls, name)
         text = '"sphere"' if toml and first == "sphere" else first
         lines.append(f"{indent}{name}{sign}{text.replace(': ', sign)}  # or {', '.join(others).replace(': ', sign)}")
-    return [f"# {line}" for line in ["many trajectories instead of one; see docs/ensembles.md", *lines]]
+    return [f"# {line}" for line in ["many trajectories instead of one, as in the scene kowalevski_ensemble", *lines]]
