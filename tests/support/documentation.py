@@ -150,7 +150,7 @@ def run(
 
 def without_progress(lines: list[str]) -> list[str]:
     """Lines but those that a slow machine adds, such as ``stress: 75.0%, 3 of 4 steps, 0.13 steps/s, 8 s left``."""
-    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ (steps|rows)", line)]
+    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ (steps|rows|frames)", line)]
 
 
 def prepare(page: Page, folder: Path) -> None:
