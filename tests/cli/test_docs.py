@@ -145,6 +145,7 @@ def test_every_page_is_in_the_contents() -> None:
         if line and not line.startswith(":")
     ]
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    pages |= {f"notebooks/{path.stem}" for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")}
     made = {name.removesuffix(".md") for name in generated() if name.count("/") == 1}
     assert sorted(listed) == sorted(pages | made)
 
