@@ -147,6 +147,10 @@ def test_a_stored_sweep_is_no_figure(cli, in_tmp: Path) -> None:
     assert "with: topcli plot sweep results/small --x KEY --y MEASURE" in cli("plot", "small").err
     assert "show its config with: topcli show results/small" in cli("show", "small").err
     assert "grid:" in cli("show", "results/small").out
+    for arguments in (("table", "small", "--rows", "h", "--value", "deviation.energy"), ("plot", "sweep", "small")):
+        said = cli(*arguments)
+        assert said.code == 2
+        assert "no sweep is stored here (rows.parquet is missing); did you mean results/small?" in said.err
 
 
 @pytest.mark.slow

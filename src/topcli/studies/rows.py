@@ -168,8 +168,11 @@ def read_rows(place: Path) -> SweepRows:
     """
     path = place if place.name == ROWS else place / ROWS
     if not os.path.isfile(path):
+        usual = Path("results") / path.parent
         beside = [one.parent.name for one in sorted(path.parent.parent.glob(f"*/{ROWS}"))]
         hint = f"; {nearest(path.parent.name, beside)}" if beside else ""
+        if os.path.isfile(usual / ROWS):
+            hint = f"; did you mean {usual}?"
         raise UsageError(f"{path.parent}: no sweep is stored here ({ROWS} is missing){hint}")
     about, columns = _read(path)
     current = columns["current"].astype(bool)
