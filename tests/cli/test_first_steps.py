@@ -186,7 +186,11 @@ def test_origins_are_listed_if_something_is_not_built_in(cli, in_tmp: Path) -> N
         "def least(batch):\n    return batch.column('omega1').min(axis=0)\n"
     )
     listed = cli("list", "measures", "--scheme-file", "mine.py")
-    assert "mine.py" in next(line for line in listed.out.splitlines() if line.startswith("omega1.least"))
+    items = cli("list", "measures", "--scheme-file", "mine.py", "--json").json()["measures"]
+    header, *rows = listed.out.splitlines()
+    assert header.split()[-1] == "origin"
+    assert [row.split()[-1] for row in rows] == [item["origin"] for item in items]
+    assert {item["origin"] for item in items} == {"topcli", "mine.py"}
 
 
 @pytest.mark.slow

@@ -379,7 +379,6 @@ LISTS = {
         "order": "order",
         "self-adjoint": "self_adjoint",
         "conserves": "conserves",
-        "origin": "origin",
     },
     "compositions": {
         "name": "name",
@@ -389,8 +388,9 @@ LISTS = {
         "citation": "citation",
     },
     "scenes": {"name": "name", "top": "top", "scheme": "scheme", "h": "h", "N": "N", "about": "about"},
+    "sweeps": {"name": "name", "varied": "varied", "about": "about"},
     "cases": {"name": "name", "top": "top", "question": "question"},
-    "measures": {"name": "name", "unit": "unit", "summary": "summary", "origin": "origin"},
+    "measures": {"name": "name", "unit": "unit", "summary": "summary"},
     "figures": {"name": "name", "scene": "scene", "title": "title"},
     "runs": {"name": "name", "outcome": "outcome", "scheme": "scheme", "h": "h", "N": "N", "digest": "digest"},
 }
