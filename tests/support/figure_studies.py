@@ -126,11 +126,28 @@ def _stress(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setattr("topcli.figures.stress._study", lambda request: ({"trials": trials}, ""))
 
 
+def _period(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Motions that swing at 14 and 42; spacings that fall with ln h from those of the law."""
+    t, sizes = np.linspace(0.0, 50.0, 1001), 10.0 ** np.arange(-7.0, 0.0)
+
+    def columns(on_progress: object) -> dict[str, np.ndarray]:
+        rows, curves = FIGURES["period"].load(Request(folder, ROOT / "configs")).panels
+        data = {"t": t, "swings": np.array([14.0, 42.0])}
+        data |= {name: 1.0 - 2.0 / np.cosh((t - 14.0) % 28.0) for name in rows.columns[2:]}
+        for name in curves.columns:
+            slope = 1.4 if name.endswith("bohlin-a") else 0.1
+            data[name] = sizes if name.startswith("h:") else 28.17 - slope * np.log(sizes / sizes[0])
+        return data
+
+    patch.setattr("topcli.figures.period.period_columns", columns)
+
+
 PREPARE: dict[str, Callable[[pytest.MonkeyPatch, Path], None]] = {
     "order": _orders,
     "swings": _sweep("kowalevski_swings"),
     "errors": _sweep("kowalevski_errors"),
     "heavy-drift": _sweep("heavy_drift"),
+    "period": _period,
     "integrable": _energies,
     "roundoff": _growth,
     "work-precision": _benches,
