@@ -112,7 +112,7 @@ def _fill(
     chapter.data = {"config": config, "report": report, "seconds": manifest.get("seconds")}
     chapter.attempt("setup", lambda: _setup(config, report))
     if report:
-        chapter.subtitle = f"{value_text(report.get('top_title'))}, scheme {value_text(report.get('scheme_title'))}"
+        chapter.subtitle = f"{value_text(report.get('top_title'))}; {value_text(report.get('scheme_title'))}"
         if chapter.kind == "ensemble" or report.get("kind") == "ensemble":
             ensemble_blocks(chapter, folder, report, name)
         else:
