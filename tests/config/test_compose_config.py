@@ -86,7 +86,7 @@ def test_default_composition_name_is_accepted(tmp_path: Path) -> None:
     data = load_experiment(HK).resolved() | {"scheme": "hk+kahan-li8"}
     del data["name"]
     assert experiment_from(data).name == "kowalevski_hk+kahan_li8"
-    assert load_experiment(write(tmp_path, starter_config(scheme="hk+suzuki4"))).scheme_name == "hk+suzuki4"
+    assert load_experiment(write(tmp_path, starter_config(scheme="hk+suzuki4"))).scheme.name == "hk+suzuki4"
 
 
 @pytest.mark.parametrize(

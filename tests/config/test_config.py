@@ -43,7 +43,7 @@ def test_the_paper_scene() -> None:
     beyond = {"hk_projected", "hk_symproj", "dg4", "midpoint4", "hybrid_sym", "hybrid_xi", "backlund"}
     assert set(schemes) == papers | beyond | {"midpoint", "rk2", "rk4", "dop853", "taylor", "splitting", "dmv", "exact"}
     for stem, experiment in schemes.items():
-        assert experiment.scheme_name == stem.replace("_", "-")
+        assert experiment.scheme.name == stem.replace("_", "-")
         assert experiment.y0 == (2.0, 0.0, 0.0, *PAPER_GAMMA)
         assert experiment.top.model_dump() == {"c0": 1.0, "A": 2.0}
         assert (experiment.h, experiment.N, experiment.duration) == (1e-3, 50000, 50.0)
@@ -101,7 +101,7 @@ def test_gamma_must_be_a_unit_vector_within_tolerance(tmp_path: Path) -> None:
 def test_numbers_and_case_of_names_are_read_leniently(tmp_path: Path) -> None:
     path = write(tmp_path, BASE.replace("100", "5e4").replace("0.001", "-1").replace("hk", "HK"))
     experiment = load_experiment(path)
-    assert (experiment.N, experiment.h, experiment.scheme_name) == (50000, -1.0, "hk")
+    assert (experiment.N, experiment.h, experiment.scheme.name) == (50000, -1.0, "hk")
     assert type(experiment.N) is int
     assert type(experiment.h) is float
 

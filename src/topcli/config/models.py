@@ -228,11 +228,6 @@ class Experiment(BaseModel):
     exact: InstanceOf[ExactNumbers] | None = None
 
     @property
-    def scheme_name(self) -> str:
-        """Name of the scheme in lower case."""
-        return self.scheme.name
-
-    @property
     def duration(self) -> float:
         """Time N*h at which the run ends; negative for a negative step."""
         return self.N * self.h
