@@ -94,16 +94,25 @@ def read_values(
     return raw, False
 
 
-def _range(raw: dict[str, Any], key: str, path: KeyPath, problems: Problems) -> tuple[Sequence[Any], bool] | None:
-    if "count" not in raw and key in ("sample", "seed") and isinstance(raw.get("to"), int):
-        raw = {**raw, "count": max(1, raw["to"] - int(raw.get("from", 0)) + 1)}
-    found = validate(Range, raw, path, problems)
+def _ends(model: Any, raw: dict[str, Any], path: KeyPath, problems: Problems) -> tuple[Any, float, float, bool] | None:
+    """Section ``raw`` as a ``model``, its ends, and True for logarithmic spacing; None if it is wrong."""
+    found = validate(model, raw, path, problems)
     if found is None:
         return None
     first, last, log = getattr(found, "from"), found.to, found.spacing == "log"
     if fault := bounds_fault(first, last, log):
         problems.add(path, fault)
         return None
+    return found, first, last, log
+
+
+def _range(raw: dict[str, Any], key: str, path: KeyPath, problems: Problems) -> tuple[Sequence[Any], bool] | None:
+    if "count" not in raw and key in ("sample", "seed") and isinstance(raw.get("to"), int):
+        raw = {**raw, "count": max(1, raw["to"] - int(raw.get("from", 0)) + 1)}
+    ends = _ends(Range, raw, path, problems)
+    if ends is None:
+        return None
+    found, first, last, log = ends
     if found.count == 1:
         values = [first]
     elif first == last:
@@ -136,11 +145,8 @@ def read_spread(raw: object, name: str, path: KeyPath, problems: Problems) -> Sp
     if not isinstance(raw, dict):
         problems.add(path, f"must be an interval such as {{from: 1, to: 2}}, not {describe(raw)}")
         return None
-    found = validate(Interval, raw, path, problems)
-    if found is None:
+    ends = _ends(Interval, raw, path, problems)
+    if ends is None:
         return None
-    first, last, log = getattr(found, "from"), found.to, found.spacing == "log"
-    if fault := bounds_fault(first, last, log):
-        problems.add(path, fault)
-        return None
+    _, first, last, log = ends
     return Spread(name=name, first=first, last=last, log=log)

@@ -191,10 +191,10 @@ def connected(
 
 
 def _wait_for_restarts(client: Client, count: int) -> None:
-    """Wait until ``count`` workers are there: to close the cluster while one is being restarted is an error."""
+    """Wait until ``count`` workers of one thread are there: closing the cluster while one is restarted is an error."""
     deadline = time.monotonic() + RESTART_SECONDS
     with suppress(Exception):
-        while len(cast(dict[str, int], client.nthreads())) < count and time.monotonic() < deadline:
+        while _threads(client) < count and time.monotonic() < deadline:
             time.sleep(POLL_SECONDS)
 
 
