@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 import topcli
 from topcli.figures import torus_points as torus_figure
@@ -19,6 +20,7 @@ from topcli.figures.picture import draw
 from topcli.figures.torus_points import TorusSection, TorusView
 from topcli.schemes.registry import find_scheme
 from topcli.studies import error_and_cost, torus_points
+from topcli.studies.identity import method_fingerprint
 
 STUDY: dict[str, Any] = {
     "duration": 100.0,
@@ -62,11 +64,19 @@ def test_every_scheme_of_the_study_looks_different() -> None:
     assert len(set(looks)) == len(looks)
 
 
-def test_exact_nodes_are_compared_where_they_exist() -> None:
+def test_exact_nodes_are_compared_as_a_scheme_of_their_own() -> None:
+    """The last one compared is `backlund` with the option; a scheme without the option is not given it silently."""
     hk, backlund = (find_scheme(name, "kowalevski") for name in ("hk", "backlund"))
-    assert error_and_cost.with_exact_nodes(hk) == []
-    found = error_and_cost.with_exact_nodes(backlund)
-    assert [one.name for one in found] == [error_and_cost.NODES] * ("nodes" in backlund.options.model_fields)
+    top = error_and_cost.problem().top
+    with pytest.raises(ValidationError, match="nodes"):
+        error_and_cost.with_exact_nodes(hk).build(top, hk.options())
+    found = error_and_cost.compared_schemes()[-1]
+    assert [one.name for one in error_and_cost.compared_schemes()].count(error_and_cost.NODES) == 1
+    assert found.name == error_and_cost.NODES
+    exact = backlund.build(top, backlund.options.model_validate({"nodes": "exact"}))
+    built = method_fingerprint(found.build(top, found.options()))
+    assert built == method_fingerprint(exact)
+    assert built != method_fingerprint(backlund.build(top, backlund.options()))
 
 
 @pytest.mark.slow

@@ -37,22 +37,20 @@ FILE = Path("error-and-cost") / "error-and-cost.json"
 SCHEMA_VERSION = 1
 
 
-def with_exact_nodes(scheme: Scheme) -> list[Scheme]:
-    """The scheme with its option ``nodes: exact``; empty if it has no such option."""
-    if "nodes" not in scheme.options.model_fields:
-        return []
+def with_exact_nodes(scheme: Scheme) -> Scheme:
+    """The scheme with its option ``nodes: exact``, which it must have."""
 
     def build(top: Any, options: Any) -> Any:
         return scheme.build(top, scheme.options.model_validate({"nodes": "exact"}))
 
-    return [replace(scheme, name=NODES, build=build, order_with=None)]
+    return replace(scheme, name=NODES, build=build, order_with=None)
 
 
 def compared_schemes() -> list[Scheme]:
     """Schemes of the study, in the order of the figure."""
     form = problem().top.form
     family = [find_scheme(name, form) for name in FAMILY]
-    return [*(find_scheme(name, form) for name in OTHERS), *family, *with_exact_nodes(family[0])]
+    return [*(find_scheme(name, form) for name in OTHERS), *family, with_exact_nodes(family[0])]
 
 
 def problem() -> Problem:
