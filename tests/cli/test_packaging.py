@@ -178,7 +178,7 @@ def inline_commands(page: Path) -> list[str]:
 
 @pytest.mark.slow
 def test_first_steps_work_on_a_bare_machine(bare: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
-    """What the help proposes, and it leaves nothing beside the folder of work and the user's cache."""
+    """The commands that the help proposes work, and leave nothing beside the folder of work and the user's cache."""
     scripts, environment = bare
     for command in (
         "topcli --help",

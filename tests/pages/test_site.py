@@ -32,7 +32,7 @@ def browser() -> Iterator[Browser]:
 
 @dataclass
 class Look:
-    """What is wrong with a page, in words."""
+    """Faults of a page, in words."""
 
     faults: list[str]
     formulas: int

@@ -231,7 +231,7 @@ def test_a_rung_s_figures_are_those_of_its_samples(short: Problem) -> None:
 
 @pytest.mark.slow
 def test_stored_figures_are_those_of_the_stored_samples(short: Problem) -> None:
-    """What is stored of a real measurement agrees with itself."""
+    """The stored figures of a real measurement agree with each other."""
     result = bench(short, choose(short, ("rk4", "hk")), [], Effort(0.002, 3))
     rows = [row for competitor in result["competitors"] for row in competitor["points"]]
     assert len(rows) > 6

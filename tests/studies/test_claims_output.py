@@ -1,4 +1,4 @@
-"""What a user sees of the claims: tables, details, JSON, files, exit codes."""
+"""Output on the claims: tables, details, JSON, files, exit codes."""
 
 from __future__ import annotations
 

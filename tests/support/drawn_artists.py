@@ -1,4 +1,4 @@
-"""What the artists of a drawn figure show."""
+"""Data and looks of the artists of a drawn figure."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Bar:
         self._shown.stop()
 
     def get_renderable(self) -> Any:
-        """What rich shows at the moment."""
+        """The display of rich at the moment."""
         return self._shown.get_renderable()
 
 

@@ -48,7 +48,7 @@ def _warn_of_few_rows(figures: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class _Outputs:
-    """Where the results of a comparison go: a folder of ``pictures``, a JSON file, stdout as JSON."""
+    """Targets of the results of a comparison: a folder of ``pictures``, a JSON file, stdout as JSON."""
 
     pictures: Path | None
     saved: Path | None

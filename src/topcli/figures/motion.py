@@ -127,7 +127,7 @@ def _elevation(axis: Array) -> float:
 
 
 def _nutations(motion: Motion) -> Array:
-    """Times of so many nutations that the axis precesses about once, at most ``MOST_NUTATIONS``."""
+    """Times over the nutations in which the axis precesses about once, at most ``MOST_NUTATIONS`` of them."""
     if "precession.per_nutation" not in motion:
         rate = abs(motion["frequency.precession"]) if "frequency.precession" in motion else 0.0
         return np.linspace(0.0, 1.0 / rate, SAMPLES + 1) if rate else _times(motion, ())

@@ -185,7 +185,7 @@ class Panel:
         return values
 
     def _style(self, line: Line, points: int, styles: Styles) -> dict[str, Any]:
-        """Style of a line of so many ``points``."""
+        """Style of a line with this number of ``points``."""
         if not line.dots:
             return styles[line.label]
         ring = {"marker": "o", "markersize": 3.2, "markerfacecolor": "none", "markeredgewidth": 0.8}

@@ -24,7 +24,7 @@ MOST_ROWS = 200
 """Rows of a sweep that a page lists."""
 MOST_PICTURES = 6
 MOST_CURVES = 12
-"""Values of a key that are still told apart as curves."""
+"""Largest number of values of a key that is drawn as curves of their own."""
 SIZE = (5.6, 3.2)
 
 

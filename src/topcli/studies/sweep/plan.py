@@ -31,7 +31,7 @@ REASONS = {
     MEASURE: "a measure is new",
     RETRY: "failed before",
 }
-"""Why a row has to run."""
+"""Reasons why a row has to run."""
 GROWTH = 1 << 14
 WARNED_TOPS = 64
 """Tops of a sweep whose parameters are looked at for warnings."""

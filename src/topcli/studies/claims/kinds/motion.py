@@ -1,4 +1,4 @@
-"""What runs in doubles show: ranges, drifts, sizes of deviations, and orders of convergence."""
+"""Checks by runs in doubles: ranges, drifts, sizes of deviations, and orders of convergence."""
 
 from __future__ import annotations
 
