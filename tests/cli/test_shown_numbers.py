@@ -227,7 +227,7 @@ def test_bench_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pyte
         points = distinct({**found, "decades": [row | {"error": str(row["error"])} for row in decades]}, 4, keep=kept)
         points["decades"] = [row | {"error": float(row["error"])} for row in points["decades"]]
         points["closed_forms"] = [
-            {"name": "exact", "error": 3.4e-15, "seconds_per_state": 7.8e-6, "setup_seconds": 0.25}
+            {"name": "exact", "error": 3.4e-15, "seconds_per_state": 7.8e-6, "states": 321, "setup_seconds": 0.25}
         ]
         for i, row in enumerate(points["decades"]):
             row["topcli"]["setting"], row["peer"]["setting"] = f"h=0.{i + 1}", f"h={i + 1}"
@@ -248,7 +248,7 @@ def test_bench_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pyte
     (form,) = scene["closed_forms"]
     distance, _, time = out.partition("in closed form, exact: distance from the reference ")[2].partition(", ")
     assert shows(distance, form["error"])
-    time, _, setup = time.partition(" µs a state, after a set-up of ")
+    time, _, setup = time.partition(" µs a state over 321 states, after a set-up of ")
     assert shows(time, 1e6 * form["seconds_per_state"])
     assert shows(setup.partition(" s")[0], form["setup_seconds"])
     below = out.partition("every point\n")[2].splitlines()

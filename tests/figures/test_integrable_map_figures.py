@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 import topcli
+from topcli.errors import UsageError
 from topcli.figures import torus_points as torus_figure
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.contract import Request
@@ -20,6 +20,7 @@ from topcli.figures.picture import draw
 from topcli.figures.torus_points import TorusSection, TorusView
 from topcli.schemes.registry import find_scheme
 from topcli.studies import error_and_cost, torus_points
+from topcli.studies.entries import scheme_with
 from topcli.studies.identity import method_fingerprint
 
 STUDY: dict[str, Any] = {
@@ -66,10 +67,10 @@ def test_every_scheme_of_the_study_looks_different() -> None:
 
 def test_exact_nodes_are_compared_as_a_scheme_of_their_own() -> None:
     """The last one compared is `backlund` with the option; a scheme without the option is not given it silently."""
-    hk, backlund = (find_scheme(name, "kowalevski") for name in ("hk", "backlund"))
+    backlund = find_scheme("backlund", "kowalevski")
     top = error_and_cost.problem().top
-    with pytest.raises(ValidationError, match="nodes"):
-        error_and_cost.with_exact_nodes(hk).build(top, hk.options())
+    with pytest.raises(UsageError, match="scheme 'hk' has no option 'nodes'"):
+        scheme_with("hk:nodes=exact", "kowalevski")
     found = error_and_cost.compared_schemes()[-1]
     assert [one.name for one in error_and_cost.compared_schemes()].count(error_and_cost.NODES) == 1
     assert found.name == error_and_cost.NODES

@@ -24,8 +24,9 @@ from topcli.schemes.registry import find_scheme
 from topcli.studies.bench import competitors as entrants
 from topcli.studies.bench.competitors import FirstCall, NoResultError, SchemeCompetitor
 from topcli.studies.bench.ladder import Rung
+from topcli.studies.bench.line_up import LineUp, choose
 from topcli.studies.bench.measure import Effort, Measured, Measurements, as_rows, explore, time_all
-from topcli.studies.bench.run import Entrants, bench, choose
+from topcli.studies.bench.run import bench
 from topcli.studies.bench.scenes import Problem, bench_problems
 from topcli.studies.peers import PEERS, Peer, find_peers, missing
 
@@ -140,7 +141,7 @@ def test_a_step_that_cannot_be_compiled_stops_nothing_else(short: Problem) -> No
 
     bad = replace(find_scheme("hk", "kowalevski"), name="bad", build=lambda top, options: Stepper(step, 6))
     talk: list[str] = []
-    both = Entrants((bad, find_scheme("rk4", "kowalevski")), (), ())
+    both = LineUp((bad, find_scheme("rk4", "kowalevski")), (), ())
     result = bench(short, both, [], Effort(0.001, 1), on_message=talk.append)
     assert "cannot be compiled" in result["competitors"][0]["broken"]
     assert len(talk) == 1
@@ -271,12 +272,12 @@ def test_the_first_call_of_a_peer_counts_its_fastest_process(short: Problem) -> 
 
 
 @pytest.mark.slow
-def test_the_seconds_of_a_closed_form_are_those_of_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_seconds_of_a_closed_form_are_those_of_many_states(monkeypatch: pytest.MonkeyPatch) -> None:
     (racket,) = bench_problems((), ("euler_hk",), ("h=0.01", "N=100"), 10)
     clock = iter([100.0, 107.0])
     monkeypatch.setattr(entrants.time, "process_time", lambda: next(clock))
-    states, seconds, setup = entrants.closed_form(find_scheme("exact", "euler"), racket, calls=14)
-    assert (seconds, setup) == (0.5, None)
+    states, seconds, setup = entrants.closed_form(find_scheme("exact", "euler"), racket)
+    assert (seconds, setup) == (7.0 / 200_000, None)
     reference = reference_states(racket.top, racket.experiment.y0, racket.times)
     np.testing.assert_allclose(states, reference, atol=1e-13)  # typically 2e-15
 
@@ -286,8 +287,8 @@ def test_the_set_up_of_a_closed_form_is_timed_apart(monkeypatch: pytest.MonkeyPa
     (paper,) = bench_problems((), ("kowalevski_hk",), ("h=0.01", "N=100"), 10)
     clock = iter([100.0, 107.0, 200.0, 200.25])
     monkeypatch.setattr(entrants.time, "process_time", lambda: next(clock))
-    found = entrants.closed_form(find_scheme("exact", "kowalevski"), paper, calls=14)
-    assert (found.seconds, found.setup_seconds) == (0.5, 0.25)
+    found = entrants.closed_form(find_scheme("exact", "kowalevski"), paper)
+    assert (found.seconds_per_state, found.setup_seconds) == (7.0 / 200_000, 0.25)
 
 
 PEER = """

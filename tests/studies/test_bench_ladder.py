@@ -1,4 +1,4 @@
-"""Ladders of settings, the scenes, and who takes part."""
+"""Ladders of settings, and the scenes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from topcli.contracts import Scheme
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.bench.ladder import ladder, tolerance_option
-from topcli.studies.bench.run import choose, default_names
 from topcli.studies.bench.scenes import SCENES, bench_problems
-from topcli.tops import TOPS
 
 # the ladders
 
@@ -90,7 +88,7 @@ def test_every_adaptive_scheme_has_a_ladder() -> None:
             scheme.options.model_validate(dict(rung.options))
 
 
-# scenes and who takes part
+# scenes
 
 
 def test_bench_scenes_have_their_tops_and_durations() -> None:
@@ -117,22 +115,3 @@ def test_a_config_is_a_scene(in_tmp: Path) -> None:
         bench_problems((), (), ("h=1",))
     with pytest.raises(UnknownNameError, match="did you mean 'lagrange'"):
         bench_problems(("lagrnge",), ())
-
-
-def test_competitors_are_those_that_fit_the_scene() -> None:
-    for form in TOPS:
-        names = default_names(form)
-        assert len(set(names)) == len(names)
-    kowalevski, euler = bench_problems(("kowalevski-generic", "euler"), ())
-    field = choose(kowalevski, ())
-    taking_part = {scheme.name for scheme in field.schemes}
-    assert {"hk", "rk4", "hk+kahan-li6", "hk+kahan-li8"} <= taking_part
-    assert "dop853" in dict(field.left_out)
-    assert taking_part | set(dict(field.left_out)) | {"exact"} == set(default_names("kowalevski"))
-    assert [scheme.name for scheme in field.exact] == [scheme.name for scheme in choose(euler, ()).exact] == ["exact"]
-    assert dict(choose(euler, ("hk", "hybrid")).left_out) == {"hybrid": "does not fit the top euler"}
-    assert [scheme.name for scheme in choose(kowalevski, ("dop853",)).schemes] == ["dop853"]
-    with pytest.raises(UsageError, match="named twice"):
-        choose(euler, ("hk", "HK"))
-    with pytest.raises(UnknownNameError, match="did you mean"):
-        choose(euler, ("midpont",))

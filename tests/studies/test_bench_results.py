@@ -14,8 +14,9 @@ from topcli.errors import RunError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.contract import Request
 from topcli.studies.bench.front import DECADES
+from topcli.studies.bench.line_up import choose
 from topcli.studies.bench.measure import Effort
-from topcli.studies.bench.run import bench, choose
+from topcli.studies.bench.run import bench
 from topcli.studies.bench.scenes import Problem, bench_problems
 from topcli.studies.bench.stored import POINTS, points_table, store_bench, stored_benches
 

@@ -81,9 +81,9 @@ def test_a_dominated_point_does_not_count() -> None:
 # the words
 
 
-def competitor(name: str, kind: str, points: list[Point], parameter: str = "h") -> dict[str, Any]:
+def competitor(name: str, kind: str, points: list[Point], parameter: str = "h", setup: float = 0.0) -> dict[str, Any]:
     rows = [{"error": p.error, "seconds": p.seconds, "value": p.setting} for p in points]
-    return {"name": name, "kind": kind, "parameter": parameter, "points": rows}
+    return {"name": name, "kind": kind, "parameter": parameter, "points": rows, "setup_seconds": setup}
 
 
 def test_the_decades_name_the_fastest_and_by_how_much() -> None:
@@ -119,6 +119,23 @@ def test_the_next_best_is_another_program_and_ties_are_named() -> None:
     assert "level with the next, rk4" in row["words"]
     assert [entry["name"] for entry in ranking([*two, other], 1e-3)] == ["heyoka", "heyoka high-accuracy", "rk4"]
     assert {entry["name"] for entry in front([*two, other])} == {"heyoka"}
+
+
+def test_a_set_up_is_named_from_a_millisecond_on_and_settings_are_no_other_program() -> None:
+    points = [Point(1e-13, 1e-7, 2.5)]
+    slower = competitor("backlund:nodes=plain", "topcli", [Point(1e-13, 2e-7, 1.0)])
+    last = competitor("taylor", "topcli", [Point(1e-13, 4e-7, 1e-9)], "tol")
+    for setup, words in (
+        (1.1e-3, "h=2.5, after a set-up of 1.1 ms for each initial state: 4 times"),
+        (9e-4, "h=2.5: 4 times"),
+    ):
+        nodes = competitor("backlund:nodes=exact", "topcli", points, setup=setup)
+        row = decade_rows([nodes, slower, last])[0]
+        assert row["next"]["name"] == "taylor"
+        assert (
+            row["words"]
+            == f"for an error of 1e-3 take backlund:nodes=exact with {words} faster than the next, taylor (tol=1e-9)"
+        )
 
 
 @pytest.mark.parametrize(

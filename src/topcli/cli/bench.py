@@ -12,7 +12,7 @@ from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, config_option, 
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, print_json, print_table, say, say_warnings
 
 if TYPE_CHECKING:
-    from topcli.studies.bench.run import Entrants
+    from topcli.studies.bench.line_up import LineUp
     from topcli.studies.bench.scenes import Problem
     from topcli.studies.peers import Peer
 
@@ -41,7 +41,8 @@ def _print_result(result: dict[str, Any], all_points: bool) -> None:
     for row in result["closed_forms"]:
         error, time = number(row["error"]), microseconds(row["seconds_per_state"])
         emit_prose(
-            f"in closed form, {row['name']}: distance from the reference {error}, {time} µs a state{setup_words(row)}"
+            f"in closed form, {row['name']}: distance from the reference {error}, {time} µs a state over "
+            f"{row['states']} states{setup_words(row)}"
         )
     emit()
     if all_points:
@@ -52,16 +53,16 @@ def _print_result(result: dict[str, Any], all_points: bool) -> None:
         emit()
 
 
-def _contest(problems: Sequence[Problem], schemes: Sequence[str]) -> list[Entrants]:
+def _contest(problems: Sequence[Problem], schemes: Sequence[str]) -> list[LineUp]:
     """Competitors of each problem. Raises UsageError for a scheme that takes part in none."""
     from topcli.errors import UsageError, quoted
-    from topcli.schemes.registry import find_scheme
-    from topcli.studies.bench.run import choose
+    from topcli.studies.bench.line_up import choose
+    from topcli.studies.entries import scheme_with
 
     fields = [choose(problem, schemes) for problem in problems]
     for name in schemes:
         if all(any(name == left for left, _ in field.left_out) for field in fields):
-            find_scheme(name, problems[0].top.form)  # names the tops that it fits
+            scheme_with(name, problems[0].top.form)  # names the tops that it fits
             raise UsageError(f"scheme {quoted(name)} cannot be measured: {fields[0].left_out[0][1]}")
     return fields
 

@@ -23,7 +23,7 @@ LOOKS: dict[str, tuple[str, str, str]] = {
     "backlund+suzuki4": (FAMILY_COLOUR, "P", "-"),
     "backlund+kahan-li6": (FAMILY_COLOUR, "X", "-"),
     "backlund+kahan-li8": (FAMILY_COLOUR, "*", "-"),
-    "backlund, exact nodes": ("black", "o", "none"),
+    "backlund:nodes=exact": ("black", "o", "none"),
 }
 """Colour, marker and line of each scheme; the integrable map and its compositions share a colour."""
 NAMES = {
@@ -31,6 +31,7 @@ NAMES = {
     "backlund+suzuki4": "backlund, order 4",
     "backlund+kahan-li6": "backlund, order 6",
     "backlund+kahan-li8": "backlund, order 8",
+    "backlund:nodes=exact": "backlund, exact nodes",
 }
 ABSCISSAE = {"h": "step $h$", "time": "CPU time per unit of time, µs"}
 

@@ -24,10 +24,16 @@ MARKERS = "os^Dv<>"
 
 @dataclass(frozen=True)
 class Curve:
-    """Curve of one competitor, a scheme of topcli if ``ours``."""
+    """Curve of one competitor, a scheme of topcli if ``ours``; ``setup`` if it has a set-up, which is not counted."""
 
     name: str
     ours: bool
+    setup: bool = False
+
+    @property
+    def label(self) -> str:
+        """Label in the legend."""
+        return f"{self.name} (after its set-up)" if self.setup else self.name
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,7 @@ class WorkPrecision:
             look: dict[str, Any] = {"color": "0.55", "lw": 0.8, "mfc": "white", "marker": MARKERS[at % len(MARKERS)]}
             if curve.ours:
                 look = {"color": cycle[at % len(cycle)], "lw": 1.2, "marker": MARKERS[at % len(MARKERS)]}
-            axes.plot(error, time, "-", ms=3.2, mew=0.7, zorder=2 + curve.ours, label=curve.name, **look)
+            axes.plot(error, time, "-", ms=3.2, mew=0.7, zorder=2 + curve.ours, label=curve.label, **look)
         axes.set_xlim(2.0 * WORST_ERROR, least / 3.0)
         axes.set_xlabel("largest error over the run; more accurate →")
         axes.set_ylabel("CPU time per unit of time, µs")
@@ -93,16 +99,17 @@ def _nearest_to_front(report: dict[str, Any]) -> dict[str, float]:
 def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[Curve, tuple[np.ndarray, np.ndarray]]:
     """Errors and seconds of the curves of one result: every peer, and our schemes that are ``shown``."""
     from topcli.analysis.pareto import pareto_front
-    from topcli.studies.bench.front import points_of
+    from topcli.studies.bench.front import SETUP, points_of
 
     found = {}
     for competitor in report["competitors"]:
         ours = competitor["kind"] == "topcli"
         points = [point for point in points_of(competitor) if point.error <= WORST_ERROR]
         best = [points[i] for i in pareto_front(points) if points[i].error > 0.0]
-        if len(best) > 1 and (not ours or competitor["name"] in shown):
+        if best and (not ours or competitor["name"] in shown):
             errors, seconds = (np.array([getattr(point, key) for point in best]) for key in ("error", "seconds"))
-            found[Curve(competitor["name"], ours)] = errors, seconds
+            curve = Curve(competitor["name"], ours, competitor["setup_seconds"] > SETUP)
+            found[curve] = errors, seconds
     return found
 
 
@@ -142,5 +149,7 @@ class WorkPrecisionFigure(Figure):
                     data[column_name(report["name"], curve.name, kind)] = column
         made_from = [[run.manifest[key] for key in ("name", "digest", "code", "ended")] for run, _ in benches]
         rows = -(-len(panels) // 2)
-        layout = SharedLegend(rows, (7.0, 0.9 + 2.8 * rows), first=(*shown, *peers))
+        labels = {curve.name: curve.label for _, curves in drawn for curve in curves}
+        first = tuple(labels.get(name, name) for name in (*shown, *peers))
+        layout = SharedLegend(rows, (7.0, 0.9 + 2.8 * rows), first=first)
         return Loaded(panels, lambda: data, {"benches": made_from}, layout)

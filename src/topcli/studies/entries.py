@@ -8,14 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
+
+from pydantic import ValidationError, create_model
 
 from topcli.config.document import describe
 from topcli.config.duration import steps_over
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment, number_of
 from topcli.config.overrides import parse_override
+from topcli.contracts import Scheme
 from topcli.errors import UnknownNameError, UsageError, nearest, printable, quoted, shortened
 from topcli.schemes.registry import find_scheme
 
@@ -120,11 +124,7 @@ def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Ent
     name, colon, settings = text.partition(":")
     with _named(text if colon else ""):
         found = find_scheme(name, experiment.top.form)
-        own, shown = _settings(settings) if colon else ({}, {})
-        known = (STEP, *found.options.model_fields)
-        for key in own:
-            if key not in known:
-                raise UnknownNameError(f"scheme {found.name!r} has no option {quoted(key)}; {nearest(key, known)}")
+        own, shown = _settings(settings, found, (STEP,)) if colon else ({}, {})
         if STEP in own and experiment.exact is not None:
             raise UsageError(f"entries share the step h at precision {experiment.precision}; give it with --set h=...")
         h = _step(own.pop(STEP), experiment.h) if STEP in own else experiment.h
@@ -149,8 +149,44 @@ def _named(entry: str) -> Iterator[None]:
         raise type(error)(f"{shortened(entry)}: {first}", *others) from None
 
 
-def _settings(text: str) -> tuple[dict[str, Any], dict[str, str]]:
-    """Values of ``key=value,...`` and their texts, by key."""
+def scheme_with(text: str, form: str) -> Scheme:
+    """Return the scheme ``NAME[:option=value,...]`` of a form of a top; the options given are its defaults.
+
+    Raises UsageError for an unknown scheme or option, and for a value that the scheme refuses.
+    """
+    name, colon, settings = text.partition(":")
+    scheme = find_scheme(name, form)
+    if not colon:
+        return scheme
+    with _named(text):
+        own, shown = _settings(settings, scheme)
+        return with_defaults(scheme, own, ",".join(f"{key}={value}" for key, value in shown.items()))
+
+
+def with_defaults(scheme: Scheme, values: Mapping[str, Any], shown: str) -> Scheme:
+    """``scheme`` under the name ``scheme:shown``, with ``values`` as defaults of these options."""
+    try:
+        options = scheme.options.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or shown
+        raise UsageError(f"{key}: {first['msg'].removeprefix('Value error, ')}") from None
+    fields: dict[str, Any] = {}
+    for key in values:
+        declared = copy(scheme.options.model_fields[key])
+        declared.default = getattr(options, key)
+        fields[key] = (declared.annotation, declared)
+    return replace(
+        scheme,
+        name=f"{scheme.name}:{shown}",
+        options=create_model(scheme.options.__name__, __base__=scheme.options, **fields),
+        order=scheme.order_for(options),
+        order_with=None,
+    )
+
+
+def _settings(text: str, scheme: Scheme, keys: tuple[str, ...] = ()) -> tuple[dict[str, Any], dict[str, str]]:
+    """Values of ``key=value,...`` and their texts, by key: options of ``scheme``, or one of ``keys``."""
     values: dict[str, Any] = {}
     shown: dict[str, str] = {}
     for part in text.split(","):
@@ -159,6 +195,10 @@ def _settings(text: str) -> tuple[dict[str, Any], dict[str, str]]:
         if key in values:
             raise UsageError(f"sets {key} twice; set it once")
         values[key], shown[key] = value, part.partition("=")[2].strip()
+    known = (*keys, *scheme.options.model_fields)
+    for key in values:
+        if key not in known:
+            raise UnknownNameError(f"scheme {scheme.name!r} has no option {quoted(key)}; {nearest(key, known)}")
     return values, shown
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,12 @@ from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
-from topcli.schemes.registry import find_scheme
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
 from topcli.studies.bench.competitors import SchemeCompetitor
 from topcli.studies.bench.measure import Effort, as_rows, explore, time_all
 from topcli.studies.bench.scenes import Problem
+from topcli.studies.entries import scheme_with
 from topcli.studies.identity import method_fingerprint
 from topcli.studies.report import finite
 
@@ -30,27 +29,17 @@ DURATION, INTERVALS = 100.0, 20
 OTHERS = ("hk", "hybrid", "midpoint4", "splitting")
 FAMILY = ("backlund", "backlund+suzuki4", "backlund+kahan-li6", "backlund+kahan-li8")
 """The integrable map and its compositions of orders 4, 6 and 8."""
-NODES = "backlund, exact nodes"
+NODES = "backlund:nodes=exact"
 """The integrable map with steps of several lengths that add up to the motion itself."""
 EFFORT = Effort(budget=0.04, repetitions=3)
 FILE = Path("error-and-cost") / "error-and-cost.json"
 SCHEMA_VERSION = 1
 
 
-def with_exact_nodes(scheme: Scheme) -> Scheme:
-    """The scheme with its option ``nodes: exact``, which it must have."""
-
-    def build(top: Any, options: Any) -> Any:
-        return scheme.build(top, scheme.options.model_validate({"nodes": "exact"}))
-
-    return replace(scheme, name=NODES, build=build, order_with=None)
-
-
 def compared_schemes() -> list[Scheme]:
     """Schemes of the study, in the order of the figure."""
     form = problem().top.form
-    family = [find_scheme(name, form) for name in FAMILY]
-    return [*(find_scheme(name, form) for name in OTHERS), *family, with_exact_nodes(family[0])]
+    return [scheme_with(name, form) for name in (*OTHERS, *FAMILY, NODES)]
 
 
 def problem() -> Problem:

@@ -22,8 +22,8 @@ from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
 from topcli.studies.bench.competitors import SchemeCompetitor
 from topcli.studies.bench.ladder import Rung
+from topcli.studies.bench.line_up import choose
 from topcli.studies.bench.measure import Effort, Measurements, explore
-from topcli.studies.bench.run import choose
 from topcli.studies.bench.scenes import Problem
 from topcli.studies.identity import method_fingerprint
 from topcli.studies.report import finite
@@ -151,7 +151,8 @@ def ladders(
     found = choose(problem, wanted)
     adaptive = [(one.name, "its steps follow a tolerance, not h") for one in found.schemes if one.adaptive]
     exact = [(one.name, "is a closed form: its error does not depend on h") for one in found.exact]
-    schemes = tuple(one for one in found.schemes if not one.adaptive)
+    exact += [(one.name, "has no error that depends on h") for one in found.schemes if not (one.order or one.adaptive)]
+    schemes = tuple(one for one in found.schemes if one.order is not None and not one.adaptive)
     left_out = (*found.left_out, *adaptive, *exact)
     if not schemes:
         raise UsageError(f"no scheme with an order to observe: {'; '.join(': '.join(one) for one in left_out)}")

@@ -14,6 +14,8 @@ BASELINE = "scipy dop853"
 """The well-known baseline: SciPy with its right-hand side in Python."""
 LEVEL = 1.05
 """Competitors within this factor of each other are called level."""
+SETUP = 1e-3
+"""Set-ups that take longer than this, in seconds, are mentioned."""
 
 Competitor = dict[str, Any]
 
@@ -44,6 +46,7 @@ def _entry(competitor: Competitor, point: Point) -> dict[str, Any]:
         "value": point.setting,
         "setting": setting(competitor["parameter"], point.setting),
         "seconds": point.seconds,
+        "setup_seconds": competitor["setup_seconds"],
     }
 
 
@@ -59,8 +62,12 @@ def ranking(competitors: Sequence[Competitor], error: float) -> list[dict[str, A
 
 def _after(ranked: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     """Return the fastest entry that is not a variant of the best, that is the same program with other settings."""
-    program = ranked[0]["name"].split()[0] if ranked else ""
-    return next((entry for entry in ranked[1:] if entry["name"].split()[0] != program), None)
+    return next((entry for entry in ranked[1:] if _program(entry) != _program(ranked[0])), None)
+
+
+def _program(entry: dict[str, Any]) -> str:
+    """Name of an entry without its settings: ``backlund:nodes=exact`` and ``backlund`` are one program."""
+    return entry["name"].partition(":")[0].partition(" ")[0]
 
 
 def _words(error: float, ranked: Sequence[dict[str, Any]]) -> str:
@@ -69,6 +76,8 @@ def _words(error: float, ranked: Sequence[dict[str, Any]]) -> str:
         return f"{wanted}: nothing measured reaches it"
     best, after = ranked[0], _after(ranked)
     taken = f"{wanted} take {best['name']} with {best['setting']}"
+    if best["setup_seconds"] > SETUP:
+        taken += f", after a set-up of {1e3 * best['setup_seconds']:.2g} ms for each initial state"
     if after is None:
         return f"{taken}: nothing else reaches it"
     times = after["seconds"] / best["seconds"]

@@ -69,13 +69,13 @@ def _tolerance_ladder(scheme: Scheme, name: str) -> Iterator[Rung]:
         yield Rung(value, 1, tuple(options))
 
 
-def _step_ladder(order: int, y0: Array, interval: float) -> Iterator[Rung]:
-    """Yield finer and finer steps that divide the interval, by a factor 2 up to order 2 and sqrt(2) above.
+def _step_ladder(order: int | None, y0: Array, interval: float) -> Iterator[Rung]:
+    """Yield finer and finer steps that divide the interval, by a factor 2 up to order 2 and otherwise sqrt(2).
 
     The first is about four over the largest component of the state, an angle of four radians per step; nobody needs a
     coarser one.
     """
-    ratio = 2.0 if order <= 2 else math.sqrt(2.0)
+    ratio = 2.0 if order is not None and order <= 2 else math.sqrt(2.0)
     size = max(float(max(abs(y) for y in y0)), 1e-300)
     first = max(1.0, math.ceil(0.25 * interval * size))
     before = 0
@@ -95,4 +95,4 @@ def ladder(scheme: Scheme, y0: Array, interval: float) -> Iterator[Rung]:
     name = tolerance_option(scheme)
     if name is not None:
         return _tolerance_ladder(scheme, name)
-    return _step_ladder(scheme.order or 1, y0, interval)
+    return _step_ladder(scheme.order, y0, interval)

@@ -51,6 +51,7 @@ class Measured:
     first: float
     compile_seconds: float
     samples: list[list[float]] = field(default_factory=list)
+    setup_seconds: float = 0.0
 
     def best(self) -> list[float]:
         """Repetitions in the process with the smallest median; the first call if there are none."""
@@ -138,6 +139,7 @@ def explore(competitor: Competitor, problem: Problem, reference: Array, effort: 
                 deviations(invariants, first.states),
                 first.seconds,
                 first.compile_seconds,
+                setup_seconds=first.setup_seconds,
             )
         )
         if _saturated(measured.rungs):

@@ -1,23 +1,19 @@
-"""Bench one problem: choose the competitors, measure them, assemble the result."""
+"""Bench one problem: measure the line-up and the peers, assemble the result."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from topcli.analysis.reference import reference_states
-from topcli.contracts import Array, Sampler, Scheme, Stepper
-from topcli.errors import UsageError
-from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import SchemeMisfitError, composable_names, find_scheme, names_for
+from topcli.contracts import Array, Scheme
 from topcli.store.provenance import environment, installed
 from topcli.studies.bench.competitors import (
+    MANY,
     Competitor,
     NoResultError,
     PeerCompetitor,
@@ -26,72 +22,17 @@ from topcli.studies.bench.competitors import (
     closed_form,
 )
 from topcli.studies.bench.front import decade_rows, front
+from topcli.studies.bench.line_up import LineUp
 from topcli.studies.bench.measure import Effort, Measurements, as_rows, deviations, explore, time_all
 from topcli.studies.bench.scenes import Problem
 from topcli.studies.identity import method_fingerprint
 from topcli.studies.peers import Peer, missing
 from topcli.studies.report import finite
 
-COMPOSED = {"hk": ("kahan-li6", "kahan-li8"), "splitting": ("kahan-li6", "kahan-li8")}
-"""Compositions that take part by default if their base fits."""
 
-
-@dataclass(frozen=True)
-class Entrants:
-    """The ``schemes`` to measure, the ``exact`` solutions, and the schemes left out with the reasons."""
-
-    schemes: tuple[Scheme, ...]
-    exact: tuple[Scheme, ...]
-    left_out: tuple[tuple[str, str], ...]
-
-
-def default_names(form: str) -> list[str]:
-    """Names of every scheme of a form of a top and of the compositions of ``COMPOSED``."""
-    names, composable = names_for(form), composable_names(form)
-    composed = [f"{base}+{name}" for base in COMPOSED if base in composable for name in COMPOSED[base]]
-    assert all(name in COMPOSITIONS for one in COMPOSED.values() for name in one)
-    return [*names, *composed]
-
-
-def choose(problem: Problem, names: Sequence[str]) -> Entrants:
-    """Return the schemes ``names`` that fit the problem's top; all schemes if none is named.
-
-    Left out are schemes that fit other tops only, that need options, that are evaluated rather than stepped, and, by
-    default, those that run in the interpreter. Raises UsageError for a scheme named twice, and UnknownNameError with
-    the nearest names.
-    """
-    schemes: list[Scheme] = []
-    exact: list[Scheme] = []
-    left_out: list[tuple[str, str]] = []
-    for name in names or default_names(problem.top.form):
-        try:
-            scheme = find_scheme(name, problem.top.form)
-        except SchemeMisfitError:
-            left_out.append((name, f"does not fit the top {problem.top.form}"))
-            continue
-        if scheme in schemes or scheme in exact:
-            raise UsageError(f"scheme {scheme.name!r} is named twice")
-        try:
-            method = scheme.build(problem.top, scheme.options())
-        except ValidationError as error:
-            left_out.append((scheme.name, f"needs options ({error.errors()[0]['loc'][0]})"))
-            continue
-        if isinstance(method, Sampler) and scheme.order is None:
-            exact.append(scheme)
-        elif isinstance(method, Sampler):
-            left_out.append((scheme.name, "is evaluated, not stepped: its error is that of the scheme it solves"))
-        elif isinstance(method, Stepper) and method.plain and not names:
-            left_out.append(
-                (scheme.name, "runs in the interpreter; the peer scipy is the same method and shows its cost")
-            )
-        else:
-            schemes.append(scheme)
-    return Entrants(tuple(schemes), tuple(exact), tuple(left_out))
-
-
-def code_of(entrants: Entrants, problem: Problem) -> str:
+def code_of(line_up: LineUp, problem: Problem) -> str:
     """Digest of the code of all schemes that take part."""
-    codes = [method_fingerprint(scheme.build(problem.top, scheme.options())) for scheme in entrants.schemes]
+    codes = [method_fingerprint(scheme.build(problem.top, scheme.options())) for scheme in line_up.schemes]
     return hashlib.sha256(" ".join(codes).encode()).hexdigest()
 
 
@@ -126,6 +67,7 @@ def _row(measured: Measurements, duration: float) -> dict[str, Any]:
         "order": competitor.order,
         "parameter": competitor.parameter,
         "compile_seconds": sum(rung.compile_seconds for rung in measured.rungs),
+        "setup_seconds": min((rung.setup_seconds for rung in measured.rungs), default=0.0),
         "ended": measured.ended,
         "failed": [{"value": value, "reason": reason} for value, reason in measured.failed],
         "broken": measured.broken or None,
@@ -137,7 +79,7 @@ def _closed_forms(schemes: Sequence[Scheme], problem: Problem, reference: Array)
     """Return rows for the closed forms, whose cost depends on the number of evaluations, not on the duration."""
     rows = []
     for scheme in schemes:
-        states, seconds, setup = closed_form(scheme, problem)
+        states, seconds_per_state, setup = closed_form(scheme, problem)
         errors = np.linalg.norm(states - reference, axis=1)
         rows.append(
             {
@@ -146,7 +88,8 @@ def _closed_forms(schemes: Sequence[Scheme], problem: Problem, reference: Array)
                 "error": float(errors.max()),
                 "end_error": float(errors[-1]),
                 "invariants": deviations(problem.top.invariants(), states),
-                "seconds_per_state": seconds / len(states),
+                "seconds_per_state": seconds_per_state,
+                "states": MANY,
                 "setup_seconds": setup,
             }
         )
@@ -155,7 +98,7 @@ def _closed_forms(schemes: Sequence[Scheme], problem: Problem, reference: Array)
 
 def bench(
     problem: Problem,
-    entrants: Entrants,
+    line_up: LineUp,
     peers: Sequence[Peer],
     effort: Effort,
     *,
@@ -163,7 +106,7 @@ def bench(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     on_message: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Measure the schemes of ``entrants`` and the ``peers`` on ``problem``; return the result as plain data.
+    """Measure the schemes of ``line_up`` and the ``peers`` on ``problem``; return the result as plain data.
 
     A peer whose speed varies from process to process is measured in this many ``processes``. ``on_message`` receives
     one line for each peer that is skipped or fails. Raises RunError if the reference cannot follow the motion.
@@ -175,7 +118,7 @@ def bench(
             on_message(f"{problem.name}: peer {name} is skipped: {reason}")
         for name, reason in failed:
             on_message(f"error: {problem.name}: peer {name} failed: {reason}")
-        taking_part: list[Competitor] = [*(SchemeCompetitor(scheme, problem) for scheme in entrants.schemes), *others]
+        taking_part: list[Competitor] = [*(SchemeCompetitor(scheme, problem) for scheme in line_up.schemes), *others]
         measurements = []
         for i, competitor in enumerate(taking_part):
             measurements.append(explore(competitor, problem, reference, effort))
@@ -200,8 +143,8 @@ def bench(
             "reference": "Taylor series in double-double arithmetic",
             "effort": {"budget": effort.budget, "repetitions": effort.repetitions, "processes": processes},
             "competitors": rows,
-            "closed_forms": _closed_forms(entrants.exact, problem, reference),
-            "left_out": [{"name": name, "reason": reason} for name, reason in entrants.left_out],
+            "closed_forms": _closed_forms(line_up.exact, problem, reference),
+            "left_out": [{"name": name, "reason": reason} for name, reason in line_up.left_out],
             "skipped_peers": [{"name": name, "reason": reason} for name, reason in absent],
             "failed_peers": [{"name": name, "reason": reason} for name, reason in failed],
             "front": front(rows),

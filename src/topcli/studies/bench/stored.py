@@ -67,9 +67,10 @@ def point_lines(result: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def ladder_lines(result: dict[str, Any]) -> list[str]:
-    """Return a line for each competitor: its time to compile or load, and what ended its ladder."""
+    """Return a line for each competitor: its times to compile or load and to set up, and what ended its ladder."""
     return [
-        f"{row['name']}: compiled or loaded in {row['compile_seconds']:.2g} s; its ladder ended: {row['ended']}"
+        f"{row['name']}: compiled or loaded in {row['compile_seconds']:.2g} s, set up in {row['setup_seconds']:.2g} s; "
+        f"its ladder ended: {row['ended']}"
         for row in result["competitors"]
     ]
 
@@ -95,7 +96,7 @@ def report_text(result: dict[str, Any]) -> str:
         *(f"- {row['words']}." for row in result["decades"]),
         *(
             f"- In closed form, `{row['name']}` is within {number(row['error'])} of the reference at "
-            f"{microseconds(row['seconds_per_state'])} µs a state{setup_words(row)}."
+            f"{microseconds(row['seconds_per_state'])} µs a state over {row['states']} states{setup_words(row)}."
             for row in result["closed_forms"]
         ),
         *(f"- Not measured: {row['name']} ({row['reason']})." for row in not_measured),
