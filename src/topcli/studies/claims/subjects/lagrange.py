@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Any
@@ -20,14 +20,16 @@ from topcli.studies.claims.kinds.identity import LINEAR, linear_in_new
 from topcli.studies.claims.kinds.maps import SAME_MAP, satisfies
 from topcli.studies.claims.kinds.motion import CONVERGENCE, convergence_order
 from topcli.studies.claims.kinds.rank import ELLIPTIC, elliptic
-from topcli.studies.claims.scenes import RATIONAL, Scene
+from topcli.studies.claims.scenes import AND_VARIED, RATIONAL, Scene
 
 BS = Scene("lagrange_bs", (*RATIONAL, "N=8"))
 SOURCE = "section 2.3, conservation laws"
 
 
-def step(h: Fraction, old: tuple[Any, ...], new: tuple[Any, ...]) -> Sequence[Any]:
-    """Residual of (L1) and (L2)."""
+def step(
+    value: Callable[[str], Fraction], h: Fraction, old: tuple[Any, ...], new: tuple[Any, ...]
+) -> Sequence[Any]:
+    """Residual of (L1) and (L2), which have no parameters."""
     m, a, n, b = ((v[0], v[1], v[2]) for v in (old[:3], old[3:], new[:3], new[3:]))
     return [*printed.lagrange_l1(h, m, n, a), *printed.lagrange_l2(h, n, a, b)]
 
@@ -45,7 +47,7 @@ def _law(name: str, statement: str, number: int, invariant: str) -> Claim:
         statement,
         f"{SOURCE} {number}",
         CONSERVED,
-        BS.code,
+        BS.code + AND_VARIED,
         partial(conserved, BS, invariant),
     )
 
@@ -64,7 +66,7 @@ CLAIMS = (
         "(L1), (L2) determine the new m and a.",
         "section 2.3, (L1), (L2)",
         SAME_MAP,
-        f"{Scene('lagrange_bs', RATIONAL).code}, put into the printed equations",
+        f"{Scene('lagrange_bs', RATIONAL).code}, put into the printed equations{AND_VARIED}",
         partial(satisfies, Scene("lagrange_bs", RATIONAL), step),
     ),
     Claim(
@@ -85,7 +87,7 @@ CLAIMS = (
         "The discrete Lagrange top has exact solutions by elliptic functions.",
         "section 2.3, last sentence",
         ELLIPTIC,
-        f"{BS.with_sets('N=9').code}: a·p of successive states",
+        f"{BS.with_sets('N=9').code}: a·p of successive states{AND_VARIED}",
         partial(elliptic, BS.with_sets("N=9"), 5),
     ),
     Claim(

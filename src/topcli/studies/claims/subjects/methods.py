@@ -21,7 +21,7 @@ from topcli.studies.claims.kinds.identity import (
 )
 from topcli.studies.claims.kinds.integrability import BY_SIGN, GENERIC, ROOTS, wrong_roots
 from topcli.studies.claims.kinds.motion import COMPLETE, QUALITY, complete, same_quality
-from topcli.studies.claims.scenes import FIFTY, Scene
+from topcli.studies.claims.scenes import AND_VARIED, FIFTY, Scene
 
 SECTION = "section 3.2.2"
 LETTERS = "abc"
@@ -97,7 +97,7 @@ def _conserves(letter: str, invariant: str, symbol: str, where: str) -> Claim:
         f"Bohlin's method with ({letter.upper()}) keeps {symbol} exactly.",
         f"{SECTION}, {where}",
         CONSERVED,
-        scene.code,
+        scene.code + AND_VARIED,
         partial(conserved, scene, invariant),
     )
 
@@ -140,7 +140,7 @@ CLAIMS = (
         "Bohlin's method for ω has time reversal symmetry.",
         f"{SECTION}, end of (2)",
         EXCHANGE,
-        f"{_scene('a').with_sets('N=1').code}, states exchanged and h reversed in the printed equation",
+        f"{_scene('a').with_sets('N=1').code}, states exchanged and h reversed in the printed equation{AND_VARIED}",
         partial(exchanged, _scene("a").with_sets("N=1"), "bohlin"),
     ),
     Claim(
