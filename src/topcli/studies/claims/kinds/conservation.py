@@ -79,18 +79,18 @@ def _exponent(found: ExactMap, h: Fraction, figure: float) -> str:
 STEP = Fraction(1, 10)
 
 
-def reversible(scene: Scene, figure_scene: Scene | None = None) -> Finding:
+def reversible(scene: Scene, paper: Scene | None = None) -> Finding:
     """Largest defect of a step of 0.1 and one of -0.1 over a scene and its variants, which has to be that of rounding.
 
-    The note adds the order in h, and the defect at the state and h of ``figure_scene``.
+    The note adds the order in h, and the defect at the state and h of the scene ``paper``.
     """
     maps = exact_maps(scene)
     figures = [_return_defect(found, STEP) for found in maps]
     notes = [_exponent(maps[0], STEP, figures[0])]
-    if figure_scene is not None:
-        one = exact_map(figure_scene)
+    if paper is not None:
+        one = exact_map(paper)
         h = Fraction(str(one.experiment.h))
-        notes.append(f"in the paper's scene, h = {float(h):g}, {_return_defect(one, h):.1e}")
+        notes.append(f"{_return_defect(one, h):.1e} at the paper's initial state and h = {float(h):g}")
     bound = Bound(0.0, _round_off(maps[0], 2), _reason(maps[0]))
     return Finding(max(figures), bound, note="; ".join(filter(None, notes)))
 

@@ -24,7 +24,7 @@ def _residual(found: ExactMap, equation: str, h: Any, old: tuple[Any, ...], new:
 
 
 def exchanged(scene: Scene, equation: str) -> Finding:
-    """Largest residual of an equation after a step of a scheme or a variant, and with states exchanged and h reversed."""
+    """Largest residual of an equation after steps of a scheme and its variants, also exchanged and with h reversed."""
     largest, maps = 0.0, exact_maps(scene)
     for found in maps:
         old = tuple(found.y0)

@@ -46,12 +46,23 @@ def hk_residual(new: tuple[Any, ...], draws: Draws) -> Sequence[Any]:
     return printed.hk_euler(draws.moments(), draws.number(), draws.vector(), (new[0], new[1], new[2]))
 
 
-def hk_step(
-    value: Callable[[str], Fraction], h: Fraction, old: tuple[Any, ...], new: tuple[Any, ...]
-) -> Sequence[Any]:
+def hk_step(value: Callable[[str], Fraction], h: Fraction, old: tuple[Any, ...], new: tuple[Any, ...]) -> Sequence[Any]:
     """Residual of the printed HK scheme."""
     moments = (value("A"), value("B"), value("C"))
     return printed.hk_euler(moments, h, (old[0], old[1], old[2]), (new[0], new[1], new[2]))
+
+
+def special_case(draws: Draws) -> Sequence[Any]:
+    """The equations of the Euler top against (Euler) with g = 0."""
+    moments, w, c = draws.moments(), draws.vector(), draws.vector()
+    return minus(printed.euler_top(moments, w), printed.euler(moments, (0, 0, 0), w, c))
+
+
+def hk_consistent(draws: Draws) -> Sequence[Any]:
+    """The HK scheme as both states coincide, divided by h, against the equations of the Euler top."""
+    moments, h, w = draws.moments(), draws.number(), draws.vector()
+    rates = tuple(a / b for a, b in zip(printed.euler_top(moments, w), moments, strict=True))
+    return plus(times(1 / h, printed.hk_euler(moments, h, w, w)), rates)
 
 
 def hk_symmetry(draws: Draws) -> Sequence[Any]:
@@ -94,6 +105,22 @@ def midpoint_energy(draws: Draws) -> Sequence[Any]:
 
 SECTION = "section 1.2"
 CLAIMS = (
+    Claim(
+        "euler-equations",
+        "The equations of the Euler top are (Euler) with g = 0.",
+        f"{SECTION}, first equation",
+        IDENTITY,
+        "rational identity",
+        partial(identity, special_case),
+    ),
+    Claim(
+        "hk-euler-equation",
+        "The HK scheme discretises the equations of the Euler top.",
+        f"{SECTION}, HK scheme",
+        IDENTITY,
+        "rational identity: both states equal",
+        partial(identity, hk_consistent),
+    ),
     Claim(
         "hk-euler-explicit",
         "The HK scheme of the Euler top is explicit.",
@@ -160,7 +187,7 @@ CLAIMS = (
     ),
     Claim(
         "hk-euler-correction-order",
-        "Under HK a correction of m² of order h is necessary.",
+        "Under HK an O(h) correction of m² is necessary (read as: of order h).",
         f"{SECTION}, after the chain",
         DEVIATION_ORDER,
         "`topcli run euler_hk` at h = 0.02, 0.01, 0.005",

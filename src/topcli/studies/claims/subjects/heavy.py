@@ -51,9 +51,7 @@ def residual(new: tuple[Any, ...], draws: Draws) -> Sequence[Any]:
     return printed.hk_heavy(moments, g, h, old, new, corrected=True)
 
 
-def step(
-    value: Callable[[str], Fraction], h: Fraction, old: tuple[Any, ...], new: tuple[Any, ...]
-) -> Sequence[Any]:
+def step(value: Callable[[str], Fraction], h: Fraction, old: tuple[Any, ...], new: tuple[Any, ...]) -> Sequence[Any]:
     """Residual of the corrected (dEulerPoisson) with the parameters of the scene."""
     moments, gravity = (value("A"), value("B"), value("C")), (value("x0"), value("y0"), value("z0"))
     return printed.hk_heavy(moments, gravity, h, old, new, corrected=True)
