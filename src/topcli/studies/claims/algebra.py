@@ -124,7 +124,7 @@ class Draws:
 
     def small(self) -> Fraction:
         """Number between -1.6 and 1.6, not zero."""
-        return Fraction(self._random.choice((-1, 1)) * self._random.randint(1, 8), 5)
+        return Fraction(self._random.choice((-1, 1)) * self._random.randint(1, 16), self._random.choice((10, 11, 13)))
 
     def moment(self) -> Fraction:
         """Number from 1 up to, not including, 2: three of them are moments of inertia of a body."""
