@@ -62,7 +62,7 @@ class ClaimsReport(Claims, Report):
         return claims_chapter(self.as_dict(), name)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the number of claims with each verdict, a bar for each part of the paper.
+        """Draw the number of statements with each verdict, a bar for each part of the paper.
 
         Parameters
         ----------

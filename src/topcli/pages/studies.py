@@ -213,7 +213,7 @@ def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Table:
 
 def _claims_picture(claims: Sequence[Mapping[str, Any]], name: str) -> Pictures:
     panel, data = verdict_panel(claims)
-    caption = "claims with each verdict, by parts of the paper"
+    caption = "statements with each verdict, by parts of the paper; findings beyond it apart"
     return Pictures("Pictures", [Picture(svg_of(panel, data, name, caption, Grid(figsize=SIZE)), caption)])
 
 
