@@ -187,6 +187,23 @@ def test_choice_by_sign_is_right_in_figure_2_and_wrong_elsewhere() -> None:
     assert NAMED["branch-by-sign-fig2"].decide().figure == 0.0
     finding = NAMED["branch-by-sign"].decide()
     assert (finding.figure, finding.verdict) == (13.0, FAILS)
+    assert finding.note == "6 of 200 states next to the negative real axis, in a step of 0.001"
+
+
+def test_a_wrong_root_at_the_papers_step_by_plain_complex_numbers() -> None:
+    """(A), then Bohlin's equation, then the sign: one of the states, computed here, gets the root -omega'."""
+    h, wrong = 0.001, 0
+    for one in roots.next_to_axis(h)["ensemble"]["states"]:
+        w, g = np.array(one["omega"]), np.array(one["gamma"])
+        W = 0.5 * h * np.array([[0, w[2], -w[1]], [-w[2], 0, w[0]], [w[1], -w[0], 0]])
+        new = np.linalg.solve(np.eye(3) - W, (np.eye(3) + W) @ g)
+        omega3 = w[2] - 0.5 * h * (new[1] + g[1])
+        xi = complex(w[0], w[1]) ** 2 - complex(g[0], g[1])
+        root = (np.exp(-0.5j * h * (w[2] + omega3)) * xi + complex(new[0], new[1])) ** 0.5
+        predicted = complex(w[0], w[1]) - 0.5j * h * (w[2] * complex(w[0], w[1]) - g[2])
+        chosen = root if (root.imag > 0.0) == (predicted.imag > 0.0) else -root
+        wrong += abs(chosen - predicted) > abs(chosen + predicted)
+    assert wrong == 6
 
 
 @pytest.mark.slow
@@ -358,9 +375,10 @@ def test_return_defect_of_the_hybrid_is_that_of_plain_doubles() -> None:
     """1.4e-5 at h = 0.1 and of order 4, with 50 digits and by plain doubles here, over the same states."""
     finding = NAMED["hybrid-reversible"].decide()
     assert finding.figure == pytest.approx(1.36e-5, rel=1e-2)
-    found = re.fullmatch(r"of order (\d\.\d\d) in h; 6.2e-26 at the paper's initial state and h = 0.001", finding.note)
+    found = re.fullmatch(r"of order (\d\.\d\d) in h; (\S+) along the paper's run at h = 0.001", finding.note)
     assert found
     assert float(found[1]) == pytest.approx(4.0, abs=0.1)
+    assert float(found[2]) == pytest.approx(2.7e-13, rel=0.05)
     defects = []
     for one in exact_maps(hybrid.HYBRID.with_sets("N=1")):
         start = one.y0.astype(float)

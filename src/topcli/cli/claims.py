@@ -97,10 +97,10 @@ def claims(
         bool, typer.Option("--markdown", help="Print the documentation page of the claims.")
     ] = False,
 ) -> None:
-    """Decide the paper's claims and findings beyond it by experiments.
+    """Decide the paper's claims by experiments.
 
-    Claims that are named are shown with all details. Exits with status 4 if a verdict differs from the recorded one, or
-    if a check does not find the defect of its positive control.
+    Findings beyond the paper are marked as ours. Claims that are named are shown with all details. Exits with status 4
+    if a verdict differs from the recorded one, or if a check does not find the defect of its positive control.
     """
     from topcli.errors import UsageError
     from topcli.studies.claims.decide import decide_claims

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -62,11 +63,13 @@ BROKEN = Kind(
 )
 
 
-def _return_defect(found: ExactMap, h: Fraction) -> float:
-    there = found.step(found.y0, found.number(h))
+def _return_defect(found: ExactMap, h: Fraction, y: Any = None) -> float:
+    """Largest component of the error after a step of h and one of -h, by default from the initial state."""
+    start = found.y0 if y is None else y
+    there = found.step(start, found.number(h))
     back = found.step(there, found.number(-h))
     with found.run.arithmetic.active():
-        return max(float(abs(value)) for value in back - found.y0)
+        return max(float(abs(value)) for value in back - start)
 
 
 def _exponent(found: ExactMap, h: Fraction, figure: float) -> str:
@@ -77,20 +80,23 @@ def _exponent(found: ExactMap, h: Fraction, figure: float) -> str:
 
 
 STEP = Fraction(1, 10)
+ALONG = 100
+"""States along a run of the paper at which the defect of reversal is measured too."""
 
 
 def reversible(scene: Scene, paper: Scene | None = None) -> Finding:
     """Largest defect of a step of 0.1 and one of -0.1 over a scene and its variants, which has to be that of rounding.
 
-    The note adds the order in h, and the defect at the state and h of the scene ``paper``.
+    The note adds the order in h, and the largest defect at states along the scene ``paper``, in doubles, with its h.
     """
     maps = exact_maps(scene)
     figures = [_return_defect(found, STEP) for found in maps]
     notes = [_exponent(maps[0], STEP, figures[0])]
     if paper is not None:
-        one = exact_map(paper)
-        h = Fraction(str(one.experiment.h))
-        notes.append(f"{_return_defect(one, h):.1e} at the paper's initial state and h = {float(h):g}")
+        run, one = trajectory(paper), exact_map(paper.with_sets(*FIFTY))
+        states = [np.array([one.number(Fraction(x)) for x in y.tolist()]) for y in run.states[:: len(run) // ALONG]]
+        largest = max(_return_defect(one, Fraction(str(run.h)), y) for y in states)
+        notes.append(f"{largest:.1e} along the paper's run at h = {run.h:g}")
     bound = Bound(0.0, _round_off(maps[0], 2), _reason(maps[0]))
     return Finding(max(figures), bound, note="; ".join(filter(None, notes)))
 

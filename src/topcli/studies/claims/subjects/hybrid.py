@@ -93,7 +93,7 @@ CLAIMS = (
         f"{SECTION}, after the scheme",
         REVERSIBLE,
         HYBRID.with_sets("N=1").code + AND_VARIED,
-        partial(reversible, HYBRID.with_sets("N=1"), Scene("kowalevski_hybrid", (FIFTY[0], "N=1"))),
+        partial(reversible, HYBRID.with_sets("N=1"), Scene("kowalevski_hybrid")),
     ),
     Claim(
         "fig4-fig1",

@@ -22,7 +22,7 @@ from topcli.studies.claims.kinds.identity import (
     rotation_residual,
 )
 from topcli.studies.claims.kinds.integrability import GENERIC
-from topcli.studies.claims.kinds.roots import ANGLES, BY_SIGN, FIGURE_2, ROOTS, both_roots, wrong_roots
+from topcli.studies.claims.kinds.roots import ANGLES, BY_SIGN, FIGURE_2, ROOTS, both_roots, next_to_axis, wrong_roots
 from topcli.studies.claims.scenes import AND_VARIED, FIFTY, Scene
 
 SECTION = "section 3.2.2"
@@ -217,7 +217,7 @@ CLAIMS = (
         f"{SECTION}, after (direct)",
         ROOTS,
         "`kowalevski_bohlin_a` with `branch: sign`",
-        partial(wrong_roots, "kowalevski_bohlin_a", FIGURE_2),
+        partial(wrong_roots, FIGURE_2),
         slow=True,
     ),
     Claim(
@@ -226,7 +226,7 @@ CLAIMS = (
         f"{SECTION}, after (direct)",
         ROOTS,
         "200 random orbits of `kowalevski_bohlin_a` at E = 5 with `branch: sign`, h = 0.05, N = 2000",
-        partial(wrong_roots, "kowalevski_bohlin_a", BY_SIGN),
+        partial(wrong_roots, BY_SIGN, next_to_axis(0.001)),
         slow=True,
     ),
 )
