@@ -188,6 +188,7 @@ def test_lax_shows_what_it_measured(
         "size",
         "dL/dt - [M,L] by the equations",
         "dL/dt - [M,L] by differences",
+        "traces",
         "independent integrals",
         "carried integrals",
         "Lax pair",
@@ -198,6 +199,7 @@ def test_lax_shows_what_it_measured(
         lambda f: f"{f['size']}x{f['size']}",
         lambda f: f["residual_by_field"],
         lambda f: f["residual_by_differences"],
+        lambda f: {"block": "block traces of L^k"}.get(f["form"], "tr L^k"),
         lambda f: f["independent_integrals"],
         lambda f: ", ".join(f["carries"]) or "–",
         lambda f: {True: "yes", False: "no"}[f["lax_pair"]],
@@ -207,7 +209,7 @@ def test_lax_shows_what_it_measured(
     for row, path in zip(rows, paths, strict=True):
         expect(row, row[0], [(path(form),) for form in forms])
     below = out.partition("largest relative drift of the spectrum of L\n")[2].splitlines()
-    header = [f"{name}: {kind}" for name in names for kind in ("tr L^k", "eigenvalues")]
+    header = [f"{form['form']}: {kind}" for form in forms for kind in (form["traces"], "eigenvalues")]
     discrete = ["L'U - UL"] if top == "kowalevski" else []
     assert cells_of(below[0]) == header + discrete
     for line, run in zip(below[1:], found["runs"], strict=True):

@@ -34,9 +34,12 @@ def test_json_has_one_list_of_claims(cli) -> None:
     assert [key for key, value in document.items() if isinstance(value, list)] == ["claims"]
     assert [one["id"] for one in document["claims"]] == list(IDS)
     for one in document["claims"]:
-        assert one.keys() >= {"id", "statement", "source", "figure", "bound", "verdict"}
+        assert one.keys() >= {"id", "origin", "statement", "source", "figure", "bound", "verdict"}
         claim = NAMED[one["id"]]
         assert (one["statement"], one["source"], one["recorded"]) == (claim.statement, claim.source, RECORDED[claim.id])
+        assert one["origin"] == "paper"
+    assert document["verdicts"] == {FAILS: 1, HOLDS: 1, MISPRINT: 1}
+    assert document["findings"] == {}
     assert [one["verdict"] for one in document["claims"]] == [HOLDS, MISPRINT, FAILS]
     assert document["claims"][1]["bound"] == {"low": 0.0, "high": 0.0}
     assert document["claims"][1]["corrected"] == 0.0
@@ -51,8 +54,8 @@ def test_details_and_json_agree(cli) -> None:
     assert said.code == 0
     lines = dict(line.strip().split(": ", 1) for line in said.out.splitlines())
     assert lines["hk-heavy-small"] == one["verdict"]
-    assert {key: lines[key] for key in ("statement", "source", "experiment")} == {
-        key: one[key] for key in ("statement", "source", "experiment")
+    assert {key: lines[key] for key in ("statement", "origin", "source", "experiment")} == {
+        key: one[key] for key in ("statement", "origin", "source", "experiment")
     }
     assert lines["figure"] == f"{one['figure']:.2g} ({one['measures']})"
     assert lines["bound"] == f"{one['bound_text']} ({one['bound_reason']})"
@@ -71,7 +74,9 @@ def small_ledger(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     model = LEDGER[0]
     findings = (finding(0.25), finding(0.5, Bound(0.0, 1.0, approximate=True, unit="mm")), finding(3.0))
     claims = [
-        replace(model, id=name, statement=f"<b>{name}</b> | x.", kind=kind, decide=lambda one=one: one)
+        replace(
+            model, id=name, statement=f"<b>{name}</b> | x.", kind=kind, decide=lambda one=one: one, ours=name == "two"
+        )
         for name, one in zip(("one", "two", "three"), findings, strict=True)
     ]
     monkeypatch.setattr(decide, "chosen", lambda ids, fast: [one for one in claims if not ids or one.id in ids])
@@ -86,14 +91,15 @@ def test_table_shows_the_figures_of_each_claim(cli, small_ledger: dict[str, Any]
     said = cli("claims")
     assert said.code == 0
     header, *lines = said.out.splitlines()
-    assert re.split(r"\s{2,}", header.strip()) == ["id", "statement", "verdict", "figure", "bound", "source"]
+    assert re.split(r"\s{2,}", header.strip()) == ["id", "origin", "statement", "verdict", "figure", "bound", "source"]
     source = LEDGER[0].source
     assert [re.split(r"\s{2,}", line.strip()) for line in lines] == [
-        ["one", "<b>one</b> | x.", "holds", "0.25", "≤ 1", source],
-        ["two", "<b>two</b> | x.", "holds within 1 mm", "0.5", "≤ 1 mm", source],
-        ["three", "<b>three</b> | x.", "does not hold as stated", "3", "≤ 1", source],
+        ["one", "paper", "<b>one</b> | x.", "holds", "0.25", "≤ 1", source],
+        ["two", "ours", "<b>two</b> | x.", "holds within 1 mm", "0.5", "≤ 1 mm", source],
+        ["three", "paper", "<b>three</b> | x.", "does not hold as stated", "3", "≤ 1", source],
     ]
-    assert said.err.strip() == "3 claims; does not hold as stated: 1, holds: 1, holds within: 1"
+    summary = "2 claims of the paper; does not hold as stated: 1, holds: 1. 1 finding of ours; holds within: 1"
+    assert said.err.strip() == summary
 
 
 def test_a_changed_verdict_exits_with_4(cli, small_ledger: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,13 +194,14 @@ def test_progress_counts_claims_and_controls(small_ledger: dict[str, Any]) -> No
 @pytest.mark.slow
 def test_report_has_the_figures_of_each_claim_and_escapes_their_texts(small_ledger: dict[str, Any]) -> None:
     found = topcli.claims()
-    assert repr(found).endswith("1 holds, 1 holds within, 1 does not hold as stated>")
+    assert repr(found).endswith("1 holds, 1 does not hold as stated; findings of ours: 1 holds within>")
     assert found.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [0.5, "≤ 1 mm", "holds within 1 mm"]
     html = found._repr_html_()
     assert "&lt;b&gt;one&lt;/b&gt;" in html
     assert "<b>one" not in html
     (table,) = read_html(html).all("table")
-    assert table.cells()[2][2:5] == ["holds within 1 mm", "0.5", "≤ 1 mm"]
+    assert table.cells()[2][:2] == ["two", "ours"]
+    assert table.cells()[2][3:6] == ["holds within 1 mm", "0.5", "≤ 1 mm"]
 
 
 @pytest.mark.slow

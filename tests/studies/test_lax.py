@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,20 @@ def test_the_block_form_holds_for_any_top() -> None:
         content = spectral_content(form, top.invariants(), 6)
         assert content.independent == 2
         assert content.carries == ("gamma_sq", "m_gamma")
+
+
+def test_traces_of_the_block_form_are_named_for_what_they_are() -> None:
+    """tr L^k of the 6x6 matrix carries gamma² alone; the block traces, twice of which the first is, m.gamma too."""
+    top = next(iter(random_heavy_tops(1, seed=5)))
+    form = block_form(top.euler_poisson())
+    assert (form.traced, manakov_form(EULER).traced) == ("block traces of L^k", "tr L^k")
+    whole = spectral_content(replace(form, blocks=1), top.invariants(), 6)
+    assert (whole.independent, whole.carries) == (1, ("gamma_sq",))
+    L = form.L(STATES, 1.0)
+    assert np.trace(L @ L, axis1=1, axis2=2) == pytest.approx(2.0 * form.invariants(STATES, 1.0)[:, 2], rel=1e-14)
+    found = lax_study(lax_experiment("heavy", None, ["N=10"]), ["hk"])
+    assert [one["traces"] for one in found["forms"]] == ["block traces of L^k"]
+    assert "the trace tr L^k of the 6x6 matrix carries γ² alone" in found["forms"][0]["why_not"]
 
 
 def test_spectra_by_their_closed_forms() -> None:

@@ -40,7 +40,7 @@ def difference_slopes(windows: Array, step: float) -> Array:
 
 
 def spectral_drift(form: LaxForm, states: Array, lam: complex) -> float:
-    """Largest deviation from the first state of tr L^k, relative to ||L||^k; round-off on the exact flow."""
+    """Largest change of ``form.invariants`` from the first state, relative to ||L||^k; round-off on the exact flow."""
     traces = form.invariants(states, lam)
     size = _size(form.L(states, lam))
     return float((np.abs(traces - traces[0]) / size ** form.exponents()).max())
@@ -54,7 +54,7 @@ def eigenvalue_shift(form: LaxForm, states: Array, lam: complex) -> float:
 
 
 def gradients(form: LaxForm, state: Array, lam: complex) -> Matrices:
-    """Gradients (size * blocks, 6) of ``form.invariants`` at one state (6,): d tr L^k = k tr(L^(k-1) dL)."""
+    """Gradients (size * blocks, 6) of ``form.invariants`` at a state (6,): d tr L^k = k tr(L^(k-1) dL), by blocks."""
     units = np.eye(6)
     L = form.L(state[None, :], lam)
     dL = form.L(units, lam) - form.L(np.zeros((6, 6)), lam)
@@ -68,14 +68,14 @@ def gradients(form: LaxForm, state: Array, lam: complex) -> Matrices:
 
 @dataclass(frozen=True)
 class Content:
-    """Integrals in a spectrum: the number of ``independent`` ones, and the named ones that it ``carries``."""
+    """Integrals in the traces of a Lax form: the number of ``independent`` ones, and those with a name."""
 
     independent: int
     carries: tuple[str, ...]
 
 
 def spectral_content(form: LaxForm, invariants: tuple[Invariant, ...], d: int) -> Content:
-    """Integrals in the spectrum of L at ``LAMBDAS``, by the span of their gradients at states in general position.
+    """Integrals in ``form.invariants`` at ``LAMBDAS``, by the span of their gradients at states in general position.
 
     ``invariants`` are functions of the first ``d`` components of the state; one of them is carried when its gradient
     lies in the span. Differences of five points, exact for polynomials up to degree four.

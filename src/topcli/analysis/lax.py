@@ -36,8 +36,10 @@ MatrixOf = Callable[[Array, complex], Matrices]
 class LaxForm:
     """One form dL/dt = [M, L] of a top's equations.
 
-    ``blocks`` is the number of sums of diagonals that conjugation keeps: one for an ordinary matrix, two for the block
-    form, whose matrices represent Gamma + epsilon M with epsilon² = 0: the diagonal's and the upper block's.
+    ``blocks`` is the number of traces that conjugation keeps: one for an ordinary matrix, tr L^k. The matrices of the
+    block form represent Gamma + epsilon M with epsilon² = 0, and conjugation by such matrices keeps two block traces:
+    those of the diagonal and of the upper block of L^k, which are the two parts of the trace of (Gamma + epsilon M)^k.
+    The trace tr L^k of the whole matrix is twice the first of them.
     """
 
     name: str
@@ -52,8 +54,13 @@ class LaxForm:
     M: MatrixOf
     blocks: int = 1
 
+    @property
+    def traced(self) -> str:
+        """Name of the invariants."""
+        return "tr L^k" if self.blocks == 1 else "block traces of L^k"
+
     def invariants(self, states: Array, lam: complex) -> Matrices:
-        """Traces of the powers L, ..., L^size at ``states`` (n, 6): shape (n, size * blocks)."""
+        """Traces of the blocks of L, ..., L^size at ``states`` (n, 6): shape (n, size * blocks)."""
         L = power = self.L(states, lam)
         found = []
         for _ in range(self.size):

@@ -17,12 +17,24 @@ if TYPE_CHECKING:
 
     from topcli.pages.contents import Chapter
 
-COLUMNS = ("id", "statement", "source", "experiment", "figure", "bound", "verdict", "note", "recorded", "seconds")
+COLUMNS = (
+    "id",
+    "origin",
+    "statement",
+    "source",
+    "experiment",
+    "figure",
+    "bound",
+    "verdict",
+    "note",
+    "recorded",
+    "seconds",
+)
 
 
 @dataclass(frozen=True, repr=False)
 class ClaimsReport(Claims, Report):
-    """Claims of the paper with their verdicts, as ``topcli.claims`` returns them.
+    """Claims of the paper and findings beyond it with their verdicts, as ``topcli.claims`` returns them.
 
     Attributes
     ----------
@@ -31,7 +43,8 @@ class ClaimsReport(Claims, Report):
     controls : tuple of Control
         The positive control of each kind of check that was used.
     table : pandas.DataFrame
-        A row for each claim, indexed by ``id``: statement, source, experiment, figure, bound, verdict.
+        A row for each claim, indexed by ``id``: origin (``paper`` or ``ours``), statement, source, experiment, figure,
+        bound, verdict.
     """
 
     @property
@@ -49,7 +62,7 @@ class ClaimsReport(Claims, Report):
         return claims_chapter(self.as_dict(), name)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the number of claims with each verdict, a bar for each part of the paper.
+        """Draw the number of statements with each verdict, a bar for each part of the paper.
 
         Parameters
         ----------
@@ -67,7 +80,7 @@ class ClaimsReport(Claims, Report):
 
 
 def claims(ids: str | Sequence[str] = (), *, fast: bool = False, progress: bool = True) -> ClaimsReport:
-    """Decide the claims of the paper by experiments.
+    """Decide the claims of the paper, and findings beyond it, by experiments.
 
     Parameters
     ----------

@@ -31,6 +31,7 @@ def _print_table(found: Claims) -> None:
     rows = [
         [
             row.claim.id,
+            row.claim.origin,
             row.claim.statement,
             row.verdict,
             _figure(row),
@@ -39,14 +40,19 @@ def _print_table(found: Claims) -> None:
         ]
         for row in found.rows
     ]
-    print_table(["id", "statement", "verdict", "figure", "bound", "source"], rows, numbers=False)
+    print_table(["id", "origin", "statement", "verdict", "figure", "bound", "source"], rows, numbers=False)
 
 
 def _print_details(row: Decided) -> None:
     """Print everything about one claim, a line each."""
     claim, finding = row.claim, row.finding
     emit(f"{claim.id}: {row.verdict}")
-    lines = {"statement": claim.statement, "source": claim.source, "experiment": claim.experiment.replace("`", "")}
+    lines = {
+        "statement": claim.statement,
+        "origin": claim.origin,
+        "source": claim.source,
+        "experiment": claim.experiment.replace("`", ""),
+    }
     if finding is None:
         lines["reason"] = row.reason
     else:
@@ -93,8 +99,8 @@ def claims(
 ) -> None:
     """Decide the paper's claims by experiments.
 
-    Claims that are named are shown with all details. Exits with status 4 if a verdict differs from the recorded one, or
-    if a check does not find the defect of its positive control.
+    Findings beyond the paper are marked as ours. Claims that are named are shown with all details. Exits with status 4
+    if a verdict differs from the recorded one, or if a check does not find the defect of its positive control.
     """
     from topcli.errors import UsageError
     from topcli.studies.claims.decide import decide_claims

@@ -34,6 +34,7 @@ def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
         line("size", lambda f: f"{f['size']}x{f['size']}"),
         line("dL/dt - [M,L] by the equations", lambda f: number(f["residual_by_field"])),
         line("dL/dt - [M,L] by differences", lambda f: number(f["residual_by_differences"])),
+        line("traces", lambda f: f["traces"]),
         line("independent integrals", lambda f: str(f["independent_integrals"])),
         line("carried integrals", lambda f: ", ".join(f["carries"]) or "–"),
         line("Lax pair", lambda f: "yes" if f["lax_pair"] else "no"),
@@ -47,9 +48,10 @@ def _report(found: dict[str, Any], title: str) -> None:
 
     forms, runs = found["forms"], found["runs"]
     names = [form["form"] for form in forms]
+    traces = {form["form"]: form["traces"] for form in forms}
     print_table(["", *names], _form_lines(forms), title)
     emit()
-    header = ["", *(f"{name}: {what}" for name in names for what in ("tr L^k", "eigenvalues"))]
+    header = ["", *(f"{name}: {what}" for name in names for what in (traces[name], "eigenvalues"))]
     lines = [
         [run["scheme"], *(number(form[key]) for form in run["forms"] for key in ("drift", "eigenvalue_shift"))]
         for run in runs

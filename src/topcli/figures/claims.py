@@ -1,4 +1,4 @@
-"""Verdicts on the paper's claims: a bar for each part of the paper."""
+"""Verdicts on the paper's claims: a bar for each part of the paper, and one for the findings beyond it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def verdict_category(verdict: str) -> str:
 
 @dataclass(frozen=True)
 class VerdictPanel:
-    """Number of claims with each verdict, a stacked bar for each of the ``subjects``.
+    """Number of statements with each verdict, a stacked bar for each of the ``subjects``.
 
     The columns are the ``verdicts``, each with a number of claims for every subject.
     """
@@ -56,7 +56,7 @@ class VerdictPanel:
                 axes.text(*at, f"{counts[row]:.0f}", ha="center", va="center", color=ink, fontsize="small")
             left = left + counts
         axes.set_yticks(rows, self.subjects)
-        axes.set(ylim=(len(rows) - 0.5, -0.5), xlim=(0.0, 1.02 * left.max()), xlabel="number of claims")
+        axes.set(ylim=(len(rows) - 0.5, -0.5), xlim=(0.0, 1.02 * left.max()), xlabel="number of statements")
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.tick_params(axis="y", length=0)
         axes.grid(False)

@@ -19,6 +19,7 @@ from topcli.pages.origin import citation_block, config_block, experiment_of, fil
 from topcli.pages.svg import svg_of
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
+from topcli.studies.claims.claim import OURS, PAPER
 from topcli.studies.compare import Comparison
 from topcli.studies.compare_table import comparison_table
 from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
@@ -198,9 +199,13 @@ def claims_chapter(found: dict[str, Any], name: str | None = None) -> Chapter:
 
 
 def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Table:
-    counted = Counter(verdict_category(str(one["verdict"])) for one in claims)
-    chapter.message = ", ".join(f"{count} {verdict}" for verdict, count in counted.most_common())
-    keys = ("id", "statement", "verdict", "figure", "bound", "source")
+    parts = []
+    for origin, title in ((PAPER, ""), (OURS, "findings of ours: ")):
+        counted = Counter(verdict_category(str(one["verdict"])) for one in claims if one["origin"] == origin)
+        if counted:
+            parts.append(title + ", ".join(f"{count} {verdict}" for verdict, count in counted.most_common()))
+    chapter.message = "; ".join(parts)
+    keys = ("id", "origin", "statement", "verdict", "figure", "bound", "source")
     shown = [{**one, "bound": one.get("bound_text", one["bound"])} for one in claims]
     lines = [[_figure(one[key]) for key in keys] for one in shown]
     return Table("Claims", keys, lines, numbers=False, marks={"holds": "good", "does not hold as stated": "bad"})
@@ -208,7 +213,7 @@ def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Table:
 
 def _claims_picture(claims: Sequence[Mapping[str, Any]], name: str) -> Pictures:
     panel, data = verdict_panel(claims)
-    caption = "claims with each verdict, by parts of the paper"
+    caption = "statements with each verdict, by parts of the paper; findings beyond it apart"
     return Pictures("Pictures", [Picture(svg_of(panel, data, name, caption, Grid(figsize=SIZE)), caption)])
 
 

@@ -47,7 +47,8 @@ INITIAL = {"omega": (0.7, -0.4, 1.3), "gamma": (0.6, 0.48, 0.64)}
 
 NO_PAIR = (
     "dL/dt = [M, L] holds for every top, integrable or not: it is a rewriting of the Euler-Poisson equations, and what "
-    "conjugation keeps are γ² and m·γ alone, neither the energy nor a fourth integral"
+    "conjugation keeps are the block traces of L^k, of the diagonal and of the upper 3x3 block, which carry γ² and m·γ "
+    "alone, neither the energy nor a fourth integral; the trace tr L^k of the 6x6 matrix carries γ² alone"
 )
 
 
@@ -153,6 +154,7 @@ def _form_figures(
         "citation": form.citation,
         "size": form.size,
         "lax_pair": form.lax_pair,
+        "traces": form.traced,
         "why_not": None if form.lax_pair else NO_PAIR,
         "residual_by_field": max(_each(lambda lam: commutator_residual(form, reference, slopes, lam), form)),
         "residual_by_differences": max(_each(lambda lam: commutator_residual(form, middle, by_differences, lam), form)),
@@ -208,9 +210,10 @@ def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
 
     For each form: dL/dt - [M, L] along the motion, with dL/dt from the equations and from differences on the
     reference; which integrals the spectrum carries; the spectrum at the start; how far a step of the midpoint rule
-    is from L' = U L U^-1. Then the drift of the spectrum along the exact flow and along a run of each scheme:
-    deviations of tr L^k relative to ||L||^k, and of the eigenvalues relative to ||L||, the largest over lambda. For the
-    Kowalevski top also the defect L' U - U L of the discrete Lax pair of ``backlund`` along each run.
+    is from L' = U L U^-1. Then the drift of the spectrum along the exact flow and along a run of each scheme, the
+    largest over lambda: deviations of tr L^k, or of the block traces of the block form, relative to ||L||^k, and of the
+    eigenvalues relative to ||L||. For the Kowalevski top also the defect L' U - U L of the discrete Lax pair of
+    ``backlund`` along each run.
     """
     top = experiment.top
     found = lax_forms(checked_equations(top, NAME))

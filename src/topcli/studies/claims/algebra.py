@@ -122,6 +122,18 @@ class Draws:
         """Number above zero."""
         return abs(self.number())
 
+    def small(self) -> Fraction:
+        """Number between -1.6 and 1.6, not zero."""
+        return Fraction(self._random.choice((-1, 1)) * self._random.randint(1, 16), self._random.choice((10, 11, 13)))
+
+    def moment(self) -> Fraction:
+        """Number from 1 up to, not including, 2: three of them are moments of inertia of a body."""
+        return 1 + Fraction(self._random.randint(0, 9), 10)
+
+    def step(self) -> Fraction:
+        """Length of a step, from 1/20 to 1/7, of either sign."""
+        return Fraction(self._random.choice((-1, 1)), self._random.randint(7, 20))
+
     def vector(self) -> Vector:
         """Three numbers."""
         return self.number(), self.number(), self.number()

@@ -11,6 +11,8 @@ HOLDS_WITHIN = "holds within"
 FAILS = "does not hold as stated"
 MISPRINT = "misprint"
 NOT_TRIED = "not tried"
+PAPER = "paper"
+OURS = "ours"
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,10 @@ class Kind:
 
 @dataclass(frozen=True)
 class Claim:
-    """A checkable statement of the paper and the experiment that decides it.
+    """A checkable statement and the experiment that decides it.
+
+    A claim of the paper is decided on the paper's own scope: its figure, initial state, window, step and symbols. A
+    statement that goes beyond the sentence is an entry of its own, with ``ours``.
 
     Parameters
     ----------
@@ -119,7 +124,7 @@ class Claim:
     statement : str
         The statement in a few words.
     source : str
-        Section and, where it has one, the equation of the paper.
+        Section and, where it has one, the equation of the paper; of a finding, the place that it goes beyond.
     kind : Kind
         Kind of the check.
     experiment : str
@@ -128,6 +133,8 @@ class Claim:
         ``decide()`` carries out the experiment. It knows neither the statement nor the recorded verdict.
     slow : bool, optional
         True if it takes more than a few tenths of a second, and is left out of the fast subset.
+    ours : bool, optional
+        True for a finding of this project, which the paper does not state.
     """
 
     id: str
@@ -137,3 +144,9 @@ class Claim:
     experiment: str
     decide: Callable[[], Finding]
     slow: bool = False
+    ours: bool = False
+
+    @property
+    def origin(self) -> str:
+        """Author of the statement: ``paper`` or ``ours``."""
+        return OURS if self.ours else PAPER

@@ -48,6 +48,7 @@ class Decided:
         return finite(
             {
                 "id": claim.id,
+                "origin": claim.origin,
                 "statement": claim.statement,
                 "source": claim.source,
                 "kind": claim.kind.name,

@@ -1,4 +1,4 @@
-"""All claims in the order of the paper, and their selection by name."""
+"""All claims in the order of the paper, then findings beyond it, and their selection by name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,17 @@ from collections.abc import Mapping, Sequence
 
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.studies.claims.claim import Claim
-from topcli.studies.claims.subjects import equations, euler, figures, heavy, hybrid, kowalevski, lagrange, methods
+from topcli.studies.claims.subjects import (
+    equations,
+    euler,
+    figures,
+    findings,
+    heavy,
+    hybrid,
+    kowalevski,
+    lagrange,
+    methods,
+)
 
 SUBJECTS: Mapping[str, tuple[Claim, ...]] = {
     "Equations of motion (section 1.1)": equations.CLAIMS,
@@ -17,6 +27,7 @@ SUBJECTS: Mapping[str, tuple[Claim, ...]] = {
     "Methods A, B, C and Bohlin's method (section 3.2.2)": methods.CLAIMS,
     "Figures 1 to 3 (sections 3.2.1, 3.2.2)": figures.CLAIMS,
     "Hybrid scheme and summary (sections 3.2.3, 4)": hybrid.CLAIMS,
+    "Findings beyond the paper": findings.CLAIMS,
 }
 LEDGER: tuple[Claim, ...] = tuple(claim for claims in SUBJECTS.values() for claim in claims)
 

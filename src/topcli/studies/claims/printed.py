@@ -33,6 +33,16 @@ def poisson(w: Vector, c: Vector) -> Vector:
     return (c[1] * w[2] - c[2] * w[1], c[2] * w[0] - c[0] * w[2], c[0] * w[1] - c[1] * w[0])
 
 
+def euler_top(moments: Vector, w: Vector) -> Vector:
+    """Equations of the Euler top, section 1.2: A, B, C times the rates of omega."""
+    A, B, C = moments
+    return ((B - C) * w[1] * w[2], (C - A) * w[2] * w[0], (A - B) * w[0] * w[1])
+
+
+EPSILON: Matrix = ((0, 1), (0, 0))
+"""The 2x2 matrix of the Grassmann symbol epsilon."""
+
+
 def hat(v: Vector) -> Matrix:
     """Antisymmetric matrix of a vector, as M, Omega, Gamma and G are printed."""
     return ((0, v[2], -v[1]), (-v[2], 0, v[0]), (v[1], -v[0], 0))
@@ -154,6 +164,11 @@ def complex_gamma(omega: Gauss, w3: Any, gamma: Gauss, c3: Any) -> tuple[Gauss, 
         I_UNIT * (w3 * gamma.bar - omega.bar * c3),
         I_UNIT / 2 * (omega.bar * gamma - omega * gamma.bar),
     )
+
+
+def direct(c0: Any, h: Any, omega: Gauss, w3: Any, c3: Any) -> Gauss:
+    """New omega by (direct), the prediction that chooses the root."""
+    return omega - I_UNIT * h / 2 * (w3 * omega - c0 * c3)
 
 
 def stereographic_rate(omega: Gauss, w3: Any, z: Gauss) -> Gauss:

@@ -17,6 +17,7 @@ from topcli.contracts import Array, Invariant
 from topcli.engine.loop import Run
 from topcli.engine.precise.loop import PreciseRun
 from topcli.errors import RunError
+from topcli.studies.claims.algebra import Draws
 from topcli.studies.precise import precise_run
 from topcli.studies.simulate import trajectory_of
 
@@ -28,6 +29,22 @@ RATIONAL = ("precision=rational", "h=1/10")
 """Overrides of a run without rounding; its initial state must be rational."""
 FIFTY = (f"precision={DIGITS}", "h=1/10")
 """Overrides of a run with 50 digits."""
+VARIED = 3
+"""Variants of a scene, with random parameters, on which a general statement is tried beside the scene itself."""
+VARIED_STEPS = 3
+AND_VARIED = f", and {VARIED} times with random parameters, state and h"
+
+
+MOMENTS = ("A", "B", "C")
+PARAMETERS = {
+    "euler": MOMENTS,
+    "euler+gamma": MOMENTS,
+    "lagrange": ("A", "C", "mu"),
+    "lagrange/inertial": (),
+    "heavy": (*MOMENTS, "x0", "y0", "z0"),
+    "kowalevski": ("c0",),
+}
+"""Parameters of each form of a top that the paper's equations leave open."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +71,17 @@ class Scene:
     def experiment(self) -> Experiment:
         """Experiment of the scene."""
         return load_experiment(self.config, list(self.sets), any_precision=True)
+
+    def varied(self, draws: Draws) -> Scene:
+        """The same scene with random rational parameters of the top, initial state and h, and fewer steps."""
+        top = self.experiment().top
+        sets = [f"h={draws.step()}", f"N={min(self.experiment().N, VARIED_STEPS)}"]
+        for name in PARAMETERS[top.form]:
+            sets.append(f"top.{name}={draws.moment() if name in MOMENTS else draws.small()}")
+        for name in top.vectors:
+            vector = draws.unit() if name in top.unit_vectors else tuple(draws.small() for _ in range(3))
+            sets.append(f"initial.{name}=[{', '.join(map(str, vector))}]")
+        return self.with_sets(*sets)
 
 
 @cache
@@ -106,6 +134,10 @@ class ExactMap:
             values = one.value(states)
             return np.array([float(abs(value - values[0])) for value in values]) / scale
 
+    def parameter(self, name: str) -> Fraction:
+        """Parameter of the top."""
+        return self.run.arithmetic.fraction(getattr(self.run.top, name))
+
     def number(self, value: Fraction) -> Any:
         """Number of this arithmetic."""
         with self.run.arithmetic.active():
@@ -118,3 +150,9 @@ def exact_map(scene: Scene) -> ExactMap:
     run = precise_run(experiment)
     assert run is not None
     return ExactMap(experiment, run)
+
+
+def exact_maps(scene: Scene) -> list[ExactMap]:
+    """Steps of a scene and of its variants, all in the arithmetic of the scene."""
+    draws = Draws(1)
+    return [exact_map(one) for one in (scene, *(scene.varied(draws) for _ in range(VARIED)))]

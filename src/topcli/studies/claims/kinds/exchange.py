@@ -8,7 +8,7 @@ from topcli.studies.claims import printed
 from topcli.studies.claims.algebra import Gauss
 from topcli.studies.claims.claim import Bound, Finding, Kind
 from topcli.studies.claims.kinds.integrability import GENERIC
-from topcli.studies.claims.scenes import DIGITS, FIFTY, ExactMap, Scene, exact_map
+from topcli.studies.claims.scenes import DIGITS, FIFTY, ExactMap, Scene, exact_maps
 
 
 def _residual(found: ExactMap, equation: str, h: Any, old: tuple[Any, ...], new: tuple[Any, ...]) -> float:
@@ -24,15 +24,15 @@ def _residual(found: ExactMap, equation: str, h: Any, old: tuple[Any, ...], new:
 
 
 def exchanged(scene: Scene, equation: str) -> Finding:
-    """Residual of an equation after a step of a scheme that satisfies it, states exchanged and h reversed."""
-    found = exact_map(scene)
-    old = tuple(found.y0)
-    new = tuple(found.step(old, found.run.h))
-    with found.run.arithmetic.active():
-        there = _residual(found, equation, found.run.h, old, new)
-        back = _residual(found, equation, -found.run.h, new, old)
-    bound = Bound(0.0, 1000.0 * found.eps, f"rounding with {DIGITS} digits")
-    return Finding(max(there, back), bound)
+    """Largest residual of an equation after steps of a scheme and its variants, also exchanged and with h reversed."""
+    largest, maps = 0.0, exact_maps(scene)
+    for found in maps:
+        old = tuple(found.y0)
+        new = tuple(found.step(old, found.run.h))
+        with found.run.arithmetic.active():
+            there = _residual(found, equation, found.run.h, old, new)
+            largest = max(largest, there, _residual(found, equation, -found.run.h, new, old))
+    return Finding(largest, Bound(0.0, 1000.0 * maps[0].eps, f"rounding with {DIGITS} digits"))
 
 
 EXCHANGE = Kind(

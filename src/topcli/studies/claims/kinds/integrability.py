@@ -1,9 +1,9 @@
-"""Signs of integrability (growth of numbers, separation of neighbours, content of a spectrum); the choice of roots."""
+"""Signs of integrability (growth of numbers, separation of neighbours, content of a spectrum)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from topcli.analysis.isospectral import spectral_content
 from topcli.analysis.lax import block_form, kowalevski_form
 from topcli.contracts import checked_equations
 from topcli.engine.precise.loop import longest
-from topcli.schemes.kowalevski.bohlin import direct
 from topcli.studies.claims.claim import Bound, Finding, Kind
 from topcli.studies.claims.scenes import RATIONAL, Scene, exact_map, trajectory
 from topcli.studies.simulate_ensemble import simulate_ensemble
@@ -50,50 +49,50 @@ def neighbours_part(scene: Scene) -> Finding:
 
 
 def carries_too_little(top: str, form: str) -> Finding:
-    """Number of independent integrals in the spectrum of a Lax form."""
+    """Number of independent integrals in the spectrum of a Lax form, and in its block traces if it has blocks."""
     made: Any = TOPS[top].new()
     equations = checked_equations(made, "the ledger")
     lax = {"block": block_form, "kowalevski": kowalevski_form}[form](equations)
-    content = spectral_content(lax, made.invariants(), len(made.components))
     symbols = {invariant.name: invariant.symbol for invariant in made.invariants()}
+    notes, contents = [], []
+    for traced in dict.fromkeys((replace(lax, blocks=1), lax)):
+        contents.append(spectral_content(traced, made.invariants(), len(made.components)))
+        notes.append(f"{traced.traced}: {', '.join(symbols[name] for name in contents[-1].carries)}")
     bound = Bound(0.0, 3.0, "an integrable motion of omega and gamma needs 4 integrals", "integrals")
-    return Finding(
-        float(content.independent), bound, note="carries " + ", ".join(symbols[name] for name in content.carries)
+    return Finding(float(contents[-1].independent), bound, note="; ".join(notes))
+
+
+PARTING_STEPS = 2000
+PAIRS = 32
+
+
+def map_parts_neighbours(scheme: Any, h: float) -> Finding:
+    """Largest number of decades by which neighbours part under a map, over random orbits that both complete."""
+    draws = np.random.default_rng(1)
+    states = []
+    for _ in range(PAIRS):
+        omega, gamma = draws.normal(scale=1.5, size=3), draws.normal(size=3)
+        for shift in (0.0, NEAR):
+            near = omega + np.array([shift, 0.0, 0.0])
+            states.append({"omega": near.tolist(), "gamma": (gamma / np.linalg.norm(gamma)).tolist()})
+    found = simulate_ensemble(
+        "kowalevski_hk",
+        scheme=scheme,
+        h=h,
+        N=PARTING_STEPS,
+        ensemble={"states": states, "store": "trajectories"},
     )
+    decades = []
+    for index in range(PAIRS):
+        a, b = found.trajectory(2 * index), found.trajectory(2 * index + 1)
+        if len(a) == len(b) == PARTING_STEPS + 1:
+            decades.append(math.log10(float(np.abs(a.states[-1] - b.states[-1]).max()) / NEAR))
+    least = math.log10(PARTING_STEPS) + 2.0
+    reason = "neighbours under an integrable map part in proportion to the steps n; 100 n is allowed"
+    note = f"more than the bound on {sum(value > least for value in decades)} of {len(decades)} orbits"
+    return Finding(max(decades), Bound(least, reason=reason, unit="decades"), note=note)
 
 
-def wrong_roots(config: str, changes: Mapping[str, Any]) -> Finding:
-    """Number of orbits on which a step takes the root farther from its prediction."""
-    found = simulate_ensemble(config, **changes)
-    wrong = 0
-    for index in range(len(found)):
-        run = found.trajectory(index)
-        old, new = run.states[:-1].T, run.states[1:].T
-        x, y = direct(tuple(old), run.h, run.top.constants())
-        # the other root, minus this one, is nearer to the prediction where their scalar product is negative
-        wrong += bool((new[0] * x + new[1] * y < 0.0).any())
-    bound = Bound(0.0, 0.0, "the right root is the nearer one", f"of {len(found)} orbits")
-    return Finding(float(wrong), bound)
-
-
-BY_SIGN: dict[str, Any] = {
-    "h": 0.05,
-    "N": 2000,
-    "scheme": {"name": "bohlin-a", "branch": "sign"},
-    "ensemble": {
-        "random": {"count": 200, "seed": 1, "gamma": "sphere", "omega": {"energy": 5.0}},
-        "store": "trajectories",
-    },
-}
-CROSSING: dict[str, Any] = {
-    "ensemble": {
-        "states": [{"omega": [-0.8, 1e-3 * k, 0.5], "gamma": [0.6, -0.48, -0.64]} for k in range(40)],
-        "store": "trajectories",
-    },
-    "h": 0.2,
-    "N": 2,
-}
-"""Orbits whose omega_1 + i omega_2 crosses the negative real axis, where the argument jumps."""
 DIGITS_GROW = Kind(
     "growth of numbers",
     f"factor by which rational numbers become longer in step {GROWTH_STEPS}",
@@ -108,13 +107,13 @@ NEIGHBOURS = Kind(
 )
 SPECTRUM = Kind(
     "content of a spectrum",
-    "number of independent integrals among the traces of powers of L",
+    "number of independent integrals among the traces of powers of L and of their blocks",
     "the 5x5 Lax pair of the Kowalevski top",
     lambda: carries_too_little("kowalevski", "kowalevski"),
 )
-ROOTS = Kind(
-    "choice of the root",
-    "number of random orbits on which a step takes the root farther from its prediction",
-    "40 states whose omega crosses the negative real axis, under the choice by sign",
-    lambda: wrong_roots("kowalevski_bohlin_a", BY_SIGN | CROSSING),
+MAP_PARTS = Kind(
+    "neighbours part under a map",
+    f"largest number of decades by which orbits 1e-9 apart have parted after {PARTING_STEPS} steps, over {PAIRS} pairs",
+    "the integrable map backlund, h = 0.4",
+    lambda: map_parts_neighbours("backlund", 0.4),
 )

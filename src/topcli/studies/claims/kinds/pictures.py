@@ -11,7 +11,7 @@ from topcli.analysis.swings import swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array
 from topcli.studies.claims.claim import Bound, Finding, Kind
-from topcli.studies.claims.kinds.motion import BOHLIN
+from topcli.studies.claims.kinds.motion import BOHLIN, BOHLINS
 from topcli.studies.claims.scenes import Scene, trajectory
 from topcli.studies.swing_period import EPS, TIME, spacing_law
 
@@ -77,12 +77,12 @@ def constant_line(scene: Scene, column: str, span: float) -> Finding:
     return Finding(float(np.ptp(values)) / span * HEIGHT, bound, note=f"{values.min():.6g} to {values.max():.6g}")
 
 
-def visible_change(scenes: Sequence[Scene], column: str, model: Scene) -> Finding:
-    """Smallest height in print of the range of a column, on the axis that the range of ``model`` fills."""
+def invisible_change(scenes: Sequence[Scene], column: str, model: Scene) -> Finding:
+    """Largest height in print of the range of a column, on the axis that the range of ``model`` fills."""
     span = float(np.ptp(trajectory(model)[column]))
     heights = {s: float(np.ptp(trajectory(s)[column])) / span * HEIGHT for s in scenes}
     note = ", ".join(f"{trajectory(s).scheme} {height:.2g}" for s, height in heights.items())
-    return Finding(min(heights.values()), Bound(LINE, reason="the width of a line of 0.5 pt", unit="mm"), note=note)
+    return Finding(max(heights.values()), Bound(0.0, LINE, "the width of a line of 0.5 pt", "mm"), note=note)
 
 
 def _spacing(scene: Scene) -> float:
@@ -119,11 +119,11 @@ CONSTANT_LINE = Kind(
     "omega_3 of Figure 2",
     lambda: constant_line(BOHLIN, "omega3", 6.0),
 )
-VISIBLE = Kind(
-    "visible change",
-    "smallest height of the curve on the axis of Figure 3 (b)",
-    "the energy under HK",
-    lambda: visible_change([HK], "energy", BOHLIN),
+INVISIBLE = Kind(
+    "invisible change",
+    "largest height of the curve on the axis of Figure 3, right",
+    "the energy under Bohlin B",
+    lambda: invisible_change([BOHLINS[1]], "energy", BOHLIN),
 )
 OTHER_PERIOD = Kind(
     "different period",

@@ -7,7 +7,18 @@ from functools import partial
 from typing import Any
 
 from topcli.studies.claims import printed
-from topcli.studies.claims.algebra import Draws, Dual, Vector, commutator, flat, gradients, minus, plus, weighted
+from topcli.studies.claims.algebra import (
+    Draws,
+    Dual,
+    Vector,
+    commutator,
+    flat,
+    gradients,
+    minus,
+    plus,
+    product,
+    weighted,
+)
 from topcli.studies.claims.claim import Claim
 from topcli.studies.claims.kinds.identity import IDENTITY, Difference, identity
 from topcli.studies.claims.kinds.integrability import NEIGHBOURS, SPECTRUM, carries_too_little, neighbours_part
@@ -59,10 +70,17 @@ def lagrange_integral(draws: Draws) -> Sequence[Any]:
     return along_motion(lambda moments, g, w, c: w[2], (A, A, C), (0, 0, z0), draws)
 
 
-def kowalevski_integral(draws: Draws) -> Sequence[Any]:
-    """Rate of change of k² for A = B = 2C = 2 and gravity c0 on the first axis."""
-    c0 = draws.number()
-    return along_motion(lambda moments, g, w, c: printed.k_squared(c0, w, c), (2, 2, 1), (c0, 0, 0), draws)
+def kowalevski_integral(corrected: bool) -> Difference:
+    """Rate of change of k² for A = B = 2C and gravity c0 on the first axis; ``corrected`` takes c0/C in k²."""
+
+    def rate(draws: Draws) -> Sequence[Any]:
+        C, c0 = draws.positive(), draws.number()
+        factor = c0 / C if corrected else c0
+        return along_motion(
+            lambda moments, g, w, c: printed.k_squared(factor, w, c), (2 * C, 2 * C, C), (c0, 0, 0), draws
+        )
+
+    return rate
 
 
 def _four(fourth: Callable[[Sequence[Any]], Any], moments: Vector, g: Vector, draws: Draws) -> list[tuple[Any, ...]]:
@@ -85,6 +103,17 @@ def lagrange_integrals(draws: Draws) -> list[tuple[Any, ...]]:
     """Gradients of gamma², m·gamma, E and omega_3 for A = B and gravity on the third axis."""
     A, C, z0 = draws.positive(), draws.positive(), draws.number()
     return _four(lambda at: at[2], (A, A, C), (0, 0, z0), draws)
+
+
+def kowalevski_integrals(draws: Draws) -> list[tuple[Any, ...]]:
+    """Gradients of gamma², m·gamma, E and k² with c0/C, for A = B = 2C and gravity on the first axis."""
+    C, c0 = draws.positive(), draws.number()
+    return _four(
+        lambda at: printed.k_squared(c0 / C, (at[0], at[1], at[2]), (at[3], at[4], at[5])),
+        (2 * C, 2 * C, C),
+        (c0, 0, 0),
+        draws,
+    )
 
 
 def matrix_m(draws: Draws) -> Sequence[Any]:
@@ -111,6 +140,38 @@ def matrix_gamma(draws: Draws) -> Sequence[Any]:
 def block(upper: Any, diagonal: Any) -> Any:
     """6x6 matrix of diagonal + epsilon upper, with epsilon² = 0."""
     return (*((*d, *u) for d, u in zip(diagonal, upper, strict=True)), *((0, 0, 0, *d) for d in diagonal))
+
+
+def _with_epsilon(body: Any, soul: Any) -> Any:
+    """Matrix body + epsilon soul with epsilon² = 0: a dual number has the same product."""
+    return tuple(
+        tuple(Dual(b, s) for b, s in zip(row, other, strict=True)) for row, other in zip(body, soul, strict=True)
+    )
+
+
+def audin(draws: Draws) -> Sequence[Any]:
+    """(Audin): both coefficients of d/dt (Gamma + epsilon M) - [Omega + epsilon G, Gamma + epsilon M]."""
+    moments, g, w, c = draws.moments(), draws.vector(), draws.vector(), draws.vector()
+    m_rate, c_rate = printed.euler_poisson(moments, g, w, c)
+    hat = printed.hat
+    left = _with_epsilon(hat(c_rate), hat(m_rate))
+    right = commutator(_with_epsilon(hat(w), hat(g)), _with_epsilon(hat(c), hat(weighted(moments, w))))
+    found = [Dual(0) + a - b for a, b in zip(flat(left), flat(right), strict=True)]
+    return [*(x.value for x in found), *(x.rate for x in found)]
+
+
+def epsilon(draws: Draws) -> Sequence[Any]:
+    """The square of the 2x2 matrix of epsilon, and Gamma + epsilon M with it against the 6x6 matrix L."""
+    m, c, matrix = draws.vector(), draws.vector(), printed.EPSILON
+    whole = block(printed.hat(m), printed.hat(c))
+    found = [
+        whole[3 * i + k][3 * j + l] - (int(i == j) * printed.hat(c)[k][l] + matrix[i][j] * printed.hat(m)[k][l])
+        for i in range(2)
+        for j in range(2)
+        for k in range(3)
+        for l in range(3)  # noqa: E741
+    ]
+    return [*flat(product(matrix, matrix)), *found]
 
 
 def combined(draws: Draws) -> Sequence[Any]:
@@ -145,12 +206,13 @@ CLAIMS = (
         lagrange_integral,
         RATES,
     ),
-    _identity(
+    Claim(
         "kowalevski-fourth",
-        "With A = B = 2C, y0 = z0 = 0, k² = |ω² - c₀γ|² is conserved.",
+        "With A = B = 2C, y0 = z0 = 0, k² = |ω² - c₀γ|² with c₀ = mg x0 is conserved.",
         "section 1.1, case (3)",
-        kowalevski_integral,
-        RATES,
+        IDENTITY,
+        f"{RATES}, for random C; corrected to c₀/C",
+        partial(identity, kowalevski_integral(False), kowalevski_integral(True)),
     ),
     Claim(
         "euler-integrable",
@@ -168,6 +230,14 @@ CLAIMS = (
         INDEPENDENT,
         partial(independent, lagrange_integrals, 4),
     ),
+    Claim(
+        "kowalevski-integrable",
+        "The Kowalevski top has four independent integrals.",
+        "section 1.1, case (3)",
+        RANK,
+        f"{INDEPENDENT}, k² with c₀/C",
+        partial(independent, kowalevski_integrals, 4),
+    ),
     _identity(
         "matrix-m",
         "dM/dt = [Ω, M] + [G, Γ] is the equation for m.",
@@ -183,9 +253,23 @@ CLAIMS = (
         "rational identity of 3x3 matrices",
     ),
     _identity(
+        "audin",
+        "Both together are d(Γ + εM)/dt = [Ω + εG, Γ + εM] with ε² = 0.",
+        "section 1.1, (Audin)",
+        audin,
+        "rational identity of 3x3 matrices modulo ε²",
+    ),
+    _identity(
+        "epsilon",
+        "The 2x2 matrix (0 1; 0 0) has ε² = 0 and makes Γ + εM the 6x6 matrix L.",
+        "section 1.1, after (Audin)",
+        epsilon,
+        "rational identity of matrices",
+    ),
+    _identity(
         "block-form",
         "Both equations together are dL/dt = [M, L] with 6x6 matrices.",
-        "section 1.1, (Audin) and the Lax-Moser form",
+        "section 1.1, the Lax-Moser form",
         combined,
         "rational identity of 6x6 matrices",
     ),
@@ -194,7 +278,7 @@ CLAIMS = (
         "The 6x6 form should not be called a Lax-Moser pair.",
         "section 1.1, after the Lax-Moser form",
         SPECTRUM,
-        "`topcli lax heavy`: rank of the gradients of tr L^k",
+        "`topcli lax heavy`: rank of the gradients of the traces tr L^k and of the block traces of L^k",
         partial(carries_too_little, "heavy", "block"),
     ),
     Claim(

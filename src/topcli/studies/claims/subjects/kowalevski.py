@@ -138,7 +138,7 @@ CLAIMS = (
     _claim("energy", "E = ω₁² + ω₂² + ω₃²/2 + c₀γ₁ is conserved.", "list of conservation laws, 3", law(2)),
     _claim("k-sq", "k² = |ω² - c₀γ|² is conserved.", "list of conservation laws, 4", law(3)),
     _claim("laws", "The first three are γ², m·γ and E of every top.", "list of conservation laws", same_laws),
-    _claim("sign", "The sign of c₀ is a convention.", "after (Kxi)", opposite_gravity),
+    _claim("sign", "The opposite sign of the potential energy only reverses c₀.", "after (Kxi)", opposite_gravity),
     Claim(
         "kowalevski-independent",
         "The four conserved quantities are independent.",

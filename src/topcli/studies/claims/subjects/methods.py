@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -10,6 +11,7 @@ from topcli.studies.claims import printed
 from topcli.studies.claims.algebra import I_UNIT, Draws, Gauss, dot, flat, minus, product
 from topcli.studies.claims.claim import Claim
 from topcli.studies.claims.kinds.conservation import CONSERVED, IRREVERSIBLE, conserved, irreversible
+from topcli.studies.claims.kinds.equation_order import EQUATION_ORDER, equation_order, trapezoidal
 from topcli.studies.claims.kinds.exchange import EXCHANGE, exchanged
 from topcli.studies.claims.kinds.identity import (
     IDENTITY,
@@ -19,19 +21,44 @@ from topcli.studies.claims.kinds.identity import (
     linear_in_new,
     rotation_residual,
 )
-from topcli.studies.claims.kinds.integrability import BY_SIGN, GENERIC, ROOTS, wrong_roots
-from topcli.studies.claims.kinds.motion import COMPLETE, QUALITY, complete, same_quality
-from topcli.studies.claims.scenes import FIFTY, Scene
+from topcli.studies.claims.kinds.integrability import GENERIC
+from topcli.studies.claims.kinds.roots import ANGLES, BY_SIGN, FIGURE_2, ROOTS, both_roots, next_to_axis, wrong_roots
+from topcli.studies.claims.scenes import AND_VARIED, FIFTY, Scene
 
 SECTION = "section 3.2.2"
 LETTERS = "abc"
-SOUTH = ("initial.omega=[0.7, -0.4, 1.3]", "initial.gamma=[0, 0, -1]", "h=0.01", "N=100")
-CHARTS = (("a", ()), ("b", ("scheme.chart=single",)), ("c", ()))
-"""The methods with the paper's coordinates."""
 
 
 def _scene(letter: str) -> Scene:
     return Scene(f"kowalevski_bohlin_{letter}", (*FIFTY, "N=50", *GENERIC))
+
+
+def method_b(new: tuple[Any, ...], draws: Draws) -> Sequence[Any]:
+    """Euler's rule for z as an equation for the new z."""
+    h, w, c = draws.number(), draws.vector(), draws.unit()
+    z = Gauss(c[0], c[1]) / (1 + c[2])
+    return [Gauss(new[0], new[1]) - z - h * printed.stereographic_rate(Gauss(w[0], w[1]), w[2], z)]
+
+
+def method_c(new: tuple[Any, ...], draws: Draws) -> Sequence[Any]:
+    """(C) as an equation for the new gamma; the angle h |omega| and its axis are those of the old omega."""
+    n, (cosine, sine), c = draws.unit(), draws.circle(), draws.vector()
+    return minus(new, [dot(row, c) for row in printed.rotation(n, cosine, sine)])
+
+
+def bohlin_square(new: tuple[Any, ...], draws: Draws) -> Sequence[Any]:
+    """Bohlin's equation for the square of the new omega_1 + i omega_2, at the new gamma and omega_3."""
+    c0, turn, w, c, e = draws.number(), Gauss(*draws.circle()), draws.vector(), draws.vector(), draws.vector()
+    old = (*w, *c)
+    at_zero = printed.bohlin(c0, turn, old, (0, 0, 0, *e))
+    return [at_zero + Gauss(new[0], new[1])]
+
+
+def euler_rule(draws: Draws) -> Sequence[Any]:
+    """(direct) against omega + h d omega/dt with the printed rate."""
+    c0, h, w, c = draws.number(), draws.number(), draws.vector(), draws.vector()
+    omega = Gauss(w[0], w[1])
+    return [printed.direct(c0, h, omega, w[2], c[2]) - omega - h * printed.complex_omega(c0, omega, w[2], c[2])[0]]
 
 
 def stereographic(draws: Draws) -> Sequence[Any]:
@@ -97,7 +124,7 @@ def _conserves(letter: str, invariant: str, symbol: str, where: str) -> Claim:
         f"Bohlin's method with ({letter.upper()}) keeps {symbol} exactly.",
         f"{SECTION}, {where}",
         CONSERVED,
-        scene.code,
+        scene.code + AND_VARIED,
         partial(conserved, scene, invariant),
     )
 
@@ -127,6 +154,30 @@ CLAIMS = (
         "rational test of the printed equation",
         partial(linear_in_new, rotation_residual, 3),
     ),
+    Claim(
+        "method-b-explicit",
+        "(B) with Euler's rule is explicit.",
+        f"{SECTION}, title and (B)",
+        LINEAR,
+        "rational test of z' = z + h (i/2)(ω - 2ω₃z - ω*z²)",
+        partial(linear_in_new, method_b, 2),
+    ),
+    Claim(
+        "method-c-explicit",
+        "(C) is explicit.",
+        f"{SECTION}, title and (C)",
+        LINEAR,
+        "rational test of the printed equation",
+        partial(linear_in_new, method_c, 3),
+    ),
+    Claim(
+        "bohlin-explicit",
+        "Bohlin's equation has a known right-hand side: it is explicit up to a square root.",
+        f"{SECTION}, title and (2)",
+        LINEAR,
+        "rational test of the printed equation, for the unknown (ω₁' + iω₂')²",
+        partial(linear_in_new, bohlin_square, 2),
+    ),
     _formula("stereographic", "The formulas of (B) map z to the sphere and back.", "(B)", stereographic),
     _formula("stereographic-rate", "In z, (K2) is dz/dt = (i/2)(ω - 2ω₃z - ω*z²).", "(B)", stereographic_rate),
     _formula("bohlin-kepler", "w² = z relates Hooke's motion with Kepler's.", "Bohlin's method", kepler),
@@ -140,37 +191,42 @@ CLAIMS = (
         "Bohlin's method for ω has time reversal symmetry.",
         f"{SECTION}, end of (2)",
         EXCHANGE,
-        f"{_scene('a').with_sets('N=1').code}, states exchanged and h reversed in the printed equation",
+        f"{_scene('a').with_sets('N=1').code}, states exchanged and h reversed in the printed equation{AND_VARIED}",
         partial(exchanged, _scene("a").with_sets("N=1"), "bohlin"),
     ),
     Claim(
+        "trapezoidal",
+        "(Kxi) can be integrated for small h by the trapezoidal rule (to second order).",
+        f"{SECTION}, (2)",
+        EQUATION_ORDER,
+        "the equation for ξ along the reference from a generic state, at h = 0.02, 0.01, 0.005",
+        partial(equation_order, trapezoidal, 2),
+    ),
+    Claim(
+        "bohlin-angle",
+        "Both solutions of w² = z have angles φ = Φ/2 mod 2π.",
+        f"{SECTION}, solution of w² = z",
+        ANGLES,
+        "both roots of 50 random z, Φ by atan2; corrected to mod π",
+        partial(both_roots, 0.5, 2.0 * math.pi, math.pi),
+    ),
+    _formula("direct", "(direct) is Euler's rule for the equation of ω.", "(direct)", euler_rule),
+    Claim(
+        "branch-by-sign-fig2",
+        "The sign of the argument chooses the right root (in the run of Figure 2).",
+        f"{SECTION}, after (direct)",
+        ROOTS,
+        "`kowalevski_bohlin_a` with `branch: sign`",
+        partial(wrong_roots, FIGURE_2),
+        slow=True,
+    ),
+    Claim(
         "branch-by-sign",
-        "The sign of the argument is sufficient to choose the root.",
+        "The sign of the argument is sufficient to choose the root (for any orbit).",
         f"{SECTION}, after (direct)",
         ROOTS,
         "200 random orbits of `kowalevski_bohlin_a` at E = 5 with `branch: sign`, h = 0.05, N = 2000",
-        partial(wrong_roots, "kowalevski_bohlin_a", BY_SIGN),
+        partial(wrong_roots, BY_SIGN, next_to_axis(0.001)),
         slow=True,
-    ),
-    Claim(
-        "abc-quality",
-        "(A), (B), (C) have almost the same quality (E and 2ℓ).",
-        f"{SECTION}, after Figure 2",
-        QUALITY,
-        "`kowalevski_bohlin_a`, `_b`, `_c` from a generic state: deviations of E and 2ℓ",
-        partial(
-            same_quality,
-            tuple(Scene(f"kowalevski_bohlin_{letter}", GENERIC) for letter in LETTERS),
-            ["energy", "two_l"],
-        ),
-        slow=True,
-    ),
-    Claim(
-        "abc-complete",
-        "(A), (B), (C) have almost the same quality (a run from γ₃ = -1).",
-        f"{SECTION}, after Figure 2",
-        COMPLETE,
-        "`kowalevski_bohlin_a`, `_b`, `_c` from γ₃ = -1; (B) with one coordinate, `chart: single`",
-        partial(complete, tuple(Scene(f"kowalevski_bohlin_{letter}", (*sets, *SOUTH)) for letter, sets in CHARTS)),
     ),
 )
