@@ -20,7 +20,7 @@ from topcli.pages.svg import svg_of
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
 from topcli.studies.compare import Comparison
-from topcli.studies.compare_table import comparison_table
+from topcli.studies.compare_table import comparison_table, reference_note
 from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
 from topcli.studies.report import number
 
@@ -65,10 +65,7 @@ def _compared(chapter: Chapter, figures: dict[str, Any]) -> Table:
     chapter.good = not bad
     chapter.state = "completed" if chapter.good else f"{len(bad)} failed"
     chapter.message = "; ".join(f"{one['label']}: {one['message']}" for one in bad)
-    return Table("Comparison", header, lines, _REFERENCE if "reference" in figures else "")
-
-
-_REFERENCE = "Errors are norms of the difference of states from a Taylor reference in double-double arithmetic."
+    return Table("Comparison", header, lines, reference_note(figures))
 
 
 def _completed(scheme: Mapping[str, Any]) -> bool:

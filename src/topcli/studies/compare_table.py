@@ -19,10 +19,14 @@ def comparison_table(figures: dict[str, Any]) -> tuple[str, list[str], list[list
         lines = [*_step_lines(schemes), *_ensemble_lines(figures, _reversal_label(schemes))]
     else:
         title += f", precision {config['precision']}" if "precision" in config else ""
-        if figures["reference"]["kind"] != "taylor":
-            title += f", errors from the {figures['reference']['method']}"
         lines = _lines(figures)
     return title, ["", *map(entry_label, schemes)], lines
+
+
+def reference_note(figures: dict[str, Any]) -> str:
+    """Sentence on the reference of the errors of a comparison; empty if it has no errors."""
+    found = figures["reference"]
+    return f"Errors are norms of the difference of states from the {found['method']}." if found else ""
 
 
 def _top_title(config: dict[str, Any]) -> str:
