@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome, Sampler
 from topcli.engine.loop import nanoseconds_per_step
+from topcli.engine.precise.numbers import MAX_DIGITS
 from topcli.store.envelope import thinned
 from topcli.store.provenance import environment
 from topcli.store.study import write_study
@@ -24,6 +25,9 @@ from topcli.studies.entries import Entry, few_rows, read_entries
 from topcli.studies.measures.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
+
+if TYPE_CHECKING:
+    from topcli.engine.precise.loop import PreciseRun
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,15 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
     return figures
 
 
+def _unlimited(experiment: Experiment) -> PreciseRun | None:
+    """Run of an experiment in its precision; None for double. Its limit of digits leaves room for single steps."""
+    if experiment.exact is None:
+        return None
+    from topcli.studies.precise import precise_run
+
+    return precise_run(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
+
+
 def _figures(
     entry: Entry,
     method: Method,
@@ -90,7 +103,7 @@ def _figures(
     nanoseconds: float,
 ) -> dict[str, Any]:
     experiment, top = entry.experiment, entry.experiment.top
-    back = reversal(top, method, probes, experiment.h)
+    back = reversal(top, method, probes, experiment.h, _unlimited(experiment))
     reached_end = trajectory.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
     return {
         **settings(entry),
