@@ -386,9 +386,9 @@ def test_wrong_commands_are_named(cli: Callable[..., Any], arguments: tuple[str,
     [
         ("--x h --y eror.max", "--y: unknown measure 'eror.max'; did you mean 'error.max'?"),
         ("--x hh --y error.max", "--x: unknown key 'hh'; did you mean 'h'?"),
-        ("--x h --y error.max --by shceme", "--by: unknown key 'shceme'; did you mean 'scheme'?"),
+        ("--x h --y error.max --by shceme", "--by: unknown key 'shceme'; did you mean 'scheme' or 'seed'?"),
         ("--x h --y scheme --colour erro.max", "--colour: unknown measure 'erro.max'; did you mean 'error.max'?"),
-        ("--x h --y error.max --where shceme=hk", "--where: unknown key 'shceme'; did you mean 'scheme'?"),
+        ("--x h --y error.max --where shceme=hk", "--where: unknown key 'shceme'; did you mean 'scheme' or 'seed'?"),
     ],
 )
 def test_a_misspelt_name_is_named_and_not_the_sweep(
