@@ -233,7 +233,7 @@ def list_runs(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List the runs in a folder, unfinished and damaged ones included.
+    """List the runs in a folder, also unfinished or damaged ones.
 
     A run that another process is computing is running; one whose process ended before it is killed. A resumable run
     continues with topcli run NAME --resume.
