@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -50,15 +50,6 @@ class Row(NamedTuple):
     def recorded(self) -> int:
         """Number of recorded states."""
         return self.N // self.every + 1
-
-    def drawn(self, names: Sequence[str]) -> tuple[float | None, ...]:
-        """Values of ``names``, which ``Sweep.drawn`` gives; None for one that the top of this row does not have."""
-        if not names:
-            return ()
-        parameters = json.loads(self.top) if any(name.startswith("top.") for name in names) else {}
-        state = dict(zip(TOPS[self.form].components, self.initial, strict=True))
-        of = {"initial": state, "top": parameters}
-        return tuple([of[section].get(name) for section, _, name in (name.partition(".") for name in names)])
 
     def config(self, name: str) -> dict[str, Any]:
         """Return the row as a complete config."""

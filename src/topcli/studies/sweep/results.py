@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from topcli.config.sweep.document import Sweep
-from topcli.config.sweep.rows import RowReader
+from topcli.config.sweep.rows import Row, RowReader
 from topcli.store.manifest import MANIFEST, SWEEP, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import write_whole
 from topcli.studies.rows import METADATA, ROWS
 from topcli.studies.sweep.journal import Index, Journal
 from topcli.studies.sweep.plan import DONE, REPEATED, Plan
+from topcli.tops import TOPS
 
 ROW_GROUP = 1 << 14
 DRAWN = "drawn."
@@ -77,12 +78,21 @@ def _current(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
     for row in RowReader(sweep, labels_only=True).rows():
         if plan.status[row.number] in (DONE, REPEATED):
             numbers.append(row.number)
-            keys.append((*row.keys, *row.drawn(sweep.drawn)))
+            keys.append((*row.keys, *_drawn(row, sweep.drawn)))
         if len(numbers) == ROW_GROUP:
             yield _gathered(plan, journal, index, numbers, keys)
             numbers, keys = [], []
     if numbers:
         yield _gathered(plan, journal, index, numbers, keys)
+
+
+def _drawn(row: Row, names: Sequence[str]) -> tuple[float | None, ...]:
+    """Values of ``names``, which ``Sweep.drawn`` gives, in a row; None for one that its top does not have."""
+    if not names:
+        return ()
+    state = dict(zip(TOPS[row.form].components, row.initial, strict=True))
+    of = {"initial": state, "top": json.loads(row.top)}
+    return tuple([of[section].get(name) for section, _, name in (name.partition(".") for name in names)])
 
 
 def _gathered(
