@@ -56,7 +56,10 @@ def _cell(value: object) -> str:
 
 @list_app.command(cls=Command, name="tops")
 def list_tops(as_json: Json = False) -> None:
-    """List the tops with their parameters and invariants."""
+    """List the tops with their parameters and invariants.
+
+    The parameters are keys of a config. A step does not get them, but p, the constants of the equations of motion.
+    """
     from topcli.tops import TOPS
 
     items = [
@@ -65,6 +68,7 @@ def list_tops(as_json: Json = False) -> None:
             "form": top.form,
             "title": top.title,
             "parameters": {name: field.default for name, field in top.model_fields.items()},
+            "step_p": list(top.step_constants),
             "components": list(top.components),
             "invariants": [invariant.name for invariant in top.new().invariants()],
             "citation": top.citation,
@@ -75,7 +79,7 @@ def list_tops(as_json: Json = False) -> None:
         {**item, "top": item["form"], "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]}
         for item in items
     ]
-    _print_list("tops", items if as_json else shown, ["top", "title", "parameters", "invariants"], as_json)
+    _print_list("tops", items if as_json else shown, ["top", "title", "parameters", "step_p", "invariants"], as_json)
 
 
 @list_app.command(cls=Command, name="schemes")
