@@ -276,6 +276,9 @@ def top_page(top: type[Top]) -> Page:
     ]
     if rows := keys_of(top):
         lines += ["## Parameters", "", *table(("parameter", "type", "default", "meaning"), rows)]
+    if top.step_constants:
+        constants = ", ".join(f"`{one}`" for one in top.step_constants)
+        lines += [f"A step gets the constants of the equations of motion, p = ({constants}).", ""]
     lines += [
         "## Integrals",
         "",

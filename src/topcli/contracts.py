@@ -121,6 +121,9 @@ class Top(BaseModel):
     energy: ClassVar[str] = "energy"
     """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
     ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
+    step_constants: ClassVar[tuple[str, ...]] = ()
+    """Each number of ``constants``, the last argument ``p`` of a step, as the name of a parameter or a formula of
+    parameters such as "c = c0/C"; for people."""
     in_space: ClassVar[bool] = False
     """True if the state is given in the frame fixed in space, as angular momentum and axis, not in the body's frame."""
     swing: ClassVar[str]

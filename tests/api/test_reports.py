@@ -180,6 +180,23 @@ def test_changes_name_the_run_by_its_digest(out: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_failed_run_is_repeated_only_on_request(tmp_path: Path) -> None:
+    fails = {**CONFIG, "name": "fails", "scheme": "rk4", "initial": {"omega": [300, 200, 100], "gamma": [1, 0, 0]}}
+    many = {**fails, "name": "many", "ensemble": {"states": [{"omega": [300, 200, 100]}]}}
+    for config in ({**fails, "h": 0.05}, {**many, "h": 0.05}):
+        assert topcli.run(config, tmp_path).outcome.value == "blew_up"
+        again = [topcli.run(config, tmp_path, retry_failed=retry).status for retry in (False, True)]
+        assert again == ["up to date", "ran"]
+
+
+def test_the_interval_of_checkpoints_reaches_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: set[float] = set()
+    monkeypatch.setattr("topcli.studies.resume.Checkpoints.consider", lambda self, *chunk: seen.add(self.seconds))
+    topcli.run(CONFIG, tmp_path)
+    topcli.run(CONFIG, tmp_path, checkpoint_every=0.25, force=True)
+    assert seen == {10.0, 0.25}
+
+
 def test_plot_of_a_run_is_its_last_vector_or_the_chosen_columns(run: RunReport) -> None:
     lines = drawn(run.plot(Figure().add_subplot()))
     assert list(lines) == [r"$\gamma_1$", r"$\gamma_2$", r"$\gamma_3$"]

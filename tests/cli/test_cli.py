@@ -335,6 +335,30 @@ def test_dry_run_refuses_what_run_refuses(cli) -> None:
     assert "the existing different run is renamed" in cli("run", HK, "--dry-run", "--force").out
 
 
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        (("h=0.1",), ["h: 0.001 there, 0.1 here"]),
+        (("scheme=hybrid", "h=0.002"), ["scheme.name: hk there, hybrid here", "h: 0.001 there, 0.002 here"]),
+        (("top.c0=2",), ["top.c0: 1.0 there, 2.0 here"]),
+        (("output.every=5",), ["output.every: 1 there, 5 here"]),
+        (("ensemble.random={count: 2, gamma: sphere}",), ["ensemble.random.count: nothing there, 2 here"]),
+    ],
+)
+def test_another_experiment_of_a_name_is_told_by_the_keys_that_differ(cli, changed, named) -> None:
+    words = ("run", HK, "--name", "same", "--set", "N=50", "--quiet")
+    assert cli(*words).code == 0
+    said = cli(*words, *(word for text in changed for word in ("--set", text)))
+    assert said.code == 2
+    first, advice = said.err.splitlines()
+    assert first.startswith("error: results/same: holds a different experiment (")
+    assert first.endswith("); nothing was written")
+    for text in named:
+        assert text in first
+    assert "digest" not in first
+    assert advice.startswith("choose another name with --name")
+
+
 @pytest.mark.slow
 def test_options_reach_every_scheme_that_has_them(cli) -> None:
     said = cli("compare", "hk", "hybrid", "bohlin-a", "--set", "scheme.branch=sign", "--set", "N=100", "--json")

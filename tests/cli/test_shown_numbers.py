@@ -70,6 +70,8 @@ def test_compare_shows_what_it_measured(
     if config == "kowalevski_hk":
         assert schemes[-1]["setup_seconds"] is not None
         line("set-up, s", lambda s: s["setup_seconds"])
+    (note,) = next(lines)
+    assert note.endswith(f" from the {found['reference']['method']}.")
     assert next(lines, None) is None
 
 

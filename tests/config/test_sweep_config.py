@@ -273,6 +273,7 @@ def test_the_centre_of_a_drawn_vector_may_vary() -> None:
     found = rows(random={"count": 2, "omega": {"near": 0.1}}, grid={"initial.omega": [[2, 0, 0], [0, 2, 0]]})
     for row, centre in zip(found, [(2, 0, 0)] * 2 + [(0, 2, 0)] * 2, strict=True):
         assert 0.0 < math.dist(row.initial[:3], centre) < 0.1
+        assert json.loads(row.keys[0]) == list(centre), "the key is the centre, so that rows of one centre agree"
 
 
 def test_drawn_values_have_the_asked_distribution() -> None:

@@ -163,7 +163,7 @@ def test_folders_that_do_not_exist_are_refused(cli, in_tmp: Path) -> None:
         assert (said.code, said.out) == (2, "")
         assert said.err == f"error: {option} nowhere: no such folder\n"
     said = cli("list", "runs")
-    assert (said.code, said.err) == (0, "no finished runs in results\n")
+    assert (said.code, said.err) == (0, "no runs in results\n")
     assert list(in_tmp.iterdir()) == []
 
 

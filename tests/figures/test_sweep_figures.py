@@ -28,6 +28,7 @@ from topcli.figures.order import loaded_order
 from topcli.figures.picture import draw
 from topcli.figures.sweep import Choice, scale_of, sweep_figure, sweep_notes
 from topcli.studies.rows import read_rows
+from topcli.studies.sweep.run import SWEEP_FILE
 
 NAN = math.nan
 SCHEMES = {"hk": 2.0, "rk4": 4.0, "bohlin-a": 1.0}
@@ -378,6 +379,25 @@ def test_wrong_commands_are_named(cli: Callable[..., Any], arguments: tuple[str,
     said = cli("plot", *arguments)
     assert (said.code, said.out) == (2, "")
     assert message in said.err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--x h --y eror.max", "--y: unknown measure 'eror.max'; did you mean 'error.max'?"),
+        ("--x hh --y error.max", "--x: unknown key 'hh'; did you mean 'h'?"),
+        ("--x h --y error.max --by shceme", "--by: unknown key 'shceme'; did you mean 'scheme' or 'seed'?"),
+        ("--x h --y scheme --colour erro.max", "--colour: unknown measure 'erro.max'; did you mean 'error.max'?"),
+        ("--x h --y error.max --where shceme=hk", "--where: unknown key 'shceme'; did you mean 'scheme' or 'seed'?"),
+    ],
+)
+def test_a_misspelt_name_is_named_and_not_the_sweep(
+    cli: Callable[..., Any], folder: Path, options: str, message: str
+) -> None:
+    (folder / SWEEP_FILE).write_text("")  # as the folder of a sweep, which given as a figure would need a hint
+    assert "is a sweep, not a figure" in cli("plot", str(folder)).err
+    said = cli("plot", "sweep", str(folder), *options.split())
+    assert (said.code, said.out, said.err) == (2, "", f"error: {message}\n")
 
 
 def test_keys_and_measures_are_listed_if_none_is_given(cli: Callable[..., Any], folder: Path) -> None:

@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import topcli
 from reading_html import Element, read_html, section_of
 from stored_results import (
+    BASE,
     store_comparison,
     store_ensemble,
     store_euler,
@@ -104,6 +106,50 @@ def test_config_provenance_and_citation_are_those_of_the_manifest(results: Path)
     assert f"version {manifest['environment']['topcli']}" in cited
     assert "Kowalevski 1889" in cited
     assert "Hirota, Kimura 2000" in cited
+
+
+def cited(results: Path, place: str) -> list[str]:
+    """Tops and schemes whose sources the page of a result gives, without the program and the paper."""
+    page = shown(results, place)
+    assert not page.with_class("missing")
+    return [text.partition(":")[0] for text in texts(section_of(page, "Citation"))[2:]]
+
+
+TWO_TOPS = {
+    "name": "tops",
+    "base": {"h": 0.1, "N": 8, "initial": {"omega": [0.3, 0.4, 1.5], "gamma": [0.6, 0, 0.8]}},
+    "grid": {"top": ["kowalevski", {"kind": "heavy", "A": 1.5, "B": 1.2}], "scheme": ["rk4", {"name": "hk"}]},
+    "measure": ["deviation.energy"],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_every_scheme_and_top_that_took_part_is_cited(results: Path, tmp_path: Path) -> None:
+    """And no other: the scheme of the config, which was not compared, is not."""
+    config = {**BASE, "N": 20, "scheme": "rk2"}
+    topcli.compare("hk", "hk:h=0.02", "hybrid:branch=sign", "hk+suzuki4", config=config).save(tmp_path / "four.json")
+    assert cited(tmp_path, "four.json") == ["kowalevski top", "scheme hk", "scheme hybrid", "scheme hk+suzuki4"]
+    many = {**config, "ensemble": {"random": {"count": 2, "gamma": "sphere"}}}
+    topcli.compare("rk4", config=many, reference="exact", progress=False).save(tmp_path / "many.json")
+    assert cited(tmp_path, "many.json") == ["kowalevski top", "scheme rk4", "scheme exact"]
+    topcli.sweep(TWO_TOPS, tmp_path)
+    assert set(cited(tmp_path, "tops")) == {"kowalevski top", "heavy top", "scheme rk4", "scheme hk"}
+    citations = texts(section_of(shown(tmp_path, "tops"), "Citation"))
+    assert sum(text.startswith("scheme hk: ") for text in citations) == 2, "HK of each top has its own source"
+    assert cited(results, "order.json") == ["euler top", "scheme hk", "scheme rk4"]
+    assert cited(results, "stress.json") == ["kowalevski top", "scheme hk", "scheme dg4"]
+    assert cited(results, "many") == ["kowalevski top", "scheme hk"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_a_scheme_that_is_not_here_is_named_without_a_source(copied: Path) -> None:
+    path = copied / "compared.json"
+    path.write_text(path.read_text().replace('"scheme": "hybrid"', '"scheme": "elsewhere"'))
+    assert "scheme elsewhere: its source is unknown to this topcli" in texts(
+        section_of(shown(copied, "compared.json"), "Citation")
+    )
 
 
 def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -229,16 +227,3 @@ def test_a_state_of_a_closed_form_and_its_set_up_have_their_times() -> None:
 def test_a_reference_that_there_is_not(config: str, reference: str, words: str) -> None:
     with pytest.raises(UsageError, match=re.escape(words)):
         compare_schemes(load_experiment(config, ["N=10"]), ["hk"], reference=reference)
-
-
-@pytest.mark.slow
-def test_the_reference_is_named_above_the_table(cli: Callable[..., Any]) -> None:
-    command = ("compare", "hk", "exact", "--set", "N=200")
-    assert "errors from" not in cli(*command).out
-    assert cli(*command, "--reference", "exact").out.startswith(
-        "kowalevski_hk: Kowalevski top (A = B = 2C, centre of gravity on the first axis), h = 0.001, N = 200, "
-        "errors from the closed form (scheme exact)\n"
-    )
-    refused = cli("compare", "hk", "--config", "kowalevski_ensemble", "--reference", "exact")
-    assert refused.code == 2
-    assert "chooses the reference of one trajectory" in refused.err

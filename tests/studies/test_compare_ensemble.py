@@ -145,6 +145,7 @@ def test_every_line_of_the_table_shows_its_measure(cli: Any) -> None:
             assert line.startswith("  trajectories with a value ")
             assert line.split()[-2:] == ["–" if one is None else str(one["count"]) for one in each]
     assert next(lines).startswith("ns per step, all threads ")
+    assert next(lines).startswith("Errors are norms ")
     assert next(lines, None) is None
 
 
@@ -170,10 +171,10 @@ def test_a_value_that_is_missing_is_explained(cli: Any, monkeypatch: pytest.Monk
 
     original = SharedReferences.states
 
-    def fails(self: Any, top: Any, scheme: Any, y0: np.ndarray, h: float, n: np.ndarray) -> np.ndarray:
+    def fails(self: Any, top: Any, kind: str, y0: np.ndarray, h: float, n: np.ndarray) -> np.ndarray:
         if y0[0] == 0.5:
             raise RunError("the motion cannot be followed")
-        return original(self, top, scheme, y0, h, n)
+        return original(self, top, kind, y0, h, n)
 
     monkeypatch.setattr(SharedReferences, "states", fails)
     monkeypatch.setattr(module, "batch_size", lambda experiment, measures: 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 import topcli
 from conftest import ROOT, random_states
+from resuming import after
 from topcli.analysis.drift import invariant_report
 from topcli.analysis.many import MEASURES, quantiles
 from topcli.config.ensemble import EnsembleExperiment
@@ -118,12 +120,53 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeyp
             assert table[f"{one.name}_rms_deviation"][i] == pytest.approx(one.rms_deviation, rel=1e-9, abs=0.0)
             last = invariant.value(states[i, -1:])[0] - one.first
             assert table[f"{one.name}_final_deviation"][i] == last
+            assert table[f"{one.name}_drift"][i] == pytest.approx(one.drift, rel=1e-9, abs=0.0)
     for row in without.report["invariants"]:
         for measure in MEASURES:
             values = np.sort(np.abs(table[f"{row['name']}_{measure}"]))
             assert row[measure] == {
                 "min": values[0], "5 %": values[3], "median": values[34], "95 %": values[66], "max": values[-1]
             }  # fmt: skip
+
+
+def test_a_drift_needs_all_rows_and_eight_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A trajectory that blew up has none, and its neighbours have theirs; nor has one of seven rows, or one stopped."""
+    table = columns(run(tmp_path / "failing", **failing()).stored.folder / "trajectories.parquet")
+    assert np.isnan(table["energy_drift"][1::4]).all()
+    assert np.isfinite(np.delete(table["energy_drift"], range(1, 40, 4))).all()
+    for rows, known in ((7, False), (8, True)):
+        short = run(tmp_path / str(rows), N=10 * (rows - 1))
+        found = columns(short.stored.folder / "trajectories.parquet")["energy_drift"]
+        assert np.isfinite(found).all() == known
+        assert np.isnan(found).all() != known
+    monkeypatch.setattr(engine, "CHUNK_ROWS", 2)
+    stopped = run_ensemble(experiment(N=400, output={"every": 10}), tmp_path / "stopped", stop=after(12))
+    table = columns(stopped.stored.folder / "trajectories.parquet")
+    assert 80 < table["n"].min() <= table["n"].max() < 400, "more than eight rows"
+    assert np.isnan(table["energy_drift"]).all()
+
+
+DOCUMENTED = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
+
+
+@pytest.mark.parametrize("varied", [False, True])
+def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool) -> None:
+    """In the order of the page, with the names that stand for several written out."""
+    grid = {"grid": {"top.c0": [1.0, 2.0], "omega1": [0.1, 0.2]}}
+    changes = {"initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "ensemble": grid} if varied else {}
+    found = experiment(**changes)
+    table = columns(run_ensemble(found, tmp_path).stored.folder / "trajectories.parquet")
+    page = (ROOT / "docs" / "ensembles.md").read_text().split("## The table of trajectories")[1].split("\n## ")[0]
+    documented = DOCUMENTED.findall(page)
+    named = {
+        "top.PARAMETER": ["top.c0"] if varied else [],
+        "initial_COMPONENT": [f"initial_{name}" for name in found.top.components],
+    }
+    integrals = [name for name in documented if name.startswith("INVARIANT_")]
+    plain = [name for name in documented if name not in integrals]
+    wanted = [one for name in plain for one in named.get(name, [name])]
+    wanted += [name.replace("INVARIANT", one.name) for one in found.top.invariants() for name in integrals]
+    assert list(table) == wanted
 
 
 def test_the_verdict_is_that_of_single_runs() -> None:

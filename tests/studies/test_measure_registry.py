@@ -276,9 +276,8 @@ def test_threads_wait_for_a_reference_that_another_computes(monkeypatch: pytest.
     monkeypatch.setattr(references, "reference_states", slow)
     found = SharedReferences()
     top, y0, n = Kowalevski(), np.ones(6), np.arange(9)
-    assert references.closed_form(top, HK) is None  # imports what the threads would wait for
     with ThreadPoolExecutor(4) as pool:
-        states = [pool.submit(found.states, top, HK, y0, 0.5, n) for _ in range(4)]
+        states = [pool.submit(found.states, top, "taylor", y0, 0.5, n) for _ in range(4)]
         assert all(one.result().shape == (9, 6) for one in states)
     assert inside == [1]
     assert found.computed == 1
@@ -344,8 +343,8 @@ def test_the_size_of_a_batch_follows_from_its_memory() -> None:
 
 
 def test_a_closed_form_serves_only_its_own_tops() -> None:
-    assert references.closed_form(Kowalevski(), HK) is None
-    assert references.closed_form(Euler(A=3.0, B=2.0, C=1.0), EULER_HK) is not None
+    assert references.reference_kind(Kowalevski(), HK) == "taylor"
+    assert references.reference_kind(Euler(A=3.0, B=2.0, C=1.0), EULER_HK) == "exact"
     exact: Scheme = find_scheme("exact", "euler")
-    assert references.closed_form(Euler(A=3.0, B=2.0, C=1.0), exact) is None
+    assert references.reference_kind(Euler(A=3.0, B=2.0, C=1.0), exact) == "taylor"
     assert math.isfinite(max_error(free("exact", 0.1, 10)))

@@ -143,6 +143,38 @@ def test_comparison_shows_the_defects_of_the_precision() -> None:
     assert hk["k_sq"]["max_deviation"] > 1e-4
 
 
+REVERSIBLE = {"hk": True, "midpoint": True, "rk4": False}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("digits", [30, 50])
+def test_reversal_is_measured_in_the_digits_of_the_run(digits: int) -> None:
+    """In doubles the defect of a reversible scheme would be 1e-17; that of RK4 is of order 6 down to any size."""
+    scene = precise("kowalevski_generic_hk", f"precision={digits}", "h=1/1000", "N=4")
+    found = compare_schemes(scene, list(REVERSIBLE)).figures["schemes"]
+    for one, reversible in zip(found, REVERSIBLE.values(), strict=True):
+        back = one["reversal"]
+        if reversible:
+            assert back["order"] is None
+            assert max(back["defects"]) < 100.0 * 10.0**-digits
+        else:
+            assert back["order"] == pytest.approx(6.0, abs=0.01)
+            assert 1e-22 < back["defect"] < 1e-18
+            assert back["defects"][-1] / back["defect"] == pytest.approx((back["sizes"][-1] / back["h"]) ** 6, rel=0.7)
+
+
+def test_reversal_in_rational_numbers_is_exact(cli: Callable[..., Said]) -> None:
+    """Few digits are allowed for the run, and do not limit the steps that are tried."""
+    sets = ("precision=rational", "h=1/10", "N=2", "initial.gamma=[3/5, 0, 4/5]", "max_digits=200")
+    words = [word for text in sets for word in ("--set", text)]
+    lines = cli("compare", "hk", "rk2", *words).out.splitlines()
+    cells = {line.split("  ")[0]: line.split()[-2:] for line in lines}
+    order = next(line.split()[-2:] for line in lines if line.startswith("  its order in h "))
+    assert cells["reversal defect at h = 0.1"][0] == "0"
+    assert 1e-6 < float(cells["reversal defect at h = 0.1"][1]) < 1e-2
+    assert (order[0], float(order[1])) == ("exact", pytest.approx(4.0, abs=0.2))
+
+
 def test_refusals_write_nothing(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="scheme 'taylor' cannot compute with 50 digits"):
         run_experiment(precise("euler_taylor", "precision=50"), tmp_path / "out")

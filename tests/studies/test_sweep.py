@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import topcli
 from sweeping import BASE, DATA, MANY, sweep, table, with_grid, without_origin
 from topcli.config.load import experiment_from
 from topcli.config.sweep.document import sweep_from
@@ -64,6 +65,34 @@ def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
     ]
     assert all(row["current"] and row["message"].startswith("completed 60 steps") for row in rows)
     assert json.loads((tmp_path / "study" / "manifest.json").read_text())["rows"] == 4
+
+
+def test_rows_hold_the_states_and_parameters_that_were_drawn(tmp_path: Path) -> None:
+    """A run from the columns of a row alone, as its reader would make it, has the row's deviation of the energy."""
+    drawn = {
+        "random": {"count": 3, "seed": 5, "omega": {"near": 0.5}, "gamma": "sphere", "top.c0": {"from": 1, "to": 2}}
+    }
+    data = {**DATA, **drawn, "grid": {"scheme": ["hk", "rk4"]}}
+    sweep(tmp_path, data)
+    rows = table(tmp_path)
+    names = [
+        "drawn." + name for name in ("top.c0", *(f"initial.{v}{i}" for v in ("omega", "gamma") for i in (1, 2, 3)))
+    ]
+    assert sorted(name for name in rows[0] if name.startswith("drawn")) == sorted(names)
+    assert len({tuple(row[name] for name in names) for row in rows}) == 3, "schemes share their states"
+    for row in rows:
+        omega, gamma = ([row[f"drawn.initial.{vector}{i}"] for i in (1, 2, 3)] for vector in ("omega", "gamma"))
+        top = {"kind": "kowalevski", "c0": row["drawn.top.c0"]}
+        run = topcli.simulate(
+            top=top, initial={"omega": omega, "gamma": gamma}, scheme=row["scheme"], h=BASE["h"], N=BASE["N"]
+        )
+        assert row["deviation.energy"] == np.abs(run["energy"] - run["energy"][0]).max()
+    sweep(tmp_path, {**data, "grid": {"scheme": ["rk4"]}})
+    again = table(tmp_path)
+    assert [[row[name] for name in names] for row in again if row["current"]] == [
+        [row[name] for name in names] for row in rows if row["scheme"] == "rk4"
+    ]
+    assert {row[name] for row in again if not row["current"] for name in names} == {None}
 
 
 def test_finished_rows_never_run_again(tmp_path: Path) -> None:
@@ -241,7 +270,7 @@ def test_a_row_does_not_depend_on_the_rest_of_the_sweep(tmp_path: Path) -> None:
         }
         sweep(tmp_path / str(number), one)
         alone += [
-            {key: row[key] for key in without_origin(rows)[0] if key != "sample"}
+            {key: row[key] for key in without_origin(rows)[0] if key != "sample" and not key.startswith("drawn.")}
             for row in table(tmp_path / str(number))
         ]
     wanted = [{key: rows[number][key] for key in alone[0]} for number in (0, 57, 130, 159)]

@@ -132,7 +132,7 @@ class Ensemble:
         return made
 
     def trajectories(self) -> pd.DataFrame:
-        """Return one row per trajectory: varied parameters, initial state, outcome, deviations of the invariants."""
+        """Return one row per trajectory: varied parameters, initial state, outcome, deviations and drifts."""
         import pandas as pd
 
         return pd.DataFrame(self.table).set_index("trajectory")

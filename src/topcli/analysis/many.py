@@ -1,8 +1,8 @@
 """Deviations of the invariants of each trajectory of an ensemble, accumulated piece by piece.
 
 They are, for every trajectory and invariant: the first value; the largest and the root mean square deviation from it
-over the recorded rows; the deviation at the end; and a flag for a largest deviation within the round-off bound of
-``analysis.drift``. The memory does not depend on the number of steps.
+over the recorded rows; the deviation at the end; its drift; and a flag for a largest deviation within the round-off
+bound of ``analysis.drift``. The memory does not depend on the number of steps.
 """
 
 from __future__ import annotations
@@ -163,6 +163,11 @@ class EnsembleTally:
         return (self.max_deviation <= bound) & np.isfinite(bound) & (steps > 0)
 
     @property
+    def rows(self) -> NDArray[np.int64]:
+        """Number of recorded rows of each trajectory."""
+        return self._rows
+
+    @property
     def begun(self) -> NDArray[np.bool_]:
         """True for each trajectory with at least one row."""
         return self._rows > 0
@@ -173,9 +178,13 @@ class EnsembleTally:
         return self._steps > 0
 
 
-def measure_columns(tally: EnsembleTally) -> dict[str, Array]:
-    """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation`` and ``_final_deviation``, each (trajectories,)."""
+def measure_columns(tally: EnsembleTally, n: NDArray[np.int64], h: float) -> dict[str, Array]:
+    """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation``, ``_final_deviation``, ``_drift`` (trajectories,).
+
+    ``n`` (m,) are the recorded step numbers of a whole trajectory. One that lacks some of them has no drift, but nan.
+    """
     figures = {name: getattr(tally, name) for name in ("first", *MEASURES)}
+    figures["drift"] = np.where(tally.rows == len(n), tally.slopes(n, h), np.nan)
     return {
         f"{invariant.name}_{name}": values[i]
         for i, invariant in enumerate(tally.invariants)

@@ -5,15 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.contracts import Array, Method, Sampler, Stepper, Top
 from topcli.engine.driver import Loop, loop_of, plain_loop
 
+if TYPE_CHECKING:
+    from topcli.engine.precise.loop import PreciseRun
+
 PROBES = 16
 """States along a run from which its reversal is tried."""
-ROUND_OFF = 64.0 * float(np.finfo(np.float64).eps)
+ROUND_OFF_ULPS = 64.0
+ROUND_OFF = ROUND_OFF_ULPS * float(np.finfo(np.float64).eps)
 PLATEAU = 1e-6
 """Errors above this one are not taken for round-off."""
 ABOVE = 32.0
@@ -147,7 +154,8 @@ def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
 class Reversal:
     """Result of one step forward and one back: the ``defect`` at ``h``, and its ``order`` in h.
 
-    ``order`` is None if the defect is round-off at every step size tried: the scheme is self-adjoint there.
+    ``order`` is None if the defect is round-off at every step size tried, or zero in rational numbers: the scheme is
+    self-adjoint there.
     """
 
     h: float
@@ -169,11 +177,24 @@ def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: flo
 
     Infinite if one of the steps fails.
     """
-    d = len(y)
     p = np.array(top.constants())
-    loop = _interpreted(method, d, len(p))
-    there, back, work = np.empty(d), np.empty(d), np.zeros(loop.width)
-    start = np.array(y, dtype=np.float64)
+    return _back_and_forth(_interpreted(method, len(y), len(p)), p, np.array(y, dtype=np.float64), h)
+
+
+def precise_back_and_forth(run: PreciseRun, y: Array, factor: float) -> float:
+    """Defect of a step of ``factor`` times |h| of ``run`` and one back, computed in the arithmetic of the run.
+
+    ``y`` and ``factor`` are taken as exact numbers.
+    """
+    arithmetic = run.arithmetic
+    with arithmetic.active():
+        start = np.array([arithmetic.number(Fraction(float(x))) for x in y], dtype=np.object_)
+        return _back_and_forth(run.loop, None, start, abs(run.h) * arithmetic.number(Fraction(factor)))
+
+
+def _back_and_forth(loop: Loop, p: Array | None, start: NDArray[Any], h: Any) -> float:
+    """Largest component of the difference after one step with h and one with -h; infinite if one of them fails."""
+    there, back, work = np.empty_like(start), np.empty_like(start), np.zeros(loop.width, dtype=start.dtype)
     try:
         with np.errstate(all="ignore"):
             for begin, end, step in ((start, there, h), (there, back, -h)):
@@ -191,24 +212,33 @@ def probe_rows(rows: int) -> slice:
     return slice(0, min(rows, PROBES * stride), stride)
 
 
-def reversal(top: Top, method: Method, states: Array, h: float) -> Reversal:
+def reversal(top: Top, method: Method, states: Array, h: float, precise: PreciseRun | None = None) -> Reversal:
     """Reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
 
     The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may be
-    below round-off. Of a closed form that is set up anew for each state, two of the states are tried.
+    below round-off. Of a closed form that is set up anew for each state, two of the states are tried. For a ``precise``
+    run of the method, all steps are taken in its arithmetic.
     """
     if isinstance(method, Sampler) and method.setup is not None:
         states = states[:: max(1, len(states) // 2)][:2]
-    sizes = [abs(h)]
-    while 2.0 * sizes[-1] <= 0.4:
-        sizes.append(2.0 * sizes[-1])
-    while len(sizes) < 4:
-        sizes.insert(0, 0.5 * sizes[0])
-    defects = [max(one_step_back_and_forth(top, method, y, size) for y in states) for size in sizes]
-    floor = ROUND_OFF * max(1.0, float(np.abs(states).max()))
+    factors = [1.0]
+    while 2.0 * factors[-1] * abs(h) <= 0.4:
+        factors.append(2.0 * factors[-1])
+    while len(factors) < 4:
+        factors.insert(0, 0.5 * factors[0])
+
+    def defect(y: Array, factor: float) -> float:
+        if precise is not None:
+            return precise_back_and_forth(precise, y, factor)
+        return one_step_back_and_forth(top, method, y.tolist(), factor * abs(h))
+
+    sizes = [factor * abs(h) for factor in factors]
+    defects = [max(defect(y, factor) for y in states) for factor in factors]
+    eps = precise.arithmetic.eps if precise else float(np.finfo(np.float64).eps)
+    floor = ROUND_OFF_ULPS * eps * max(1.0, float(np.abs(states).max()))
     return Reversal(
         h=abs(h),
-        defect=defects[sizes.index(abs(h))],
+        defect=defects[factors.index(1.0)],
         order=observed_order(sizes, defects, floor),
         sizes=tuple(sizes),
         defects=tuple(defects),

@@ -136,6 +136,7 @@ def compare(
     config: str | Path | Mapping[str, Any] = PAPER_SCENE,
     overrides: Sequence[str] = (),
     options: Mapping[str, Any] | None = None,
+    reference: str = "taylor",
     progress: bool = True,
     **changes: Any,
 ) -> ComparisonReport:
@@ -152,6 +153,8 @@ def compare(
         Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
     options : mapping, optional
         Options for all schemes that have them.
+    reference : {"taylor", "exact"}, optional
+        Reference of the errors: a Taylor series in double-double arithmetic, or the closed form of the top.
     progress : bool, optional
         False to show no progress bar for an ensemble.
     **changes
@@ -160,15 +163,16 @@ def compare(
     Returns
     -------
     ComparisonReport
-        Figures of each entry. Errors are Euclidean norms of the difference of states from a Taylor reference in
-        double-double arithmetic.
+        Figures of each entry. Errors are Euclidean norms of the difference of states from the reference, which
+        ``figures["reference"]`` names.
 
     Raises
     ------
     ConfigError
         If the config has a fault.
     UsageError
-        For unknown schemes or options, and for steps without common times.
+        For unknown schemes or options, for steps without common times, and for a closed form that the top does not
+        have.
 
     Examples
     --------
@@ -190,9 +194,9 @@ def compare(
     else:
         experiment = load_any(config, overrides, changes)
     if isinstance(experiment, Experiment):
-        found = compare_schemes(experiment, entries, options)
+        found = compare_schemes(experiment, entries, options, reference)
         return ComparisonReport(found.figures, found.series)
     from topcli.studies.compare_ensemble import compare_ensemble
 
     with Progress(experiment.name, progress) as bar:
-        return ComparisonReport(compare_ensemble(experiment, entries, options, bar))
+        return ComparisonReport(compare_ensemble(experiment, entries, options, bar, reference))

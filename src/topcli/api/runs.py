@@ -17,6 +17,7 @@ from topcli.config.load import any_from, load_changed
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
+from topcli.studies.resume import CHECKPOINT_SECONDS
 from topcli.studies.run import Feedback, RunResult, run_experiment
 
 if TYPE_CHECKING:
@@ -166,6 +167,8 @@ def run(
     overrides: Sequence[str] = (),
     force: bool = False,
     resume: bool = False,
+    retry_failed: bool = False,
+    checkpoint_every: float = CHECKPOINT_SECONDS,
     threads: int | None = None,
     progress: bool = True,
     **changes: Any,
@@ -184,6 +187,10 @@ def run(
         True to run again; an existing different run of the same name is renamed, not overwritten.
     resume : bool, optional
         True to continue an interrupted or killed run from its last checkpoint.
+    retry_failed : bool, optional
+        True to repeat a run that failed before.
+    checkpoint_every : float, optional
+        Seconds between checkpoints; 0 writes one after every chunk. An ensemble writes none.
     threads : int, optional
         Number of threads of an ensemble, which does not change the results; all CPUs by default.
     progress : bool, optional
@@ -230,5 +237,15 @@ def run(
 
             if resume:
                 raise UsageError("resume=True works for runs of one trajectory; run the ensemble again without it")
-            return RunReport(run_ensemble(found, Path(out), force=force, threads=threads, progress=bar))
-        return RunReport(run_experiment(found, Path(out), force=force, resume=resume, feedback=Feedback(bar)))
+            made = run_ensemble(found, Path(out), force=force, retry_failed=retry_failed, threads=threads, progress=bar)
+            return RunReport(made)
+        made = run_experiment(
+            found,
+            Path(out),
+            force=force,
+            resume=resume,
+            retry_failed=retry_failed,
+            checkpoint_every=checkpoint_every,
+            feedback=Feedback(bar),
+        )
+        return RunReport(made)

@@ -11,8 +11,8 @@ import typer
 from topcli.cli.files import Overwrite, require_new
 from topcli.cli.hints import compare_hint, hinting
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
-from topcli.cli.talk import ProgressDisplay, print_json, print_table, say, say_warnings
-from topcli.errors import UsageError, quoted
+from topcli.cli.talk import ProgressDisplay, emit_prose, print_json, print_table, say, say_warnings
+from topcli.errors import UsageError
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -38,7 +38,19 @@ def _scheme_options(sets: list[str]) -> tuple[dict[str, Any], list[str]]:
     return options, others
 
 
-def _warn_of_few_rows(figures: dict[str, Any]) -> None:
+def _show(figures: dict[str, Any], files: list[str], as_json: bool) -> None:
+    """Print a comparison and the ``files`` written, with a warning if it has few rows."""
+    from topcli.studies.compare_table import comparison_table, reference_note
+
+    if as_json:
+        print_json("compare", {**figures, "files": files})
+    else:
+        title, header, lines = comparison_table(figures)
+        print_table(header, lines, title)
+        if note := reference_note(figures):
+            emit_prose(note)
+        for file in files:
+            say(f"wrote {file}")
     if figures["few_rows"]:
         say(
             f"warning: the steps share {figures['rows']} times, at which the errors are compared; "
@@ -60,7 +72,6 @@ def _compare_one(
 ) -> int:
     """Compare entries on one trajectory, print, draw and store the result; the exit code."""
     from topcli.studies.compare import compare_schemes, comparison_document, write_comparison
-    from topcli.studies.compare_table import comparison_table
 
     comparison = compare_schemes(experiment, entries, options, reference)
     files: list[str] = []
@@ -73,14 +84,7 @@ def _compare_one(
     if outputs.saved is not None:
         files.append(str(write_comparison(outputs.saved, comparison_document(comparison))))
     compared = comparison.figures["schemes"]
-    if outputs.as_json:
-        print_json("compare", {**comparison.figures, "files": files})
-    else:
-        title, header, lines = comparison_table(comparison.figures)
-        print_table(header, lines, title)
-        for file in files:
-            say(f"wrote {file}")
-    _warn_of_few_rows(comparison.figures)
+    _show(comparison.figures, files, outputs.as_json)
     failed = [scheme for scheme in compared if scheme["outcome"] != "completed"]
     for scheme in failed:
         say(f"error: {scheme['label']}: {scheme['message']}")
@@ -88,29 +92,21 @@ def _compare_one(
 
 
 def _compare_ensemble(
-    experiment: EnsembleExperiment, entries: list[str], options: dict[str, Any], outputs: _Outputs
+    experiment: EnsembleExperiment, entries: list[str], options: dict[str, Any], outputs: _Outputs, reference: str
 ) -> int:
     """Compare entries on an ensemble, print and store the result; the exit code."""
     from topcli.cli.compare_ensemble import say_ensemble_failures
     from topcli.studies.compare import write_comparison
     from topcli.studies.compare_ensemble import compare_ensemble
-    from topcli.studies.compare_table import comparison_table
 
     display = ProgressDisplay(1, outputs.as_json)
     display.begin(experiment.name)
     try:
-        figures = compare_ensemble(experiment, entries, options, display)
+        figures = compare_ensemble(experiment, entries, options, display, reference)
     finally:
         display.close()
     files = [] if outputs.saved is None else [str(write_comparison(outputs.saved, figures))]
-    if outputs.as_json:
-        print_json("compare", {**figures, "files": files})
-    else:
-        title, header, lines = comparison_table(figures)
-        print_table(header, lines, title)
-        for file in files:
-            say(f"wrote {file}")
-    _warn_of_few_rows(figures)
+    _show(figures, files, outputs.as_json)
     return say_ensemble_failures(figures)
 
 
@@ -175,13 +171,8 @@ def compare(
     if not isinstance(experiment, Experiment):
         if plot:
             raise UsageError(f"--plot draws one trajectory, and {experiment.name} is an ensemble of {experiment.count}")
-        if reference != DEFAULT_REFERENCE:
-            raise UsageError(
-                f"--reference {quoted(reference)}: chooses the reference of one trajectory, and {experiment.name} is "
-                f"an ensemble of {experiment.count}"
-            )
         with hinting(entries, compare_hint):
-            code = _compare_ensemble(experiment, entries, options, _Outputs(None, save, as_json))
+            code = _compare_ensemble(experiment, entries, options, _Outputs(None, save, as_json), reference)
     else:
         if plot:
             require_writable(out)

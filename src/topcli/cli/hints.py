@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 @contextmanager
 def hinting(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[None]:
-    """Add the hint for the first of ``names`` that has one to an error about an unknown name."""
+    """Replace an error about one of ``names`` by its hint; an error about another name remains."""
     try:
         yield
     except UnknownNameError as error:
-        found = next((text for name in names if (text := hint(name))), "")
+        found = next((text for name in names if quoted(name) in str(error) and (text := hint(name))), "")
         if not found:
             raise
         raise UsageError(found) from error

@@ -56,7 +56,10 @@ def _cell(value: object) -> str:
 
 @list_app.command(cls=Command, name="tops")
 def list_tops(as_json: Json = False) -> None:
-    """List the tops with their parameters and invariants."""
+    """List the tops with their parameters and invariants.
+
+    The parameters are keys of a config. A step does not get them, but p, the constants of the equations of motion.
+    """
     from topcli.tops import TOPS
 
     items = [
@@ -65,6 +68,7 @@ def list_tops(as_json: Json = False) -> None:
             "form": top.form,
             "title": top.title,
             "parameters": {name: field.default for name, field in top.model_fields.items()},
+            "step_p": list(top.step_constants),
             "components": list(top.components),
             "invariants": [invariant.name for invariant in top.new().invariants()],
             "citation": top.citation,
@@ -75,7 +79,7 @@ def list_tops(as_json: Json = False) -> None:
         {**item, "top": item["form"], "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]}
         for item in items
     ]
-    _print_list("tops", items if as_json else shown, ["top", "title", "parameters", "invariants"], as_json)
+    _print_list("tops", items if as_json else shown, ["top", "title", "parameters", "step_p", "invariants"], as_json)
 
 
 @list_app.command(cls=Command, name="schemes")
@@ -233,31 +237,19 @@ def list_runs(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List the runs in a folder, damaged ones included."""
+    """List the runs in a folder, also unfinished or damaged ones.
+
+    A run that another process is computing is running; one whose process ended before it is killed. A resumable run
+    continues with topcli run NAME --resume.
+    """
     from topcli.errors import UsageError
-    from topcli.store.manifest import DamagedRun, all_runs
+    from topcli.studies.run_list import listed_runs
 
     folder = Path("results") if out is None else out
     if out is not None and not os.path.isdir(out):
         raise UsageError(f"--out {out}: no such folder")
-    items: list[dict[str, Any]] = []
-    for run in all_runs(folder):
-        if isinstance(run, DamagedRun):
-            unknown = dict.fromkeys(("scheme", "h", "N", "digest", "ended"))
-            items.append({"name": run.folder.name, "outcome": "damaged", **unknown, "reason": run.reason})
-            continue
-        config = run.manifest["config"]
-        items.append(
-            {
-                "name": run.folder.name,
-                "outcome": run.manifest["outcome"],
-                "scheme": config["scheme"]["name"],
-                "h": config["h"],
-                "N": config["N"],
-                "digest": run.manifest["digest"][:8],
-                "ended": run.manifest["ended"],
-            }
-        )
+    items = listed_runs(folder)
     shown = items if as_json else [_short(item) for item in items]
-    columns = ["name", "outcome", "scheme", "h", "N", "digest", "ended"]
-    _print_list("runs", shown, columns, as_json, f"no finished runs in {folder}")
+    progress = ["step", "resumable"] if any(item["resumable"] or not item["ended"] for item in items) else []
+    columns = ["name", "outcome", *progress, "scheme", "h", "N", "digest", "ended"]
+    _print_list("runs", shown, columns, as_json, f"no runs in {folder}")

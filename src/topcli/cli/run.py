@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,14 +192,26 @@ def _say_failure(name: str, result: RunResult, code: int) -> None:
     say(f"error: {name}: {failure}; {kept} are kept{more}")
 
 
+def _experiment(config: str, options: RunOptions) -> Experiment | EnsembleExperiment:
+    """Experiment of a config or scene; with ``--resume`` also that of a run in the folder of results."""
+    from topcli.cli.hints import is_config
+    from topcli.config.load import any_from, load_named
+
+    if options.resume and not is_config(config):
+        from topcli.studies.resume import config_to_resume
+
+        name = config.removeprefix(f"{options.out}{os.sep}").removesuffix(os.sep)
+        if data := config_to_resume(options.out, name):
+            return any_from({**data, "name": options.name or name}, options.sets)
+    return load_named(config, options.sets, options.name)
+
+
 def _carry_out(
     config: str, options: RunOptions, display: ProgressDisplay, interruption: Interruption, labelled: bool
 ) -> tuple[int, dict[str, Any]]:
     """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
-    from topcli.config.load import load_named
-
     try:
-        experiment = load_named(config, options.sets, options.name)
+        experiment = _experiment(config, options)
         if not options.quiet:
             say_warnings(experiment)
         if options.dry_run:

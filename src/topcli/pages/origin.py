@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from topcli.config.load import any_from
 from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
-from topcli.errors import TopcliError, shortened
+from topcli.errors import TopcliError, UsageError, shortened
 from topcli.pages.contents import Facts, Notes, Table, Text
+from topcli.schemes.registry import find_scheme
 from topcli.studies.report import number
+from topcli.tops import TOPS
 
 LONGEST_TEXT = 400
 """Lines of a config that a page shows; an ensemble may list thousands of states."""
@@ -84,17 +86,30 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment | None:
     return found if isinstance(found, Experiment) else found.first
 
 
-def citation_block(experiments: Sequence[Experiment | None], version: object) -> Notes:
-    """References to cite: the program, the paper, and the sources of top and scheme."""
-    known = [one for one in experiments if one is not None]
-    sources = [(f"{one.top.kind} top", one.top.citation) for one in known]
-    sources += [(f"scheme {one.scheme.name}", one.scheme.citation) for one in known]
+def parts_of(experiment: Experiment | None) -> list[tuple[str, str]]:
+    """Top and scheme of an experiment, as ``citation_block`` takes them; nothing for None."""
+    return [(experiment.top.form, experiment.scheme.name)] if experiment else []
+
+
+def citation_block(parts: Iterable[tuple[str, str]], version: object) -> Notes:
+    """References to cite: the program, the paper, and the sources of all tops and schemes.
+
+    ``parts`` are the form of a top and the name of a scheme that steps it, for every scheme that took part.
+    """
+    sources: list[str] = []
+    for form, name in dict.fromkeys(parts):
+        if form in TOPS:
+            sources.append(f"{TOPS[form].kind} top: {TOPS[form].citation}")
+        try:
+            sources.append(f"scheme {name}: {find_scheme(name, form).citation}")
+        except UsageError:
+            sources.append(f"scheme {shortened(name)}: its source is unknown to this topcli")
     release = shortened(version) if isinstance(version, str) else "unknown"
     return Notes(
         "Citation",
         [
             f"the topcli authors, topcli: numerical experiments on discrete spinning tops, version {release}",
             PAPER,
-            *dict.fromkeys(f"{what}: {source}" for what, source in sources),
+            *dict.fromkeys(sources),
         ],
     )

@@ -14,6 +14,7 @@ from topcli.pages.origin import (
     config_block,
     experiment_of,
     files_block,
+    parts_of,
     provenance_block,
     text_block,
     value_text,
@@ -87,7 +88,7 @@ def part_chapter(part: Part, title: str) -> Chapter:
     chapter.attempt("config", lambda: config_block(config))
     chapter.attempt("provenance", lambda: provenance_block(about))
     version = about["environment"].get("topcli")
-    chapter.attempt("citation", lambda: citation_block([experiment], version))
+    chapter.attempt("citation", lambda: citation_block(parts_of(experiment), version))
     return chapter
 
 
@@ -125,7 +126,7 @@ def _fill(
     if len(manifest) > 1:
         chapter.attempt("provenance", lambda: provenance_block(manifest))
     version = (manifest.get("environment") or {}).get("topcli")
-    chapter.attempt("citation", lambda: citation_block([experiment], version))
+    chapter.attempt("citation", lambda: citation_block(parts_of(experiment), version))
 
 
 def _config(config: Mapping[str, Any], folder: Path) -> Block:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,17 @@ from topcli.figures.comparison import loaded_comparison
 from topcli.figures.order import loaded_order
 from topcli.figures.picture import Grid
 from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures, Table
-from topcli.pages.origin import citation_block, config_block, experiment_of, files_block, provenance_block, value_text
+from topcli.pages.origin import citation_block, config_block, files_block, provenance_block, value_text
 from topcli.pages.svg import svg_of
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
 from topcli.studies.claims.claim import OURS, PAPER
 from topcli.studies.compare import Comparison
-from topcli.studies.compare_table import comparison_table
+from topcli.studies.compare_table import comparison_table, reference_note
+from topcli.studies.measures.references import EXACT
 from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
 from topcli.studies.report import number
+from topcli.tops import top_class
 
 SIZE = (5.6, 3.2)
 SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
@@ -31,16 +33,25 @@ MARKS = {"held": "good", "degraded": "middling", "broke": "bad"}
 UNEXPLAINED = ("unexplained", "outlived limit")
 
 
-def _about(chapter: Chapter, data: Mapping[str, Any]) -> None:
-    """Add config, provenance and citation of a study."""
+def _about(
+    chapter: Chapter, data: Mapping[str, Any], parts: Callable[[], Iterable[tuple[str, str]]] = lambda: ()
+) -> None:
+    """Add config, provenance and citation of a study; ``parts`` are the tops and schemes of ``citation_block``."""
     config = data.get("config")
-    experiment = experiment_of(config) if isinstance(config, dict) else None
     if isinstance(config, dict):
         chapter.attempt("config", lambda: config_block(config))
     chapter.attempt("provenance", lambda: provenance_block(data))
     environment = data.get("environment")
     version = environment.get("topcli") if isinstance(environment, dict) else None
-    chapter.attempt("citation", lambda: citation_block([experiment], version))
+    chapter.attempt("citation", lambda: citation_block(parts(), version))
+
+
+def _compared_parts(study: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Top and scheme of each entry of a comparison or a study of orders, and of its reference."""
+    config, reference = study["config"], study.get("reference") or {}
+    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
+    names = [str(one["scheme"]).partition(":")[0] for one in study["schemes"]]
+    return [(form, name) for name in (*names, *([EXACT] if reference.get("kind") == EXACT else []))]
 
 
 def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], name: str | None) -> Chapter:
@@ -54,7 +65,7 @@ def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], nam
         chapter.attempt("pictures", lambda: _comparison_pictures(figures, series, name))
     elif name and figures.get("kind") != "ensemble":
         chapter.missing.append("pictures: the series are not in this file; topcli compare with --save stores them")
-    _about(chapter, figures)
+    _about(chapter, figures, lambda: _compared_parts(figures))
     return chapter
 
 
@@ -66,10 +77,7 @@ def _compared(chapter: Chapter, figures: dict[str, Any]) -> Table:
     chapter.good = not bad
     chapter.state = "completed" if chapter.good else f"{len(bad)} failed"
     chapter.message = "; ".join(f"{one['label']}: {one['message']}" for one in bad)
-    return Table("Comparison", header, lines, _REFERENCE if "reference" in figures else "")
-
-
-_REFERENCE = "Errors are norms of the difference of states from a Taylor reference in double-double arithmetic."
+    return Table("Comparison", header, lines, reference_note(figures))
 
 
 def _completed(scheme: Mapping[str, Any]) -> bool:
@@ -103,7 +111,7 @@ def order_chapter(study: dict[str, Any], name: str | None) -> Chapter:
         chapter.attempt("pictures", lambda: _order_picture(study, name))
     chapter.attempt("errors", lambda: _errors(study))
     chapter.attempt("notes", lambda: _order_notes(study))
-    _about(chapter, study)
+    _about(chapter, study, lambda: _compared_parts(study))
     return chapter
 
 
@@ -141,7 +149,7 @@ def stress_chapter(study: dict[str, Any]) -> Chapter:
         chapter.attempt(f"outcomes of {top}", lambda top=top: stress_grid(trials, top))
     chapter.attempt("failures", lambda: _failures(study["trials"]))
     chapter.attempt("questions", lambda: _questions(study["cases"]))
-    _about(chapter, study)
+    _about(chapter, study, lambda: [(one["top"], str(one["scheme"]).partition(":")[0]) for one in study["trials"]])
     return chapter
 
 

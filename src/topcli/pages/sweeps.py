@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,11 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from topcli.config.problems import Problems
+from topcli.config.sweep.document import MISSING, Sweep
+from topcli.config.sweep.rows import RowReader
 from topcli.errors import TopcliError
 from topcli.figures.picture import Grid
 from topcli.figures.sweep import Choice, curves
 from topcli.pages.contents import Chapter, Facts, Notes, Picture, Pictures, Table
-from topcli.pages.origin import citation_block, experiment_of, files_block, provenance_block, text_block
+from topcli.pages.origin import citation_block, files_block, provenance_block, text_block
 from topcli.pages.svg import svg_of
 from topcli.store.manifest import StoredRun, stored_sweep
 from topcli.studies.rows import SweepRows, encoded, key_labels, read_rows
@@ -93,11 +97,25 @@ def _outcomes(chapter: Chapter, rows: SweepRows, total: int | None) -> None:
 
 
 def _citation(folder: Path, stored: StoredRun | None) -> Notes:
-    sweep = stored_sweep_file(folder)
-    base = sweep.resolved().get("base")
-    experiment = experiment_of(base) if isinstance(base, dict) else None
     environment = stored.manifest.get("environment", {}) if stored else {}
-    return citation_block([experiment], environment.get("topcli"))
+    return citation_block(_parts(stored_sweep_file(folder)), environment.get("topcli"))
+
+
+def _parts(sweep: Sweep) -> list[tuple[str, str]]:
+    """Forms of the tops and names of the schemes of all rows, each pair once. Raises ConfigError."""
+    reader, problems = RowReader(sweep), Problems(sweep.document)
+    chosen = [key in ("top", "top.kind") or key.partition(".")[0] == "scheme" for key in sweep.keys]
+    found: dict[tuple[str, str], None] = {}
+    seen: set[tuple[object, ...]] = set()
+    for number, values in enumerate(sweep.assignments()):
+        # of other keys, such as vectors, it matters only whether they are there
+        kind = tuple(id(value) if chooses else value is MISSING for chooses, value in zip(chosen, values, strict=True))
+        if kind not in seen:
+            seen.add(kind)
+            if row := reader.read(number, values, problems):
+                found[row.form, json.loads(row.scheme)["name"]] = None
+    problems.raise_any()
+    return list(found)
 
 
 def rows_table(rows: SweepRows) -> Table:

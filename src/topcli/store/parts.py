@@ -229,9 +229,40 @@ class Part:
     alive: bool
 
     @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.folder.name.removeprefix(".").rpartition(".part-")[0]
+
+    @property
     def worth_keeping(self) -> bool:
         """True if there is a checkpoint to continue from, or a manifest, which is written last."""
         return (self.folder / CHECKPOINT).exists() or (self.folder / MANIFEST).exists()
+
+
+def is_working(folder: Path) -> bool:
+    """True if a process works in a part folder; changes nothing there."""
+    named = _OWNER.search(folder.name)
+    pid = owner(folder).get("pid") or (int(named[1]) if named else 0)
+    try:
+        handle = os.open(folder / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return pid > 0 and _alive(pid)
+    try:
+        free = _exclusive(handle)
+    finally:
+        os.close(handle)
+    return not free if free is not None else pid > 0 and _alive(pid)
+
+
+def all_parts(out: Path) -> list[Part]:
+    """Part folders in ``out``, by name; none is removed."""
+    try:
+        with os.scandir(out) as entries:
+            folders = [out / entry.name for entry in entries if not entry.is_symlink() and is_part(out / entry.name)]
+    except OSError:
+        return []
+    found = [Part(folder, owner(folder), is_working(folder)) for folder in folders]
+    return sorted(found, key=lambda part: (part.name, part.folder.name))
 
 
 def parts_of(out: Path, name: str) -> list[Part]:

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from topcli.analysis.order import probe_rows, reversal
-from topcli.analysis.reference import distances, reference_states
+from topcli.analysis.reference import distances
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Method, Outcome, Sampler, Top
+from topcli.contracts import Array, Method, Outcome, Sampler
 from topcli.engine.loop import nanoseconds_per_step
-from topcli.engine.setups import prepare
-from topcli.errors import UsageError, quoted
+from topcli.engine.precise.numbers import MAX_DIGITS
 from topcli.store.envelope import thinned
 from topcli.store.provenance import environment
 from topcli.store.study import write_study
 from topcli.studies.entries import Entry, few_rows, read_entries
-from topcli.studies.measures.references import exact_method
+from topcli.studies.measures.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
+
+if TYPE_CHECKING:
+    from topcli.engine.precise.loop import PreciseRun
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,15 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
     return figures
 
 
+def _unlimited(experiment: Experiment) -> PreciseRun | None:
+    """Run of an experiment in its precision; None for double. Its limit of digits leaves room for single steps."""
+    if experiment.exact is None:
+        return None
+    from topcli.studies.precise import precise_run
+
+    return precise_run(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
+
+
 def _figures(
     entry: Entry,
     method: Method,
@@ -91,7 +103,7 @@ def _figures(
     nanoseconds: float,
 ) -> dict[str, Any]:
     experiment, top = entry.experiment, entry.experiment.top
-    back = reversal(top, method, probes, experiment.h)
+    back = reversal(top, method, probes, experiment.h, _unlimited(experiment))
     reached_end = trajectory.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
     return {
         **settings(entry),
@@ -136,61 +148,34 @@ def settings(entry: Entry) -> dict[str, Any]:
     }
 
 
-REFERENCES = {"taylor": "Taylor series in double-double arithmetic", "exact": "closed form (scheme exact)"}
-"""References of the errors, with what they are."""
-
-
-class _References:
-    """Reference states at the rows of several entries, computed once for each set of times.
-
-    ``kind`` is one of ``REFERENCES``. Raises UsageError if the top has no closed form.
-    """
-
-    def __init__(self, top: Top, y0: Sequence[float], kind: str) -> None:
-        if kind not in REFERENCES:
-            raise UsageError(f"unknown reference {quoted(kind)}; use {' or '.join(REFERENCES)}")
-        self._closed = exact_method(top) if kind == "exact" else None
-        if kind == "exact" and self._closed is None:
-            raise UsageError(f"the top {top.form} has no scheme exact to compare with; use the reference taylor")
-        self._top, self._y0 = top, y0
-        self._known: dict[tuple[float, int, int], Array] = {}
-
-    def at(self, experiment: Experiment, every: int) -> Array:
-        """States (m, d) at every ``every``-th step of an experiment."""
-        key = (experiment.h, experiment.N, every)
-        if key not in self._known:
-            n = np.arange(0, experiment.N + 1, every)
-            if self._closed is None:
-                self._known[key] = reference_states(self._top, self._y0, n * experiment.h)
-            else:
-                start, p = np.array(self._y0), self._top.constants()
-                if self._closed.setup is not None:
-                    prepare(self._closed.setup, start, p)
-                self._known[key] = self._closed.states(start, experiment.h, n, p)
-        return self._known[key]
-
-
 def compare_schemes(
     experiment: Experiment,
     entries: Sequence[str],
     options: Mapping[str, Any] | None = None,
-    reference: str = "taylor",
+    reference: str = TAYLOR,
 ) -> Comparison:
     """Run ``experiment`` under each of the ``entries``, names of schemes with their own settings, and measure them.
 
     Each of the ``options`` is set for the schemes that have it, of which there must be one.
 
     Errors are Euclidean norms of the difference of states from the ``reference`` at the compared times: Taylor series
-    or the closed form (``REFERENCES``). The reversal defect is the largest over states spread along the reference.
+    or the closed form (``references.METHODS``). The reversal defect is the largest over states spread along the
+    reference.
     Raises UsageError as ``read_entries``, and for a reference that the top does not have.
     """
     compared = read_entries(experiment, entries, options)
     top = experiment.top
+    reference_form(top, reference)
     methods = [one.experiment.method() for one in compared]
     trajectories = [trajectory_of(one.experiment) for one in compared]
-    references = _References(top, experiment.y0, reference)
+    shared = SharedReferences(sys.maxsize)
+
+    def reference_of(one: Experiment, every: int) -> Array:
+        n = np.arange(0, one.N + 1, every)
+        return shared.states(top, reference, np.array(experiment.y0), one.h, n)
+
     finest = max((one.experiment for one in compared), key=lambda one: one.N // one.output.every)
-    finest_rows = references.at(finest, finest.output.every)
+    finest_rows = reference_of(finest, finest.output.every)
     probes = finest_rows[probe_rows(len(finest_rows))]
     timed = nanoseconds_per_step(
         [(top, method, experiment.y0, one.experiment.h) for one, method in zip(compared, methods, strict=True)],
@@ -200,11 +185,11 @@ def compare_schemes(
         timed = [1e9 * one.run_seconds / max(one.ending.step, 1) for one in trajectories]
     swing, first = top.components.index(top.swing), compared[0]
     t = np.arange(0, first.experiment.N + 1, first.stride) * first.experiment.h
-    series = {"t": t, "swing:reference": references.at(first.experiment, first.stride)[:, swing]}
+    series = {"t": t, "swing:reference": reference_of(first.experiment, first.stride)[:, swing]}
     figures = []
     for one, method, trajectory, nanoseconds in zip(compared, methods, trajectories, timed, strict=True):
         states = trajectory.states[:: one.rows_apart]
-        error = distances(states, references.at(one.experiment, one.stride)[: len(states)])
+        error = distances(states, reference_of(one.experiment, one.stride)[: len(states)])
         figures.append(_figures(one, method, trajectory, error, probes, nanoseconds))
         series[f"error:{one.label}"] = _padded(error, len(t))
         series[f"swing:{one.label}"] = _padded(states[:, swing], len(t))
@@ -215,7 +200,7 @@ def compare_schemes(
                 "config": experiment.resolved(),
                 "reference": {
                     "kind": reference,
-                    "method": REFERENCES[reference],
+                    "method": METHODS[reference],
                     "swing": top.swing,
                     "swing_spacing": swing_spacing(times, finest_rows[:, swing]),
                 },

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.many import quantiles
+from topcli.analysis.reference import reference_obstacle
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
@@ -16,6 +17,7 @@ from topcli.studies.compare import settings
 from topcli.studies.ensemble_report import EndingTally
 from topcli.studies.entries import Entry, few_rows, read_entries
 from topcli.studies.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
+from topcli.studies.measures.references import METHODS, TAYLOR, reference_form
 from topcli.studies.report import finite
 
 QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
@@ -28,6 +30,7 @@ def compare_ensemble(
     entries: Sequence[str],
     options: Mapping[str, Any] | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
+    reference: str = TAYLOR,
 ) -> dict[str, Any]:
     """Run an ensemble under each of the ``entries`` and measure the trajectories; plain data, ready for JSON.
 
@@ -41,6 +44,8 @@ def compare_ensemble(
         Options of all schemes that have them.
     on_progress : callable, optional
         ``on_progress(done, total)`` is called with the number of steps taken.
+    reference : str, optional
+        Reference of the errors, as ``compare_schemes`` takes it. A top that it cannot follow has no errors.
 
     Returns
     -------
@@ -51,10 +56,11 @@ def compare_ensemble(
     Raises
     ------
     UsageError
-        As ``read_entries``, and for more rows than fit in memory.
+        As ``read_entries``, for a reference that the top does not have, and for more rows than fit in memory.
     """
     compared = read_entries(experiment.first, entries, options)
-    columns = [_Column(entry, experiment.top) for entry in compared]
+    known = reference_form(experiment.top, reference) is not None or not reference_obstacle(experiment.top)
+    columns = [_Column(entry, experiment.top, reference if known else None) for entry in compared]
     done, total = 0, experiment.count * sum(column.experiment.N for column in columns)
     for group in experiment.members.groups:
         size = min(column.prepare(group) for column in columns)
@@ -70,6 +76,7 @@ def compare_ensemble(
             "config": experiment.resolved(),
             "trajectories": experiment.count,
             "quantiles": QUANTILES,
+            "reference": {"kind": reference, "method": METHODS[reference]} if known else None,
             "swing": getattr(experiment.top, "swing", None),
             "rows": first.experiment.N // first.stride + 1,
             "few_rows": few_rows(compared, experiment.first),
@@ -79,13 +86,14 @@ def compare_ensemble(
 
 
 class _Column:
-    """One entry, fed with blocks of initial states."""
+    """One entry, fed with blocks of initial states; without a ``reference`` it measures no errors."""
 
-    def __init__(self, entry: Entry, top: Top) -> None:
+    def __init__(self, entry: Entry, top: Top, reference: str | None) -> None:
         one = entry.experiment
         output = one.output.model_copy(update={"every": entry.stride})
         self.entry, self.experiment = entry, one.model_copy(update={"top": top, "output": output})
-        self.measures = _measures(self.experiment)
+        self._reference = reference
+        self.measures = _measures(self.experiment, ("error",) if reference is None else ())
         self._values: dict[str, list[Array]] = {one.name: [] for one in self.measures}
         self._faults: dict[str, list[tuple[int, str]]] = defaultdict(list)
         self._endings = EndingTally(self.experiment.N)
@@ -96,7 +104,7 @@ class _Column:
         """Get ready to run trajectories of a group; return the largest number of them at a time."""
         one: Experiment = self.experiment.model_copy(update={"top": group.top})
         size = batch_size(one, self.measures)
-        self._run = BatchRun(one, self.measures, count=min(group.count, size))
+        self._run = BatchRun(one, self.measures, count=min(group.count, size), reference=self._reference)
         return size
 
     def add(self, initial: Array) -> None:
@@ -140,10 +148,13 @@ class _Column:
         }
 
 
-def _measures(experiment: Experiment) -> tuple[Measure, ...]:
-    """Measures of an entry: those of ``MEASURED`` that fit, and deviation and drift of each invariant."""
+def _measures(experiment: Experiment, without: Sequence[str]) -> tuple[Measure, ...]:
+    """Measures of an entry: those of ``MEASURED`` that fit, and deviation and drift of each invariant.
+
+    Those whose names begin with a word of ``without`` are left out.
+    """
     top, scheme, options = experiment.top, experiment.scheme, experiment.options
     fitting = names_of(top, scheme, options)
-    names = [name for name in MEASURED if name in fitting]
+    names = [name for name in MEASURED if name in fitting and name.partition(".")[0] not in without]
     names += [name for name in fitting if name.partition(".")[0] in ("deviation", "drift")]
     return resolve_measures(names, top, scheme, options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from topcli.engine.precise.numbers import RATIONAL
 from topcli.studies.report import comparison_lines, number
 from topcli.tops import TOPS
 
@@ -19,10 +20,14 @@ def comparison_table(figures: dict[str, Any]) -> tuple[str, list[str], list[list
         lines = [*_step_lines(schemes), *_ensemble_lines(figures, _reversal_label(schemes))]
     else:
         title += f", precision {config['precision']}" if "precision" in config else ""
-        if figures["reference"]["kind"] != "taylor":
-            title += f", errors from the {figures['reference']['method']}"
         lines = _lines(figures)
     return title, ["", *map(entry_label, schemes)], lines
+
+
+def reference_note(figures: dict[str, Any]) -> str:
+    """Sentence on the reference of the errors of a comparison; empty if it has no errors."""
+    found = figures["reference"]
+    return f"Errors are norms of the difference of states from the {found['method']}." if found else ""
 
 
 def _top_title(config: dict[str, Any]) -> str:
@@ -88,9 +93,18 @@ def _title(name: str, top: str, schemes: list[dict[str, Any]]) -> str:
     return f"{name}: {top}, {steps}"
 
 
+def _order_cell(reversal: dict[str, Any], rational: bool) -> str:
+    """Order of a reversal defect in h, or in a word why there is none; a dash if the steps failed."""
+    if reversal["order"] is not None:
+        return f"{reversal['order']:.2f}"
+    if reversal["defect"] is None:
+        return "–"
+    return "exact" if rational and reversal["defect"] == 0.0 else "round-off"
+
+
 def _lines(figures: dict[str, Any]) -> list[list[str]]:
     """Lines of the comparison: a label, then a cell for each scheme."""
-    schemes = figures["schemes"]
+    schemes, rational = figures["schemes"], figures["config"].get("precision") == RATIONAL
     spacing = figures["reference"]["swing_spacing"]
     swing = f"spacing of {figures['reference']['swing']} minima"
     if spacing is not None:
@@ -111,10 +125,7 @@ def _lines(figures: dict[str, Any]) -> list[list[str]]:
         *comparison_lines(schemes),
         *_modified_lines(schemes),
         line(_reversal_label(schemes), lambda s: number(s["reversal"]["defect"])),
-        line(
-            "  its order in h",
-            lambda s: "round-off" if s["reversal"]["order"] is None else f"{s['reversal']['order']:.2f}",
-        ),
+        line("  its order in h", lambda s: _order_cell(s["reversal"], rational)),
         line(swing, lambda s: "–" if s["swing_spacing"] is None else f"{s['swing_spacing']:.4f}"),
         line(_cost_label(schemes), lambda s: f"{s['nanoseconds_per_step']:.1f}"),
         line("compile or load, s", lambda s: f"{s['compile_seconds']:.3f}"),

@@ -56,9 +56,11 @@ class GroupRun(Generic[Made]):
         self.experiment, self.group, self.offset = experiment, group, offset
         """``offset`` is the number of the block's first trajectory in the ensemble."""
         self._next = offset
+        self.n = np.arange(0, one.N + 1, one.output.every, dtype=np.int64)
+        """Recorded step numbers of a whole trajectory."""
         self.modified: tuple[Invariant, ...] = one.modified
         self.invariants = (*group.top.invariants(), *self.modified)
-        self.tally = EnsembleTally(self.invariants, 0, group.top)
+        self.tally = self._tally(0)
         self.names = list(one.output.columns or column_names(group.top))
 
         def made(piece: Piece) -> Made:
@@ -78,10 +80,13 @@ class GroupRun(Generic[Made]):
             execution=Execution(stop, threads, tile_of(group.count), wide=experiment.store != "trajectories"),
         )
 
+    def _tally(self, count: int) -> EnsembleTally:
+        return EnsembleTally(self.invariants, count, self.group.top, int(self.n[-1]))
+
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
         """Run the next trajectories of the group, from ``y0`` (m, d): results of ``keep`` and trajectory-steps done."""
         self.offset, self._next = self._next, self._next + len(y0)
-        self.tally = EnsembleTally(self.invariants, len(y0), self.group.top)
+        self.tally = self._tally(len(y0))
         self.run.begin(y0)
         yield from self.run
         self.tally.finish(self.run.last)
@@ -110,7 +115,7 @@ class GroupRun(Generic[Made]):
         made["outcome"] = _OUTCOME_NAMES[run.endings.outcome]
         made["n"] = run.endings.step
         made["left_motion"] = run.endings.left
-        return made | measure_columns(self.tally)
+        return made | measure_columns(self.tally, self.n, self.experiment.first.h)
 
 
 _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)

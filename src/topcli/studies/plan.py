@@ -47,10 +47,11 @@ def plan_run(
         return Plan(None, False, begin)
     if not existing.same_experiment(digest):
         if not force and source is None:
-            other = f"(digest {existing.manifest['digest'][:8]}, this one {digest[:8]})"
-            holds = f"a different experiment {other}"
-            if not difference(existing.manifest["config"], identity.config):
-                holds = f"this experiment as identified by another version of topcli {other}"
+            if differs := difference(existing.manifest["config"], identity.config):
+                holds = f"a different experiment ({differs})"
+            else:
+                digests = f"digest {existing.manifest['digest'][:8]}, this one {digest[:8]}"
+                holds = f"this experiment as identified by another version of topcli ({digests})"
             raise UsageError(
                 f"{target}: holds {holds}; nothing was written",
                 "choose another name with --name or another folder with --out, or use --force, which renames "

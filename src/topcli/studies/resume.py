@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from topcli.config.models import OUTSIDE_IDENTITY
+from topcli.config.models import OUTSIDE_IDENTITY, name_fault
 from topcli.engine.loop import Position, Run
 from topcli.errors import UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, write_checkpoint
@@ -123,6 +123,22 @@ def find_source(identity: Identity, out: Path) -> Source | None:
         f"{other.folder}: the unfinished run, at step {other.done}, {why}; nothing was written and it is kept",
         "resume it with its own config and code, or start again without --resume",
     )
+
+
+def config_to_resume(out: Path, name: str) -> dict[str, Any] | None:
+    """Config of the unfinished run ``name`` in ``out`` that got furthest, or of the finished one; None without a run.
+
+    Raises UsageError if another process is computing the only one.
+    """
+    if name_fault(name):
+        return None
+    found = sorted(_sources(out, name), key=lambda source: source.done)
+    if found:
+        return found[-1].about["config"]
+    if running := next((part.owner.get("pid") for part in parts_of(out, name) if part.alive), None):
+        raise UsageError(f"{out / name}: process {running} is computing this run now; there is nothing to resume")
+    finished = stored_run(out / name)
+    return finished.manifest["config"] if finished else None
 
 
 def _require_format(source: Source, wanted: str) -> None:

@@ -124,6 +124,8 @@ def scheme_text(scheme: Scheme, width: int = 100) -> str:
     lines = [fill(f"{scheme.name} ({scheme.top}): {scheme.title}", width), ""]
     lines += [fill(part, width) + "\n" for part in scheme.doc.split("\n\n")]
     lines += [fill(f"{label}: {text}", width, subsequent_indent="  ") for label, text in _traits(scheme)]
+    if known := TOPS[scheme.top].step_constants:
+        lines.append(fill(f"constants p of a step: {', '.join(known)}", width, subsequent_indent="  "))
     limits = _limits(scheme)
     lines.append("limits:" if limits else "limits: none known")
     lines += [indent(fill(f"{key}: {text}", width - 4, subsequent_indent="  "), "  ") for key, text in limits]

@@ -49,6 +49,14 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3)}
     energy: ClassVar[str] = "m_omega"
     swing: ClassVar[str] = "omega2"
+    step_constants: ClassVar[tuple[str, ...]] = (
+        "A",
+        "B",
+        "C",
+        "alpha1 = (B - C)/A",
+        "alpha2 = (C - A)/B",
+        "alpha3 = (A - B)/C",
+    )
     field: ClassVar = staticmethod(field)
 
     A: float = Field(default=3.0, gt=0.0, description="first moment of inertia; positive")

@@ -44,6 +44,7 @@ J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
     swing: ClassVar[str] = "gamma1"
+    step_constants: ClassVar[tuple[str, ...]] = ("A", "B", "C", "x0", "y0", "z0")
     field: ClassVar = staticmethod(field)
 
     A: float = Field(default=2.0, gt=0.0, description="first moment of inertia")

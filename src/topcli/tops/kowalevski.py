@@ -47,6 +47,7 @@ class Kowalevski(Top):
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
     swing: ClassVar[str] = "gamma1"
+    step_constants: ClassVar[tuple[str, ...]] = ("c = c0/C",)
     field: ClassVar = staticmethod(field)
 
     c0: float = Field(default=1.0, description="mg x0, the moment of gravity about the fixed point; any real number")

@@ -56,6 +56,7 @@ A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
     unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
     swing: ClassVar[str] = "gamma3"
+    step_constants: ClassVar[tuple[str, ...]] = ("alpha = (A - C)/A", "nu = mu/A")
     field: ClassVar = staticmethod(field)
 
     A: float = Field(default=1.0, gt=0.0, description="first and second moment of inertia")
@@ -136,6 +137,7 @@ class LagrangeInertial(Top):
     unit_vectors: ClassVar[tuple[str, ...]] = ("a",)
     in_space: ClassVar[bool] = True
     swing: ClassVar[str] = "a3"
+    step_constants: ClassVar[tuple[str, ...]] = ("1",)
     field: ClassVar = staticmethod(inertial_field)
 
     def constants(self) -> Floats:

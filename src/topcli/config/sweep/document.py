@@ -24,6 +24,7 @@ from topcli.config.sweep.keys import known_keys
 from topcli.config.sweep.values import MAX_ROWS, is_range
 from topcli.config.yaml_text import to_yaml
 from topcli.errors import UnknownNameError, nearest, quoted
+from topcli.tops import TOPS
 
 SECTIONS = ("name", "base", "grid", "zip", "include", "exclude", "random", "measure", "store")
 BASE = ("top", "initial", "scheme", "h", "N", "T", "output")
@@ -75,6 +76,23 @@ class Sweep:
     def store(self) -> str:
         """``series`` if every row keeps its run folder, otherwise ``none``."""
         return self.document.data.get("store") or "none"
+
+    @cached_property
+    def drawn(self) -> tuple[str, ...]:
+        """Drawn components of the initial state and parameters of the top, as ``initial.NAME`` and ``top.NAME``."""
+        section = self.document.data.get("random")
+        raw = section if isinstance(section, dict) else {}
+        inner = raw.get("top")
+        found = [key for key in raw if key.startswith("top.")]
+        found += [f"top.{key}" for key in inner] if isinstance(inner, dict) else []
+        components = {
+            f"initial.{component}": None
+            for cls in TOPS.values()
+            for vector, (start, stop) in cls.vectors.items()
+            if vector in raw
+            for component in cls.components[start:stop]
+        }
+        return (*components, *found)
 
     @property
     def count(self) -> int:

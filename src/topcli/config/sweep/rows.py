@@ -99,12 +99,14 @@ _NO_STATE = _StatePart((), "")
 class RowReader:
     """Reader of the rows of a sweep, with the validated sections in its caches.
 
-    With ``labels_only`` the numbers and ``keys`` of the rows are right, and what else costs time is left empty.
+    With ``labels_only`` the numbers, ``keys`` and drawn values of the rows are right, and what else costs time is left
+    empty.
     """
 
     def __init__(self, sweep: Sweep, labels_only: bool = False) -> None:
         self.sweep = sweep
-        self._whole = not labels_only or any(key.startswith(("initial.", "top.")) for key in sweep.keys)
+        parts = any(key.startswith(("initial.", "top.")) for key in sweep.keys)
+        self._whole = not labels_only or parts or bool(sweep.drawn)
         self._sections: dict[str, list[tuple[int, tuple[str, ...]]]] = {"top": [], "scheme": [], "initial": []}
         self._at = {key: index for index, key in enumerate(sweep.keys)}
         for index, key in enumerate(sweep.keys):
@@ -334,6 +336,8 @@ class RowReader:
             return lambda values, row, top, scheme: _shown(scheme.plain.get(inner, values[at]))
         if first == "top":
             return lambda values, row, top, scheme: _shown(top.plain.get(inner))
+        if any(key in (name, name.rstrip("0123456789")) for name in self.sweep.drawn):  # the centre of the draws
+            return lambda values, row, top, scheme: _shown(values[at])
         return lambda values, row, top, scheme: _component(inner, row, top.cls, values[at])
 
 

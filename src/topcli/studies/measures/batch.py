@@ -25,7 +25,7 @@ from topcli.contracts import Array, Outcome
 from topcli.engine.endings import CODES, Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError, UsageError
-from topcli.studies.measures.references import REFERENCES
+from topcli.studies.measures.references import REFERENCES, reference_kind
 from topcli.studies.measures.registry import (
     DEVIATION,
     DRIFT,
@@ -150,13 +150,17 @@ def rows_fault(experiment: Experiment, measures: Sequence[Measure]) -> str:
 class BatchRecorder:
     """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
 
-    Pieces of different runs may be added from different threads, those of a run in the order of time.
+    Pieces of different runs may be added from different threads, those of a run in the order of time. Errors are
+    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_kind`` chooses.
     """
 
-    def __init__(self, experiment: Experiment, measures: Sequence[Measure], initial: Array) -> None:
+    def __init__(
+        self, experiment: Experiment, measures: Sequence[Measure], initial: Array, reference: str | None = None
+    ) -> None:
         if fault := rows_fault(experiment, measures):
             raise UsageError(fault)
         self.experiment, self.initial = experiment, initial
+        self._kind = reference or reference_kind(experiment.top, experiment.scheme)
         top, every = experiment.top, experiment.output.every
         needs = {need for one in measures for need in one.needs}
         self._n = np.arange(0, experiment.N + 1, every, dtype=np.int64)
@@ -187,7 +191,7 @@ class BatchRecorder:
             return None
         one = self.experiment
         try:
-            return REFERENCES.states(one.top, one.scheme, self.initial[i], one.h, n)
+            return REFERENCES.states(one.top, self._kind, self.initial[i], one.h, n)
         except RunError as error:
             self._faults[need][i] = str(error)
             return None

@@ -151,6 +151,8 @@ class BatchRun:
         Number of threads, which does not change the values; all CPUs by default.
     stop : callable, optional
         ``stop()`` is called between chunks; once it returns true, the unfinished runs are ``interrupted``.
+    reference : str, optional
+        Reference of the errors, ``"taylor"`` or ``"exact"``; by default the closed form if it is as accurate.
     """
 
     def __init__(
@@ -161,8 +163,10 @@ class BatchRun:
         count: int = 1,
         threads: int | None = None,
         stop: Callable[[], bool] = lambda: False,
+        reference: str | None = None,
     ) -> None:
         self.experiment, self.measures = experiment, tuple(measures)
+        self._reference = reference
         self._recorder: BatchRecorder | None = None
         self._recording = 0.0
         self._initial: Piece | None = None
@@ -208,7 +212,8 @@ class BatchRun:
     def finished(self, initial: Array) -> Batch:
         """Run from the states ``initial`` (runs, d) and return what was recorded."""
         self._run.begin(initial)
-        self._recorder, self._initial = BatchRecorder(self.experiment, self.measures, self._run.y0), None
+        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self._reference)
+        self._initial = None
         before, self._recording = self._run.run_seconds, 0.0
         began = time.perf_counter()
         for _ in self._run:

@@ -1,8 +1,8 @@
 """The reference behind errors, computed once for each top, initial state and time grid, and shared by all runs.
 
-It is the closed form of the top (its scheme ``exact``) if there is one as accurate, otherwise ``analysis.reference``.
-Runs of the closed form itself are compared with the latter. A state of the reference at a time does not depend on the
-other times that are asked for, so that sharing changes no bit.
+It is a Taylor series (``analysis.reference``) or the closed form of the top (its scheme ``exact``). Comparisons name
+one of them; for sweeps ``reference_kind`` chooses. A state of the reference at a time does not depend on the other
+times that are asked for, so that sharing changes no bit.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_obstacle, reference_states
 from topcli.contracts import Array, Sampler, Scheme, Top
-from topcli.errors import UsageError
+from topcli.engine.setups import prepare
+from topcli.errors import UsageError, quoted
 from topcli.schemes.registry import find_scheme
 
+TAYLOR = "taylor"
 EXACT = "exact"
 """Name of the schemes that are the closed form of a top."""
+METHODS = {TAYLOR: "Taylor series in double-double arithmetic", EXACT: "closed form (scheme exact)"}
+"""Kinds of references, with what they are."""
 LESS_ACCURATE = frozenset({"kowalevski"})
 """Forms whose closed form is not the reference: its error grows where gravity is weak, and it refuses some motions."""
 MAX_BYTES = 1 << 28
@@ -52,9 +56,36 @@ def closed_form(top: Top, scheme: Scheme) -> Sampler | None:
     return None if top.form in LESS_ACCURATE or scheme.name == EXACT else exact_method(top)
 
 
+def reference_kind(top: Top, scheme: Scheme) -> str:
+    """Kind of the reference that sweeps compare runs of ``scheme`` with: the closed form if it is as accurate."""
+    return EXACT if closed_form(top, scheme) else TAYLOR
+
+
+def reference_form(top: Top, kind: str) -> Sampler | None:
+    """Closed form behind a kind of reference; None for the series.
+
+    Raises UsageError for an unknown kind, and for a closed form that the top does not have.
+    """
+    if kind not in METHODS:
+        raise UsageError(f"unknown reference {quoted(kind)}; use {' or '.join(METHODS)}")
+    if kind == TAYLOR:
+        return None
+    if found := exact_method(top):
+        return found
+    raise UsageError(f"the top {top.form} has no scheme exact to compare with; use the reference {TAYLOR}")
+
+
 def obstacle(top: Top, scheme: Scheme) -> str:
     """Reason why there is no reference for runs of ``top`` under ``scheme``; empty if there is one."""
     return "" if closed_form(top, scheme) else reference_obstacle(top)
+
+
+def _states(exact: Sampler, top: Top, start: Array, h: float, n: NDArray[np.int64]) -> Array:
+    """States (m, d) of a closed form, which is set up first if need be."""
+    p = top.constants()
+    if exact.setup is not None:
+        prepare(exact.setup, start, p)
+    return exact.states(start, h, n, p)
 
 
 class SharedReferences:
@@ -68,12 +99,13 @@ class SharedReferences:
         self.computed = 0
         """Number of references that were computed."""
 
-    def states(self, top: Top, scheme: Scheme, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
+    def states(self, top: Top, kind: str, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
         """States (m, d) after ``n`` (m,) steps of ``h`` of the motion of ``top`` from ``y0`` (d,).
 
-        Raises RunError if the motion cannot be followed.
+        ``kind`` is one of ``METHODS``. Raises RunError if the motion cannot be followed, and UsageError as
+        ``reference_form``.
         """
-        exact = closed_form(top, scheme)
+        exact = reference_form(top, kind)
         t = n * h
         # a closed form is computed at the exact products n h, other references at their rounded values
         motion = (top.form, top.model_dump_json(), h if exact else 0.0, np.ascontiguousarray(y0).tobytes())
@@ -81,9 +113,7 @@ class SharedReferences:
             found = self._found(motion, t)
             if found is None:
                 start = np.asarray(y0, dtype=np.float64)
-                found = (
-                    exact.states(start, h, n, top.constants()) if exact else reference_states(top, start.tolist(), t)
-                )
+                found = _states(exact, top, start, h, n) if exact else reference_states(top, start.tolist(), t)
                 self._keep(motion, t, found)
             return found
 

@@ -40,6 +40,7 @@ TAKEN = (
     "output",
     "sample",
     "seed",
+    "drawn",
 )
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
 H_OF_NAMES = 2.0**-10

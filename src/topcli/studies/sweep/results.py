@@ -12,25 +12,29 @@ from typing import Any
 import numpy as np
 
 from topcli.config.sweep.document import Sweep
-from topcli.config.sweep.rows import RowReader
+from topcli.config.sweep.rows import Row, RowReader
 from topcli.store.manifest import MANIFEST, SWEEP, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import write_whole
 from topcli.studies.rows import METADATA, ROWS
 from topcli.studies.sweep.journal import Index, Journal
 from topcli.studies.sweep.plan import DONE, REPEATED, Plan
+from topcli.tops import TOPS
 
 ROW_GROUP = 1 << 14
+DRAWN = "drawn."
+"""Beginning of the columns of drawn values, which keys may vary the centre of."""
 Columns = dict[str, list[Any]]
 
 
 def metadata(sweep: Sweep) -> dict[str, Any]:
-    """Description of the table: names of the varied keys and measures, keys that are spaced logarithmically."""
+    """Description of the table: names of varied keys, measures and drawn values, logarithmically spaced keys."""
     return {
         "name": sweep.name,
         "keys": list(sweep.keys),
         "measures": list(sweep.measures),
         "log": list(sweep.log),
+        "drawn": [DRAWN + name for name in sweep.drawn],
         "digest": sweep.digest,
     }
 
@@ -47,6 +51,7 @@ def write_rows(path: Path, plan: Plan, journal: Journal) -> dict[str, int]:
     sweep = plan.survey.sweep
     fields = [pa.field("row", pa.int64())]
     fields += [pa.field(key, pa.type_for_alias(plan.survey.types[key])) for key in sweep.keys]
+    fields += [pa.field(DRAWN + name, pa.float64()) for name in sweep.drawn]
     fields += [pa.field("outcome", pa.string()), pa.field("message", pa.string())]
     fields += [pa.field(name, pa.float64()) for name in sweep.measures]
     fields += [pa.field("digest", pa.string()), pa.field("cpu", pa.string()), pa.field("current", pa.bool_())]
@@ -67,12 +72,13 @@ def write_rows(path: Path, plan: Plan, journal: Journal) -> dict[str, int]:
 
 def _current(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
     """Yield the finished rows of the plan, in its order."""
+    sweep = plan.survey.sweep
     numbers: list[int] = []
     keys: list[tuple[Any, ...]] = []
-    for row in RowReader(plan.survey.sweep, labels_only=True).rows():
+    for row in RowReader(sweep, labels_only=True).rows():
         if plan.status[row.number] in (DONE, REPEATED):
             numbers.append(row.number)
-            keys.append(row.keys)
+            keys.append((*row.keys, *_drawn(row, sweep.drawn)))
         if len(numbers) == ROW_GROUP:
             yield _gathered(plan, journal, index, numbers, keys)
             numbers, keys = [], []
@@ -80,15 +86,26 @@ def _current(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
         yield _gathered(plan, journal, index, numbers, keys)
 
 
+def _drawn(row: Row, names: Sequence[str]) -> tuple[float | None, ...]:
+    """Values of ``names``, which ``Sweep.drawn`` gives, in a row; None for one that its top does not have."""
+    if not names:
+        return ()
+    state = dict(zip(TOPS[row.form].components, row.initial, strict=True))
+    of = {"initial": state, "top": json.loads(row.top)}
+    return tuple([of[section].get(name) for section, _, name in (name.partition(".") for name in names)])
+
+
 def _gathered(
     plan: Plan, journal: Journal, index: Index, numbers: Sequence[int], keys: Sequence[tuple[Any, ...]]
 ) -> Columns:
+    """Columns of finished rows, from their numbers and the values of their keys and draws."""
     at = index.find(plan.survey.digests[np.array(numbers)])
     there = at >= 0  # a row that repeats one that is not finished has no entry
     sweep = plan.survey.sweep
     found = [(number, values) for number, values, known in zip(numbers, keys, there.tolist(), strict=True) if known]
     columns: Columns = {"row": [number for number, _ in found]}
-    columns |= {key: [values[i] for _, values in found] for i, key in enumerate(sweep.keys)}
+    names = (*sweep.keys, *(DRAWN + name for name in sweep.drawn))
+    columns |= {name: [values[i] for _, values in found] for i, name in enumerate(names)}
     return columns | _results(sweep, journal, index, at[there].tolist()) | {"current": [True] * len(found)}
 
 
@@ -117,6 +134,7 @@ def _left(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
         for key in sweep.keys:
             kind = plan.survey.types[key]
             columns[key] = [_fitting(_old_key(journal, index, entry, key), kind) for entry in entries]
+        columns |= {DRAWN + name: [None] * len(entries) for name in sweep.drawn}
         yield columns | _results(sweep, journal, index, entries) | {"current": [False] * len(entries)}
 
 
