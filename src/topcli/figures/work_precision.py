@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.engine.fingerprint import fingerprint
 from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
 from topcli.figures.picture import SharedLegend, Styles
 
@@ -143,4 +144,5 @@ class WorkPrecisionFigure(Figure):
         made_from = [[run.manifest[key] for key in ("name", "digest", "code", "ended")] for run, _ in benches]
         rows = -(-len(panels) // 2)
         layout = SharedLegend(rows, (7.0, 0.9 + 2.8 * rows), first=(*shown, *peers))
-        return Loaded(panels, lambda: data, {"benches": made_from}, layout)
+        code = fingerprint(_shown, _curves, compiled=False)
+        return Loaded(panels, lambda: data, {"benches": made_from, "code": code}, layout)
