@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -198,6 +199,35 @@ def test_command_reports_violations(cli) -> None:
     assert said.code == 4
     assert "error: gamma_sq of hybrid with plain sums: drift" in said.err
     assert cli("roundoff", "hybrid", *few, "--max-exponent", "-1").code == 4
+
+
+def test_tolerances_judge_the_compensated_form(cli) -> None:
+    """HK of the Euler top drifts by 7e-15 to 2e-13 with plain sums, and by 1e-16 to 3e-15 with compensated ones.
+
+    A tolerance between the two is met, one below a part of the compensated drifts names those alone.
+    """
+    asked = ("roundoff", "hk", "--config", "euler_hk", "--set", "h=0.01", "--steps", "2e4", "--copies", "2")
+
+    def judged(*options: str) -> tuple[int, list[str], dict[str, dict[str, dict[str, float]]]]:
+        said = cli(*asked, *options, "--json")
+        found = said.json()
+        forms = {form["form"]: {row["name"]: row for row in form["invariants"]} for form in found["forms"]}
+        return said.code, found["violations"], forms
+
+    code, violations, forms = judged("--max-drift", "5e-15", "--max-exponent", "0.3")
+    plain, better = forms["plain"], forms["compensated"]
+    assert min(row["max_drift"] for row in plain.values()) > 5e-15 > max(row["max_drift"] for row in better.values())
+    assert min(row["exponent"] - 2.0 * row["exponent_error"] for row in plain.values()) > 0.3
+    assert (code, violations) == (0, [])
+    ordered = sorted(row["max_drift"] for row in better.values())
+    limit = math.sqrt(ordered[1] * ordered[2])
+    code, violations, forms = judged("--max-drift", repr(limit))
+    beyond = {name for name, row in forms["compensated"].items() if row["max_drift"] > limit}
+    assert code == 4
+    assert {line.partition(" of hk with compensated sums: drift ")[0] for line in violations} == beyond
+    assert len(beyond) == len(ordered) - 2
+    code, violations, forms = judged("--max-exponent", "-1")
+    assert (code, len(violations)) == (4, len(better))
 
 
 def test_command_refuses_wrong_usage(cli) -> None:

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from topcli.analysis.drift import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Ending, Invariant, Outcome
 from topcli.studies.stress.case import Trial, claim_violated
@@ -178,6 +179,30 @@ def test_a_bias_is_a_slope_of_three_times_the_root_of_the_steps_in_ulp(factor: f
         return np.repeat((moved * n / N + ripple)[:, None], 3, axis=1)
 
     trial = MadeUp(moves, N=N, claims=(terms,))
+    assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")
+
+
+@BELOW_AND_ABOVE
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_bias_is_a_slope_of_five_standard_errors(factor: float, sign: float) -> None:
+    """Noise that is constant within 64 steps, and a line added to it that leaves its standard error as it is.
+
+    Over the run the slope is 4 sqrt(N) ulp, where the other condition holds and the deviation is still round-off.
+    """
+    N, h, size = 8192, 0.1, 32.0
+    ulp = EPS * size
+    terms = Invariant("a", "a", "a", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), size))
+    noise = np.repeat(np.random.default_rng(4).normal(size=N // 64 + 1), 64)[: N + 1]
+    (plain,) = invariant_report([terms], np.arange(N + 1), h, np.repeat(noise[:, None], 3, axis=1))
+    assert plain.drift is not None
+    assert plain.drift_error is not None
+    assert plain.model == "linear trend"
+    scale = 4.0 * math.sqrt(N) * ulp / (5.0 * plain.drift_error * N * h)
+    slope = sign * factor * 5.0 * plain.drift_error - plain.drift
+    series = scale * (noise + slope * h * np.arange(N + 1))
+    series -= series[0]
+    assert np.abs(series).max() < 20.0 * math.sqrt(N) * ulp
+    trial = MadeUp(lambda n, h: np.repeat(series[n][:, None], 3, axis=1), N=N, h=h, claims=(terms,))
     assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")
 
 
