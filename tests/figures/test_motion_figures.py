@@ -74,7 +74,10 @@ def test_regions_of_states_exist_and_no_state_is_outside(two_l: float) -> None:
     along = gamma * [2.0, 2.0, 1.0]
     omega += along * ((two_l - (omega * along).sum(axis=1)) / (along**2).sum(axis=1))[:, None]
     E, _, k_sq = np.array([integrals(y) for y in np.hstack([omega, gamma])]).T
-    assert (regions(E, k_sq, two_l / 2, 1.0) > 0).all()
+    found = regions(E, k_sq, two_l / 2, 1.0)
+    assert found.min() > 0
+    expected = [region_of(*values, two_l) for values in zip(E.tolist(), k_sq.tolist(), strict=True)]
+    assert found.tolist() == expected
 
 
 def test_two_roots_coincide_on_the_curves_and_only_there() -> None:
