@@ -131,12 +131,24 @@ def test_error_follows_the_tolerance_and_not_h(scheme: Scheme) -> None:
     assert 0.8 < slope < 1.25  # tolerance proportionality
 
 
+REVERSAL_DEFECTS = {
+    "euler": 2.366e-7,
+    "euler+gamma": 2.360e-6,
+    "heavy": 1.285e-5,
+    "kowalevski": 1.077e-5,
+    "lagrange": 1.397e-5,
+    "lagrange/inertial": 2.966e-6,
+}
+"""Largest component missed by one step of DOP853 with h = 0.8 and one back, over the six states of the test."""
+
+
 @adaptive
 def test_adaptive_formula_is_not_self_adjoint(scheme: Scheme) -> None:
     top = TOPS[scheme.top].new()
     made = scheme.build(top, scheme.options(**LOOSE))
     states = random_states(6, seed=3)[:, : len(top.components)]
-    assert 1e-9 < max(one_step_back_and_forth(top, made, y, 0.8) for y in states) < 1.0
+    defect = max(one_step_back_and_forth(top, made, y, 0.8) for y in states)
+    assert defect == pytest.approx(REVERSAL_DEFECTS[scheme.top], rel=0.01)
 
 
 def test_dop853_is_scipys_own_solution() -> None:

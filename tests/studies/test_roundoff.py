@@ -150,10 +150,10 @@ def test_hk_of_kowalevski_by_long_windows() -> None:
     plain, better = (form["invariants"][0] for form in study["forms"])
     assert plain["name"] == "gamma_sq"
     assert plain["max_deviation"] == pytest.approx(0.00622, rel=0.05)
-    assert 1e-15 < plain["drift"] < 1e-12
-    assert better["drift"] < 0.5 * plain["drift"]
-    assert plain["verdict"] != "moves"
-    assert plain["bias"] is not None
+    assert 2e-14 < plain["drift"] < 4e-13  # typically 9e-14, the end of a random walk of four copies
+    assert better["drift"] < 0.2 * plain["drift"]  # typically a twentieth
+    assert plain["verdict"] == "random walk"
+    assert abs(plain["bias"]) < 5.0 * plain["bias_error"]
     assert better["bias"] is None  # what all copies have in common cannot be distinguished from the map's own motion
 
 
