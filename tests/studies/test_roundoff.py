@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
@@ -183,12 +184,17 @@ def test_unsuitable_experiments_are_refused() -> None:
 def test_command_reports_both_forms(cli, tmp_path: Path) -> None:
     said = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
     assert said.code == 0
-    assert "flat" in said.out
     assert len(said.out.splitlines()) == 6
     assert sorted(path.suffix for path in (tmp_path / "f").iterdir()) == [".parquet", ".pdf", ".png"]
+    drawn = pq.read_table(tmp_path / "f" / "roundoff_hybrid-xi_kowalevski_hybrid_xi.parquet")
     report = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--json").json()
     assert (report["command"], report["copies"], report["violations"]) == ("roundoff", 2, [])
     assert report["forms"][1]["options"] == {"branch": "nearest", "compensated": True}
+    for form in report["forms"]:
+        for row in form["invariants"]:
+            assert row["verdict"] == "flat"
+            assert drawn.column("steps").to_pylist() == row["steps"]
+            assert drawn.column(f"{row['name']}:{form['form']}").to_pylist() == row["rms"]
 
 
 @pytest.mark.slow
@@ -275,7 +281,13 @@ def test_the_figures_curves() -> None:
 def test_the_figure_is_drawn_once(cli, tmp_path: Path) -> None:
     drawn = [cli("plot", "roundoff", "--format", "png", "--json").json()["figures"][0] for _ in range(2)]
     assert [one["status"] for one in drawn] == ["drawn", "up to date"]
-    assert all((tmp_path / file).is_file() for file in drawn[0]["files"])
+    picture, data = drawn[0]["files"]
+    assert (tmp_path / picture).read_bytes()[:4] == b"\x89PNG"
+    columns = growth_columns()
+    table = pq.read_table(tmp_path / data)
+    assert table.column_names == list(columns)
+    for name, values in columns.items():
+        np.testing.assert_array_equal(table.column(name).to_numpy(), values)
 
 
 @pytest.mark.slow
