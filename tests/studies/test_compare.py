@@ -217,6 +217,18 @@ def test_a_state_of_a_closed_form_and_its_set_up_have_their_times() -> None:
     assert 300.0 < exact["nanoseconds_per_step"] < 1e5  # no state costs 4 ns
 
 
+def test_the_reference_swings_at_the_rows_of_the_finest_entry() -> None:
+    """Its spacing is found to fourth order in the distance of the rows: coarse ones alone see another."""
+    experiment = load_experiment("kowalevski_generic_hk", ["N=600", "h=0.1"])
+
+    def spacing(*entries: str) -> float:
+        return compare_schemes(experiment, entries).figures["reference"]["swing_spacing"]
+
+    coarse, fine = spacing("hk:h=0.3"), spacing("hk")
+    assert abs(coarse - fine) > 1e-5
+    assert spacing("hk", "hk:h=0.3") == spacing("hk:h=0.3", "hk") == fine
+
+
 @pytest.mark.parametrize(
     ("config", "reference", "words"),
     [

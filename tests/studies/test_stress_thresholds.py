@@ -153,6 +153,24 @@ def test_a_return_misses_by_round_off_only(factor: float, self_adjoint: bool, fo
     assert outcome(returns, trial) == ("held" if factor < 1.0 else found)
 
 
+def test_findings_name_the_first_step_beyond_a_bound() -> None:
+    """Neither the row of that step, of which every second one is recorded here, nor the step of the largest excess."""
+    lost = MadeUp(None)
+    lost.moves = lambda n, h: lost.exact(n * h) + np.select([n >= 60, n >= 30], [5.0, 0.7], 0.0)[:, None]
+    growing = MadeUp(lambda n, h: np.select([n >= 60, n >= 30], [50.0, 2.5], 1.0)[:, None] * np.array([1.0, 0.2, 0.1]))
+    claim = Invariant("a", "a", "a", "the first component", lambda y: y[:, 0], lambda y: np.ones(len(y)))
+    moved = MadeUp(lambda n, h: np.select([n >= 60, n >= 30], [1.1, 1.01], 1.0)[:, None] * np.ones(3), claims=(claim,))
+    returned = MadeUp(lambda n, h: np.full((len(n), 3), 1.0 if h > 0.0 else 1.5), y0=(1.0, 1.0, 1.0), N=70)
+    checks_of = {keeps_order: lost, stays_bounded: growing, returns: returned}
+    found = {check.__name__: check(cast(Trial, trial)).step for check, trial in checks_of.items()}
+    assert found == {"keeps_order": 30, "stays_bounded": 30, "returns": 140}
+    violated = claim_violated(cast(Trial, moved), moved.run())
+    assert violated is not None
+    assert violated.step == 30
+    assert "off by 1.0e-02" in violated.why
+    assert violated.figures["deviation"] == pytest.approx(0.1, rel=1e-12)
+
+
 FIRST = Invariant("a", "a", "a", "the first component", lambda y: y[:, 0], lambda y: np.ones(len(y)))
 
 
