@@ -12,11 +12,12 @@ import pytest
 
 from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
 from topcli.config.models import Experiment
-from topcli.contracts import Floats, Invariant, StepFunction, Stepper
+from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, Stepper
 from topcli.errors import UsageError
-from topcli.figures.roundoff import growth_data
+from topcli.figures.picture import draw
+from topcli.figures.roundoff import growth_data, loaded_roundoff
 from topcli.studies.growth import growth_columns
-from topcli.studies.roundoff import forms_of, roundoff_experiment, roundoff_study
+from topcli.studies.roundoff import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
 
 SIZE = 1e-16
 
@@ -39,6 +40,8 @@ def test_random_walk_has_exponent_one_half() -> None:
     assert 0.6 < exponents.std() / stated.mean() < 1.6
     assert {one.verdict for one in found} == {"random walk"}
     assert np.mean([abs(one.bias) < 3.0 * one.bias_error for one in found]) > 0.9
+    biases, errors = np.array([(one.bias, one.bias_error) for one in found]).T
+    assert biases.std() == pytest.approx(errors.mean(), rel=0.3)  # 60 of them: one standard error is 9 %
     assert found[0].steps == tuple(int(lag) * 100 for lag in doubling_lags(256))
     np.testing.assert_allclose(found[0].rms[0], SIZE * np.sqrt(2.0), rtol=0.1)
 
@@ -156,6 +159,35 @@ def test_hk_of_kowalevski_by_long_windows() -> None:
     assert plain["verdict"] == "random walk"
     assert abs(plain["bias"]) < 5.0 * plain["bias_error"]
     assert better["bias"] is None  # what all copies have in common cannot be distinguished from the map's own motion
+
+
+def test_drifts_are_root_mean_squares_and_maxima_over_the_copies() -> None:
+    """Of an exact invariant from its first value, of two copies; the other figures are handed on."""
+    means = np.zeros((1, 2, 16))
+    means[0, 0, -1], means[0, 1, -1], means[0, 1, 5] = 3e-16, -1e-16, -7e-16
+    copies = Copies(Ending(Outcome.COMPLETED, 1, 1.0), means, np.array([9e-16]), np.array([2.0]))
+    (row,) = _rows([made_of(lambda y: y[:, 0])], True, Sampling(16, 4, 5), copies, np.zeros((1, 16)))
+    assert row["drift"] == pytest.approx(math.sqrt((9.0 + 1.0) / 2.0) * 1e-16, rel=1e-12)
+    assert (row["max_drift"], row["max_deviation"], row["scale"]) == (7e-16, 9e-16, 2.0)
+    assert row["bias"] == pytest.approx((3e-16 - 1e-16) / 2.0 / 15.0 / 20.0, rel=1e-12)
+    assert row["steps"] == [40, 80, 160]
+
+
+def test_a_picture_of_several_invariants_has_a_colour_for_each_and_dashes_for_compensated_sums() -> None:
+    steps = [2.0, 4.0, 8.0]
+    rows = [
+        {"name": name, "symbol": name, "steps": steps, "rms": [size, size, size]}
+        for name, size in (("a", 1.0), ("b", 2.0))
+    ]
+    study = {"forms": [{"form": form, "scheme": "hk", "invariants": rows} for form in ("plain", "compensated")]}
+    loaded = loaded_roundoff({**study, "h": 0.1, "config": {}, "steps": 8, "copies": 2})
+    (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
+    own = [line for line in axes.lines if line.get_marker() in "os^D"]
+    assert [line.get_linestyle() for line in own] == ["-", "--", "-", "--"]
+    colours = [line.get_color() for line in own]
+    assert (colours[0] == colours[1], colours[2] == colours[3], colours[0] == colours[2]) == (True, True, False)
+    labels = {text.get_text(): text.get_color() for text in axes.texts}
+    assert [labels[f"{name}, {form}"] for name in "ab" for form in ("plain", "compensated")] == colours
 
 
 def test_experiments_are_chosen() -> None:
