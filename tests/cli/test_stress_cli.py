@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from conftest import ROOT
+from shown import cells_of, cells_under
 from topcli.errors import RunError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.contract import NothingMeasuredError, Request
@@ -87,18 +88,24 @@ def test_table_and_json_agree(cli) -> None:
 
 @pytest.mark.slow
 def test_grid_shows_several_schemes(cli) -> None:
-    said = cli("stress", "--top", "lagrange", "--case", "pole")
-    assert said.code == 2
-    said = cli(
-        "stress", "--top", "euler", "--case", "spherical", "--case", "one-step", "--case", "backwards", "--verbose"
-    )
-    assert said.code == 0
-    assert said.out.count("held") >= 40
+    asked = ("stress", "--top", "euler", "--case", "spherical", "--case", "one-step", "--case", "backwards")
+    said = cli(*asked, "--verbose")
+    trials = cli(*asked, "--json").json()["trials"]
+    assert (said.code, len(trials) > 40) == (0, True)
+    header, *lines = said.out.splitlines()
+    for line, one in zip(lines, trials, strict=True):
+        outcome = one["outcome"] if one["step"] is None else f"{one['outcome']} at step {one['step']}"
+        assert cells_under(header, line)[:4] == [one["scheme"], one["top"], one["case"], outcome]
     grid = cli("stress", "rk2", "rk4", "hk", "midpoint", "--top", "euler", "--case", "resonance", "--case", "huge",
                "--case", "denormal", "--case", "one-step", "--case", "backwards", "--case", "spherical")  # fmt: skip
     assert grid.code == 0
     assert "· held   o degraded   X broke" in grid.out
-    assert any(line.startswith("rk4") and "X" in line for line in grid.out.splitlines())
+    (numbers,) = {line.strip() for line in grid.out.splitlines() if "1=" in line}
+    at = {case: int(number) for number, case in (one.split("=") for one in numbers.split(", "))}
+    first, *rows = grid.out.splitlines()[: grid.out.splitlines().index("")]
+    marks = {cells_of(row)[0]: cells_under(first, row) for row in rows if cells_of(row)[0] in ("rk2", "rk4", "hk")}
+    broken = {name: {case for case, number in at.items() if cells[number] == "X"} for name, cells in marks.items()}
+    assert broken == {"rk2": {"resonance"}, "rk4": {"resonance"}, "hk": set()}
 
 
 @pytest.mark.slow
@@ -143,9 +150,20 @@ def test_outdated_limit_exits_with_4(cli) -> None:
 
 @pytest.mark.slow
 def test_options_and_compositions(cli) -> None:
-    assert cli("stress", "bohlin-b", "--case", "pole").code == 0
-    assert cli("stress", "bohlin-b", "--case", "pole", "--set", "scheme.chart=single").code == 4
-    assert cli("stress", "hk+suzuki4", "--case", "torus-e4").code == 0
+    """Options and compositions are those of the trial: its order and its error tell."""
+
+    def tried(*arguments: str) -> tuple[int, str, dict[str, float]]:
+        said = cli("stress", *arguments, "--json")
+        (one,) = said.json()["trials"]
+        return said.code, f"{one['outcome']}, {one['verdict']}", one["figures"]
+
+    code, said, figures = tried("bohlin-b", "--case", "pole")
+    assert (code, said, figures["order"]) == (0, "held, ok", pytest.approx(1.0, abs=0.02))
+    code, said, figures = tried("bohlin-b", "--case", "pole", "--set", "scheme.chart=single")
+    assert (code, said) == (4, "broke, unexplained")
+    code, said, figures = tried("hk+suzuki4", "--case", "torus-e4")
+    assert (code, said, figures["order"]) == (0, "held, ok", pytest.approx(4.0, abs=0.02))
+    assert figures["error"] == pytest.approx(4.4e-10, rel=0.02)
 
 
 def test_limits_are_shown(cli) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -182,6 +183,8 @@ def test_a_compiler_that_cannot_be_loaded_is_not_a_folder_that_cannot_be_written
 
 
 def test_a_step_whose_square_is_no_double_is_run(cli: Callable[..., Said]) -> None:
-    said = cli("run", "euler_hk", "--set", "h=1e155", "--quiet")
-    assert said.code in (0, 1)
-    assert len(said.err.splitlines()) <= 1
+    said = cli("run", "euler_hk", "--set", "h=1e155", "--name", "far", "--quiet")
+    assert (said.code, said.out) == (1, "")
+    assert said.err == "error: far: blew_up; the rows before are kept\n"
+    report = json.loads(Path("results/far/report.json").read_text())
+    assert (report["outcome"], report["step"]) == ("blew_up", 1)

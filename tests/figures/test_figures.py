@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
+import topcli
 from conftest import ROOT
 from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
@@ -120,8 +121,13 @@ def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_pat
 
 @pytest.mark.slow
 def test_packaged_scenes_serve_where_there_are_no_configs(tmp_path: Path) -> None:
+    """The drawn columns are those of the packaged scene, run here by itself."""
     made = make_figure(FIGURES["fig3"], Request(tmp_path / "r", tmp_path / "none"), tmp_path, ["png"])
     assert made.status == "drawn"
+    drawn, run = pq.read_table(made.files[-1]), topcli.simulate("kowalevski_bohlin_a")
+    assert drawn.column_names[0] == "t"
+    for name in ("t", "energy", "two_l"):
+        np.testing.assert_array_equal(drawn.column(name).to_numpy(), run[name])
 
 
 def test_a_config_without_the_columns_is_refused(tmp_path: Path) -> None:

@@ -74,7 +74,10 @@ def test_regions_of_states_exist_and_no_state_is_outside(two_l: float) -> None:
     along = gamma * [2.0, 2.0, 1.0]
     omega += along * ((two_l - (omega * along).sum(axis=1)) / (along**2).sum(axis=1))[:, None]
     E, _, k_sq = np.array([integrals(y) for y in np.hstack([omega, gamma])]).T
-    assert (regions(E, k_sq, two_l / 2, 1.0) > 0).all()
+    found = regions(E, k_sq, two_l / 2, 1.0)
+    assert found.min() > 0
+    expected = [region_of(*values, two_l) for values in zip(E.tolist(), k_sq.tolist(), strict=True)]
+    assert found.tolist() == expected
 
 
 def test_two_roots_coincide_on_the_curves_and_only_there() -> None:
@@ -187,7 +190,7 @@ def test_the_torus_is_drawn_with_its_flows() -> None:
     t = np.linspace(0.0, span, len(path))
     orbit = seen(reference_states(Kowalevski(), list(TORUS), t))
     kept = np.isfinite(path[:, 0])
-    assert 0.2 < kept.mean() < 0.9
+    assert kept.mean() == pytest.approx(0.334, abs=0.02)
     np.testing.assert_allclose(path[kept], orbit[kept, :2], atol=1e-11)
     # every arrow on it points the way of the motion
     arrows = [text for text in axes.texts if getattr(text, "arrowprops", None) and text.get_text() == ""]
@@ -195,7 +198,8 @@ def test_the_torus_is_drawn_with_its_flows() -> None:
     for arrow in arrows[:-3]:
         foot, head = np.array(arrow.xyann), np.array(arrow.xy)
         at = int(np.nanargmin(np.linalg.norm(path - foot, axis=1)))
-        assert (orbit[at + 3, :2] - orbit[at, :2]) @ (head - foot) > 0
+        way = orbit[at + 3, :2] - orbit[at, :2]
+        assert way @ (head - foot) > 0.95 * np.linalg.norm(way) * np.linalg.norm(head - foot)
     for arrow, axis in zip(arrows[-3:], np.linalg.pinv(COORDINATES).T, strict=True):
         direction = np.array(arrow.xy) - np.array(arrow.xyann)
         expected = seen(axis[None])[0, :2]

@@ -97,6 +97,33 @@ def test_a_view_may_ask_for_a_logarithmic_axis(figure: SweepStudyFigure, tmp_pat
         assert axes.get_xscale() == scale
 
 
+def test_the_random_tops_are_drawn_by_medians_and_quartiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the heading says, and not by means or by the largest of the hundred, which differ from them here."""
+    schemes, seeds = ("hk", "rk4", "splitting"), range(1, 6)
+    rows = [(scheme, seed) for scheme in schemes for seed in seeds]
+    sizes = {row: 1e-6 * 10.0 ** (2 * schemes.index(row[0])) * row[1] ** 3 for row in rows}
+    signed = {row: (-1.0) ** row[1] * size for row, size in sizes.items()}
+    keys = {"scheme": [scheme for scheme, _ in rows], "random": [seed for _, seed in rows]}
+    measures = {"deviation.energy": list(sizes.values()), "drift.energy": list(signed.values())}
+    folder = write_rows(tmp_path / "heavy_drift", keys, measures)
+    result = SimpleNamespace(folder=folder, outcomes={"completed": len(rows)})
+    monkeypatch.setattr("topcli.studies.sweep.run.run_sweep", lambda *arguments, **options: result)
+    loaded = FIGURES["heavy-drift"].load(Request(tmp_path))
+    picture = draw(loaded.panels, loaded.data(), loaded.layout)
+    assert "medians and quartiles" in picture.get_suptitle()
+    labels = ["deviation of $E$", "drift of $E$ per unit time"]
+    for axes, label, values in zip(picture.axes, labels, (sizes, signed), strict=True):
+        assert axes.get_ylabel() == label
+        assert [tick.get_text() for tick in axes.get_xticklabels()] == list(schemes)
+        (line,) = (one for one in axes.lines if len(np.asarray(one.get_xdata())) == 3 and one.get_marker() == "o")
+        bars = [segment for one in axes.collections for segment in one.get_segments()]  # type: ignore[attr-defined]
+        for i, scheme in enumerate(schemes):
+            ordered = sorted(values[scheme, seed] for seed in seeds)
+            assert float(np.asarray(line.get_ydata())[i]) == pytest.approx(ordered[2], rel=1e-12)
+            (bar,) = (bar for bar in bars if bar[0][0] == i)
+            assert (bar[0][1], bar[1][1]) == pytest.approx((ordered[1], ordered[3]), rel=1e-12)
+
+
 def test_one_legend_has_the_slopes_in_all_panels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of hk in both panels, of rk2 in the first alone, of neither for a scheme that chooses its own steps."""
     sizes = [0.1 * 2.0**-k for k in range(8)]

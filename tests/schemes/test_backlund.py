@@ -354,7 +354,7 @@ def test_compensation_reduces_drift(name: str, options: dict[str, Any], h: float
 
 @pytest.mark.slow
 def test_projection_near_the_hanging_top() -> None:
-    """There deviations do not contract: without projection 2l deviates by seven times the bound, with it by nothing."""
+    """There deviations do not contract: without projection 2l deviates by 19 times the bound, with it by nothing."""
     y0, N = (1e-3, -5e-4, 8e-4, -math.sqrt(1.0 - 5e-6), 1e-3, -2e-3), 100_000
     bound = 50.0 * math.sqrt(N)
     off, _ = ran(stepper(), y0, 1.0, N, 100)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from fractions import Fraction
 from typing import ClassVar
 
@@ -132,12 +131,24 @@ def test_error_follows_the_tolerance_and_not_h(scheme: Scheme) -> None:
     assert 0.8 < slope < 1.25  # tolerance proportionality
 
 
+REVERSAL_DEFECTS = {
+    "euler": 2.366e-7,
+    "euler+gamma": 2.360e-6,
+    "heavy": 1.285e-5,
+    "kowalevski": 1.077e-5,
+    "lagrange": 1.397e-5,
+    "lagrange/inertial": 2.966e-6,
+}
+"""Largest component missed by one step of DOP853 with h = 0.8 and one back, over the six states of the test."""
+
+
 @adaptive
 def test_adaptive_formula_is_not_self_adjoint(scheme: Scheme) -> None:
     top = TOPS[scheme.top].new()
     made = scheme.build(top, scheme.options(**LOOSE))
     states = random_states(6, seed=3)[:, : len(top.components)]
-    assert 1e-9 < max(one_step_back_and_forth(top, made, y, 0.8) for y in states) < 1.0
+    defect = max(one_step_back_and_forth(top, made, y, 0.8) for y in states)
+    assert defect == pytest.approx(REVERSAL_DEFECTS[scheme.top], rel=0.01)
 
 
 def test_dop853_is_scipys_own_solution() -> None:
@@ -161,14 +172,24 @@ def test_dop853_reports_no_convergence() -> None:
     run = Run(top, scheme.build(top, scheme.options()), (1e200, 1e200, 1e200, 0.6, 0.48, 0.64), 1.0, 5)
     states = run.collect().states
     assert run.ending is not None
-    assert run.ending.outcome in (Outcome.NO_CONVERGENCE, Outcome.BLEW_UP)
-    assert run.ending.step == 1
+    assert (run.ending.outcome, run.ending.step) == (Outcome.NO_CONVERGENCE, 1)
     assert len(states) == 1
 
 
-def test_interpreted_steps_are_timed_over_few_steps() -> None:
-    top = Kowalevski()
-    scheme = find_scheme("dop853", "kowalevski")
-    timed = nanoseconds_per_step([(top, scheme.build(top, scheme.options()), GEN, 0.1)], 10**9, repetitions=1)
-    assert math.isfinite(timed[0])
-    assert timed[0] > 1000.0
+def test_times_of_steps_are_medians_without_the_first_and_over_the_steps_taken() -> None:
+    """With a clock made up here: 50,000 compiled steps, 512 interpreted ones, 5,000 states of a closed form.
+
+    A run that ends by itself is timed up to its end.
+    """
+    top, exploding = Kowalevski(), (3.0, -2.0, 6.0, 0.6, 0.48, 0.64)
+    names = ("hk", "dop853", "exact", "rk4")
+    schemes = [find_scheme(name, "kowalevski") for name in names]
+    methods = [scheme.build(top, scheme.options()) for scheme in schemes]
+    ended = Run(top, methods[3], exploding, 1.0, 50_000).collect().ending.step
+    assert 1 < ended < 100
+    elapsed = [[9e9] * 4, [7e6, 5e6, 1e6, 3e6], [1e6, 9e6, 5e6, 3e6], [4e6, 2e6, 3e6, 3e6]]
+    ticks = iter([tick for row in elapsed for one in row for tick in (0, int(one))])
+    runs = [(top, method, GEN, 0.01) for method in methods[:3]] + [(top, methods[3], exploding, 1.0)]
+    found = nanoseconds_per_step(runs, 50_000, repetitions=3, clock=lambda: next(ticks))
+    assert found == pytest.approx([4e6 / 50_000, 5e6 / 512, 3e6 / 5_000, 3e6 / ended], rel=1e-12)
+    assert next(ticks, None) is None

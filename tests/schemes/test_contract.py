@@ -181,6 +181,27 @@ def test_reversal_order_is_reported(scheme: Scheme) -> None:
         assert found.order > scheme.order + 0.8
 
 
+@pytest.mark.parametrize(
+    ("h", "sizes"), [(0.05, (0.05, 0.1, 0.2, 0.4)), (-0.05, (0.05, 0.1, 0.2, 0.4)), (0.3, (0.0375, 0.075, 0.15, 0.3))]
+)
+def test_the_reversal_defect_is_that_of_the_step_itself(h: float, sizes: tuple[float, ...]) -> None:
+    """The largest component missed over the states, at h and along the ladder, by the step called here."""
+    top, states = Kowalevski(), some_states(Kowalevski(), 5, seed=8)
+    p = top.constants()
+
+    def missed(size: float) -> float:
+        there = [RK2.step(tuple(y), size, p) for y in states]
+        return max(
+            np.abs(np.array(RK2.step(y, -size, p)) - start).max() for y, start in zip(there, states, strict=True)
+        )
+
+    found = reversal(top, RK2, np.array(states), h)
+    assert (found.h, found.sizes) == (abs(h), pytest.approx(sizes))
+    assert found.defect == missed(abs(h))
+    assert found.defects == tuple(map(missed, found.sizes))
+    assert len(set(found.defects)) == 4
+
+
 def test_verdict_exact_needs_the_declared_invariants_only() -> None:
     """HK's report does not call k² exact; a constant series is."""
     top = Kowalevski()

@@ -116,11 +116,9 @@ def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     run = Run(top, made := stepper(top), y0, h, 1000)
     states = run.collect().states
     assert run.ending is not None
-    assert run.ending.outcome is Outcome.NO_CONVERGENCE
-    assert 1 <= run.ending.step < 1000
-    assert len(states) == run.ending.step
+    assert (run.ending.outcome, run.ending.step, len(states)) == (Outcome.NO_CONVERGENCE, 2, 2)
     assert np.isfinite(states).all()
-    assert run.ending.counters["iterations"] > 25 * 0.9
+    assert run.ending.counters["iterations"] == 35  # 10 in the first step, and all 25 in the second
     assert run.ending.message.startswith(f"did not converge at step {run.ending.step}")
     enter, drive = plain_loop(made, 6, 6)
     work, out, p = np.zeros(made.width), np.zeros(6000), np.array(top.constants())

@@ -46,6 +46,26 @@ def test_step_is_the_formula(name: str, options: dict) -> None:
                 assert np.abs(step(y, h) - kicked(top, y, h, free)).max() < (2e-14 if h < 1.0 else 1e-12), (top, y, h)
 
 
+@pytest.mark.parametrize("change", [2.0**-52, -(2.0**-53), 1e-9, 1e-3, -1e-3])
+@pytest.mark.parametrize("gravity", [True, False])
+def test_the_closed_form_is_taken_for_equal_moments_only(gravity: bool, change: float) -> None:
+    """On both sides of A = B by one bit: a closed form for nearly equal moments would move another top."""
+
+    def body(B: float) -> Top:
+        return Heavy(A=1.0, B=B, C=0.7) if gravity else Euler(A=1.0, B=B, C=0.7)
+
+    for B, same in ((1.0, "closed"), (1.0 + change, "axes")):
+        top = body(B)
+        assert top.euler_poisson().moments[1] == B
+        by_choice, chosen = Steps(top, "splitting"), Steps(top, "splitting", free=same)
+        other = Steps(body(1.0), "splitting", free="axes" if same == "closed" else "closed")
+        for y in states_of(top, 5, seed=31):
+            assert by_choice(y, 0.4).tolist() == chosen(y, 0.4).tolist()
+            assert np.abs(by_choice(y, 0.4) - other(y, 0.4)).max() > 1e-5
+    with pytest.raises(UsageError, match="free: closed needs two equal moments"):
+        made(body(1.0 + change), "splitting", free="closed")
+
+
 def test_corrections_complete_the_circle() -> None:
     """S² + (1 - K)² is 1 to far below the last bits with the corrections; without them it misses by 1e-16 chi²."""
     with_them, without = [], []

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from conftest import GEN
@@ -206,4 +207,10 @@ def test_the_picture_is_drawn_beside_the_table(cli: Callable[..., Any]) -> None:
     command = ("order", "hk", "rk4", "--top", "euler", "--steps", "3000", "--plot", "--json")
     found = cli(*command).json()
     assert found["files"] == [f"results/figures/order_euler_hk.{end}" for end in ("png", "pdf", "parquet")]
-    assert all(Path(file).stat().st_size > 1000 for file in found["files"])
+    pages = [Path(file).read_bytes() for file in found["files"]]
+    assert [page[:4] for page in pages] == [b"\x89PNG", b"%PDF", b"PAR1"]
+    drawn = pq.read_table(found["files"][2])
+    for row in found["schemes"]:
+        for kind, key in (("x", "h"), ("y", "error")):
+            values = drawn.column(f"{row['scheme']}:{kind}").to_numpy()
+            assert values[np.isfinite(values)].tolist() == [one[key] for one in row["points"]]

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from topcli.analysis.drift import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Ending, Invariant, Outcome
 from topcli.studies.stress.case import Trial, claim_violated
@@ -152,6 +153,24 @@ def test_a_return_misses_by_round_off_only(factor: float, self_adjoint: bool, fo
     assert outcome(returns, trial) == ("held" if factor < 1.0 else found)
 
 
+def test_findings_name_the_first_step_beyond_a_bound() -> None:
+    """Neither the row of that step, of which every second one is recorded here, nor the step of the largest excess."""
+    lost = MadeUp(None)
+    lost.moves = lambda n, h: lost.exact(n * h) + np.select([n >= 60, n >= 30], [5.0, 0.7], 0.0)[:, None]
+    growing = MadeUp(lambda n, h: np.select([n >= 60, n >= 30], [50.0, 2.5], 1.0)[:, None] * np.array([1.0, 0.2, 0.1]))
+    claim = Invariant("a", "a", "a", "the first component", lambda y: y[:, 0], lambda y: np.ones(len(y)))
+    moved = MadeUp(lambda n, h: np.select([n >= 60, n >= 30], [1.1, 1.01], 1.0)[:, None] * np.ones(3), claims=(claim,))
+    returned = MadeUp(lambda n, h: np.full((len(n), 3), 1.0 if h > 0.0 else 1.5), y0=(1.0, 1.0, 1.0), N=70)
+    checks_of = {keeps_order: lost, stays_bounded: growing, returns: returned}
+    found = {check.__name__: check(cast(Trial, trial)).step for check, trial in checks_of.items()}
+    assert found == {"keeps_order": 30, "stays_bounded": 30, "returns": 140}
+    violated = claim_violated(cast(Trial, moved), moved.run())
+    assert violated is not None
+    assert violated.step == 30
+    assert "off by 1.0e-02" in violated.why
+    assert violated.figures["deviation"] == pytest.approx(0.1, rel=1e-12)
+
+
 FIRST = Invariant("a", "a", "a", "the first component", lambda y: y[:, 0], lambda y: np.ones(len(y)))
 
 
@@ -178,6 +197,30 @@ def test_a_bias_is_a_slope_of_three_times_the_root_of_the_steps_in_ulp(factor: f
         return np.repeat((moved * n / N + ripple)[:, None], 3, axis=1)
 
     trial = MadeUp(moves, N=N, claims=(terms,))
+    assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")
+
+
+@BELOW_AND_ABOVE
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_bias_is_a_slope_of_five_standard_errors(factor: float, sign: float) -> None:
+    """Noise that is constant within 64 steps, and a line added to it that leaves its standard error as it is.
+
+    Over the run the slope is 4 sqrt(N) ulp, where the other condition holds and the deviation is still round-off.
+    """
+    N, h, size = 8192, 0.1, 32.0
+    ulp = EPS * size
+    terms = Invariant("a", "a", "a", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), size))
+    noise = np.repeat(np.random.default_rng(4).normal(size=N // 64 + 1), 64)[: N + 1]
+    (plain,) = invariant_report([terms], np.arange(N + 1), h, np.repeat(noise[:, None], 3, axis=1))
+    assert plain.drift is not None
+    assert plain.drift_error is not None
+    assert plain.model == "linear trend"
+    scale = 4.0 * math.sqrt(N) * ulp / (5.0 * plain.drift_error * N * h)
+    slope = sign * factor * 5.0 * plain.drift_error - plain.drift
+    series = scale * (noise + slope * h * np.arange(N + 1))
+    series -= series[0]
+    assert np.abs(series).max() < 20.0 * math.sqrt(N) * ulp
+    trial = MadeUp(lambda n, h: np.repeat(series[n][:, None], 3, axis=1), N=N, h=h, claims=(terms,))
     assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")
 
 

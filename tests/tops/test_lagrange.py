@@ -299,8 +299,8 @@ def test_the_same_motion_in_both_frames() -> None:
     assert np.abs(inertial_states(start, h / time, n, (1.0,))[:, 5] - body[:, 5]).max() < 1e-13
     hk = iterated(steps("hk", top), top, GEN, h, 1000, 20)[:, 5]
     bs = iterated(steps("bs", INERTIAL), INERTIAL, start, h / time, 1000, 20)[:, 5]
-    assert np.abs(hk - body[:, 5]).max() < 1e-3
-    assert 1e-4 < np.abs(bs - body[:, 5]).max() < 5e-2
+    assert np.abs(hk - body[:, 5]).max() == pytest.approx(2.26e-4, rel=0.02)
+    assert np.abs(bs - body[:, 5]).max() == pytest.approx(1.39e-2, rel=0.02)
     other = to_inertial(top, np.array([GEN]), np.zeros(1))[0][0] * (1, 1, 1.01, 1, 1, 1)  # control
     assert np.abs(inertial_states(other, h / time, n, (1.0,))[:, 5] - body[:, 5]).max() == pytest.approx(
         0.0117, rel=0.05
@@ -357,7 +357,7 @@ def test_nutation_scenes_show_the_motion_in_their_names() -> None:
         assert len(np.flatnonzero((height[1:-1] < height[:-2]) & (height[1:-1] <= height[2:]))) == 9
         assert rate.sum() * 0.005 == pytest.approx(2 * np.pi, abs=0.01)  # once round
     rate, height = rates["cusps"]
-    assert 0.0 < rate.min() < 1e-4
+    assert rate.min() == pytest.approx(3.4e-6, rel=0.05)
     assert height[1:][rate.argmin()] == pytest.approx(0.6, rel=0.05)  # where it is at rest it is at the top
     rate, height = rates["loops"]
     assert rate.min() < -0.3
@@ -369,13 +369,13 @@ def test_nutation_scenes_show_the_motion_in_their_names() -> None:
 def test_slow_sleeping_top_tilts_and_fast_top_nutates_slightly() -> None:
     tilt = np.degrees(np.arccos(simulate("lagrange_sleeping")["gamma3"]))
     assert tilt[0] < 0.06
-    assert 11.0 < tilt.max() < 12.0
+    assert tilt.max() == pytest.approx(11.48, abs=0.02)
     still = np.degrees(
         np.arccos(simulate("lagrange_sleeping", initial={"omega": [0, 0, 4.05], "gamma": [1e-3, 0, "auto"]})["gamma3"])
     )
     assert still.max() < 1.0
     fast = simulate("lagrange_fast")["gamma3"]
-    assert 1e-3 < fast.max() - fast.min() < 3e-3
+    assert np.ptp(fast) == pytest.approx(1.805e-3, rel=0.01)
 
 
 def test_the_spin_turns_against_gamma_in_the_body() -> None:

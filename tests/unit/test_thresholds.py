@@ -139,6 +139,25 @@ def test_growth_is_named_by_its_exponent(exponent: float, verdict: str) -> None:
     assert found.verdict == verdict
 
 
+@pytest.mark.parametrize(("limit", "names"), [(0.3, ("flat", "random walk")), (0.6, ("random walk", "biased"))])
+def test_growth_changes_its_name_at_0_3_and_at_two_errors_above_0_6(limit: float, names: tuple[str, str]) -> None:
+    """One draw of Gaussian series, whose power is bisected until the exponent (less two errors) is the limit."""
+    at = np.arange(64) + 1.0
+    lag = np.abs(np.subtract.outer(at, at))
+    draws = np.random.default_rng(12).normal(size=(8, 64))
+    low, high, margin = 0.1, 0.95, math.inf
+    for _ in range(10):
+        power = 0.5 * (low + high)
+        covariance = 0.5 * (at[:, None] ** (2 * power) + at[None] ** (2 * power) - lag ** (2 * power))
+        found = growth(1e-16 * draws @ np.linalg.cholesky(covariance).T, 100, 1.0)
+        assert found.exponent is not None
+        assert found.exponent_error is not None
+        margin = found.exponent - (2.0 * found.exponent_error if limit == 0.6 else 0.0) - limit
+        assert found.verdict == names[margin > 0.0]
+        low, high = (low, power) if margin > 0.0 else (power, high)
+    assert abs(margin) < 0.01
+
+
 @BELOW_AND_ABOVE
 def test_what_is_a_thousand_times_round_off_moves(factor: float) -> None:
     random = np.random.default_rng(2)

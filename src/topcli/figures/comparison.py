@@ -145,7 +145,7 @@ class ComparisonFigure(Figure):
         """Return the panels and the comparison that makes their columns. Raises UsageError and RunError."""
         from inspect import getsource
 
-        from topcli.analysis.reference import reference_states
+        from topcli.analysis.reference import distances, reference_states
         from topcli.config.load import load_experiment
         from topcli.engine.fingerprint import fingerprint
         from topcli.studies.compare import compare_schemes
@@ -156,7 +156,7 @@ class ComparisonFigure(Figure):
         experiment = load_experiment(config, request.overrides)
         compared = [under_scheme(experiment, name) for name in self.schemes]
         source = {
-            "study": [fingerprint(reference_states, compiled=False), getsource(compare_schemes)],
+            "study": [fingerprint(reference_states, distances, _data, compiled=False), getsource(compare_schemes)],
             "runs": [[one.digest, method_fingerprint(one.method())] for one in compared],
         }
         labels = [one.scheme.name for one in compared]

@@ -33,11 +33,10 @@ class MadeFigure:
 
 def _source(loaded: Loaded, style: Mapping[str, Any]) -> str:
     """Text that identifies data, panels, style and drawing code: equal texts mean equal pictures."""
-    layout = type(loaded.layout)
-    painting = [type(panel).paint for panel in loaded.panels]
+    painting = dict.fromkeys([type(loaded.layout), *map(type, loaded.panels)])
     return json.dumps(
         {
-            "figure": fingerprint(draw, layout.axes, layout.annotate, *painting, compiled=False),
+            "figure": fingerprint(draw, *painting, compiled=False),
             "style": [STYLE.read_text(encoding="utf-8"), repr(sorted(style.items()))],
             "panels": repr((tuple(loaded.panels), loaded.layout)),
             "topcli": __version__,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.engine.fingerprint import fingerprint
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.curves import LOG, CurvePanel, curve_column, plain
 from topcli.figures.picture import Grid
@@ -32,7 +33,8 @@ def loaded_order(study: Mapping[str, Any], source: str) -> Loaded:
     panel = CurvePanel(
         labels, "$h$", span, True, LOG, ceiling=CEILING, title=plain(study["name"]), legend="scheme: order"
     )
-    return Loaded((panel,), lambda: order_data(study), {"study": source}, Grid(figsize=(6.4, 3.8)))
+    code = fingerprint(order_data, compiled=False)
+    return Loaded((panel,), lambda: order_data(study), {"study": source, "code": code}, Grid(figsize=(6.4, 3.8)))
 
 
 class OrderFigure(Figure):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.engine.fingerprint import fingerprint
 from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
 from topcli.figures.picture import Grid, Styles
 
@@ -175,7 +176,8 @@ class StressFigure(Figure):
         by_top = {panel.top: panel for panel in panels}
         heights = [sum(len(by_top[top].rows) + HEAD for top in column) for column in _in_columns(names["top"])]
         layout = StressGrid(figsize=(7.0, 0.4 + CELL * max(heights)))
-        return Loaded(panels, lambda: data, {"study": source}, layout, {"topcli.names": json.dumps(names)})
+        made_from = {"study": source, "code": fingerprint(figure_data, compiled=False)}
+        return Loaded(panels, lambda: data, made_from, layout, {"topcli.names": json.dumps(names)})
 
     def _panel(self, trials: Sequence[Mapping[str, Any]], top: str, names: Names) -> StressPanel:
         mine = [one for one in trials if one["top"] == top]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.engine.fingerprint import fingerprint
 from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
 from topcli.figures.picture import SharedLegend, Styles
 
@@ -152,4 +153,5 @@ class WorkPrecisionFigure(Figure):
         labels = {curve.name: curve.label for _, curves in drawn for curve in curves}
         first = tuple(labels.get(name, name) for name in (*shown, *peers))
         layout = SharedLegend(rows, (7.0, 0.9 + 2.8 * rows), first=first)
-        return Loaded(panels, lambda: data, {"benches": made_from}, layout)
+        code = fingerprint(_shown, _curves, compiled=False)
+        return Loaded(panels, lambda: data, {"benches": made_from, "code": code}, layout)

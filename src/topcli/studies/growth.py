@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from topcli.analysis.roundoff import block_weights, doubling_lags, structure
+from topcli.analysis.roundoff import doubling_lags, structure
 from topcli.arithmetic.increments import compensated6, first6
 from topcli.arithmetic.rotations import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment
@@ -77,4 +77,5 @@ def growth_columns() -> Mapping[str, Array]:
 def growth_code() -> str:
     """Digest of everything that the columns depend on; equal digests mean equal columns."""
     digests = [method_fingerprint(experiment.method()) + experiment.digest for experiment, _ in _variants().values()]
-    return fingerprint(block_weights, structure, compiled=False) + "".join(digests) + f"{STEPS} {COPIES}"
+    code = fingerprint(sampling_of, copies_followed, doubling_lags, structure, compiled=False)
+    return code + "".join(digests) + f"{STEPS} {COPIES}"

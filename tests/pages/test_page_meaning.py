@@ -1,0 +1,273 @@
+"""What a page means: colours against outcomes, medians against the rows, errors and tables against the study."""
+
+from __future__ import annotations
+
+import colorsys
+import itertools
+import json
+import math
+import re
+import statistics
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import topcli
+from reading_html import Element, read_html, section_of
+from shown import shows
+from stored_results import store_ensemble, store_run
+from sweep_rows import write_rows
+from topcli.pages.contents import Chapter
+from topcli.pages.page import rendered
+from topcli.pages.report import report_page
+from topcli.pages.studies import order_chapter, stress_chapter
+from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
+from topcli.store.series import read_series
+from topcli.studies.rows import read_rows
+
+GREEN, AMBER, RED = "green", "amber", "red"
+SCHEMES, CASES = ("hk", "rk4"), ("pole", "delone", "huge", "rest")
+TRIALS = {
+    ("hk", "pole"): ("held", None, "ok"),
+    ("hk", "delone"): ("degraded", None, "ok"),
+    ("hk", "huge"): ("broke", 17, "limit"),
+    ("hk", "rest"): ("not tried", None, "ok"),
+    ("rk4", "pole"): ("broke", 40, "unexplained"),
+    ("rk4", "delone"): ("held", None, "outlived limit"),
+    ("rk4", "huge"): ("degraded", 3, "ok"),
+    ("rk4", "rest"): ("held", None, "ok"),
+}
+"""Outcome, step and verdict of each trial, all different within a scheme."""
+
+
+@pytest.fixture
+def study() -> dict[str, Any]:
+    keys = ("outcome", "step", "verdict")
+    trials = [
+        {"scheme": scheme, "top": "kowalevski", "case": case, "why": f"why {scheme} {case}"}
+        | dict(zip(keys, found, strict=True))
+        for (scheme, case), found in TRIALS.items()
+    ]
+    outcomes = [one["outcome"] for one in trials]
+    return {
+        "trials": trials,
+        "cases": [{"case": case, "top": "kowalevski", "question": f"{case}?"} for case in CASES],
+        "outcomes": {name: outcomes.count(name) for name in dict.fromkeys(outcomes)},
+    }
+
+
+def colour_names(page: Element) -> dict[str, dict[str, str]]:
+    """For each colour scheme of the page the name of the colour of each class, by its hue."""
+    css = "".join(page.all("style")[0].text)
+    rules = dict(re.findall(r"\.(good|bad|middling) \{ color: var\(--(\w+)\)", css))
+    found = {}
+    for mode, block in zip(("light", "dark", "print"), re.findall(r":root \{([^}]*)\}", css), strict=True):
+        colours = dict(re.findall(r"--(\w+): #([0-9a-f]{6})", block))
+        hues = {
+            kind: 360.0 * colorsys.rgb_to_hls(*(int(colours[name][i : i + 2], 16) / 255.0 for i in (0, 2, 4)))[0]
+            for kind, name in rules.items()
+        }
+        assert all(abs(one - other) > 10.0 for one, other in itertools.combinations(hues.values(), 2)), mode
+        found[mode] = {
+            kind: GREEN if 140.0 < hue < 175.0 else RED if hue < 25.0 else AMBER if 35.0 < hue < 50.0 else f"{hue:.0f}"
+            for kind, hue in hues.items()
+        }
+    return found
+
+
+def colours_of(table: Element, colours: dict[str, str]) -> list[list[str]]:
+    """Colour of each cell of a table, row by row; empty for the colour of text."""
+    rows = [[one for one in row.all() if one.name in ("th", "td")] for row in table.all("tr")]
+    return [[colours.get(cell.attributes.get("class", ""), "") for cell in row] for row in rows]
+
+
+def shown(chapter: Chapter) -> Element:
+    return read_html(rendered([chapter], "t"))
+
+
+@pytest.mark.parametrize("mode", ["light", "dark", "print"])
+def test_outcomes_of_hard_cases_have_their_signs_and_colours(study: dict[str, Any], mode: str) -> None:
+    """Held is green, degraded amber, broke red; what was not tried has the colour of text."""
+    page = shown(stress_chapter(study))
+    (grid, failures, _) = page.all("table")
+    seen = colour_names(page)[mode]
+    meaning = {"held": ("·", GREEN), "degraded": ("o", AMBER), "broke": ("X", RED), "not tried": ("–", "")}
+    cells, colours = grid.cells(), colours_of(grid, seen)
+    assert cells[0] == ["scheme", *CASES]
+    for i, scheme in enumerate(SCHEMES, 1):
+        for j, case in enumerate(CASES, 1):
+            assert (cells[i][j], colours[i][j]) == meaning[TRIALS[scheme, case][0]], (scheme, case)
+    (legend,) = (one.text for one in section_of(page, "Outcomes: kowalevski").with_class("caption"))
+    assert all(f"{sign} {outcome}" in legend for outcome, (sign, _) in meaning.items())
+    cells, colours = failures.cells(), colours_of(failures, seen)
+    column = cells[0].index("outcome")
+    for row, colour in zip(cells[1:], colours[1:], strict=True):
+        assert colour[column] == meaning[row[column]][1]
+
+
+def test_the_page_lists_every_trial_that_did_not_hold(study: dict[str, Any]) -> None:
+    page = shown(stress_chapter(study))
+    header, *rows = section_of(page, "Trials that did not hold").all("table")[0].cells()
+    assert header == ["scheme", "top", "case", "outcome", "step", "why", "verdict"]
+    words = {"ok": "", "limit": "declared limit"}
+    assert rows == [
+        [scheme, "kowalevski", case, outcome, "–" if step is None else str(step), f"why {scheme} {case}",
+         words.get(verdict, verdict)]
+        for (scheme, case), (outcome, step, verdict) in TRIALS.items()
+        if outcome in ("degraded", "broke") or verdict != "ok"
+    ]  # fmt: skip
+    questions = section_of(page, "Cases").all("table")[0].cells()[1:]
+    assert questions == [[case, "kowalevski", f"{case}?"] for case in CASES]
+
+
+def test_a_study_is_as_declared_unless_a_trial_is_unexplained_or_outlives_its_limit(study: dict[str, Any]) -> None:
+    for verdicts, state, kind in (
+        ((), "as declared", "good"),
+        (("unexplained",), "1 unexplained", "bad"),
+        (("outlived limit",), "1 unexplained", "bad"),
+    ):
+        kept = [one for one in study["trials"] if one["verdict"] in ("ok", "limit", *verdicts)]
+        page = shown(stress_chapter({**study, "trials": kept}))
+        (outcome,) = page.with_class("outcome")
+        assert (outcome.text, kind in outcome.attributes["class"].split()) == (state, True)
+    assert "3 held, 2 degraded, 2 broke, 1 not tried" in page.text
+
+
+VERDICTS = {"exact": GREEN, "bounded": "", "drifting": AMBER, "lost": RED, "unjudged": ""}
+
+
+def test_verdicts_on_invariants_have_their_colours(tmp_path: Path) -> None:
+    folder = store_run(tmp_path, "one")
+    path = folder / "report.json"
+    report = json.loads(path.read_text())
+    first = report["invariants"][0]
+    report["invariants"] = [{**first, "symbol": verdict, "verdict": verdict} for verdict in VERDICTS]
+    path.write_text(json.dumps(report))
+    page = read_html(report_page([str(folder)]).text)
+    table = section_of(page, "Conservation laws").all("table")[0]
+    (at,) = [i for i, row in enumerate(table.cells()) if row[0] == "verdict"]
+    assert dict(zip(table.cells()[at][1:], colours_of(table, colour_names(page)["light"])[at][1:], strict=True)) == (
+        VERDICTS
+    )
+
+
+def sweep_of_several(folder: Path) -> tuple[Path, dict[tuple[str, float], list[float]]]:
+    """Rows of two schemes and three steps with five seeds, whose mean, median, maximum and minimum differ."""
+    rows = list(itertools.product(("hk", "rk4"), (0.1, 0.05, 0.025), range(5)))
+    values = [(1.0 + 3.0 * (scheme == "rk4")) * h * (1.0 + seed**3) for scheme, h, seed in rows]
+    keys = {name: [row[i] for row in rows] for i, name in enumerate(("scheme", "h", "seed"))}
+    found: dict[tuple[str, float], list[float]] = {}
+    for (scheme, h, _), value in zip(rows, values, strict=True):
+        found.setdefault((scheme, h), []).append(value)
+    return write_rows(folder, keys, {"error.max": values}, log=["h"]), found
+
+
+def test_the_pictures_of_a_sweep_draw_medians_and_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, values = sweep_of_several(tmp_path / "several")
+    drawn: list[tuple[Any, dict[str, np.ndarray], str]] = []
+
+    def keep(panel: Any, data: dict[str, np.ndarray], name: str, label: str, layout: Any = None) -> str:
+        drawn.append((panel, data, label))
+        return "<svg></svg>"
+
+    monkeypatch.setattr("topcli.pages.sweeps.svg_of", keep)
+    rows = read_rows(folder)
+    (choice,) = sweep_choices(rows)
+    assert (choice.x, choice.y, choice.by) == ("seed", "error.max", "h")
+    found = sweep_pictures(rows, "x")
+    assert found is not None
+    (panel, data, label) = drawn[0]
+    assert found.pictures[0].caption == label == "error.max over seed for each h, median over the rows"
+    assert panel.ylabel == "error.max (median and quartiles)"
+    for h in (0.1, 0.05, 0.025):
+        name = next(one for one in panel.labels if one == f"h = {h:g}")
+        for seed, middle in zip(data[f"{name}:x"], data[f"{name}:y"], strict=True):
+            both = [values[scheme, h][int(seed)] for scheme in ("hk", "rk4")]
+            assert middle == pytest.approx(statistics.median(both), rel=1e-14)
+            assert middle < 0.7 * max(both)
+
+
+def test_rows_of_a_sweep_are_listed_with_their_values_and_outcomes(tmp_path: Path) -> None:
+    outcomes = ["completed", "blew_up", "left_motion"]
+    keys = {"scheme": ["hk", "rk4", "hk"], "h": [0.1, 0.05, 0.025]}
+    folder = write_rows(tmp_path / "s", keys, {"a": [1.25, 2.5, 3.75], "b": [4.0, 5.0, 6.0]}, outcome=outcomes)
+    chapter = Chapter("s", "sweep")
+    chapter.blocks.append(rows_table(read_rows(folder)))
+    page = shown(chapter)
+    header, *rows = page.all("table")[0].cells()
+    assert header == ["row", "scheme", "h", "outcome", "a", "b"]
+    for i, row in enumerate(rows):
+        assert row[:2] == [str(i), keys["scheme"][i]]
+        assert row[3] == outcomes[i]
+        assert [float(row[j]) for j in (2, 4, 5)] == [keys["h"][i], 1.25 * (i + 1), 4.0 + i]
+    colours = [row[3] for row in colours_of(page.all("table")[0], colour_names(page)["light"])[1:]]
+    assert colours == ["", RED, RED]
+
+
+def test_the_table_of_orders_is_that_of_the_study() -> None:
+    """The smallest error is neither the first nor the last, and its h is its own."""
+    points = [{"h": 0.4 / 2**k, "error": error, "end_error": 7.0} for k, error in enumerate((1e-2, 2e-5, 3e-3, None))]
+    row = {"scheme": "hk", "declared_order": 3, "order": 1.987, "fitted": [0.05, 0.2], "plateau": 3.4e-13}
+    row |= {"onset": 0.0123, "ended": "", "broken": None, "failed": [], "points": points}
+    made = {"name": "n", "top": "t", "duration": 7.0, "schemes": [row], "left_out": [], "environment": {}}
+    page = shown(order_chapter(made, None))
+    orders, errors = page.all("table")[:2]
+    header, cells = orders.cells()
+    values = {"scheme": ("hk",), "order": (3,), "observed": (1.987,), "fitted over h": (0.05, 0.2)}
+    values |= {"round-off": (3.4e-13,), "from h": (0.0123,), "smallest error": (2e-5,), "at h": (0.2,)}
+    assert header == list(values)
+    for cell, (name, expected) in zip(cells, values.items(), strict=True):
+        assert shows(cell, *expected), (name, cell)
+    assert errors.cells()[0] == ["h", "hk"]
+    stored = [(0.4, 1e-2), (0.2, 2e-5), (0.1, 3e-3), (0.05, math.nan)]
+    np.testing.assert_array_equal([tuple(map(float, line)) for line in errors.cells()[1:]], stored)
+
+
+def test_a_damaged_run_is_damaged_wherever_it_is_shown(tmp_path: Path) -> None:
+    """Also beside others, in the table that compares them."""
+    folders = [store_run(tmp_path, "one"), store_run(tmp_path, "other", "hybrid")]
+    (folders[1] / "series.parquet").write_bytes(b"PAR1")
+    page = read_html(report_page([str(folder) for folder in folders]).text)
+    rows = {row[0]: row[1:] for row in section_of(page, "Comparison").all("table")[0].cells()}
+    assert rows["outcome"] == ["completed", "damaged"]
+    state = {one.text: one.attributes["class"].split() for one in page.with_class("outcome")}
+    assert ("good" in state["completed"], "bad" in state["damaged"], "bad" in state["2 runs"]) == (True, True, True)
+
+
+@pytest.mark.parametrize("columns", [["t", "gamma1"], ["n", "gamma1"]])
+def test_time_is_time_without_a_column_of_times(columns: list[str], tmp_path: Path) -> None:
+    """Step numbers alone are multiplied by h, on the page and in a plot."""
+    from topcli.pages import series_pictures
+
+    folder = store_run(tmp_path, "one", output={"columns": columns})
+    drawn: list[np.ndarray] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(series_pictures, "svg_of", lambda panel, data, *more: drawn.append(data["t"]) or "<svg></svg>")
+        report_page([str(folder)])
+    np.testing.assert_allclose(drawn[0], 0.01 * np.arange(401), rtol=1e-12, atol=1e-15)
+    config = json.loads((folder / "manifest.json").read_text())["config"]
+    found = topcli.run(config, tmp_path)
+    axes = found.plot(Figure().add_subplot(), columns=["gamma1"])
+    (line,) = axes.get_lines()
+    np.testing.assert_allclose(line.get_xdata(), 0.01 * np.arange(401), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(line.get_ydata(), read_series(folder / "series.parquet", ["gamma1"])["gamma1"])
+
+
+def test_the_distribution_of_an_ensemble_is_that_of_its_trajectories(tmp_path: Path) -> None:
+    """The value that a given fraction of the trajectories stays below, and the table's quantiles."""
+    folder = store_ensemble(tmp_path, count=11)
+    table = read_series(folder / "trajectories.parquet")
+    page = read_html(report_page([str(folder)]).text)
+    rows = {row[0]: row[1:] for row in section_of(page, "Conservation laws").all("table")[0].cells()}
+    report = json.loads((folder / "report.json").read_text())
+    for i, invariant in enumerate(report["invariants"]):
+        ordered = sorted(table[f"{invariant['name']}_max_deviation"].tolist())
+        assert ordered[0] < ordered[5] < ordered[10]
+        for label, at in (("min", 0), ("median", 5), ("max", 10)):
+            assert shows(rows[f"max deviation, {label}"][i], ordered[at]), label
+        rms = sorted(table[f"{invariant['name']}_rms_deviation"].tolist())
+        assert shows(rows["rms deviation, median"][i], rms[5])
+        assert shows(rows["rms deviation, max"][i], rms[10])
