@@ -187,10 +187,10 @@ def compare_schemes(
     compared = read_entries(experiment, entries, options)
     top = experiment.top
     methods = [one.experiment.method() for one in compared]
-    trajectories = [trajectory_of(one.experiment) for one in compared]
     references = _References(top, experiment.y0, reference)
     finest = max((one.experiment for one in compared), key=lambda one: one.N // one.output.every)
-    finest_rows = references.at(finest, finest.output.every)
+    finest_rows = references.at(finest, finest.output.every)  # first, because it may be refused
+    trajectories = [trajectory_of(one.experiment) for one in compared]
     probes = finest_rows[probe_rows(len(finest_rows))]
     timed = nanoseconds_per_step(
         [(top, method, experiment.y0, one.experiment.h) for one, method in zip(compared, methods, strict=True)],
