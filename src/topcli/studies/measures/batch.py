@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -150,13 +151,20 @@ def rows_fault(experiment: Experiment, measures: Sequence[Measure]) -> str:
 class BatchRecorder:
     """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
 
-    Pieces of different runs may be added from different threads, those of a run in the order of time.
+    Pieces of different runs may be added from different threads, those of a run in the order of time. The reference of
+    each run is computed within a context ``limited()``, which may end it by a RunError.
     """
 
-    def __init__(self, experiment: Experiment, measures: Sequence[Measure], initial: Array) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        measures: Sequence[Measure],
+        initial: Array,
+        limited: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
         if fault := rows_fault(experiment, measures):
             raise UsageError(fault)
-        self.experiment, self.initial = experiment, initial
+        self.experiment, self.initial, self._limited = experiment, initial, limited
         top, every = experiment.top, experiment.output.every
         needs = {need for one in measures for need in one.needs}
         self._n = np.arange(0, experiment.N + 1, every, dtype=np.int64)
@@ -187,7 +195,8 @@ class BatchRecorder:
             return None
         one = self.experiment
         try:
-            return REFERENCES.states(one.top, one.scheme, self.initial[i], one.h, n)
+            with self._limited():
+                return REFERENCES.states(one.top, one.scheme, self.initial[i], one.h, n)
         except RunError as error:
             self._faults[need][i] = str(error)
             return None
