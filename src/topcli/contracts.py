@@ -13,7 +13,8 @@ Rules for the author of a scheme:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -31,17 +32,28 @@ StepFunction = Callable[[Floats, float, Floats], Floats]
 
 
 stop_asked: ContextVar[Callable[[], bool]] = ContextVar("stop_asked", default=lambda: False)
-"""Set by the engine while a plain step runs: True as soon as the run is to stop."""
+"""True as soon as the work at hand is to stop; set by ``heeding``."""
 
 
 class StopAsked(Exception):  # noqa: N818 (no error)
-    """Raised within a step that is not worth finishing; the step counts as not taken."""
+    """Raised within work that is not worth finishing; a step counts as not taken."""
 
 
 def heed_stop() -> None:
     """Give up a plain step that takes long if the run is to stop; to be called every few milliseconds."""
     if stop_asked.get()():
         raise StopAsked
+
+
+@contextmanager
+def heeding(stop: Callable[[], bool]) -> Iterator[None]:
+    """Let ``heed_stop`` ask ``stop`` within the block, besides what it asks outside."""
+    outer = stop_asked.get()
+    token = stop_asked.set(lambda: stop() or outer())
+    try:
+        yield
+    finally:
+        stop_asked.reset(token)
 
 
 @dataclass(frozen=True)
@@ -410,6 +422,8 @@ class Block:
         As in ``Stepper``.
     iterative : bool, optional
         As in ``Stepper``.
+    advice : callable, optional
+        As in ``Stepper``.
     """
 
     text: Callable[[], str]
@@ -417,6 +431,7 @@ class Block:
     width: int
     counters: tuple[str, ...] = ()
     iterative: bool = False
+    advice: Callable[[Sequence[float], float], str] | None = None
 
 
 Method = Stepper | Sampler | Block

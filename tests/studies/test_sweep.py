@@ -374,15 +374,15 @@ def test_rows_side_by_side_share_their_time_limit(count: int, monkeypatch: pytes
     clock, stopped = [50.0], []
 
     class Ready:
-        measures, size = (), 64
-        stop: Any = None
+        measures, size, side_by_side = (), 64, True
+        limit: Any = None
 
         @property
         def run(self) -> Any:
             return self
 
         def finished(self, states: Any) -> Any:
-            while not self.stop():
+            while not self.limit.stop():
                 clock[0] += 0.5
             stopped.append((len(states), clock[0]))
             raise RunError("stopped")

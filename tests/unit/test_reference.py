@@ -333,8 +333,8 @@ class Inertial(Heavy):
 
 
 def test_unreachable_accuracy_is_reported(monkeypatch):
-    with pytest.raises(RunError, match=r"can be followed to 1\.3e"):
-        reference_states(Kowalevski(), PAPER, np.array([1e9]))
+    with pytest.raises(RunError, match=r"at least 1e\+10 Taylor steps to reach t = 1e\+10; at most 20000000 are taken"):
+        reference_states(Kowalevski(), PAPER, np.array([1e10]))
     with pytest.raises(RunError, match=r"m1, m2, m3.*expected omega"):
         reference_states(Inertial(), GEN, np.array([1.0]))
     with pytest.raises(RunError, match="beyond double precision"):
@@ -342,10 +342,9 @@ def test_unreachable_accuracy_is_reported(monkeypatch):
     with pytest.raises(RunError, match="initial angular velocity is beyond double precision"):
         reference_states(Heavy(moments=(1.0, 8.0, 1.0)), (1e308, *GEN[1:]), np.array([1.0]))
     with monkeypatch.context() as patch:
-        patch.setattr(reference, "MAX_STEPS", 1000)
         patch.setattr(reference, "BUDGET", 100)
-        with pytest.raises(RunError, match=r"more than 1000 Taylor steps; after 100 it is at t = "):
-            reference_states(Kowalevski(), PAPER, np.array([1e4]))
+        with pytest.raises(RunError, match=r"about 1\.\de\+04 Taylor steps to reach t = 10000; at most 12000"):
+            reference_states(Kowalevski(), PAPER, np.array([1e4]), 12_000)
     monkeypatch.setattr(reference, "_units", lambda coef, y: (0, 0))
     with pytest.raises(RunError, match=r"beyond t = 0: it is not finite"):
         reference_states(Kowalevski(), (1e150, *GEN[1:]), np.array([1e-150]))

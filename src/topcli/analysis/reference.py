@@ -8,15 +8,16 @@ for a relative local error of 1e-31.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from topcli.analysis.reference_series import DONE, GRID, MORE, STEP_TOO_SMALL, advance
+from topcli.analysis.reference_series import DONE, LONGEST, MORE, STEP_TOO_SMALL, advance
 from topcli.arithmetic.double_double import dd_div, two_sum
-from topcli.contracts import Array, EulerPoisson, Top, checked_equations
+from topcli.contracts import Array, EulerPoisson, Top, checked_equations, heed_stop
 from topcli.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -31,9 +32,9 @@ REACH = math.exp(-0.7 / (ORDER - 1)) / math.e**2
 BODY = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
 
 BUDGET = 2000
-"""Steps between two possible interruptions: less than 0.1 s."""
+"""Steps between two possible interruptions: 0.1 s, and 0.3 s where numbers are denormal."""
 MAX_STEPS = 20_000_000
-"""Longest reference that is computed, some ten minutes."""
+"""Longest reference that is computed, some fifteen minutes. Times are exact up to 2^25 of the longest steps."""
 
 
 @cache
@@ -117,8 +118,8 @@ def distances(states: Array, reference: Array) -> Array:
         return np.sqrt(square)
 
 
-def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
-    """Reference solution at given times.
+def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int = MAX_STEPS) -> Array:
+    """Reference solution at given times; it heeds a request to stop (``contracts.heed_stop``).
 
     Each state is within an ulp of its own size of the solution, as long as the motion's sensitivity has not amplified
     the local error of 1e-31 to that.
@@ -131,6 +132,9 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
         State at time zero, in the order of ``top.components``.
     times : ndarray, shape (m,)
         Times, taken as exact numbers, leading away from zero: all forward (>= 0) or all backward (<= 0).
+    max_steps : int, optional
+        Largest number of Taylor steps. A motion that surely needs more is refused before the first one, any other as
+        soon as its steps so far show it.
 
     Returns
     -------
@@ -139,8 +143,8 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
     Raises
     ------
     RunError
-        If the motion leaves the range of a double, its steps shrink below the resolution of time, or the span is too
-        long.
+        If the motion leaves the range of a double, its steps shrink below the resolution of time, or it needs too many
+        of them.
     ValueError
         For times that do not lead away from zero.
     """
@@ -156,12 +160,10 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
         tau = np.ldexp(t, -k)
         quotients = coef.reshape(3, 6)
         quotients[:, 2:] = np.ldexp(quotients[:, 2:], 2 * k + m) if y[3:].any() else 0.0
-    if t.size and not abs(tau[-1]) < 2.0 * GRID:
-        raise RunError(
-            f"reference: t = {t[-1]:.6g} is {abs(tau[-1]):.1e} times the shortest time scale of this motion; "
-            f"it can be followed to {2.0 * GRID:.1e} of them"
-        )
-    _follow(coef, state, tau, out.reshape(-1), work, lambda at: math.ldexp(at, k))
+    if t.size and not abs(tau[-1]) <= LONGEST * max_steps:
+        least = min(abs(float(tau[-1])) / LONGEST, sys.float_info.max)
+        raise _too_long(f"at least {least:.2g}", float(t[-1]), max_steps)
+    _follow(coef, state, tau, out.reshape(-1), work, lambda at: math.ldexp(at, k), max_steps)
     with np.errstate(all="ignore"):
         states = np.ldexp(out, unit)[:, : len(top.components)]
     states[:, :3] *= equations.omega_sign
@@ -170,10 +172,24 @@ def reference_states(top: Top, y0: Sequence[float], times: Array) -> Array:
     return np.ascontiguousarray(states)
 
 
-def _follow(coef: Array, state: Array, tau: Array, out: Array, work: Array, physical: Callable[[float], float]) -> None:
+def _too_long(steps: str, t: float, most: int) -> RunError:
+    """Error for a motion of too many steps."""
+    return RunError(f"the reference would need {steps} Taylor steps to reach t = {t:.6g}; at most {most} are taken")
+
+
+def _follow(
+    coef: Array,
+    state: Array,
+    tau: Array,
+    out: Array,
+    work: Array,
+    physical: Callable[[float], float],
+    max_steps: int,
+) -> None:
     """Call ``advance`` until all outputs are written, in parts so that it can be interrupted."""
     run = _compiled()
     while True:
+        heed_stop()
         code = run(coef, state, tau, out, work, ORDER, REACH, BUDGET)
         if code == DONE:
             return
@@ -181,8 +197,6 @@ def _follow(coef: Array, state: Array, tau: Array, out: Array, work: Array, phys
         if code != MORE:
             why = "its step shrinks below the resolution of time" if code == STEP_TOO_SMALL else "it is not finite"
             raise RunError(f"reference: the motion cannot be followed beyond t = {physical(state[12]):.6g}: {why}")
-        if steps * (abs(tau[-1]) / at) > MAX_STEPS:
-            raise RunError(
-                f"reference: t = {physical(tau[-1]):.6g} would take more than {MAX_STEPS} Taylor steps; "
-                f"after {steps:.0f} it is at t = {physical(state[12]):.6g}"
-            )
+        expected = steps * (abs(tau[-1]) / at)
+        if expected > max_steps:
+            raise _too_long(f"about {expected:.2g}", physical(tau[-1]), max_steps)

@@ -112,6 +112,10 @@ def reduce(u: tuple[Array, Array], period: DoubleDouble) -> tuple[Array, tuple[A
     return j, add(u, multiple(period, -j))
 
 
+LANDEN_LIMIT = 64
+"""Descents of a Landen transformation; for any double a dozen is enough."""
+
+
 def landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
     """Jacobi's sn, cn, dn at ``u`` (m,), |u| of the order of a period, for 0 < m1 <= 1.
 
@@ -119,7 +123,7 @@ def landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
     """
     a, root = 1.0, m1
     ladder = []
-    while True:
+    for _ in range(LANDEN_LIMIT):
         root = math.sqrt(root)
         ladder.append((a, root))
         middle = 0.5 * (a + root)

@@ -177,7 +177,7 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     if isinstance(method, Block):
         code = native_text(method.text(), "advance", SIGNATURE)
         loop = Loop(method.enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)
-        return replace(loop, returns_early=True)
+        return replace(loop, returns_early=True, advice=method.advice)
     enter, drive = plain_loop(_checked_length(method) if method.plain else method, d, constants)
     if method.plain:
         return Loop(enter, drive, method.width, method.counters, iterative=method.iterative, compiled=False)

@@ -22,7 +22,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, Top
+from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, StopAsked, Top, heeding
 from topcli.engine.driver import Loop, loop_of, step_refused
 from topcli.engine.endings import Endings
 from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of
@@ -52,7 +52,7 @@ CHUNK_STEPS = 1 << 14
 BLOCK = 1 << 14
 """Trajectories of a large ensemble that are drawn, run, tallied and written before the next ones, to bound the memory.
 A multiple of GROUP * TILE, so that tiles are those of one large block."""
-FIRST_CALL = 4
+FIRST_CALL = 1
 """Steps of the first call of compiled code for a tile; later calls take more while they are short."""
 
 Made = TypeVar("Made")
@@ -296,10 +296,15 @@ class EnsembleRun(TileContext, Generic[Made]):
         """Run trajectory after trajectory in the time loop of single runs."""
         stride = math.gcd(self.every, self.N)  # so that step N is among the rows
         setup = self.method.setup if isinstance(self.method, Sampler) else None
-        order: Iterable[int] = range(len(self.y0))
+        order: Iterator[int] = iter(range(len(self.y0)))
         if setup is not None:
-            order = Setups(setup, self.y0, tuple(self.p.tolist()), self.threads, self.setup)
-        for i in order:
+            order = iter(Setups(setup, self.y0, tuple(self.p.tolist()), self.threads, self.setup))
+        while True:
+            try:
+                with heeding(self.stop):
+                    i = next(order)
+            except (StopIteration, StopAsked):
+                return
             run = Run(self.top, self.single_loop(), self.y0[i], self.h, self.N, stride, self.stop)
             for chunk in run:
                 asked = chunk.n % self.every == 0

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, stop_asked
+from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, heeding
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.setups import SetupTime
 
@@ -22,13 +23,15 @@ CHUNK_STEPS = 1 << 19
 """Steps between two checks of clock and keyboard: some tens of milliseconds."""
 PLAIN_STEPS = 1 << 9
 """The same for steps that run in the interpreter."""
+PLAIN_NANOSECONDS = 1e8
+"""Time for which they are timed at once."""
 PRECISE_STEPS = 1 << 4
 """The same for steps in another arithmetic."""
 CALL_SECONDS = 0.25
 """Approximate longest time between two calls of ``stop``."""
 SAMPLED_STATES = 5000
 """States of a closed form that are timed together."""
-FIRST_CALL = 64
+FIRST_CALL = 1
 """Steps of the first call of compiled code; later calls take up to eight times those of the one before."""
 
 
@@ -146,7 +149,8 @@ class Run:
         )
         out = np.empty(chunk_rows * d, dtype=self._type)
         if self._loop.prepare is not None:
-            self.setup = self._loop.prepare(self._y0, self._p)
+            with suppress(StopAsked), heeding(self._stop):
+                self.setup = self._loop.prepare(self._y0, self._p)
         if self._position.done < 0:
             self._loop.enter(self._y0, work, self._p, self._step)
             self._position = Position(0, work, chunk_rows, chunk_steps)
@@ -192,28 +196,27 @@ class Run:
         """
         d, every, taken = len(self._y0), self.every, 0
         begin = time.perf_counter()
-        token = stop_asked.set(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop())
         try:
-            while True:
-                rows = recorded_rows(taken, to_record, every)
-                size = min(steps - taken, self._call_steps)
-                start = time.perf_counter()
-                went = self._loop.drive(
-                    work, out[rows * d :], self._p, self._step, size, every, to_record + rows * every - taken
-                )
-                now = time.perf_counter()
-                if went < 0:
-                    return went - taken, False
-                taken += went
-                if went < size or taken == steps:
-                    return taken, False
-                if now - begin > CALL_SECONDS and self._stop():
-                    return taken, True
-                self._call_steps = next_call_steps(size, now - start)
+            with heeding(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop()):
+                while True:
+                    rows = recorded_rows(taken, to_record, every)
+                    size = min(steps - taken, self._call_steps)
+                    start = time.perf_counter()
+                    went = self._loop.drive(
+                        work, out[rows * d :], self._p, self._step, size, every, to_record + rows * every - taken
+                    )
+                    now = time.perf_counter()
+                    if went < 0:
+                        return went - taken, False
+                    taken += went
+                    if went < size or taken == steps:
+                        return taken, False
+                    if now - begin > CALL_SECONDS and self._stop():
+                        return taken, True
+                    self._call_steps = next_call_steps(size, now - start)
         except StopAsked:
             return taken, True
         finally:
-            stop_asked.reset(token)
             self.run_seconds += time.perf_counter() - begin
 
 
@@ -227,7 +230,7 @@ def nanoseconds_per_step(
 
     Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the machine's
     speed affects all of them. A trajectory that blows up is timed up to that point; a step that runs in the interpreter
-    is timed over fewer steps. Of a closed form the time of one state is returned.
+    is timed over as many as take a tenth of a second. Of a closed form the time of one state is returned.
     """
     prepared = []
     for top, method, y0, h in runs:
@@ -236,17 +239,20 @@ def nanoseconds_per_step(
         prepared.append((loop, np.array(y0, dtype=np.float64), p, h, np.zeros(loop.width)))
     sampled = np.empty(SAMPLED_STATES * max((len(y0) for _, y0, *_ in prepared), default=0))
     times: list[list[float]] = [[] for _ in prepared]
+    interpreted = [1] * len(prepared)
     for repetition in range(repetitions + 1):
         for i, (loop, y0, p, h, work) in enumerate(prepared):
             loop.enter(y0, work, p, h)
             start = clock()
-            count = steps if loop.compiled else min(steps, PLAIN_STEPS)
+            count = steps if loop.compiled else min(steps, interpreted[i])
             if loop.sampled:
                 count = min(steps, SAMPLED_STATES)
                 taken = loop.drive(work, sampled[: count * len(y0)], p, h, count, 1, 1)
             else:
                 taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
             elapsed = clock() - start
-            if repetition:
+            if not repetition:
+                interpreted[i] = min(PLAIN_STEPS, 1 + int(PLAIN_NANOSECONDS / max(elapsed, 1)))
+            else:
                 times[i].append(elapsed / max(1, abs(taken)))
     return [float(np.median(one)) for one in times]

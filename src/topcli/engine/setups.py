@@ -14,7 +14,7 @@ import time
 from base64 import b64decode
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,13 +22,15 @@ from queue import SimpleQueue
 from typing import Any
 
 from topcli import __version__
-from topcli.contracts import Array, Floats, Setup
+from topcli.contracts import Array, Floats, Setup, heed_stop
 from topcli.engine.code_cache import CACHE_ENTRIES, store_setup, stored_setup
 
 WORKER = "topcli.engine.setup_worker"
 _ROOT = str(Path(__file__).resolve().parents[2])
 AHEAD = 4
 """Set-ups requested in advance for each process."""
+POLL_SECONDS = 0.1
+"""Time between two questions whether to go on waiting for another process."""
 WORTH_WORKERS = 1.0
 """Seconds of computation from which on other processes are started; each takes a third of a second to start."""
 
@@ -119,7 +121,8 @@ class Setups:
     """Set-ups of many initial states ``y0`` (m, d), of which ``threads`` are computed at the same time.
 
     Iterate over the numbers 0 to m - 1: each set-up is ready when its number appears. The time waited for them is added
-    to ``time``. They are kept on disk if all of them fit there easily.
+    to ``time``. They are kept on disk if all of them fit there easily. A request to stop ends the iteration, by
+    ``StopAsked``, and the processes.
     """
 
     def __init__(self, setup: Setup, y0: Array, p: Floats, threads: int, time: SetupTime | None = None) -> None:
@@ -144,6 +147,8 @@ class Setups:
                 begin = time.perf_counter()
                 while len(coming) < AHEAD * self.processes and i + len(coming) < count:
                     coming.append(pool.submit(self._found, i + len(coming)))
+                while coming and not wait([coming[0]], POLL_SECONDS).done:
+                    heed_stop()
                 found = coming.popleft().result() if coming else self._found(i)
                 self._use(i, *found)
                 self.time.seconds += time.perf_counter() - begin

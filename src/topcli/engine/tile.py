@@ -20,6 +20,9 @@ from topcli.engine.endings import Endings
 from topcli.engine.loop import CALL_SECONDS, next_call_steps, recorded_rows
 from topcli.engine.native import Native
 
+FIRST_CALL = 64
+"""Steps of the first call for a trajectory that goes on by itself."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -161,19 +164,30 @@ class Tile:
             context.call_steps = next_call_steps(size, now - start)
 
     def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
-        """Repeat the steps of lane ``j`` in the time loop of single runs; return the number of ``rows`` reached."""
-        context, loop = self.context, self.context.single_loop()
-        out = np.empty(max(rows.size, rows.shape[1]))
-        taken = loop.drive(work, out, context.p, context.h, steps, context.every, until_record)
-        good = steps if taken >= 0 else -taken - 1
+        """Repeat the steps of lane ``j`` in the time loop of single runs, fewer if asked to stop.
+
+        Return the number of ``rows`` reached.
+        """
+        context, loop, d = self.context, self.context.single_loop(), rows.shape[1]
+        out = np.empty(max(rows.size, d))
+        good, went, size, stopped = 0, 0, FIRST_CALL, False
+        while good < steps and went >= 0 and not stopped:
+            reached = recorded_rows(good, until_record, context.every)
+            size, until = min(steps - good, size), until_record + reached * context.every - good
+            start = time.perf_counter()
+            went = loop.drive(work, out[reached * d :], context.p, context.h, size, context.every, until)
+            now = time.perf_counter()
+            good += went if went >= 0 else -went - 1
+            size = next_call_steps(size, now - start)
+            stopped = now - context.chunk_began > CALL_SECONDS and context.stop()
         reached = recorded_rows(good, until_record, context.every)
-        rows[:reached] = out[: reached * rows.shape[1]].reshape(reached, rows.shape[1])
-        if taken >= 0:
+        rows[:reached] = out[: reached * d].reshape(reached, d)
+        if good == steps:
             self.work[:-1, j] = work
         else:
             self.alive[j] = False
-            step = self.done - steps - taken
-            context.endings.put(self.first + j, loop.failure(work), step, work[self.uncounted :])
+            outcome, step = (Outcome.INTERRUPTED, good) if went >= 0 else (loop.failure(work), good + 1)
+            context.endings.put(self.first + j, outcome, self.done - steps + step, work[self.uncounted :])
         return reached
 
     def end(self) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.analysis.order import probe_rows, reversal
-from topcli.analysis.reference import distances
+from topcli.analysis.reference import MAX_STEPS, distances
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
@@ -167,15 +167,15 @@ def compare_schemes(
     top = experiment.top
     reference_form(top, reference)
     methods = [one.experiment.method() for one in compared]
-    trajectories = [trajectory_of(one.experiment) for one in compared]
-    shared = SharedReferences(sys.maxsize)
+    shared = SharedReferences(sys.maxsize, MAX_STEPS)
 
     def reference_of(one: Experiment, every: int) -> Array:
         n = np.arange(0, one.N + 1, every)
         return shared.states(top, reference, np.array(experiment.y0), one.h, n)
 
     finest = max((one.experiment for one in compared), key=lambda one: one.N // one.output.every)
-    finest_rows = reference_of(finest, finest.output.every)
+    finest_rows = reference_of(finest, finest.output.every)  # first, because it may be refused
+    trajectories = [trajectory_of(one.experiment) for one in compared]
     probes = finest_rows[probe_rows(len(finest_rows))]
     timed = nanoseconds_per_step(
         [(top, method, experiment.y0, one.experiment.h) for one, method in zip(compared, methods, strict=True)],

@@ -9,6 +9,7 @@ from fractions import Fraction
 from types import ModuleType
 from typing import Any
 
+from topcli.contracts import heed_stop
 from topcli.engine.precise.numbers import (
     RATIONAL,
     NotRationalError,
@@ -18,6 +19,9 @@ from topcli.engine.precise.numbers import (
     meaning,
 )
 
+LONG = 1 << 14
+"""Binary digits from which on an operation takes so long that each one heeds a request to stop."""
+
 
 class Exact:
     """Rational number that refuses doubles other than short binary fractions."""
@@ -26,6 +30,8 @@ class Exact:
 
     def __init__(self, q: Any) -> None:
         self.q = q
+        if q.denominator.bit_length() > LONG:
+            heed_stop()
 
     def _other(self, other: Any) -> Any:
         if type(other) is Exact:

@@ -45,6 +45,8 @@ CORRECTIONS = 3.0
 """Corrections of every step."""
 NEWTON_LIMIT = 30
 """Maximum number of Newton corrections beyond them; four to six are typical."""
+HALVINGS, BISECTIONS = 64, 10
+"""Steps of the search for the longest step."""
 LONG_STEPS = dict.fromkeys(KEPT, ("resonance", "singular-step")) | {"lagrange/inertial": ("resonance",)}
 """Hard cases of each built-in top in which the steps are too long."""
 LAST_BIT = 2.0**-50
@@ -202,14 +204,21 @@ def coefficients(equations: EulerPoisson, options: DmvOptions) -> Floats:
 
 
 def longest_step(rotation: Rotation, m: Vector, c: Floats, h: float) -> float:
-    """Largest step, in size, of the sign of ``h`` that has a solution for m, to three digits; 0.0 if none is found."""
+    """Largest step, in size, of the sign of ``h`` that has a solution for m, to three digits.
+
+    0.0 if there is none down to 2^-64 of ``h``.
+    """
     low, high = 0.0, h
-    while high and math.isnan(rotation(m, c, high)[3]):
+    for _ in range(HALVINGS):
+        if not math.isnan(rotation(m, c, high)[3]):
+            break
         low, high = high, 0.5 * high
-    if low == 0.0 or not high:
+    else:
+        return 0.0
+    if low == 0.0:
         return 0.0
     good, bad = high, low
-    while abs(bad - good) > 1e-3 * abs(good):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (good + bad)
         good, bad = (good, middle) if math.isnan(rotation(m, c, middle)[3]) else (middle, bad)
     return good

@@ -13,6 +13,11 @@ from topcli.schemes.registry import scheme
 
 MAX_EVALUATIONS = 1_000_000
 """Evaluations of the equations in one step: some ten seconds."""
+TRIAL = 500
+"""Evaluations after which a step is given up if it would need ``HOPELESS`` times as many as it may at this pace."""
+HOPELESS = 100.0
+STAGES = 12
+"""Evaluations of an internal step."""
 
 
 class Tolerances(BaseModel):
@@ -47,7 +52,8 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
     It chooses internal steps within each h and ends at t = n h exactly; it is therefore most efficient if h is longer
     than its internal steps. The internal step size is carried from one step to the next. The method runs in the
     interpreter, about a thousand times slower than the compiled steps. If the internal steps shrink below round-off, or
-    one h takes more than a million evaluations of the equations, the run ends as `no_convergence`.
+    one h takes more than a million evaluations of the equations, the run ends as `no_convergence`; after 500 of them if
+    the rest would take a hundred million.
     """
     from scipy.integrate import DOP853
 
@@ -63,6 +69,9 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
             while solver.status == "running" and solver.nfev < MAX_EVALUATIONS:
                 solver.step()
                 heed_stop()
+                left = STAGES * abs(h - solver.t)
+                if solver.nfev > TRIAL and left > HOPELESS * MAX_EVALUATIONS * solver.h_abs:
+                    break
         settled = 0.0 if solver.status == "finished" else math.nan
         return (*solver.y.tolist(), float(solver.h_abs), settled, s[d + 2] + solver.nfev)
 

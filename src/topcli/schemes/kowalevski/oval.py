@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from topcli.contracts import heed_stop
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.separation import DIGITS, Curve, Real
 
@@ -25,6 +26,8 @@ NARROWNESS = 9.0
 Where p grows like the square of an offset, the parameter in p is 5, and the tables converge to 5^-20 / 20 = 5e-16.
 """
 MAX_DEPTH = 200
+MAX_PANELS = 2000
+"""Panels of half an oval; usually there are some tens."""
 TAIL = 2.0**-64
 """Part of an interval of angles before a double root that is left out; the distance from the root is its square."""
 
@@ -164,7 +167,7 @@ class Oval:
                 near = np.array([complex((z - self.anchors[anchor]) * direction) for z in singular] or [1e9 + 0j])
                 if self._infinite(anchor):
                     near = np.where(np.abs(near) < 1e-25, 0.0, near)
-                cuts = _cuts(near, TAIL * float(half) if self._infinite(anchor) else 0.0, float(half), 0)
+                cuts = _cuts(near, TAIL * float(half) if self._infinite(anchor) else 0.0, float(half))
                 row = [
                     self._panel(anchor, direction, begin, end if end < float(half) else half)
                     for begin, end in pairwise(cuts)
@@ -186,6 +189,7 @@ class Oval:
         """Integrals of the densities over offsets from an anchor."""
         from topcli.schemes.kowalevski.multiprecision import cos_sin, mpf
 
+        heed_stop()
         middle, half = (begin + end) / 2, (end - begin) / 2
         time = weighted = mpf(0)
         for x, weight in zip(*_gauss_legendre(), strict=True):
@@ -231,11 +235,25 @@ class Oval:
         return time, weighted
 
 
-def _cuts(singular: Sequence[complex] | np.ndarray, begin: float, end: float, depth: int) -> list[float]:
-    """Ends of panels between ``begin`` and ``end``, such that no singularity is within their Bernstein ellipses."""
-    zeta = (2.0 * np.asarray(singular) - begin - end) / (end - begin)
-    size = np.abs(zeta + np.sqrt(zeta - 1.0) * np.sqrt(zeta + 1.0))
-    if np.min(np.maximum(size, 1.0 / size)) >= NARROWNESS or depth > MAX_DEPTH:
-        return [begin, end]
-    middle = 0.5 * (begin + end)
-    return [*_cuts(singular, begin, middle, depth + 1), *_cuts(singular, middle, end, depth + 1)[1:]]
+def _cuts(singular: Sequence[complex] | np.ndarray, begin: float, end: float) -> list[float]:
+    """Ends of panels between ``begin`` and ``end``, such that no singularity is within their Bernstein ellipses.
+
+    Raises RunError if there are too many.
+    """
+    cuts, left = [begin], [(end, 0)]
+    while left:
+        begin, (end, depth) = cuts[-1], left[-1]
+        with np.errstate(all="ignore"):  # infinite parameters are large ones; nan divides without end
+            zeta = (2.0 * np.asarray(singular) - begin - end) / (end - begin)
+            size = np.abs(zeta + np.sqrt(zeta - 1.0) * np.sqrt(zeta + 1.0))
+            least = np.min(np.maximum(size, 1.0 / size))
+        if least >= NARROWNESS or depth > MAX_DEPTH:
+            cuts.append(end)
+            left.pop()
+        else:
+            left[-1:] = [(end, depth + 1), (0.5 * (begin + end), depth + 1)]
+        if len(cuts) + len(left) > MAX_PANELS:
+            raise RunError(
+                f"kowalevski, scheme exact: the set-up would need more than {MAX_PANELS} panels; use scheme 'taylor'"
+            )
+    return cuts

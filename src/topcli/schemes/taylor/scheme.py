@@ -18,7 +18,7 @@ from topcli.contracts import Array, Block, EulerPoisson, Floats, Top, checked_eq
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 from topcli.schemes.taylor.series import arrangement_of
-from topcli.schemes.taylor.time_loop import LOG2_TOL, TABLES, TIME, series_loop, series_width
+from topcli.schemes.taylor.time_loop import LOG2_TOL, SHORTEST_REACH, TABLES, TIME, series_loop, series_width
 
 ROUND_OFF = 2.0**-56
 """Tolerance below which the result does not improve."""
@@ -109,7 +109,8 @@ def build(top: Top, options: Tolerance) -> Block:
     fractions that are exact in double precision, and the rounding error of the product with h is compensated. The
     order, 12 to 28, follows from the tolerance. Only linear integrals are conserved by construction, but at the
     default tolerance all integrals are conserved to round-off, which grows as sqrt(t). The counter `expansions` is the
-    number of series. If a series reaches less than 1e-13 of h, the run ends as `no_convergence`.
+    number of series. If a series reaches less than 1.5e-8 of h, so that one step would take 7e7 of them or more, the
+    run ends as `no_convergence`.
     """
     equations = checked_equations(top, "scheme 'taylor'")
     alpha, beta, delta = quotients(equations)
@@ -140,4 +141,5 @@ def build(top: Top, options: Tolerance) -> Block:
         series_width(a),
         ("expansions",),
         iterative=True,
+        advice=lambda work, h: f"a step of {h:g} would need {1.0 / SHORTEST_REACH:.0e} series or more",
     )

@@ -12,6 +12,8 @@ STEP, FRACTION, LAG, TIME, LOG2_TOL, TABLES = 0, 1, 2, 3, 4, 5
 """Slots of the working state after the two vectors of the expansion point: see ``series_loop``."""
 MAX_EXPANSIONS = 50_000
 """Maximum number of expansions per call, about ten milliseconds."""
+SHORTEST_REACH = 2.0**-26
+"""Shortest reach of a series, in steps: a step takes at most 7e7 expansions, about ten seconds."""
 EXACT_REACH = 256.0
 """If a series reaches fewer steps than this, its reach is rounded to a multiple of 2^-44 of a step, so that the
 position of the next expansion point is exact."""
@@ -76,7 +78,7 @@ measure:
   %shortend = fadd double %part, %short
   %reach = select i1 %long, double %whole, double %shortend
   %du = fsub double %reach, %part
-  %moves = fcmp ogt double %du, 0.0
+  %moves = fcmp oge double %du, {shortest}
   br i1 %moves, label %serve, label %stuck
 
 serve:
@@ -211,6 +213,7 @@ def series_loop(a: Arrangement, d: int, order: int, extended_precision: bool) ->
         count=base + TABLES + 4 * a.lanes + 1,
         budget=MAX_EXPANSIONS,
         exact=literal(EXACT_REACH),
+        shortest=literal(SHORTEST_REACH),
         expansion="\n".join(expansion.lines),
         natural=natural,
         late=late,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -151,15 +152,21 @@ class BatchRecorder:
     """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
 
     Pieces of different runs may be added from different threads, those of a run in the order of time. Errors are
-    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_kind`` chooses.
+    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_kind`` chooses. It is
+    computed for each run within a context ``limited()``, which may end it by a RunError.
     """
 
     def __init__(
-        self, experiment: Experiment, measures: Sequence[Measure], initial: Array, reference: str | None = None
+        self,
+        experiment: Experiment,
+        measures: Sequence[Measure],
+        initial: Array,
+        limited: Callable[[], AbstractContextManager[None]] = nullcontext,
+        reference: str | None = None,
     ) -> None:
         if fault := rows_fault(experiment, measures):
             raise UsageError(fault)
-        self.experiment, self.initial = experiment, initial
+        self.experiment, self.initial, self._limited = experiment, initial, limited
         self._kind = reference or reference_kind(experiment.top, experiment.scheme)
         top, every = experiment.top, experiment.output.every
         needs = {need for one in measures for need in one.needs}
@@ -191,7 +198,8 @@ class BatchRecorder:
             return None
         one = self.experiment
         try:
-            return REFERENCES.states(one.top, self._kind, self.initial[i], one.h, n)
+            with self._limited():
+                return REFERENCES.states(one.top, self._kind, self.initial[i], one.h, n)
         except RunError as error:
             self._faults[need][i] = str(error)
             return None

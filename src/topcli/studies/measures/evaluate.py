@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from topcli.analysis.order import PROBES
 from topcli.config.models import Experiment
-from topcli.contracts import Array
+from topcli.contracts import Array, StopAsked, heed_stop
 from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
 from topcli.engine.fingerprint import same_method
 from topcli.engine.tile import Piece
@@ -73,8 +74,11 @@ def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ign
 
 def _values(one: Measure, batch: Batch, on_fault: Callable[[int, str], None]) -> Array:
     """Values of a measure; if it fails, run by run, so that only the runs that make it fail have none."""
+    heed_stop()
     try:
         return _checked(one, one.evaluate(batch), len(batch))
+    except StopAsked:
+        raise
     except Exception as error:
         if len(batch) > 1:
             return np.concatenate(
@@ -153,6 +157,8 @@ class BatchRun:
         ``stop()`` is called between chunks; once it returns true, the unfinished runs are ``interrupted``.
     reference : str, optional
         Reference of the errors, ``"taylor"`` or ``"exact"``; by default the closed form if it is as accurate.
+    limited : callable, optional
+        Context in which the reference of each run is computed, see ``BatchRecorder``.
     """
 
     def __init__(
@@ -163,10 +169,11 @@ class BatchRun:
         count: int = 1,
         threads: int | None = None,
         stop: Callable[[], bool] = lambda: False,
+        limited: Callable[[], AbstractContextManager[None]] = nullcontext,
         reference: str | None = None,
     ) -> None:
         self.experiment, self.measures = experiment, tuple(measures)
-        self._reference = reference
+        self._stop, self._limited, self._reference = stop, limited, reference
         self._recorder: BatchRecorder | None = None
         self._recording = 0.0
         self._initial: Piece | None = None
@@ -212,7 +219,7 @@ class BatchRun:
     def finished(self, initial: Array) -> Batch:
         """Run from the states ``initial`` (runs, d) and return what was recorded."""
         self._run.begin(initial)
-        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self._reference)
+        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self._limited, self._reference)
         self._initial = None
         before, self._recording = self._run.run_seconds, 0.0
         began = time.perf_counter()
@@ -226,6 +233,11 @@ class BatchRun:
         share = np.full(len(initial), seconds / len(initial))
         return self._recorder.finish(self._run.endings, self._run.last, share, self.one_step)
 
+    @property
+    def side_by_side(self) -> bool:
+        """True if the runs advance side by side."""
+        return self._run.side_by_side
+
     def one_step(self, states: Array, h: float) -> Array:
         """States (k, d) after one step of ``h`` from ``states`` (k, d); nan where the step fails."""
         after = np.full_like(states, np.nan)
@@ -234,12 +246,13 @@ class BatchRun:
             top, y0 = self.experiment.top, np.empty((0, states.shape[1]))
             code = _code(self.experiment, tile_of(PROBES), True)
             self._stepping[h] = EnsembleRun(
-                top, code.method, y0, h, 1, made=lambda piece: None, execution=Execution(threads=1, code=code)
+                top, code.method, y0, h, 1, made=lambda piece: None, execution=Execution(self._stop, 1, code=code)
             )
         run = self._stepping[h]
         run.begin(states[usable])
         for _ in run:
             pass
+        heed_stop()
         stepped = run.last_n == 1
         after[usable[stepped]] = run.last[stepped]
         return after

@@ -10,14 +10,15 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from functools import cache
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_obstacle, reference_states
-from topcli.contracts import Array, Sampler, Scheme, Top
+from topcli.contracts import Array, Sampler, Scheme, Top, heed_stop
 from topcli.engine.setups import prepare
-from topcli.errors import UsageError, quoted
+from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import find_scheme
 
 TAYLOR = "taylor"
@@ -31,6 +32,13 @@ MAX_BYTES = 1 << 28
 """Memory of the references that are kept."""
 STRIPES = 64
 """Number of references that may be computed at the same time."""
+MAX_STEPS = 1_000_000
+"""Taylor steps of the reference of one run: about a minute."""
+CLOSED_STATES = 1 << 16
+"""States of a closed form between two questions whether to stop."""
+POLL_SECONDS = 0.1
+"""The same while another run computes the reference, in seconds."""
+KEPT_REFUSALS = 4096
 Motion = tuple[str, str, float, bytes]
 """Form and parameters of a top, h or 0, and the initial state, which determine a reference."""
 
@@ -80,42 +88,68 @@ def obstacle(top: Top, scheme: Scheme) -> str:
     return "" if closed_form(top, scheme) else reference_obstacle(top)
 
 
-def _states(exact: Sampler, top: Top, start: Array, h: float, n: NDArray[np.int64]) -> Array:
-    """States (m, d) of a closed form, which is set up first if need be."""
+def _closed_states(exact: Sampler, top: Top, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
+    """States (m, d) of a closed form after ``n`` (m,) steps; it is set up first if need be."""
     p = top.constants()
     if exact.setup is not None:
-        prepare(exact.setup, start, p)
-    return exact.states(start, h, n, p)
+        prepare(exact.setup, y0, p)
+    found = np.empty((len(n), len(y0)))
+    for start in range(0, len(n), CLOSED_STATES):
+        heed_stop()
+        part = slice(start, start + CLOSED_STATES)
+        found[part] = exact.states(y0, h, n[part], p)
+    return found
 
 
 class SharedReferences:
-    """References of at most ``max_bytes``; those of the motion not used for longest are dropped first."""
+    """References of at most ``max_bytes``; those of the motion not used for longest are dropped first.
 
-    def __init__(self, max_bytes: int = MAX_BYTES) -> None:
-        self._max_bytes, self._bytes = max_bytes, 0
+    One takes at most ``max_steps`` Taylor steps. They heed a request to stop.
+    """
+
+    def __init__(self, max_bytes: int = MAX_BYTES, max_steps: int = MAX_STEPS) -> None:
+        self._max_bytes, self._bytes, self._max_steps = max_bytes, 0, max_steps
         self._lock = threading.Lock()
         self._computing = [threading.Lock() for _ in range(STRIPES)]
         self._kept: OrderedDict[Motion, list[tuple[Array, Array]]] = OrderedDict()
+        self._refused: dict[tuple[Motion, bytes], str] = {}
         self.computed = 0
         """Number of references that were computed."""
 
     def states(self, top: Top, kind: str, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
         """States (m, d) after ``n`` (m,) steps of ``h`` of the motion of ``top`` from ``y0`` (d,).
 
-        ``kind`` is one of ``METHODS``. Raises RunError if the motion cannot be followed, and UsageError as
-        ``reference_form``.
+        ``kind`` is one of ``METHODS``. Raises RunError if the motion cannot be followed or takes too many Taylor steps,
+        and UsageError as ``reference_form``.
         """
         exact = reference_form(top, kind)
         t = n * h
         # a closed form is computed at the exact products n h, other references at their rounded values
         motion = (top.form, top.model_dump_json(), h if exact else 0.0, np.ascontiguousarray(y0).tobytes())
-        with self._computing[hash(motion) % STRIPES]:  # others that need it wait instead of computing it too
+        computing = self._computing[hash(motion) % STRIPES]
+        while not computing.acquire(timeout=POLL_SECONDS):  # others that need it wait instead of computing it too
+            heed_stop()
+        try:
             found = self._found(motion, t)
             if found is None:
                 start = np.asarray(y0, dtype=np.float64)
-                found = _states(exact, top, start, h, n) if exact else reference_states(top, start.tolist(), t)
+                found = _closed_states(exact, top, start, h, n) if exact else self._followed(motion, top, start, t)
                 self._keep(motion, t, found)
             return found
+        finally:
+            computing.release()
+
+    def _followed(self, motion: Motion, top: Top, start: Array, t: Array) -> Array:
+        """States at the times ``t`` by Taylor series; a refusal is remembered. Raises RunError."""
+        key = (motion, sha256(t.tobytes()).digest())
+        if key in self._refused:
+            raise RunError(self._refused[key])
+        try:
+            return reference_states(top, start.tolist(), t, self._max_steps)
+        except RunError as error:
+            if len(self._refused) < KEPT_REFUSALS:
+                self._refused[key] = str(error)
+            raise
 
     def _found(self, motion: Motion, t: Array) -> Array | None:
         """States at the times ``t`` from a reference that holds all of them; None if there is none."""

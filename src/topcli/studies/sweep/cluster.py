@@ -29,7 +29,7 @@ from topcli.config.sweep.rows import Row
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import loaded_scheme_files
 from topcli.schemes.user_code import reason_of
-from topcli.studies.sweep.evaluate import FAILED, Results, Work
+from topcli.studies.sweep.evaluate import FAILED, Results, Work, unfinished
 from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, run_sweep
 
 if TYPE_CHECKING:
@@ -278,7 +278,7 @@ class Cluster:
     _pieces: deque[Batch] = field(default_factory=deque)
     """Parts of batches that were divided."""
     _suspects: deque[Batch] = field(default_factory=deque)
-    """Single rows whose workers were lost while other rows were there, too."""
+    """Single rows whose workers were lost while there were others."""
     _counted: float = field(default_factory=time.monotonic)
 
     def __call__(self, made: Iterable[Batch], work: Work, stop: Stop) -> Iterator[tuple[Batch, Results]]:
@@ -350,6 +350,7 @@ class Cluster:
                 raise RunError(
                     f"--dask {self.address}: a worker failed: {reason_of(error)}", "finished rows are kept"
                 ) from None
+            self._pieces.extend(filter(None, [unfinished(batch, results)]))
             yield batch, results
 
     def _disconnected(self) -> RunError:

@@ -28,7 +28,7 @@ from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import io_failure, require_real, require_writable, write_whole
 from topcli.studies.rows import ROWS
 from topcli.studies.sweep.batches import batches
-from topcli.studies.sweep.evaluate import Results, Work
+from topcli.studies.sweep.evaluate import Results, Work, unfinished
 from topcli.studies.sweep.journal import COMPLETED, JOURNAL, Block, Journal
 from topcli.studies.sweep.plan import CODE, MEASURE, NEW, RETRY, Plan, Survey, changes, plan_sweep, survey
 from topcli.studies.sweep.results import write_manifest, write_rows
@@ -48,7 +48,8 @@ _TEMPORARY = re.compile(r"\.(sweep|rows|manifest)\.\d+\.(yaml|parquet|json)")
 
 Backend = Callable[[Iterable[list[Row]], Work, Callable[[], bool]], Iterator[tuple[list[Row], Results]]]
 """``backend(batches, work, stop)`` yields each batch and the results of ``work(batch)``, in any order, with a bounded
-number in flight. ``stop()`` turns true when no further batch is to begin; rows that are not done are left out."""
+number in flight; the ``unfinished`` rows of a batch are another one. ``stop()`` turns true when no further batch is to
+begin; rows that are not done are left out."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,10 @@ def in_threads(threads: int) -> Backend:
                 if not flying:
                     return
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                    yield flying.pop(future), future.result()
+                    batch, found = flying.pop(future), future.result()
+                    if (rest := unfinished(batch, found)) and not stop():
+                        flying[pool.submit(work, rest, stop)] = rest
+                    yield batch, found
 
     return results
 

@@ -1,0 +1,309 @@
+"""Each kind of loop that may take long stops when it is asked to, and is bounded by the budget that it states.
+
+Requests to stop come at the n-th question; nothing here depends on a clock.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from conftest import GEN, PAPER
+from topcli.analysis import reference
+from topcli.arithmetic.elliptic import landen
+from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, heed_stop, heeding
+from topcli.engine import loop, setups, tile
+from topcli.engine.ensemble import EnsembleRun, Execution
+from topcli.engine.loop import Run, nanoseconds_per_step
+from topcli.engine.precise.rational import LONG, Exact
+from topcli.engine.setups import Setups
+from topcli.errors import RunError
+from topcli.schemes.any_top import dmv, dop853
+from topcli.schemes.kowalevski import exact, oval
+from topcli.schemes.kowalevski.exact import ExactSetup
+from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.taylor.time_loop import MAX_EXPANSIONS, SHORTEST_REACH
+from topcli.tops import TOPS
+from topcli.tops.kowalevski import Kowalevski
+
+
+class AskedAt:
+    """A request to stop at question number ``last``, and ever after."""
+
+    def __init__(self, last: int) -> None:
+        self.last, self.count = last, 0
+
+    def __call__(self) -> bool:
+        self.count += 1
+        return self.count >= self.last
+
+
+def method(name: str, form: str = "kowalevski", **options: Any) -> Any:
+    found = find_scheme(name, form)
+    return found.build(TOPS[form](), found.options(**options))
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every call of compiled code is followed by the question whether to stop."""
+    monkeypatch.setattr(loop, "CALL_SECONDS", 0.0)
+    monkeypatch.setattr(tile, "CALL_SECONDS", 0.0)
+
+
+def test_requests_of_all_levels_are_heeded_and_forgotten() -> None:
+    heed_stop()
+    inner, outer = AskedAt(9), AskedAt(2)
+    with heeding(outer):
+        heed_stop()
+        with heeding(inner), pytest.raises(StopAsked):
+            heed_stop()
+        assert (inner.count, outer.count) == (1, 2)
+    with heeding(lambda: False), heeding(AskedAt(1)), pytest.raises(StopAsked):
+        heed_stop()
+    heed_stop()
+
+
+@pytest.mark.parametrize("last", [1, 4])
+def test_the_reference_stops_when_asked(last: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference, "BUDGET", 3)
+    asked = AskedAt(last)
+    with heeding(asked), pytest.raises(StopAsked):
+        reference.reference_states(Kowalevski(), PAPER, np.array([100.0]))
+    assert asked.count == last
+
+
+TOO_LONG = [(2.0, [1e10], r"1e\+10"), (1e150, [-1e150], r"[\d.]+e\+299"), (1e306, [1e10], r"1\.8e\+308")]
+
+
+@pytest.mark.parametrize(("omega", "times", "steps"), TOO_LONG)
+def test_a_hopeless_reference_is_refused_before_its_first_step(
+    omega: float, times: list[float], steps: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The longest step is four units of the shortest time scale, |omega| 2^-1 to |omega|."""
+    monkeypatch.setattr(reference, "_compiled", lambda: pytest.fail("a step was taken"))
+    with pytest.raises(
+        RunError, match=f"^the reference would need at least {steps} Taylor steps to reach t = "
+    ) as said:
+        reference.reference_states(Kowalevski(), (omega, *PAPER[1:]), np.array(times))
+    assert len(said.value.lines) == 1
+
+
+def test_a_reference_ends_at_its_budget_of_steps() -> None:
+    """A unit of time takes some 1.8 steps: refused after one call of 2000 steps, or not at all."""
+    with pytest.raises(RunError, match=r"would need about 4\.\de\+03 Taylor steps to reach t = 2400; at most 2500 are"):
+        reference.reference_states(Kowalevski(), PAPER, np.array([2.4e3]), 2500)
+    assert reference.reference_states(Kowalevski(), PAPER, np.array([1.2e3]), 2500).shape == (1, 6)
+
+
+def test_taylor_stops_within_a_step(impatient: None) -> None:
+    """h is far longer than the 50,000 series of a call reach."""
+    asked = AskedAt(3)
+    run = Run(Kowalevski(), method("taylor"), GEN, 1e6, 2, stop=asked)
+    ending = run.collect().ending
+    assert (ending.outcome, ending.step) == (Outcome.INTERRUPTED, 0)
+    assert asked.count <= 4
+    assert ending.counters["expansions"] in (MAX_EXPANSIONS, 2 * MAX_EXPANSIONS)
+
+
+def test_taylor_refuses_a_step_of_too_many_series() -> None:
+    """At |omega| of one a series reaches less than about one unit of time."""
+    assert SHORTEST_REACH == 2.0**-26
+    ending = Run(Kowalevski(), method("taylor"), GEN, 1e8, 2).collect().ending
+    assert (ending.outcome, ending.step, ending.counters["expansions"]) == (Outcome.NO_CONVERGENCE, 1, 0)
+    assert ending.message == "did not converge at step 1 (t = 1e+08); a step of 1e+08 would need 7e+07 series or more"
+
+
+def test_taylor_in_an_ensemble_stops_within_a_step(impatient: None) -> None:
+    run = EnsembleRun(
+        Kowalevski(),
+        method("taylor"),
+        np.tile(GEN, (3, 1)),
+        1e6,
+        2,
+        made=lambda piece: None,
+        execution=Execution(AskedAt(5), threads=1),
+    )
+    for _ in run:
+        pass
+    assert [(one.outcome, one.step) for one in run.endings] == [(Outcome.INTERRUPTED, 0)] * 3
+
+
+def test_dop853_stops_within_a_step() -> None:
+    stepper = method("dop853")
+    asked = AskedAt(7)
+    with heeding(asked), pytest.raises(StopAsked):
+        stepper.step((*GEN, 0.0, 0.0, 0.0), 1e3, Kowalevski().constants())
+    assert asked.count == 7
+
+
+def test_dop853_gives_up_a_hopeless_step_early() -> None:
+    """At 12 evaluations for some tenths of a unit of time, 1e9 would take 1e10 evaluations or more."""
+    ending = Run(Kowalevski(), method("dop853"), GEN, 1e9, 2).collect().ending
+    assert (ending.outcome, ending.step) == (Outcome.NO_CONVERGENCE, 1)
+    assert dop853.TRIAL < ending.counters["evaluations"] < dop853.TRIAL + 15
+
+
+def test_the_set_up_of_a_closed_form_stops_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(setups, "stored_setup", lambda words: None)
+    monkeypatch.setattr(exact, "_kept", dict)
+    asked = AskedAt(3)
+    with heeding(asked), pytest.raises(StopAsked):
+        ExactSetup().compute(np.array(GEN), (1.0,))
+    assert asked.count == 3
+    run = Run(Kowalevski(), method("exact"), GEN, 0.1, 10, stop=AskedAt(3))
+    found = run.collect()
+    assert (found.ending.outcome, found.n.tolist()) == (Outcome.INTERRUPTED, [0])
+
+
+@pytest.mark.parametrize("singular", [[complex(math.nan)], [complex(0.1 * i, 1e-9) for i in range(9)]])
+def test_the_panels_of_a_set_up_have_a_budget(singular: list[complex], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(oval, "MAX_PANELS", 100)
+    with pytest.raises(RunError, match="more than 100 panels"):
+        oval._cuts(singular, 0.0, 1.0)
+
+
+def test_panels_are_halves_of_halves() -> None:
+    """With one singularity at the beginning, panels [a, 2a]: the Bernstein parameter there is 3 + sqrt 8 < 9."""
+    cuts = oval._cuts([0j], 2.0**-5, 1.0)
+    widths = np.diff(cuts)
+    assert (cuts[0], cuts[-1]) == (2.0**-5, 1.0)
+    for begin, width in zip(cuts, widths, strict=False):
+        zeta = (2.0 * begin + width) / width
+        assert zeta + math.sqrt(zeta * zeta - 1.0) >= 9.0
+        assert math.log2(width).is_integer() or math.log2(width / 31.0).is_integer()
+
+
+def test_waiting_for_a_set_up_of_another_process_ends_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = threading.Event()
+
+    class Worker:
+        def __init__(self, setup: Any, p: Any) -> None: ...
+
+        def compute(self, y0: Any) -> bytes | None:
+            assert ended.wait(60.0)
+            return None
+
+        def close(self) -> None:
+            ended.set()
+
+    monkeypatch.setattr(setups, "_Worker", Worker)
+    monkeypatch.setattr(setups, "POLL_SECONDS", 0.001)
+    monkeypatch.setattr(setups, "setup_processes", lambda setup, count, threads: 1)
+    monkeypatch.setattr(setups, "stored_setup", lambda words: None)
+    monkeypatch.setattr(exact, "_kept", dict)
+    asked = AskedAt(4)
+    with heeding(asked), pytest.raises(StopAsked):
+        next(iter(Setups(ExactSetup(), np.tile(GEN, (3, 1)), (1.0,), 1)))
+    assert asked.count == 4
+    assert ended.is_set()
+
+
+def test_a_trajectory_that_goes_on_by_itself_stops_when_asked(impatient: None) -> None:
+    """The states are finite, but their sum is not, so that each trajectory repeats the steps alone."""
+    huge = (1e308, 1e308, 1e308, 0.0, 0.0, 0.0)
+
+    def stay(s: Any, h: float, p: Any) -> Any:
+        return s
+
+    def run(stop: Callable[[], bool] = lambda: False) -> tuple[EnsembleRun[list[int]], list[list[int]]]:
+        made = EnsembleRun(
+            Kowalevski(),
+            Stepper(stay, 6),
+            np.tile(huge, (2, 1)),
+            1.0,
+            1000,
+            10,
+            made=lambda piece: piece.kept.tolist(),
+            execution=Execution(stop, threads=1),
+        )
+        single = made.code.single_loop()
+
+        def drive(*arguments: Any) -> int:
+            calls.append(arguments[4])
+            return single.drive(*arguments)
+
+        made.code._loop = replace(single, drive=drive)
+        return made, [found for found, _ in made]
+
+    calls: list[int] = []
+    whole, pieces = run()
+    assert pieces == [[101, 101]]
+    assert [(one.outcome, one.step) for one in whole.endings] == [(Outcome.COMPLETED, 1000)] * 2
+    assert sum(calls) == 2000
+    calls.clear()
+    cut, pieces = run(lambda: len(calls) > 0)
+    assert calls == [tile.FIRST_CALL] * 2
+    assert [(one.outcome, one.step) for one in cut.endings] == [(Outcome.INTERRUPTED, tile.FIRST_CALL)] * 2
+    assert pieces == [[1 + tile.FIRST_CALL // 10] * 2]
+
+
+def test_an_operation_on_long_rational_numbers_heeds_a_stop() -> None:
+    short, long = Exact(Fraction(1, 3)), Fraction(1, 2 ** (LONG + 1))
+    with heeding(AskedAt(1)):
+        assert short + short == Exact(Fraction(2, 3))
+        for operation in (lambda: Exact(long), lambda: short / Exact(1 / long)):
+            with pytest.raises(StopAsked):
+                operation()
+
+
+def test_searches_end_for_any_number() -> None:
+    """The search for a longer step of ``dmv`` among denormal numbers, and a Landen transformation of nan."""
+    tried: list[float] = []
+
+    def rotation(m: Any, c: Any, h: float) -> Any:
+        tried.append(h)
+        return (0.0, 0.0, 0.0, 0.0 if abs(h) <= 5e-324 else math.nan, 0.0)
+
+    assert dmv.longest_step(rotation, (1.0, 0.0, 0.0), (), 4e-323) == 5e-324
+    assert dmv.longest_step(rotation, (1.0, 0.0, 0.0), (), 1.0) == 0.0
+    assert len(tried) < 200
+    assert all(np.isnan(one).all() for one in landen(np.array([0.5]), math.nan)[:2])
+
+
+def test_slow_interpreted_steps_are_timed_few_at_a_time() -> None:
+    """By a clock on which each step takes ten seconds."""
+    now = [0]
+
+    def slow(s: Any, h: float, p: Any) -> Any:
+        now[0] += 10 * 10**9
+        return s
+
+    found = nanoseconds_per_step(
+        [(Kowalevski(), Stepper(slow, 6, plain=True), GEN, 0.1)], repetitions=2, clock=lambda: now[0]
+    )
+    assert found == [1e10]
+    assert now[0] == 30 * 10**9
+
+
+SIZES = (5e-324, 1.0, 1e150, 1e306)
+STEPS = (5e-324, 1e-300, -0.01, 1.0, 1e150)
+QUESTIONS = 100
+"""Questions whether to stop that two steps of a scheme, or its refusal, may take; the most is 40."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "one", [one for one in all_schemes() if "+" not in one.name], ids=lambda one: f"{one.top}-{one.name}"
+)
+def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: None) -> None:
+    top = TOPS[one.top]()
+    found = one.build(top, one.options())
+    for size, h in product(SIZES, STEPS):
+        y0 = np.zeros(len(top.components))
+        y0[0] = size
+        if len(y0) == 6:
+            y0[3:] = 0.6, 0.0, 0.8
+        asked = AskedAt(10**9)
+        refused = [RunError] if isinstance(found, Sampler) else []
+        with np.errstate(all="ignore"), heeding(asked), suppress(*refused):
+            assert Run(top, found, y0, h, 2, stop=asked).collect().ending.outcome is not Outcome.INTERRUPTED
+        assert asked.count <= QUESTIONS, (size, h)

@@ -1,0 +1,226 @@
+"""A row that takes long or for ever costs no other row: each ends, is refused, or is stopped, in every phase.
+
+Time is that of an injected clock.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from conftest import GEN
+from sweeping import BASE, DATA, MANY, sweep, table
+from topcli.analysis.reference import reference_states
+from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep.rows import Row, RowReader
+from topcli.contracts import StopAsked, heed_stop, heeding
+from topcli.errors import RunError
+from topcli.schemes.registry import find_scheme
+from topcli.studies.measures import batch as recording
+from topcli.studies.measures import references
+from topcli.studies.measures.references import SharedReferences
+from topcli.studies.sweep import evaluate as seam
+from topcli.studies.sweep.evaluate import Results, Work, evaluate_batch, unfinished
+from topcli.studies.sweep.run import Watcher
+from topcli.tops.kowalevski import Kowalevski
+
+ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["error.max", "steps"]}
+SCHEME = find_scheme("hk", "kowalevski")
+
+
+def rows_of(data: dict[str, Any]) -> list[Row]:
+    return list(RowReader(sweep_from(data)).rows())
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The clock of the sweep, in seconds, which nothing but the test advances."""
+    now = [100.0]
+    monkeypatch.setattr(seam.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(recording, "REFERENCES", SharedReferences())
+    return now
+
+
+@pytest.fixture
+def slow_reference(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """References that take a second for each question whether to stop: ten, or a hundred from omega1 = 0.5."""
+
+    def slow(top: Any, y0: Any, t: Any, most: int) -> Any:
+        for _ in range(100 if y0[0] == 0.5 else 10):
+            clock[0] += 1.0
+            heed_stop()
+        return reference_states(top, y0, t, most)
+
+    monkeypatch.setattr(references, "reference_states", slow)
+    return clock
+
+
+def test_a_reference_beyond_the_time_limit_is_a_missing_value(slow_reference: list[float]) -> None:
+    """Each reference has 20 s for itself, and the three rows together have 60 s for their steps."""
+    found = evaluate_batch(rows_of(ERRORS), ERRORS["measure"], time_limit=20.0)
+    assert found.outcome == ["completed"] * 3
+    assert found.done == [True] * 3
+    assert np.isnan(found.values["error.max"]).tolist() == [False, True, False]
+    assert found.values["steps"] == [60.0] * 3
+    assert [text.partition("; ")[2] for text in found.message] == [
+        "",
+        "error.max: the reference takes more than the time limit of 20 s",
+        "",
+    ]
+    assert slow_reference[0] == 100.0 + 10.0 + 21.0 + 10.0
+
+
+def test_a_stop_during_a_reference_leaves_the_row_unfinished(slow_reference: list[float]) -> None:
+    found = evaluate_batch(rows_of(ERRORS), ERRORS["measure"], 50.0, lambda: slow_reference[0] > 130.0)
+    assert found.done == [True, False, False]
+    assert slow_reference[0] == 131.0
+
+
+def test_a_measure_beyond_the_time_limit_stops_its_row_alone(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two rows after the first one are together stopped after 40 s, and repeated by themselves."""
+    one_step = seam.BatchRun.one_step
+
+    def slow(self: Any, states: Any, h: float) -> Any:
+        for _ in range(100 if (self._run.y0[:, 0] == 0.5).any() else 0):
+            clock[0] += 1.0
+            heed_stop()
+        return one_step(self, states, h)
+
+    monkeypatch.setattr(seam.BatchRun, "one_step", slow)
+    found = evaluate_batch(rows_of(ERRORS), ("reversal",), time_limit=20.0)
+    assert found.outcome == ["completed", "interrupted", "completed"]
+    assert found.message[1] == "stopped; the time limit is 20 s"
+    assert np.isnan(found.values["reversal"]).tolist() == [False, True, False]
+    assert clock[0] == 100.0 + 41.0 + 21.0
+
+
+def test_finished_rows_do_not_wait_for_those_of_a_slow_batch(
+    tmp_path: Path, clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each row takes 0.9 s: a call hands over three, and the rest of its batch is called again."""
+    finished = seam.BatchRun.finished
+
+    def slow(self: Any, initial: Any) -> Any:
+        clock[0] += 0.9 * len(initial)
+        return finished(self, initial)
+
+    monkeypatch.setattr(seam.BatchRun, "finished", slow)
+    data = {**ERRORS, "grid": {"initial.omega1": [0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5]}, "measure": ["steps"]}
+    rows = rows_of(data)
+    found = Work(("steps",))(rows)
+    assert found.done == [True] * 3 + [False] * 4
+    assert unfinished(rows, found) == rows[3:]
+    monkeypatch.setattr("topcli.studies.sweep.run.batches", lambda made, *arguments: [list(made)])
+    assert sweep(tmp_path, data, threads=1).outcomes == {"completed": 7}
+    lines = (tmp_path / "study" / "journal.jsonl").read_text().splitlines()
+    assert [len(json.loads(line.partition(" ")[2])["digest"]) for line in lines] == [3, 3, 1]
+
+
+def test_a_call_that_was_stopped_is_not_repeated() -> None:
+    rows = rows_of(DATA)
+    assert unfinished(rows, Results(done=[False] * len(rows))) == []
+    assert unfinished(rows, Results(done=[True] * len(rows))) == []
+
+
+def test_pieces_of_any_size_give_the_same_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = rows_of(MANY)
+    usual = evaluate_batch(rows, MANY["measure"])
+    monkeypatch.setattr(seam, "FIRST_PIECE", 5)
+    monkeypatch.setattr(seam, "PIECE_SECONDS", 0.0)
+    other = evaluate_batch(rows, MANY["measure"])
+    assert usual.values == other.values
+    assert usual.message == other.message
+
+
+def test_a_reference_that_another_row_computes_is_waited_for_until_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(references, "POLL_SECONDS", 0.001)
+    begun, end = threading.Event(), threading.Event()
+
+    def endless(top: Any, y0: Any, t: Any, most: int) -> Any:
+        begun.set()
+        assert end.wait(60.0)
+        raise RunError("never")
+
+    monkeypatch.setattr(references, "reference_states", endless)
+    shared, n = SharedReferences(), np.arange(3)
+    said: list[str] = []
+
+    def first() -> None:
+        try:
+            shared.states(Kowalevski(), SCHEME, np.array(GEN), 0.1, n)
+        except RunError as error:
+            said.append(str(error))
+
+    other = threading.Thread(target=first)
+    other.start()
+    assert begun.wait(60.0)
+    asked = iter([False, False, True])
+    with heeding(lambda: next(asked)), pytest.raises(StopAsked):
+        shared.states(Kowalevski(), SCHEME, np.array(GEN), 0.1, n)
+    end.set()
+    other.join(60.0)
+    assert said == ["never"]
+
+
+def test_a_refused_reference_is_refused_to_all_rows_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def refuse(top: Any, y0: Any, t: Any, most: int) -> Any:
+        calls.append(most)
+        raise RunError(f"no {len(calls)}")
+
+    monkeypatch.setattr(references, "reference_states", refuse)
+    shared = SharedReferences()
+    for n, said in ((3, "no 1"), (3, "no 1"), (4, "no 2")):
+        with pytest.raises(RunError, match=said):
+            shared.states(Kowalevski(), SCHEME, np.array(GEN), 0.1, np.arange(n))
+    assert calls == [1_000_000] * 2
+
+
+def test_a_long_closed_form_stops_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    from topcli.tops.euler import Euler
+
+    monkeypatch.setattr(references, "CLOSED_STATES", 10)
+    top, y0, n = Euler(), np.array([0.3, 0.2, 1.0]), np.arange(95)
+    hk = find_scheme("hk", "euler")
+    whole = SharedReferences().states(top, hk, y0, 0.1, n)
+    monkeypatch.setattr(references, "CLOSED_STATES", 1 << 16)
+    assert np.array_equal(SharedReferences().states(top, hk, y0, 0.1, n), whole)
+    monkeypatch.setattr(references, "CLOSED_STATES", 10)
+    asked = iter([False] * 4 + [True])
+    with heeding(lambda: next(asked)), pytest.raises(StopAsked):
+        SharedReferences().states(top, hk, y0, 0.1, n)
+
+
+def test_hopeless_scales_are_outcomes_and_missing_values(tmp_path: Path) -> None:
+    """A small edition of 13 schemes at h, c0 and omega1 from 5e-324 to 1e306."""
+    data = {
+        "name": "study",
+        "base": {**BASE, "initial": {"omega": [0, 0, 0], "gamma": ["auto", 0, 0.1]}, "N": 2},
+        "grid": {
+            "scheme": ["hk", "exact", "taylor", "dop853", "backlund"],
+            "h": [5e-324, -0.01, 1e150],
+            "top.c0": [0, 5e-324, -1, 1e306],
+            "initial.omega1": [5e-324, 2, 1e306],
+        },
+        "measure": ["error.max"],
+    }
+    failures: list[str] = []
+    result = sweep(tmp_path, data, Watcher(failure=lambda row, outcome, message: failures.append(message)))
+    found = table(tmp_path)
+    assert result.finished == len(found) == 5 * 3 * 4 * 3
+    assert [row["message"] for row in found if "internal" in row["message"]] == []
+    for row in found:
+        reason = row["message"].partition("error.max: ")[2]
+        if row["outcome"] == "completed" and row["scheme"] != "backlund":
+            assert np.isnan(row["error.max"]) == bool(reason)
+        assert not reason or reason.startswith("the reference would need at least ")
+    assert {row["scheme"] for row in found if "error.max" in row["message"]} == {"exact", "hk"}
+    assert {row["outcome"] for row in found if row["scheme"] == "taylor"} == {"completed", "no_convergence"}
