@@ -57,10 +57,14 @@ def edited(path: Path) -> None:
     path.write_text(path.read_text().replace("exact", "EXACT").replace("bounded", "BOUNDED"))
 
 
+def marked(outcome: Element) -> str:
+    """An outcome and whether its colour is that of good ones."""
+    return f"{outcome.text} {'good' if 'good' in outcome.attributes['class'] else 'bad'}"
+
+
 def outcomes(page: Element, title: str) -> tuple[list[str], list[str]]:
     """Outcomes of the runs as the page shows them: at their headings, and in the comparison."""
-    headings = [one.with_class("outcome")[0] for one in page.all("section") if one.all("h2")]
-    shown = [f"{one.text} {'good' if 'good' in one.attributes['class'] else 'bad'}" for one in headings]
+    shown = [marked(one.with_class("outcome")[0]) for one in page.all("section") if one.all("h2")]
     rows = {row[0]: row[1:] for row in section_of(page, title).all("table")[0].cells()}
     return shown, rows["outcome"]
 
@@ -78,7 +82,9 @@ def test_a_damaged_run_is_damaged_everywhere_on_a_page_of_several(
     headings, compared = outcomes(page, "Comparison")
     assert compared == ["completed", "damaged", "completed"]
     assert headings == ["3 runs bad", "completed good", "damaged bad", "completed good"]
-    listed = [f"{one.text} {'good' if 'good' in one.attributes['class'] else 'bad'}" for one in page.with_class("outcome")]
+    listed = [
+        f"{one.text} {'good' if 'good' in one.attributes['class'] else 'bad'}" for one in page.with_class("outcome")
+    ]
     assert listed.count("damaged bad") == 2, "in the list at the top, too"
     assert not any(line in ("damaged good", "3 runs good") for line in listed)
 

@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,22 +15,15 @@ from typing import Any
 import pytest
 
 import topcli
-from dask_processes import Processes, processes, wait_until
+from dask_processes import SECONDS, Processes, once, processes, wait_until
 from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.sweep.document import sweep_from
 from topcli.config.sweep.rows import RowReader
 from topcli.errors import RunError, UsageError
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
-from topcli.studies.sweep.cluster import (
-    ALONE,
-    IN_FLIGHT,
-    Cluster,
-    batch_digest,
-    connected,
-    local_workers,
-    require_dask,
-    run_on_cluster,
-)
+from topcli.studies.sweep import connect
+from topcli.studies.sweep.cluster import ALONE, IN_FLIGHT, Cluster, answer, batch_digest
+from topcli.studies.sweep.connect import connected, local_workers, require_dask, run_on_cluster
 from topcli.studies.sweep.evaluate import Work, forget
 from topcli.studies.sweep.run import SweepOptions, Watcher, run_sweep
 
@@ -173,7 +165,7 @@ def test_a_worker_that_is_killed_loses_no_row(cluster: Processes, tmp_path: Path
     options = SweepOptions(threads=4)
     with connected(cluster.address) as found:
         result = run_sweep(sweep_from(LONG), tmp_path / "there", options, Watcher(progress=progress), found)
-    assert victim.wait() == -signal.SIGKILL
+    assert victim.wait(SECONDS) == -signal.SIGKILL
     assert done[0] < 160 == done[-1] == result.ran, "it was killed during the sweep, and each row came once"
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
 
@@ -258,12 +250,11 @@ def closing_client(cluster: Processes) -> Any:
 def test_a_sweep_that_is_stopped_keeps_what_is_finished_and_frees_the_workers(
     cluster: Processes, tmp_path: Path
 ) -> None:
-    began = time.monotonic()
     with connected(cluster.address) as found:
-        watcher = Watcher(stop=lambda: time.monotonic() > began + 3.0)
+        client = found.client
+        watcher = Watcher(stop=once(lambda: any(client.processing().values()), "no row is computed"))
         result = run_sweep(sweep_from(ENDLESS), tmp_path / "endless", SweepOptions(), watcher, found)
         assert (result.interrupted, result.finished) == (True, 0)
-        client = found.client
         wait_until(lambda: not any(client.processing().values()), "the workers do not become free")
     done: list[int] = []
     watcher = Watcher(progress=lambda count, total, failed: done.append(count), stop=lambda: bool(done))
@@ -293,15 +284,13 @@ def test_a_lost_scheduler_is_reported_and_finished_rows_are_kept(cluster: Proces
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_does_not_answer_is_reported_within_ten_seconds(dask: None, tmp_path: Path) -> None:
+def test_a_scheduler_that_does_not_answer_is_reported(dask: None, tmp_path: Path) -> None:
     with closing(socket.socket()) as held:
         held.bind(("127.0.0.1", 0))
         held.listen()  # accepts, and never answers
         address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
-        began = time.monotonic()
         with pytest.raises(UsageError, match=f"--dask {address}: no Dask scheduler can be reached"):
             run_on_cluster(address, sweep_from(DATA), tmp_path)
-        assert time.monotonic() - began < 10.0
     assert os.listdir(tmp_path) == []
 
 
@@ -319,7 +308,7 @@ def test_ctrl_c_ends_a_sweep_on_local_workers_as_interrupted(dask: None, tmp_pat
         lambda: (journal.exists() and journal.stat().st_size) or running.poll() is not None, "no row is finished"
     )
     os.killpg(running.pid, signal.SIGINT)
-    _, said = running.communicate(timeout=60)
+    _, said = running.communicate(timeout=SECONDS)
     assert running.returncode == 130, said.decode()
     assert b"interrupted; run it again to continue" in said
     assert b"Traceback" not in said
@@ -353,6 +342,99 @@ def test_the_back_end_is_bounded_by_its_threads() -> None:
     batches = [[k] for k in range(10)]
     assert [batch for batch, _ in alone(batches, Work(()), lambda: False)] == batches  # type: ignore[arg-type]
     assert max(alone.sent) == IN_FLIGHT - 1
+
+
+class NoWorkers:
+    """A client whose workers are those of ``threads``, one number for each count."""
+
+    status = "running"
+
+    def __init__(self, *threads: int) -> None:
+        self._threads = iter(threads)
+
+    def sync(self, ask: Any, callback_timeout: float) -> dict[str, int]:
+        return {"tcp://there": next(self._threads)}
+
+    def nthreads(self) -> None:
+        raise AssertionError("without a limit")
+
+
+def counted(cluster: Cluster, now: dict[str, float], moments: int) -> list[float]:
+    """Times at which workers are replaced, counted every five seconds."""
+    found: list[float] = []
+    cluster.replace_workers = lambda: found.append(now["s"])
+    for _ in range(moments):
+        now["s"] += 5.0
+        cluster._count()
+    return found
+
+
+def test_workers_of_this_machine_that_do_not_come_back_are_replaced_at_most_five_times() -> None:
+    """A worker that ends while it is started is never started again, and the sweep would wait for ever."""
+    now, said = {"s": 100.0}, list[str]()
+    nothing: Any = None
+
+    def cluster(*threads: int) -> Cluster:
+        client: Any = NoWorkers(*threads)
+        return Cluster(client, "local:2", nothing, 2, said.append, clock=lambda: now["s"])
+
+    # one is there at first; without any it takes ten seconds, and again ten seconds for what was started
+    assert counted(cluster(2, *[0] * 6), now, 7) == [115.0, 125.0, 135.0]
+    assert said == ["warning: local:2 has no workers left; waiting for new ones"]
+    now["s"] = 0.0
+    assert counted(cluster(*[0, 0, 0, 1] * 6), now, 24) == [10.0, 30.0, 50.0, 70.0, 90.0, 110.0]
+    now["s"] = 0.0
+    with pytest.raises(RunError, match=r"local:2: its workers end before they begin; .* kept\nrun the sweep again"):
+        counted(cluster(*[0] * 20), now, 20)
+    assert now["s"] == 60.0
+
+
+def test_a_scheduler_without_workers_is_waited_for_until_the_sweep_is_stopped() -> None:
+    """Workers of a queue may come after hours."""
+    now, asked = {"s": 0.0}, list[int]()
+    nothing: Any = None
+    client: Any = NoWorkers(*[0] * 10**4)
+
+    class Waiting(Cluster):
+        def _submit(self, batch: Any, work: Any, *, alone: bool = False) -> None:
+            self._flying[str(batch)] = (None, batch)  # type: ignore[assignment]
+
+        def _arrived(self, work: Any, seconds: float = 0.0) -> Any:
+            now["s"] += 30.0
+            return iter(())
+
+        def _last(self) -> Any:
+            return iter(())
+
+        def _give_up(self) -> None: ...
+
+    def stop() -> bool:
+        asked.append(1)
+        return len(asked) > 1000
+
+    waiting: Any = Waiting(client, "tcp://there:1", nothing, 2, lambda line: None, clock=lambda: now["s"])
+    assert list(waiting([[0], [1]], Work(()), stop)) == []
+    assert now["s"] == 30_000.0
+
+
+@pytest.mark.slow
+def test_a_worker_that_does_not_answer_is_not_waited_for(
+    cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing_client(cluster) as client:
+        os.kill(cluster.running[1].pid, signal.SIGSTOP)
+        with pytest.raises(RunError, match=r"--dask here: the scheduler or a worker has not answered within 1 s"):
+            answer(client, "here", lambda: client.run(os.getpid), 1.0)
+
+        def impatient(client: Any, address: str, ask: Any, seconds: float = 0.0) -> Any:
+            return answer(client, address, ask, 2.0)
+
+        monkeypatch.setattr(connect, "answer", impatient)
+        with pytest.raises(RunError, match=f"--dask {cluster.address}: .* a worker has not answered within 2 s"):
+            run_on_cluster(cluster.address, sweep_from(DATA), tmp_path)
+        os.kill(cluster.running[1].pid, signal.SIGCONT)
+        wait_until(lambda: len(client.run(os.getpid)) == 2, "the worker does not go on")
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: None) -> None:

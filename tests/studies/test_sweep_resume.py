@@ -15,7 +15,6 @@ import pytest
 from attack.command import fork
 from injected import Operations, in_fork
 from sweeping import BASE, DATA, MANY, sweep, table, without_origin
-from topcli.config.sweep.document import sweep_from
 from topcli.errors import RunError, UsageError
 from topcli.store.verify import check_run
 from topcli.studies.sweep.journal import Block, Journal
