@@ -98,15 +98,16 @@ def test_a_failed_checkpoint_names_its_file(tmp_path: Path, monkeypatch: pytest.
 def test_living_process_excludes_others(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
-        "import sys, time; from pathlib import Path; from topcli.config.load import load_experiment\n"
+        "import sys; from pathlib import Path; from topcli.config.load import load_experiment\n"
         "from topcli.studies.run import Feedback, run_experiment\n"
         f"experiment = load_experiment({str(HK)!r}, ['N=300'])\n"
         "def wait(done, total):\n"
         "    if done > 200000 or done == total:\n"
-        "        print('running', flush=True); time.sleep(60)\n"
+        "        print('running', flush=True); sys.stdin.read()\n"
         "run_experiment(experiment, Path(sys.argv[1]), checkpoint_every=0.0, feedback=Feedback(wait))\n"
     )
-    other = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert other.stdout is not None
         assert other.stdout.readline() == "running\n"

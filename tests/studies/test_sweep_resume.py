@@ -7,14 +7,13 @@ import itertools
 import json
 import os
 import signal
-import time
 from pathlib import Path
 
 import pytest
 
 from attack.command import fork
 from injected import Operations, in_fork
-from sweeping import BASE, DATA, MANY, sweep, table, without_origin
+from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.errors import RunError, UsageError
 from topcli.store.verify import check_run
 from topcli.studies.sweep.journal import Block, Journal
@@ -123,17 +122,26 @@ def test_the_journal_is_flushed_every_two_seconds_and_at_its_end(
 
 @pytest.mark.slow
 def test_a_second_sweep_in_the_folder_is_refused_while_the_first_lives(tmp_path: Path) -> None:
-    data = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9]}}
-    pid = fork(lambda: sweep(tmp_path, data).failed)
+    """The first one says when it writes its file, which is after it has locked the folder, and waits there."""
+    begun, says = os.pipe()
+
+    def first() -> int:
+        def wait() -> None:
+            os.write(says, b"!")
+            signal.pause()
+
+        Operations(tmp_path, 1, wait, names=["replace"]).install()
+        return sweep(tmp_path).failed
+
+    pid = fork(first)
+    os.close(says)
     try:
-        lock = tmp_path / "study" / "lock"
-        deadline = time.monotonic() + 20.0
-        while not (lock.exists() and lock.stat().st_size) and time.monotonic() < deadline:
-            time.sleep(0.01)
+        assert os.read(begun, 1) == b"!", "the first sweep ended before it wrote its file"
         with pytest.raises(UsageError, match=rf"another sweep \(process {pid}\) is running in this folder"):
             sweep(tmp_path)
     finally:
-        os.kill(pid, 9)
+        os.close(begun)
+        os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
     assert sweep(tmp_path).finished == 4, "the lock dies with its process"
 
