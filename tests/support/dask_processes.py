@@ -18,12 +18,14 @@ SECONDS = 300.0
 
 
 def once(true: Callable[[], object], what: str) -> Callable[[], bool]:
-    """A ``stop`` that turns true with ``true``; fails with ``what`` if that takes too long."""
-    deadline = time.monotonic() + SECONDS
+    """A ``stop`` that turns true with ``true`` and stays so; fails with ``what`` if that takes too long."""
+    deadline, seen = time.monotonic() + SECONDS, []
 
     def stop() -> bool:
-        assert time.monotonic() < deadline, what
-        return bool(true())
+        if not seen:
+            assert time.monotonic() < deadline, what
+            seen.extend([True] * bool(true()))
+        return bool(seen)
 
     return stop
 
