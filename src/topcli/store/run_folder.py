@@ -255,6 +255,8 @@ class RunWriter:
         """Error to report after a failed write; says which data are kept."""
         if self.finished:
             kept = f"the finished run is kept in {self.folder}, and --resume puts it in its place"
+        elif not self.folder.exists() and (self.target / MANIFEST).exists():
+            kept = "the finished run is in its place"
         elif left := read_checkpoint(self.folder):
             kept = f"{_KEPT} (up to step {left.done})"
         return io_failure(error, self.target, kept)
