@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -238,6 +240,103 @@ def test_workers_with_other_versions_are_refused_by_name(cluster: Processes, tmp
         connected(cluster.address),
     ):
         pass
+
+
+SOURCE = Path(topcli.__file__).parent
+DESCRIBE = "import json; from topcli.studies.sweep.worker import versions; print(json.dumps(versions()))"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", ["a comment", "a new file", "a missing file", "nothing"])
+def test_another_source_of_the_same_version_is_another_version(dask: None, tmp_path: Path, change: str) -> None:
+    """A worker with a copy of topcli, one file of which differs by as little as a comment."""
+    from topcli.studies.sweep.worker import difference, versions
+
+    copy = Path(shutil.copytree(SOURCE, tmp_path / "topcli", ignore=shutil.ignore_patterns("__pycache__")))
+    if change == "a comment":
+        with (copy / "analysis" / "leaving.py").open("a") as file:
+            file.write("# the same\n")
+    elif change == "a new file":
+        (copy / "schemes" / "heavy" / "added.py").write_text("")
+    elif change == "a missing file":
+        (copy / "schemes" / "heavy" / "hk.py").unlink()
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", DESCRIBE], env=environment, capture_output=True, text=True, check=True, timeout=SECONDS
+    )
+    found = json.loads(done.stdout)
+    assert list(found) == ["topcli", "python", "numba", "llvmlite", "numpy", "the source of topcli"]
+    fault = difference(versions(), found)
+    here, there = versions()["the source of topcli"], found["the source of topcli"]
+    assert fault == ("" if change == "nothing" else f"the source of topcli is {there} there and {here} here")
+    assert (here == there) == (change == "nothing")
+
+
+@pytest.mark.parametrize("name", ["topcli", "python", "numba", "llvmlite", "numpy", "the source of topcli"])
+def test_any_version_that_differs_or_is_missing_is_a_difference(dask: None, name: str) -> None:
+    from topcli.studies.sweep.worker import difference, versions
+
+    here = versions()
+    assert difference(here, dict(here)) == ""
+    assert difference(here, {**here, name: "0.0"}) == f"{name} is 0.0 there and {here[name]} here"
+    there = {key: value for key, value in here.items() if key != name}
+    assert difference(here, there) == f"{name} is missing there and {here[name]} here"
+
+
+class Answering:
+    """A client whose workers describe themselves by ``answers``."""
+
+    def __init__(self, answers: dict[str, Any]) -> None:
+        self.answers = answers
+
+    def sync(self, ask: Any, callback_timeout: float) -> dict[str, Any]:
+        return self.answers
+
+
+@pytest.mark.parametrize(
+    ("cpus", "warned"),
+    [
+        (["one"], ""),
+        (["one", "one"], ""),
+        (["one", "two", "one"], "2 with one, 1 with two"),
+        (["a", "b", "c"], "1 with a, 1 with b, 1 with c"),
+    ],
+)
+def test_workers_with_several_kinds_of_processors_are_warned_of(dask: None, cpus: list[str], warned: str) -> None:
+    from topcli.studies.sweep.worker import Job, versions
+
+    answers = {f"tcp://{i}": {"versions": versions(), "cpu": cpu} for i, cpu in enumerate(cpus)}
+    client: Any = Answering(answers)
+    said = connect._check_workers(client, "there", Job("", versions(), ()))
+    expected = f"warning: the workers have different processors ({warned}); results may differ in the last digits"
+    assert said == ([expected] if warned else [])
+    answers["tcp://0"] = {"versions": {**versions(), "the source of topcli": "other"}, "cpu": cpus[0]}
+    with pytest.raises(UsageError, match=r"worker tcp://0: the source of topcli is other there and \w+ here"):
+        connect._check_workers(client, "there", Job("", versions(), ()))
+
+
+@pytest.mark.slow
+def test_replaced_workers_of_this_machine_compute_the_rest(
+    dask: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The library does not start a worker again that ends while it is started, as a deadly row may make it do."""
+    from distributed.core import Status
+
+    monkeypatch.setattr("topcli.studies.sweep.cluster.RESTART_SECONDS", 1.0)
+    done: list[int] = []
+    with connected("local:1") as found:
+        local: Any = found.client.cluster
+
+        def progress(count: int, total: int, failed: int) -> None:
+            if not done:
+                (nanny,) = local.workers.values()
+                nanny.status = Status.starting
+                os.kill(nanny.pid, signal.SIGKILL)
+            done.append(count)
+
+        result = run_sweep(sweep_from(MANY), tmp_path, SweepOptions(threads=12), Watcher(progress=progress), found)
+        assert len(local.worker_spec) > 1
+    assert (result.ran, result.outcomes) == (160, {"completed": 160})
 
 
 def closing_client(cluster: Processes) -> Any:
