@@ -167,7 +167,7 @@ def interleaved(forms: dict[str, Callable[[], None]], repetitions: int) -> dict[
 
 def compared(light_rows: int, heavy_rows: int, repetitions: int) -> dict[str, Any]:
     """Figures of light rows through one worker, and of heavy rows in several ways."""
-    from topcli.studies.sweep.cluster import BATCH_SCALE, connected
+    from topcli.studies.sweep.connect import BATCH_SCALE, connected
     from topcli.studies.sweep.run import in_threads
 
     few, many = rows_of(heavy(heavy_rows)), rows_of(light(light_rows))

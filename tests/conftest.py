@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +37,44 @@ def random_states(count: int, seed: int) -> np.ndarray:
     gamma = random.normal(size=(count, 3))
     gamma /= np.linalg.norm(gamma, axis=1, keepdims=True)
     return np.hstack([random.normal(size=(count, 3)), gamma])
+
+
+LIMIT = 600.0
+"""Seconds after which a test that waits for something fails; the longest takes one tenth of them."""
+
+
+@contextmanager
+def limited(what: str) -> Iterator[None]:
+    """Fail instead of waiting for longer than ``LIMIT``, also where a library waits without a limit of its own."""
+
+    def give_up(*ignored: object) -> None:
+        pytest.fail(f"{what} takes more than {LIMIT:g} s: something is waited for that does not come")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
+    with limited(f"the preparation of {item.name}"):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    with limited(item.name):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Generator[None]:
+    with limited(f"the end of {item.name}"):
+        return (yield)
 
 
 @pytest.fixture

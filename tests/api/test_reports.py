@@ -216,6 +216,16 @@ def test_plot_of_a_run_is_its_last_vector_or_the_chosen_columns(run: RunReport) 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("h", [0.01, -0.02])
+def test_plot_of_a_run_without_times_is_over_those_of_its_steps(tmp_path: Path, h: float) -> None:
+    output = {"columns": ["n", "gamma1", "gamma2", "gamma3", "energy"], "every": 4}
+    run = topcli.run({**CONFIG, "h": h, "output": output}, tmp_path, progress=False)
+    for options in ({}, {"columns": ["energy"]}, {"deviation": True}):
+        for x, _ in drawn(run.plot(Figure().add_subplot(), **options)).values():
+            np.testing.assert_allclose(x, np.linspace(0.0, 400 * h, 101), rtol=1e-13)
+
+
+@pytest.mark.slow
 def test_plots_keep_the_style_of_the_callers_axes(run: RunReport) -> None:
     with mpl.rc_context({"axes.prop_cycle": mpl.cycler(color=["#111111", "#222222", "#333333"])}):
         axes = Figure().add_subplot()
@@ -318,6 +328,32 @@ def test_sweep_has_its_rows_and_draws_them(swept: SweepReport) -> None:
         swept.plot(y="x")
     with pytest.raises(UsageError, match=r"several rows|aggregate"):
         swept.plot(x="scheme", y="error.max")
+
+
+@pytest.mark.slow
+def test_sweep_of_an_edited_file_shows_its_own_rows(tmp_path: Path) -> None:
+    """Rows of the earlier file stay in the folder, for the day when they are wanted again; nothing shows them."""
+    topcli.sweep(STUDY, tmp_path, progress=False)
+    edited = {**STUDY, "grid": {"h": [0.05, 0.02], "scheme": ["rk4"]}}
+    found = topcli.sweep(edited, tmp_path, progress=False)
+    stored = pd.read_parquet(found.folder / "rows.parquet")
+    assert sorted(stored["current"]) == [False] * 5 + [True] * 2
+    assert (found.result.ran, found.result.plan.left, found.outcomes) == (1, 5, {"completed": 2})
+    assert found.table["h"].to_dict() == {0: 0.05, 1: 0.02}
+    assert set(found.table["scheme"]) == {"rk4"}
+    assert "current" not in found.table
+    plain = found.as_dict()
+    assert [(row["row"], row["h"], row["scheme"]) for row in plain["rows"]] == [(0, 0.05, "rk4"), (1, 0.02, "rk4")]
+    values = {0.05: found.table["error.max"][0], 0.02: found.table["error.max"][1]}
+    ((x, y),) = drawn(found.plot(Figure().add_subplot(), x="h", y="error.max")).values()
+    assert dict(zip(x.tolist(), y.tolist(), strict=True)) == values
+    saved = pd.read_csv(found.save(tmp_path / "table.csv"))
+    assert saved["h"].tolist() == [0.05, 0.02]
+    page = read_html(found.save(tmp_path / "page.html").read_text())
+    (cells,) = [table.cells() for table in page.all("table") if table.cells()[0][0] == "row"]
+    assert [row[:3] for row in cells[1:]] == [["0", "0.05", "rk4"], ["1", "0.02", "rk4"]]
+    again = topcli.sweep(STUDY, tmp_path, progress=False)
+    assert (again.result.ran, len(again.table)) == (0, 6)
 
 
 @pytest.mark.slow

@@ -7,12 +7,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from conftest import ROOT
+from injected import Operations, command_in_fork, signal_to_self
 from topcli import __version__
 from topcli.figures.catalogue import FIGURES
 from topcli.schemes.registry import all_schemes
@@ -274,30 +274,15 @@ def test_output_without_colour_or_boxes_when_piped(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_keeps_what_was_written(tmp_path: Path, number: signal.Signals) -> None:
-    arguments = [
-        "run",
-        HK,
-        "--name",
-        "kowalevski_hk",
-        "--set",
-        "N=1000000000000",
-        "--set",
-        "output.every=100000",
-        "--quiet",
-    ]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "topcli", *arguments], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("results/.kowalevski_hk.part-*/series.parquet")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(0.3)
-    running.send_signal(number)
-    _, err = running.communicate(timeout=60)
-    assert running.returncode == 130, err
-    assert "Traceback" not in err
+    """A signal at the third checkpoint of a run that would take days."""
+    steps = ["--set", "N=1000000000000", "--set", "output.every=100000", "--checkpoint-every", "0"]
+    at_a_checkpoint = Operations(tmp_path, 3, signal_to_self(number), names=["replace"], only="checkpoint")
+    said = command_in_fork(["run", HK, "--name", "kowalevski_hk", *steps, "--quiet"], tmp_path, at_a_checkpoint)
+    assert said.code == 130, said.err
+    assert "Traceback" not in said.err
     manifest = json.loads((tmp_path / "results" / "kowalevski_hk" / "manifest.json").read_text())
     assert manifest["outcome"] == "interrupted"
+    assert 0 < manifest["step"] < 10**10
 
 
 @pytest.mark.slow

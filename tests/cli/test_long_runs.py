@@ -6,13 +6,13 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from conftest import ROOT
+from injected import Operations, command_in_fork, signal_to_self
 from test_cli import process
 from topcli.cli.talk import ProgressDisplay, spell_seconds
 from topcli.store.manifest import stored_runs
@@ -37,26 +37,16 @@ def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> Non
         "--checkpoint-every",
         "0",
     ]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "topcli", *arguments],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("results/.*.part-*/checkpoint.npz")) and time.monotonic() < deadline:
-        time.sleep(0.005)
-    running.send_signal(number)
-    _, err = running.communicate(timeout=60)
+    at_a_checkpoint = Operations(tmp_path, 3, signal_to_self(number), names=["replace"], only="checkpoint")
+    said = command_in_fork(arguments, tmp_path, at_a_checkpoint)
     if number == signal.SIGTERM:
-        assert running.returncode == 130, err
-        assert "--resume continues it" in err
+        assert said.code == 130, said.err
+        assert "--resume continues it" in said.err
         refused = process(*arguments, "--resume", "--set", "h=0.002", cwd=tmp_path)
         assert refused.returncode == 2
         assert "h: 0.001 there, 0.002 here" in refused.stderr
     else:
-        assert running.returncode == -signal.SIGKILL
+        assert said.code == -signal.SIGKILL
         planned = process(*arguments, "--resume", "--dry-run", cwd=tmp_path)
         assert "will continue from step" in planned.stdout
     again = process(*arguments, "--resume", "--json", cwd=tmp_path)
@@ -69,6 +59,21 @@ def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> Non
     assert reports[0] == reports[1]
     series = [tmp_path / out / "kowalevski_hk" / "series.parquet" for out in ("whole", "results")]
     assert series[0].read_bytes() == series[1].read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("kind", [[], ["--set", "ensemble={random: {count: 3, gamma: sphere}}"]])
+def test_a_signal_after_the_last_step_changes_nothing(tmp_path: Path, number: signal.Signals, kind: list[str]) -> None:
+    """The run is complete, and says so: nothing is left that --resume could continue."""
+    late = Operations(tmp_path, 1, signal_to_self(number), names=["replace"], only=".manifest")
+    said = command_in_fork(["run", HK, "--name", "one", "--set", "N=500", *kind], tmp_path, late)
+    assert said.code == 0, said.err
+    assert "interrupted" not in said.err
+    (run,) = stored_runs(tmp_path / "results")
+    assert run.outcome.value == "completed"
+    again = process("run", HK, "--name", "one", "--set", "N=500", *kind, cwd=tmp_path)
+    assert "up to date" in again.stderr
 
 
 def test_options_that_contradict_each_other(cli) -> None:

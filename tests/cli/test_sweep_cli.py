@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,8 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from attack.command import start
 from conftest import Said
+from injected import Operations, command_in_fork, signal_to_self
 
 Cli = Callable[..., Said]
 FILE = """\
@@ -230,21 +228,28 @@ def test_progress_in_a_log_has_rows_rate_time_left_and_failures(capsys: pytest.C
 
 
 @pytest.mark.slow
-def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli: Cli, study: Path, tmp_path: Path) -> None:
-    long = ["--set", "base.N=20000000", "--set", "base.output={every: 100000}", "--set", "grid.scheme=[hk]"]
-    steps = ["--set", "grid.h={from: 1e-9, to: 1e-8, count: 40}", "--threads", "1"]
-    running = start(["sweep", "study.yaml", *long, *steps], study.parent, [study.parent])
-    journal = study.parent / "results" / "study" / "journal.jsonl"
-    deadline = time.monotonic() + 30.0
-    while not (journal.exists() and journal.stat().st_size) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    os.kill(running.pid, signal.SIGTERM)
-    said = running.finish()
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli: Cli, study: Path, number: signal.Signals) -> None:
+    """A signal when the second of four batches is stored: at most the third one is finished."""
+    steps = ["--set", "grid.scheme=[hk]", "--set", "grid.h={from: 1e-9, to: 1e-8, count: 40}"]
+    second = Operations(study.parent, 2, signal_to_self(number), names=["pwrite"], only="journal")
+    said = command_in_fork(["sweep", "study.yaml", *steps, "--threads", "1"], study.parent, second)
     assert said.code == 130, said.err
     assert "interrupted; run it again to continue" in said.err
-    assert 0 < len(rows()) < 40
-    plan = cli("sweep", "study.yaml", *long, *steps[:2], "--dry-run", "--json").json()
+    assert 0 < len(rows()) <= 30
+    assert not Path("results/study/manifest.json").exists()
+    plan = cli("sweep", "study.yaml", *steps, "--dry-run", "--json").json()
     assert (plan["done"], plan["new"]) == (len(rows()), 40 - len(rows()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_last_row_changes_nothing(study: Path, number: signal.Signals) -> None:
+    late = Operations(study.parent, 1, signal_to_self(number), names=["replace"], only=".rows")
+    said = command_in_fork(["sweep", "study.yaml"], study.parent, late)
+    assert said.code == 0, said.err
+    assert "interrupted" not in said.err
+    assert Path("results/study/manifest.json").exists()
 
 
 @pytest.mark.slow

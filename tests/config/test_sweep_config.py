@@ -115,6 +115,26 @@ def test_a_mistake_is_named_with_file_line_and_key(name: str, tmp_path: Path) ->
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize(("N", "every", "most"), [(100, 100, 100), (100, 50, 100), (7, 7, 7), (1, 1, 1)])
+def test_rows_are_recorded_at_most_every_n_steps(N: int, every: int, most: int) -> None:
+    """From both sides, in a sweep and in a run."""
+    base = {**BASE, "N": N}
+    assert rows(base=base, grid={"output.every": [every]})[0].every == every
+    assert experiment_from({**base, "output": {"every": every}}).output.every == every
+    wrong = rf"output.every: must be at most N = {N}, not {most + 1}"
+    with pytest.raises(TopcliError, match=wrong):
+        rows(base=base, grid={"output.every": [most + 1]})
+    with pytest.raises(TopcliError, match=wrong):
+        experiment_from({**base, "output": {"every": most + 1}})
+
+
+def test_a_row_records_at_most_a_hundred_million_states() -> None:
+    base = {**BASE, "N": 10**9}
+    assert rows(base=base, grid={"output.every": [11]})[0].every == 11
+    with pytest.raises(TopcliError, match=r"output.every: records 100000001 states of a row \(at most 100000000\)"):
+        rows(base=base, grid={"output.every": [10]})
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

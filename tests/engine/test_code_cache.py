@@ -187,3 +187,26 @@ def test_a_series_is_the_first_code_of_a_process_where_libm_is_not_loaded_by_nam
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert list((tmp_path / "topcli").glob("*.o"))
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [
+        ("get_host_cpu_name", lambda: "another-processor"),
+        ("get_host_cpu_features", lambda: {"avx512f": True, "fma": False}),
+        ("get_process_triple", lambda: "another-triple"),
+    ],
+)
+def test_code_of_another_processor_is_not_known(monkeypatch: pytest.MonkeyPatch, name: str, made: object) -> None:
+    """Two kinds of machines may share the folder of the cache, as in a cluster."""
+    import llvmlite.binding as llvm
+
+    class Features(dict[str, bool]):
+        def flatten(self) -> str:
+            return ",".join(f"{'+' if there else '-'}{feature}" for feature, there in self.items())
+
+    words = native._machine.__wrapped__()[1]
+    assert native._machine.__wrapped__()[1] == words
+    value = made()  # type: ignore[operator]
+    monkeypatch.setattr(llvm, name, lambda: Features(value) if isinstance(value, dict) else value)
+    assert native._machine.__wrapped__()[1] != words

@@ -124,8 +124,7 @@ def test_a_wide_table_scrolls_within_itself_by_keyboard(browser: Browser, extrem
         table.focus()
         for _ in range(3):
             seen.page.keyboard.press("ArrowRight")
-        seen.page.wait_for_timeout(400)
-        assert table.evaluate("e => e.scrollLeft") > 0
+        seen.page.wait_for_function("document.querySelector('.scroll').scrollLeft > 0", timeout=60_000)
 
 
 def test_text_of_pictures_is_readable_on_a_phone(browser: Browser, page: Path) -> None:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+import topcli
 from resuming import small
+from stored_results import store_comparison, store_ensemble, store_sweep
+from sweeping import sweep, with_grid
 from topcli.errors import RunError
 from topcli.store.checkpoint import read_checkpoint
 from topcli.store.manifest import stored_run
@@ -55,27 +60,104 @@ def test_a_run_is_flushed_whole_before_it_is_renamed_into_its_place(tmp_path: Pa
     target = result.stored.folder
     at = placed(calls, target)
     part = calls[at][1]
-    flushed = [Path(path).name for kind, path, _ in calls[:at] if kind == "flush" and Path(path).parent == Path(part)]
+    later = {source: to for kind, source, to in calls[:at] if kind == "rename"}
+    paths = [Path(later.get(path, path)) for kind, path, _ in calls[:at] if kind == "flush"]
+    flushed = [path.name for path in paths if path.parent == Path(part)]
     files = {path.name for path in target.iterdir()}
     assert {"series.parquet", "report.json", "report.md", "config.yaml", "manifest.json"} <= files
     assert files <= set(flushed)
     assert flushed[-1] == "manifest.json"
-    manifest = max(i for i, (_, path, _) in enumerate(calls) if path == f"{part}/manifest.json")
+    (manifest,) = (i for i, (_, _, to) in enumerate(calls) if to == f"{part}/manifest.json")
     folder = max(i for i, (kind, path, _) in enumerate(calls) if kind == "flush" and path == part)
     out = min(i for i, (kind, path, _) in enumerate(calls) if kind == "flush" and path == str(tmp_path) and i > at)
     assert manifest < folder < at < out
 
 
+def files_put_in_place(calls: Calls, folder: Path) -> list[str]:
+    """Names of the files that were renamed below ``folder``: each was flushed just before, its folder just after."""
+    found = []
+    for i, (kind, source, to) in enumerate(calls):
+        if kind == "rename" and Path(to).is_relative_to(folder) and Path(source).suffix and Path(to).name != "lock":
+            assert calls[i - 1] == ("flush", source, ""), f"{to} was not flushed before its rename"
+            assert calls[i + 1] == ("flush", str(Path(to).parent), ""), f"the folder of {to} was not flushed"
+            found.append(Path(to).name)
+    return found
+
+
 def test_a_checkpoint_is_flushed_before_it_replaces_the_earlier_one(
     tmp_path: Path, calls: Calls, small_chunks: None
 ) -> None:
-    run_experiment(small(), tmp_path, checkpoint_every=0.0)
-    renames = [i for i, (kind, _, to) in enumerate(calls) if kind == "rename" and to.endswith("checkpoint.npz")]
-    assert len(renames) > 2
-    for i in renames:
-        source, to = calls[i][1:]
-        assert calls[i - 1] == ("flush", source, "")
-        assert calls[i + 1] == ("flush", str(Path(to).parent), "")
+    result = run_experiment(small(), tmp_path / "out", checkpoint_every=0.0)
+    part = placed(calls, result.stored.folder)
+    del calls[part]
+    names = files_put_in_place(calls, tmp_path)
+    assert names[-1] == "manifest.json"
+    assert len(names) > 3
+    assert set(names[:-1]) == {"checkpoint.npz"}
+
+
+def save_page(out: Path) -> None:
+    topcli.run("kowalevski_hk", out, N=50, progress=False).save(out / "page.html")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("store", "names"),
+    [
+        (store_sweep, {"sweep.yaml", "rows.parquet", "manifest.json"}),
+        (store_ensemble, {"manifest.json"}),
+        (lambda out: store_comparison(out / "compared.json"), {"compared.json"}),
+        (save_page, {"manifest.json", "page.html"}),
+    ],
+)
+def test_every_file_is_flushed_before_its_rename_and_its_folder_after(
+    tmp_path: Path, calls: Calls, store: Callable[[Path], object], names: set[str]
+) -> None:
+    store(tmp_path)
+    runs = [i for i, (kind, source, _) in enumerate(calls) if kind == "rename" and ".part-" in Path(source).name]
+    for i in reversed(runs):
+        del calls[i]
+    assert set(files_put_in_place(calls, tmp_path)) == names
+
+
+def test_a_sweep_is_flushed_in_the_order_in_which_its_files_vouch_for_each_other(tmp_path: Path, calls: Calls) -> None:
+    """The folder of the sweep, the file, the rows, the manifest; the journal at the end at the latest."""
+    sweep(tmp_path)
+    assert calls[0] == ("flush", str(tmp_path), "")
+    renamed = [Path(to).name for kind, _, to in calls if kind == "rename"]
+    assert renamed == ["sweep.yaml", "rows.parquet", "manifest.json"]
+    assert ("flush", str(tmp_path / "study" / "journal.jsonl"), "") in calls
+
+
+def being_written(handle: int) -> tuple[str, str]:
+    """Name of an open file, and the one that it gets when it is complete."""
+    name = Path(os.readlink(f"/proc/self/fd/{handle}")).name
+    return name, re.sub(r"^\.(\w+)\.\d+", r"\1", name)
+
+
+@pytest.mark.parametrize("name", ["sweep.yaml", "rows.parquet", "manifest.json"])
+def test_a_failed_flush_keeps_the_earlier_table_of_a_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    sweep(tmp_path)
+    before = (tmp_path / "study" / "rows.parquet").read_bytes()
+    fsync, failed = os.fsync, []
+
+    def full(handle: int) -> None:
+        if name in being_written(handle):
+            failed.append(name)
+            raise OSError(28, "No space left on device")
+        fsync(handle)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(RunError, match=f"{name}.*: no space left on the device; "):
+            sweep(tmp_path, with_grid(h=[0.01, 0.03]))
+    assert failed
+    rows = (tmp_path / "study" / "rows.parquet").read_bytes()
+    assert (rows == before) == (name != "manifest.json")
+    assert not list((tmp_path / "study").glob(".*"))
+    assert sweep(tmp_path, with_grid(h=[0.01, 0.03])).ran == (2 if name == "sweep.yaml" else 0)
 
 
 def test_a_checkpoint_vouches_for_rows_that_are_on_the_disk(
@@ -111,7 +193,7 @@ def test_a_failed_flush_keeps_the_earlier_run(tmp_path: Path, monkeypatch: pytes
     fsync, failed = os.fsync, []
 
     def full(handle: int) -> None:
-        if Path(os.readlink(f"/proc/self/fd/{handle}")).name == name:
+        if name in being_written(handle):
             failed.append(name)
             raise OSError(28, "No space left on device")
         fsync(handle)

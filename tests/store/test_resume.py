@@ -15,6 +15,7 @@ from declared import TRIALS, by_name
 from resuming import FILES, KINDS, NAME, after, content, killed, small
 from topcli.analysis.drift import InvariantTally
 from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
@@ -197,6 +198,34 @@ def test_a_forced_run_beside_a_different_one_is_resumed(tmp_path: Path) -> None:
     assert (result.status, result.outcome) == ("resumed", Outcome.COMPLETED)
     assert result.set_aside is not None
     assert content(result.set_aside) == first
+
+
+def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its name are parts of another experiment, of other code, and of itself, some of which got further."""
+    out = tmp_path / "out"
+    out.mkdir()
+
+    def left(place: str, experiment: Experiment, chunks: int) -> str:
+        folder = killed(tmp_path / place, experiment, chunks)
+        folder.rename(out / folder.name)
+        return folder.name
+
+    with monkeypatch.context() as patch:
+        patch.setattr("topcli.studies.identity.method_fingerprint", lambda method: "0" * 64)
+        other_code = left("code", small(), 4)
+    other = left("experiment", small("h=0.002"), 4)
+    less, more = left("less", small(), 2), left("more", small(), 8)
+    run_experiment(small(), out, stop=after(5))
+    assert {path.name for path in out.iterdir()} == {NAME, other, other_code, more}
+    assert not (out / less).exists()
+    assert run_experiment(small(), out, force=True).outcome is Outcome.COMPLETED
+    assert {path.name for path in out.iterdir()} == {NAME, other, other_code}
+    expected = content(run_experiment(small("h=0.002"), tmp_path / "whole").stored.folder)
+    resumed = run_experiment(small("h=0.002"), out, resume=True)
+    assert resumed.status == "resumed"
+    assert content(resumed.stored.folder) == expected
 
 
 def test_a_run_that_fails_has_no_checkpoint(tmp_path: Path) -> None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import errno
 import itertools
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -17,6 +20,7 @@ from resuming import HK, NAME, content, killed, small
 from topcli.errors import RunError, UsageError
 from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
+from topcli.store.growing import GrowingFile
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.parts import lock_left, lock_new, new_part, parts_of
 from topcli.store.series import SeriesWriter, read_metadata, read_series
@@ -77,6 +81,118 @@ def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
     assert [path.name for path in out.iterdir()] == [NAME]
 
 
+class Disk:
+    """A disk on which the series may have ``room`` bytes, and which refuses its flushes and renames after ``calls``.
+
+    ``claimed`` is the furthest step of a checkpoint that was put in its place.
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch, room: int = 10**9, calls: int = 10**9, forever: bool = True) -> None:
+        self.claimed, self.refused = 0, 0
+        append, replace, done = GrowingFile.append, os.replace, itertools.count()
+
+        def full() -> None:
+            self.refused += 1
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def limited(file: GrowingFile, *pieces: bytes) -> None:
+            if file.length + sum(map(len, pieces)) > room:
+                full()
+            append(file, *pieces)
+
+        def counted(real: Callable[..., Any]) -> Callable[..., Any]:
+            def operation(*arguments: Any, **options: Any) -> Any:
+                number = next(done)
+                if number == calls or (forever and number > calls):
+                    full()
+                return real(*arguments, **options)
+
+            return operation
+
+        def put(source: Any, target: Any, **options: Any) -> None:
+            replace(source, target, **options)
+            if Path(target).name == CHECKPOINT:
+                found = read_checkpoint(Path(target).parent)
+                assert found is not None
+                self.claimed = max(self.claimed, found.done)
+
+        patch.setattr(GrowingFile, "append", limited)
+        for name, real in (("replace", put), ("rename", os.rename), ("fsync", os.fsync)):
+            patch.setattr(os, name, counted(real))
+
+
+def failure(out: Path) -> str:
+    """Message of a run that fails; empty if it does not."""
+    try:
+        run_experiment(small(), out, checkpoint_every=0.0)
+    except RunError as error:
+        return str(error)
+    return ""
+
+
+def resumed_from(out: Path, expected: dict[str, object]) -> int:
+    """Step from which the run in ``out`` continues, to the result that it is to have; 300 if it was complete."""
+    messages: list[str] = []
+    for part in out.glob(".*"):  # as after the end of this process
+        part.rename(out / f".{NAME}.part-999999999-00000000")
+    run = run_experiment(small(), out, resume=True, feedback=Feedback(on_message=messages.append))
+    assert content(run.stored.folder) == expected
+    assert [path.name for path in out.iterdir()] == [NAME]
+    (step,) = [int(found[1]) for line in messages if (found := re.search(r"continues from step (\d+)", line))] or [
+        300 if "was complete" in messages[0] else 0
+    ]
+    return step
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [0.0, 1e9])
+def test_a_disk_that_is_full_at_any_byte_takes_back_no_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: float
+) -> None:
+    """With a checkpoint after each chunk and with none: an older state fits where the last one does not."""
+    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
+    size = (tmp_path / "whole" / NAME / "series.parquet").stat().st_size
+    steps, claims = [], []
+    for room in range(0, size, size // 40):
+        with monkeypatch.context() as patch:
+            disk = Disk(patch, room)
+            with pytest.raises(RunError, match="no space left"):
+                run_experiment(small(), tmp_path / f"{room}", checkpoint_every=every)
+        steps.append(resumed_from(tmp_path / f"{room}", expected))
+        claims.append(disk.claimed)
+        assert steps[-1] >= claims[-1], f"with room for {room} bytes it went back to step {steps[-1]}"
+    assert steps == sorted(steps)
+    assert steps[-1] > 200
+    assert max(claims) > 200
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("forever", [True, False])
+def test_a_disk_that_is_full_at_any_flush_or_rename_takes_back_no_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forever: bool
+) -> None:
+    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
+    seen = set()
+    for calls in itertools.count():
+        out = tmp_path / f"{calls}"
+        with monkeypatch.context() as patch:
+            disk = Disk(patch, calls=calls, forever=forever)
+            said = failure(out)
+        if not disk.refused:
+            break
+        assert "no space left on the device" in said
+        if (found := stored_run(out / NAME)) is not None and not found.interrupted:
+            assert content(out / NAME) == expected
+            assert said.endswith("the finished run is in its place")
+            continue
+        assert ("nothing was" in said) == (not any(out.iterdir()))
+        step = resumed_from(out, expected)
+        assert step >= disk.claimed, f"with {calls} flushes and renames it went back to step {step}"
+        seen.add(step)
+    assert calls > 40
+    assert len(seen) > 10
+
+
 def test_a_failed_checkpoint_names_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sync, calls = os.fsync, iter(range(10**6))
 
@@ -98,15 +214,16 @@ def test_a_failed_checkpoint_names_its_file(tmp_path: Path, monkeypatch: pytest.
 def test_living_process_excludes_others(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
-        "import sys, time; from pathlib import Path; from topcli.config.load import load_experiment\n"
+        "import sys; from pathlib import Path; from topcli.config.load import load_experiment\n"
         "from topcli.studies.run import Feedback, run_experiment\n"
         f"experiment = load_experiment({str(HK)!r}, ['N=300'])\n"
         "def wait(done, total):\n"
         "    if done > 200000 or done == total:\n"
-        "        print('running', flush=True); time.sleep(60)\n"
+        "        print('running', flush=True); sys.stdin.read()\n"
         "run_experiment(experiment, Path(sys.argv[1]), checkpoint_every=0.0, feedback=Feedback(wait))\n"
     )
-    other = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert other.stdout is not None
         assert other.stdout.readline() == "running\n"

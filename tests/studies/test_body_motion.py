@@ -39,6 +39,14 @@ def test_motion_is_that_of_the_rows(folder: Path, motion: BodyMotion) -> None:
     assert motion.notes == ()
 
 
+@pytest.mark.parametrize("h", [0.001, -0.002])
+def test_motion_without_recorded_times_is_over_those_of_its_steps(tmp_path: Path, h: float) -> None:
+    columns = "output.columns=[n, omega1, omega2, omega3, gamma1, gamma2, gamma3]"
+    rows = ("N=400", "output.every=4", f"h={h}", TURNED, columns)
+    found = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", *rows))
+    np.testing.assert_allclose(found.t, np.linspace(0.0, 400 * h, 101), rtol=1e-13)
+
+
 def test_euler_angles_give_the_same_motion(tmp_path: Path, motion: BodyMotion) -> None:
     found = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", "N=400", "output.attitude=euler-angles"))
     assert turned_apart(found.attitude, motion.attitude).max() < 1e-14

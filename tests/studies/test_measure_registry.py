@@ -5,7 +5,7 @@ from __future__ import annotations
 import doctest
 import inspect
 import math
-import time
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -266,15 +266,38 @@ def test_another_top_state_or_direction_has_another_reference(monkeypatch: pytes
 
 
 def test_threads_wait_for_a_reference_that_another_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first one computes until the others have come to the lock that it holds."""
     inside: list[int] = []
+    arrived: set[int] = set()
+    all_there = threading.Event()
+
+    class Lock:
+        def __init__(self) -> None:
+            self._lock = threading.Lock()
+
+        def acquire(self, timeout: float = -1.0) -> bool:
+            arrived.add(threading.get_ident())
+            if len(arrived) == 4:
+                all_there.set()
+            return self._lock.acquire(timeout=timeout)
+
+        def release(self) -> None:
+            self._lock.release()
+
+        def __enter__(self) -> bool:
+            return self.acquire()
+
+        def __exit__(self, *exception: object) -> None:
+            self.release()
 
     def slow(top: Any, y0: Any, t: Any) -> Any:
         inside.append(1)
-        time.sleep(0.1)
+        assert all_there.wait(60.0), "the other threads do not ask for the reference"
         return np.zeros((len(t), 6))
 
     monkeypatch.setattr(references, "reference_states", slow)
     found = SharedReferences()
+    found._computing = [Lock() for _ in found._computing]  # type: ignore[misc]
     top, y0, n = Kowalevski(), np.ones(6), np.arange(9)
     with ThreadPoolExecutor(4) as pool:
         states = [pool.submit(found.states, top, "taylor", y0, 0.5, n) for _ in range(4)]

@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,23 +15,15 @@ from typing import Any
 import pytest
 
 import topcli
-from dask_processes import Processes, processes, wait_until
+from dask_processes import SECONDS, Processes, once, processes, wait_until
 from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.sweep.document import sweep_from
-from topcli.config.sweep.rows import RowReader
 from topcli.errors import RunError, UsageError
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
-from topcli.studies.sweep.cluster import (
-    ALONE,
-    IN_FLIGHT,
-    Cluster,
-    batch_digest,
-    connected,
-    local_workers,
-    require_dask,
-    run_on_cluster,
-)
-from topcli.studies.sweep.evaluate import Results, Work, forget
+from topcli.studies.sweep import connect
+from topcli.studies.sweep.cluster import IN_FLIGHT, answer
+from topcli.studies.sweep.connect import connected, local_workers, require_dask, run_on_cluster
+from topcli.studies.sweep.evaluate import forget
 from topcli.studies.sweep.run import SweepOptions, Watcher, run_sweep
 
 LONG = {
@@ -129,20 +120,6 @@ def test_a_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> N
         require_dask()
 
 
-def test_a_task_is_named_after_what_it_computes() -> None:
-    rows = list(RowReader(sweep_from(DATA)).rows())
-    one = Work(("deviation.energy",))
-    names = [
-        batch_digest(rows, one, "a"),
-        batch_digest(rows[1:], one, "a"),
-        batch_digest(rows, Work(("drift.energy",)), "a"),
-        batch_digest(rows, Work(("deviation.energy",), 1.0), "a"),
-        batch_digest(rows, one, "b"),
-    ]
-    assert len(set(names)) == 5
-    assert batch_digest(list(rows), Work(("deviation.energy",)), "a") == names[0]
-
-
 @pytest.mark.slow
 def test_rows_are_those_of_a_local_sweep_and_few_are_in_flight(cluster: Processes, tmp_path: Path) -> None:
     sweep(tmp_path / "here", MANY)
@@ -173,7 +150,7 @@ def test_a_worker_that_is_killed_loses_no_row(cluster: Processes, tmp_path: Path
     options = SweepOptions(threads=4)
     with connected(cluster.address) as found:
         result = run_sweep(sweep_from(LONG), tmp_path / "there", options, Watcher(progress=progress), found)
-    assert victim.wait() == -signal.SIGKILL
+    assert victim.wait(SECONDS) == -signal.SIGKILL
     assert done[0] < 160 == done[-1] == result.ran, "it was killed during the sweep, and each row came once"
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
 
@@ -248,6 +225,30 @@ def test_workers_with_other_versions_are_refused_by_name(cluster: Processes, tmp
         pass
 
 
+@pytest.mark.slow
+def test_replaced_workers_of_this_machine_compute_the_rest(
+    dask: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The library does not start a worker again that ends while it is started, as a deadly row may make it do."""
+    from distributed.core import Status
+
+    monkeypatch.setattr("topcli.studies.sweep.cluster.RESTART_SECONDS", 1.0)
+    done: list[int] = []
+    with connected("local:1") as found:
+        local: Any = found.client.cluster
+
+        def progress(count: int, total: int, failed: int) -> None:
+            if not done:
+                (nanny,) = local.workers.values()
+                nanny.status = Status.starting
+                os.kill(nanny.pid, signal.SIGKILL)
+            done.append(count)
+
+        result = run_sweep(sweep_from(MANY), tmp_path, SweepOptions(threads=12), Watcher(progress=progress), found)
+        assert len(local.worker_spec) > 1
+    assert (result.ran, result.outcomes) == (160, {"completed": 160})
+
+
 def closing_client(cluster: Processes) -> Any:
     from distributed import Client
 
@@ -258,12 +259,11 @@ def closing_client(cluster: Processes) -> Any:
 def test_a_sweep_that_is_stopped_keeps_what_is_finished_and_frees_the_workers(
     cluster: Processes, tmp_path: Path
 ) -> None:
-    began = time.monotonic()
     with connected(cluster.address) as found:
-        watcher = Watcher(stop=lambda: time.monotonic() > began + 3.0)
+        client = found.client
+        watcher = Watcher(stop=once(lambda: any(client.processing().values()), "no row is computed"))
         result = run_sweep(sweep_from(ENDLESS), tmp_path / "endless", SweepOptions(), watcher, found)
         assert (result.interrupted, result.finished) == (True, 0)
-        client = found.client
         wait_until(lambda: not any(client.processing().values()), "the workers do not become free")
     done: list[int] = []
     watcher = Watcher(progress=lambda count, total, failed: done.append(count), stop=lambda: bool(done))
@@ -293,15 +293,13 @@ def test_a_lost_scheduler_is_reported_and_finished_rows_are_kept(cluster: Proces
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_does_not_answer_is_reported_within_ten_seconds(dask: None, tmp_path: Path) -> None:
+def test_a_scheduler_that_does_not_answer_is_reported(dask: None, tmp_path: Path) -> None:
     with closing(socket.socket()) as held:
         held.bind(("127.0.0.1", 0))
         held.listen()  # accepts, and never answers
         address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
-        began = time.monotonic()
         with pytest.raises(UsageError, match=f"--dask {address}: no Dask scheduler can be reached"):
             run_on_cluster(address, sweep_from(DATA), tmp_path)
-        assert time.monotonic() - began < 10.0
     assert os.listdir(tmp_path) == []
 
 
@@ -319,72 +317,28 @@ def test_ctrl_c_ends_a_sweep_on_local_workers_as_interrupted(dask: None, tmp_pat
         lambda: (journal.exists() and journal.stat().st_size) or running.poll() is not None, "no row is finished"
     )
     os.killpg(running.pid, signal.SIGINT)
-    _, said = running.communicate(timeout=60)
+    _, said = running.communicate(timeout=SECONDS)
     assert running.returncode == 130, said.decode()
     assert b"interrupted; run it again to continue" in said
     assert b"Traceback" not in said
     assert 0 < len(table(tmp_path / "out")) < 160
 
 
-def test_the_back_end_is_bounded_by_its_threads() -> None:
-    """Without workers a batch is still submitted, so that the sweep waits for them instead of ending."""
+@pytest.mark.slow
+def test_a_worker_that_does_not_answer_is_not_waited_for(
+    cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing_client(cluster) as client:
+        os.kill(cluster.running[1].pid, signal.SIGSTOP)
+        with pytest.raises(RunError, match=r"--dask here: the scheduler or a worker has not answered within 1 s"):
+            answer(client, "here", lambda: client.run(os.getpid), 1.0)
 
-    class Alone(Cluster):
-        def __init__(self) -> None:
-            super().__init__(None, "", None, 0, print)  # type: ignore[arg-type]
-            self.sent: list[int] = []
+        def impatient(client: Any, address: str, ask: Any, seconds: float = 0.0) -> Any:
+            return answer(client, address, ask, 2.0)
 
-        def _submit(self, batch: Any, work: Any, *, alone: bool = False) -> None:
-            self.sent.append(len(self._flying))
-            self._flying[len(self.sent)] = (None, batch)  # type: ignore[assignment]
-
-        def _arrived(self, work: Any, seconds: float = 0.0) -> Any:
-            key = next(iter(self._flying))
-            yield self._flying.pop(key)[1], None
-
-        def _count(self) -> None: ...
-
-        def _last(self) -> Any:
-            return iter(())
-
-        def _give_up(self) -> None: ...
-
-    alone = Alone()
-    batches = [[k] for k in range(10)]
-    assert [batch for batch, _ in alone(batches, Work(()), lambda: False)] == batches  # type: ignore[arg-type]
-    assert max(alone.sent) == IN_FLIGHT - 1
-
-
-def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: None) -> None:
-    """A task that is not lost finishes the first of its rows; the rest is another batch."""
-    from distributed.scheduler import KilledWorker
-
-    class Task:
-        """A task that is lost if it, or one that is in flight with it, holds the fatal row."""
-
-        def __init__(self, key: str, batch: list[int]) -> None:
-            self.key, self.batch = key, batch
-
-        def cancelled(self) -> bool:
-            return False
-
-        def result(self, timeout: float) -> Results:
-            if any(7 in batch for batch in [self.batch, *(batch for _, batch in cluster._flying.values())]):
-                raise KilledWorker(self.key, None, 3)
-            return Results(message=[str(row) for row in self.batch], done=[i < 1 for i in range(len(self.batch))])
-
-    class Fatal(Cluster):
-        def _submit(self, batch: Any, work: Any, *, alone: bool = False) -> None:
-            future: Any = Task(f"{batch}{ALONE if alone else ''}", batch)
-            self._flying[future.key] = (future, batch)
-            self._ended.put(future)
-
-    client: Any = type("Client", (), {"status": "running"})()
-    nothing: Any = None
-    cluster = Fatal(client, "here", nothing, 1, lambda line: None)
-    batches: Any = [[0, 1, 2], [3, 4, 5, 6, 7]]
-    found: list[Any] = list(cluster(batches, Work(("swings",)), lambda: False))
-    assert sorted(row for batch, one in found for row, done in zip(batch, one.done, strict=True) if done) == [*range(8)]
-    (failed,) = [results for batch, results in found if batch == [7]]
-    assert (failed.outcome, failed.done) == (["failed"], [True])
-    assert all(results.message == [str(row) for row in batch] for batch, results in found if batch != [7])
+        monkeypatch.setattr(connect, "answer", impatient)
+        with pytest.raises(RunError, match=f"--dask {cluster.address}: .* a worker has not answered within 2 s"):
+            run_on_cluster(cluster.address, sweep_from(DATA), tmp_path)
+        os.kill(cluster.running[1].pid, signal.SIGCONT)
+        wait_until(lambda: len(client.run(os.getpid)) == 2, "the worker does not go on")
+    assert os.listdir(tmp_path) == []

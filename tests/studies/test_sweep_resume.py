@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import os
-import random
-import time
+import signal
 from pathlib import Path
 
 import pytest
 
-from attack.command import fork, start
-from sweeping import BASE, DATA, MANY, sweep, table, without_origin
-from topcli.config.sweep.document import sweep_from
+from attack.command import fork
+from injected import Operations, in_fork
+from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.errors import RunError, UsageError
+from topcli.store.verify import check_run
 from topcli.studies.sweep.journal import Block, Journal
 from topcli.studies.sweep.run import Watcher
 
@@ -103,19 +104,44 @@ def test_the_later_of_two_entries_of_a_row_counts(tmp_path: Path) -> None:
         assert journal.block(0).outcome == ["blew_up"]
 
 
+def test_the_journal_is_flushed_every_two_seconds_and_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows come every 0.75 s of a clock that the test sets."""
+    times = {"now": 50.0}
+    flushes = Operations(tmp_path, names=["fsync"], only="journal.jsonl").install(monkeypatch.setattr)
+    seen: list[int] = []
+    with Journal(tmp_path, write=True, clock=lambda: times["now"]) as journal:
+        for i in range(8):
+            times["now"] += 0.75
+            journal.append(Block([f"{i:064x}"], ["completed"], [""], ["c"], {"h": [0.1]}, {"x": [1.0]}, "cpu"))
+            seen.append(flushes.count)
+    assert seen == [0, 0, 1, 1, 1, 2, 2, 2], "after 2.25 s each time: the first moment that is 2 s or more later"
+    assert flushes.count == 3
+
+
 @pytest.mark.slow
 def test_a_second_sweep_in_the_folder_is_refused_while_the_first_lives(tmp_path: Path) -> None:
-    data = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9]}}
-    pid = fork(lambda: sweep(tmp_path, data).failed)
+    """The first one says when it writes its file, which is after it has locked the folder, and waits there."""
+    begun, says = os.pipe()
+
+    def first() -> int:
+        def wait() -> None:
+            os.write(says, b"!")
+            signal.pause()
+
+        Operations(tmp_path, 1, wait, names=["replace"]).install()
+        return sweep(tmp_path).failed
+
+    pid = fork(first)
+    os.close(says)
     try:
-        lock = tmp_path / "study" / "lock"
-        deadline = time.monotonic() + 20.0
-        while not (lock.exists() and lock.stat().st_size) and time.monotonic() < deadline:
-            time.sleep(0.01)
+        assert os.read(begun, 1) == b"!", "the first sweep ended before it wrote its file"
         with pytest.raises(UsageError, match=rf"another sweep \(process {pid}\) is running in this folder"):
             sweep(tmp_path)
     finally:
-        os.kill(pid, 9)
+        os.close(begun)
+        os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
     assert sweep(tmp_path).finished == 4, "the lock dies with its process"
 
@@ -130,47 +156,38 @@ def test_what_a_process_killed_at_its_start_has_left_is_no_obstacle(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_thirty_kills_lose_nothing_and_run_nothing_twice(tmp_path: Path) -> None:
-    data = {
-        **MANY,
-        "random": {**MANY["random"], "count": 60},
-        "base": {**BASE, "N": 50_000, "output": {"every": 50}},
-        "measure": ["deviation.energy", "drift.energy"],
-    }
-    file = tmp_path / "study.yaml"
-    file.write_text(sweep_from(data).to_yaml())
-    began = time.perf_counter()
-    sweep(tmp_path / "whole", data)
-    began = time.perf_counter()
-    sweep(tmp_path / "timed", data)
-    span = time.perf_counter() - began
-    wanted = without_origin(table(tmp_path / "whole"))
-    draw, kills, resumed = random.Random(12), 0, 0
-    for life in range(100):
-        out, patience, known = tmp_path / f"life{life}", 1.0, 0
-        while True:
-            running = start(
-                ["sweep", str(file), "--out", str(out)], tmp_path, [out, Path(os.environ["NUMBA_CACHE_DIR"])]
-            )
-            if kills < 30:
-                time.sleep(draw.uniform(0.0, 1.2 * patience * span))
-                running.kill()
-            said = running.finish()
+def test_a_kill_at_any_write_loses_nothing_and_runs_nothing_twice(tmp_path: Path) -> None:
+    """Killed before each operation on the disk in turn, twice in each life; a row of the journal is torn."""
+    data = {**MANY, "random": {**MANY["random"], "count": 12}}
+    sweep(tmp_path / "whole", data, threads=2)
+    wanted = repr(without_origin(table(tmp_path / "whole")))
+    kills = resumed = 0
+    for at in itertools.count(1):
+        out, known, codes = tmp_path / f"life{at}", 0, []
+        for torn, moment in ((True, at), (False, 4 + at % 7), (False, 0)):
+
+            def life(out: Path = out, torn: bool = torn, moment: int = moment) -> None:
+                Operations(out, moment, torn=torn).install()
+                sweep(out, data, threads=2)
+
+            codes.append(in_fork(life))
             digests = finished_digests(out / "study")
             assert len(digests) == len(set(digests)), "a row ran twice"
             assert len(digests) >= known, "a finished row was lost"
-            resumed += known > 0
-            patience = 1.0 if len(digests) > known else 1.3 * patience
-            known = len(digests)
-            if said.code == 0:
-                break
-            assert said.code == -9, said.err
-            kills += 1
-        assert repr(without_origin(table(out))) == repr(wanted)
-        if kills >= 30:
+            kills, resumed, known = kills + (codes[-1] != 0), resumed + (known > 0), len(digests)
+        assert codes[1:] == [-signal.SIGKILL, 0]
+        assert codes[0] in (0, -signal.SIGKILL)
+        assert known == 48
+        assert repr(without_origin(table(out))) == wanted
+        checked = check_run(out / "study")
+        assert checked is not None
+        assert (checked.finished, checked.damaged) == (True, False)
+        assert sorted(os.listdir(out / "study")) == sorted(os.listdir(tmp_path / "whole" / "study"))
+        if codes[0] == 0:
             break
-    assert kills >= 30
-    assert resumed >= 5
+    assert at > 20, "fewer operations than a sweep has"
+    assert kills >= 40
+    assert resumed >= 20
 
 
 def finished_digests(folder: Path) -> list[str]:

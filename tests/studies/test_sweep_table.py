@@ -222,6 +222,30 @@ def test_a_median_is_rounded_to_its_quartiles(numbers: tuple[float, ...], text: 
     assert cell_text(cell(*numbers), "median") == text
 
 
+INF = math.inf
+
+
+@pytest.mark.parametrize(
+    ("numbers", "median", "quartiles"),
+    [
+        ((1.0, INF, 2.0, INF, INF), INF, (2.0, INF)),
+        ((1.0, INF, 2.0, 3.0), 2.5, (1.75, INF)),
+        ((1.0, INF), INF, (INF, INF)),
+        ((INF, INF, INF), INF, (INF, INF)),
+        ((1.0, 2.0, 3.0, 4.0, INF), 3.0, (2.0, 4.0)),
+        ((-INF, 1.0, 2.0), 1.0, (-INF, 1.5)),
+    ],
+)
+def test_infinite_values_count_as_the_largest(
+    numbers: tuple[float, ...], median: float, quartiles: tuple[float, float]
+) -> None:
+    """A failed reversal is infinite: it never makes a median better, nor the value disappear."""
+    found = summary(np.array(numbers), "median")
+    assert (found.value, (found.low, found.high)) == (median, quartiles)
+    if min(numbers) > 0.0:
+        assert summary(np.array(numbers), "mean").value == summary(np.array(numbers), "max").value == INF
+
+
 def test_a_mean_without_an_error_has_none() -> None:
     assert summary(np.array([2.5]), "mean") == Summary(2.5)
     assert summary(np.array([2.5, math.inf]), "mean") == Summary(math.inf)

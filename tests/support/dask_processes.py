@@ -13,10 +13,25 @@ from pathlib import Path
 
 import topcli
 
-SECONDS = 60.0
+SECONDS = 300.0
+"""Limit of a wait for an event, which a fast machine sees after some seconds."""
+
+
+def once(true: Callable[[], object], what: str) -> Callable[[], bool]:
+    """A ``stop`` that turns true with ``true`` and stays so; fails with ``what`` if that takes too long."""
+    deadline, seen = time.monotonic() + SECONDS, []
+
+    def stop() -> bool:
+        if not seen:
+            assert time.monotonic() < deadline, what
+            seen.extend([True] * bool(true()))
+        return bool(seen)
+
+    return stop
 
 
 def wait_until(true: Callable[[], object], what: str) -> None:
+    """Wait for an event; fails with ``what`` if that takes too long."""
     deadline = time.monotonic() + SECONDS
     while not true():
         assert time.monotonic() < deadline, what
@@ -57,7 +72,7 @@ class Processes:
         for process in reversed(self.running):
             process.kill()
         for process in self.running:
-            process.wait()
+            process.wait(SECONDS)
 
 
 @contextmanager

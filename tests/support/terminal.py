@@ -36,4 +36,4 @@ def in_terminal(command: Sequence[str], cwd: Path, columns: int = 80, **environm
             break
         pieces.append(piece)
     os.close(controller)
-    return process.wait(), b"".join(pieces).decode("utf-8").replace("\r\n", "\n")
+    return process.wait(60.0), b"".join(pieces).decode("utf-8").replace("\r\n", "\n")

@@ -218,7 +218,7 @@ def _run(sweep: Sweep, out: Path, options: SweepOptions, watcher: Watcher, dask:
 
     if dask is None:
         return run_sweep(sweep, out, options, watcher)
-    from topcli.studies.sweep.cluster import run_on_cluster
+    from topcli.studies.sweep.connect import run_on_cluster
 
     return run_on_cluster(dask, sweep, out, options, watcher)
 

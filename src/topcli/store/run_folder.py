@@ -104,11 +104,17 @@ def require_real(target: Path) -> None:
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file atomically, under a temporary name of the same suffix at first. Raises OSError."""
+    """Write a file atomically, under a temporary name of the same suffix at first. Raises OSError.
+
+    The content is flushed to the disk before the rename, and the folder after it: when the machine fails, ``path`` is
+    the earlier file or the new one, never an empty one.
+    """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         write(temporary)
+        sync(temporary)
         os.replace(temporary, path)
+        sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -249,6 +255,8 @@ class RunWriter:
         """Error to report after a failed write; says which data are kept."""
         if self.finished:
             kept = f"the finished run is kept in {self.folder}, and --resume puts it in its place"
+        elif not self.folder.exists() and (self.target / MANIFEST).exists():
+            kept = "the finished run is in its place"
         elif left := read_checkpoint(self.folder):
             kept = f"{_KEPT} (up to step {left.done})"
         return io_failure(error, self.target, kept)
@@ -282,8 +290,6 @@ class RunWriter:
             self.folder / MANIFEST,
             lambda path: path.write_text(json.dumps(complete, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"),
         )
-        sync(self.folder / MANIFEST)
-        sync(self.folder)
         return self.put_in_place(complete)
 
     def put_in_place(self, manifest: dict[str, Any]) -> StoredRun:

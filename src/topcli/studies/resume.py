@@ -183,23 +183,19 @@ def report_unfinished(identity: Identity, out: Path, tell: Callable[[str], None]
 class Checkpoints:
     """Save the state of a run: on the disk every ``seconds``, in memory after every row group.
 
-    ``about`` goes into every checkpoint. ``kept`` is the last step from which the run on the disk can continue, None
-    if there is no checkpoint yet; ``last`` is the last state that could still be written if the disk is full.
+    ``about`` goes into every checkpoint. ``last`` is the last state that could still be written if the disk is full.
     """
 
     writer: RunWriter
     about: dict[str, Any]
     seconds: float = CHECKPOINT_SECONDS
     clock: Callable[[], float] = time.monotonic
-    kept: int | None = None
     last: Checkpoint | None = None
 
     def __post_init__(self) -> None:
         self._due = self.clock() + 0.5 * self.seconds
         self._length = self.last.series.length if self.last else 0
         self._earlier: Checkpoint | None = None
-        if self.last:
-            self.kept = self.last.done
 
     def consider(self, run: Run, recorder: Recorder) -> None:
         """Write a checkpoint if it is due; to be called between two chunks. Raises OSError."""
@@ -227,18 +223,21 @@ class Checkpoints:
         if checkpoint is None:
             return
         write_checkpoint(self.writer.folder, checkpoint)
-        self.kept, self._length = checkpoint.done, checkpoint.series.length
+        self._length = checkpoint.series.length
         ended = self.clock()
         self._due = ended + (max(self.seconds, COST * (ended - began)) if self.seconds else 0.0)
 
-    def to_save(self) -> list[Checkpoint]:
-        """States that may still be written if the disk is full, the furthest first, after making room.
+    def to_save(self) -> Iterator[Checkpoint]:
+        """Yield states that may still be written if the disk is full, the furthest first, after making room.
 
-        States before the checkpoint on the disk are left out: writing one would cut the series off too early.
+        States before the checkpoint that is on the disk by then are left out: writing one would cut the series off
+        too early.
         """
         release_reserve(self.writer.folder)
-        known = [state for state in (self.last, self._earlier) if state is not None]
-        return [state for state in known if state.done >= (self.kept or 0)]
+        for state in (self.last, self._earlier):
+            on_disk = read_checkpoint(self.writer.folder)
+            if state is not None and state.done >= (on_disk.done if on_disk else 0):
+                yield state
 
 
 def position_of(checkpoint: Checkpoint, recorder: Recorder) -> Position:

@@ -12,7 +12,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Method, Outcome
 from topcli.engine.loop import Run
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.store.checkpoint import Checkpoint, write_checkpoint
+from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter, io_failure
@@ -250,12 +250,14 @@ def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], 
 def _saved(job: _Job, error: OSError) -> RunError:
     """Error to report after a failed write; first saves the run as interrupted, or its last checkpoint, if possible."""
     writer, checkpoints, last = job.writer, job.checkpoints, None
-    for last in [] if writer.finished else checkpoints.to_save():
+    for last in [] if writer.finished or not writer.folder.exists() else checkpoints.to_save():
         with contextlib.suppress(OSError, TopcliError):
-            _carry_out(job, last, lambda done, total: None, lambda: True)
-            kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
+            stored, _ = _carry_out(job, last, lambda done, total: None, lambda: True)
+            kept = "the finished run is in its place"
+            if stored.interrupted:
+                kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
             return io_failure(error, writer.target, kept)
-    if last is not None and checkpoints.kept is None:
+    if last is not None and read_checkpoint(writer.folder) is None:
         with contextlib.suppress(OSError):
             write_checkpoint(writer.folder, last)
     return writer.failure(error)

@@ -43,11 +43,22 @@ def summary(values: Array, aggregate: str) -> Summary:
         return Summary(float(values.max()))
     with np.errstate(invalid="ignore", over="ignore"):  # of infinite values
         if aggregate == "median":
-            low, middle, high = (float(one) for one in np.quantile(values, (0.25, 0.5, 0.75)))
+            low, middle, high = _quantiles(values, np.array([0.25, 0.5, 0.75])).tolist()
             return Summary(middle, low, high)
         mean = float(values.mean())
         error = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.nan
     return Summary(mean, mean - error, mean + error) if math.isfinite(error) else Summary(mean)
+
+
+def _quantiles(values: Array, levels: Array) -> Array:
+    """Quantiles as numpy interpolates them; it makes nan of infinite neighbours, which are averaged instead."""
+    found = np.quantile(values, levels)
+    if np.isnan(found).any():
+        place = levels * (len(values) - 1)
+        below, part = np.floor(place).astype(int), place % 1.0
+        first, second = (np.sort(values)[np.minimum(below + i, len(values) - 1)] for i in (0, 1))
+        found = np.where(part > 0.0, (1.0 - part) * first + part * second, first)
+    return found
 
 
 @dataclass(frozen=True)

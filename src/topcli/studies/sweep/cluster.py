@@ -8,42 +8,33 @@ failed row.
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import json
-import logging
 import pickle
 import queue
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
 
-from topcli.config.sweep.document import Sweep
 from topcli.config.sweep.rows import Row
-from topcli.errors import RunError, UsageError, quoted
-from topcli.schemes.registry import loaded_scheme_files
+from topcli.errors import RunError, UsageError
 from topcli.schemes.user_code import reason_of
 from topcli.studies.sweep.evaluate import FAILED, Results, Work, unfinished
-from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, run_sweep
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, LocalCluster
+    from distributed import Client, Future
 
     from topcli.studies.sweep.worker import Job
 
-LOCAL = "local:"
-CONNECT_SECONDS = 5
-"""Time in which a scheduler must answer."""
-WORKER_SECONDS = 60.0
-"""Time in which the first worker must have joined the scheduler."""
+ANSWER_SECONDS = 60.0
+"""Time in which the scheduler and all workers must answer a question."""
 RESTART_SECONDS = 10.0
-"""Time in which a lost worker of this machine is started again."""
+"""Time in which a lost worker of this machine is started again, and in which a cluster on this machine must end."""
+RESTARTS = 5
+"""Times in a row that this machine's workers are replaced if none of them is started again."""
 POLL_SECONDS = 0.2
 COUNT_SECONDS = 2.0
 """Time between two counts of the workers."""
@@ -51,235 +42,56 @@ IN_FLIGHT = 3
 """Batches in flight for each thread of a worker."""
 ALONE = "-alone"
 """End of the key of a row that is in flight alone."""
-BATCH_SCALE = 3
-"""Seconds of work in a batch: much longer than the scheduler's time for a task."""
-_LOCAL_CLUSTER: dict[str, Any] = {
-    "threads_per_worker": 1,
-    "dashboard_address": "127.0.0.1:0",  # any port: the default one may be in use
-    "worker_dashboard_address": None,
-    "silence_logs": logging.CRITICAL,
-    # Ctrl-C in a terminal is for the process that writes; it ends the workers
-    "preload": "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)",
-}
 Batch = list[Row]
 Stop = Callable[[], bool]
 
 
-def require_dask() -> None:
-    """Raise UsageError if the packages of the extra ``dask`` are missing."""
+def answer(client: Client, address: str, ask: Callable[[], Any], seconds: float = ANSWER_SECONDS) -> Any:
+    """Result of a call of the client, which waits for ever itself. Raises RunError if there is none in time."""
+
+    async def asking() -> Any:
+        return await ask()
+
     try:
-        import distributed  # noqa: F401
-    except ImportError as error:
-        raise UsageError(
-            f"--dask: the package {error.name or 'distributed'} is missing", "pip install 'topcli[dask]' installs it"
+        return client.sync(asking, callback_timeout=seconds)
+    except TimeoutError:
+        raise RunError(
+            f"--dask {address}: the scheduler or a worker has not answered within {seconds:g} s",
+            "finished rows are kept; see the logs of the workers, and run the sweep again to continue",
         ) from None
 
 
-def local_workers(address: str) -> int:
-    """Number of workers of ``local:N``; 0 for the address of a scheduler.
-
-    Raises UsageError if ``address`` is neither.
-    """
-    if address.startswith(LOCAL):
-        count = address.removeprefix(LOCAL)
-        if count.isascii() and count.isdigit() and int(count) > 0:
-            return int(count)
-    else:
-        protocol, _, rest = address.rpartition("://")
-        _, colon, port = rest.rpartition(":")
-        if (protocol or "tcp").isalnum() and colon and port.rstrip("/").isdigit():
-            return 0
-    raise UsageError(
-        f"--dask {quoted(address)}: neither a number of workers nor the address of a scheduler",
-        "give local:4 for four workers on this machine, or an address such as tcp://host:8786",
-    )
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep the log of the library from stderr: what matters is reported by us."""
-    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
-    levels = {name: logging.getLogger(name).level for name in names}
-    for name in names:
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for name, level in levels.items():
-            logging.getLogger(name).setLevel(level)
-
-
-def run_on_cluster(
-    address: str,
-    sweep: Sweep,
-    out: Path,
-    options: SweepOptions | None = None,
-    watcher: Watcher | None = None,
-) -> SweepResult:
-    """Run what is new in ``sweep`` on the Dask cluster at ``address``; otherwise as ``run_sweep``."""
-    options, watcher = options or SweepOptions(), watcher or Watcher()
-    with connected(address, watcher.message, watcher.stop) as cluster:
-        divided = replace(options, threads=cluster.threads, batch_scale=BATCH_SCALE)
-        return run_sweep(sweep, out, divided, watcher, cluster)
-
-
-def _require_answer(address: str) -> None:
-    """Raise the library's error, or TimeoutError, if no scheduler answers; the client itself waits forever for one
-    that accepts a connection and is silent."""
-    from distributed.comm.core import connect
-    from distributed.security import Security
-
-    async def ask() -> None:
-        options = Security().get_connection_args("client")
-        comm = await asyncio.wait_for(connect(address, timeout=CONNECT_SECONDS, **options), CONNECT_SECONDS)
-        comm.abort()
-
-    with ThreadPoolExecutor(1) as pool:  # this thread may have a running event loop
-        pool.submit(asyncio.run, ask()).result()
-
-
-@contextmanager
-def connected(
-    address: str, on_message: Callable[[str], None] = lambda line: None, stop: Stop = lambda: False
-) -> Iterator[Cluster]:
-    """Connect to the scheduler at ``address``, or start one for ``local:N``, and prepare its workers.
-
-    Parameters
-    ----------
-    address : str
-        ``local:N`` for N worker processes on this machine, or the address of a scheduler, ``tcp://host:port``.
-    on_message : callable, optional
-        Called with each warning.
-    stop : callable, optional
-        Once it returns true, workers are waited for no longer.
-
-    Yields
-    ------
-    Cluster
-        Back end for ``run_sweep``.
-
-    Raises
-    ------
-    UsageError
-        If dask is missing, no scheduler answers, it has no workers, or a worker has other versions.
-    """
-    count = local_workers(address)
-    require_dask()
-    from distributed import Client, LocalCluster
-
-    with ExitStack() as stack:
-        stack.enter_context(_quiet())
-        target: Any = address
-        if count:
-            target = LocalCluster(n_workers=count, **_LOCAL_CLUSTER)
-            stack.callback(_close, target)
-        try:
-            if not count:
-                _require_answer(address)
-            client = stack.enter_context(Client(target, timeout=CONNECT_SECONDS, set_as_default=False))
-        except Exception as error:
-            reason = "what answers there is something else"
-            if isinstance(error, OSError | TimeoutError):
-                reason = str(error)[:200] or f"no answer within {CONNECT_SECONDS} s"
-            raise UsageError(
-                f"--dask {address}: no Dask scheduler can be reached ({reason})",
-                "dask scheduler starts one; --dask local:4 uses this machine",
-            ) from None
-        if count:
-            stack.callback(_wait_for_restarts, client, count)
-        yield _prepared(client, address, on_message, stop, stack)
-
-
-def _wait_for_restarts(client: Client, count: int) -> None:
-    """Wait until ``count`` workers of one thread are there: closing the cluster while one is restarted is an error."""
-    deadline = time.monotonic() + RESTART_SECONDS
-    with suppress(Exception):
-        while _threads(client) < count and time.monotonic() < deadline:
-            time.sleep(POLL_SECONDS)
-
-
-def _close(cluster: LocalCluster) -> None:
-    """Close ``cluster``; the rows are finished, and what fails here concerns processes that end with this one."""
-    with suppress(Exception):
-        cluster.close()
-
-
-def _prepared(client: Client, address: str, on_message: Callable[[str], None], stop: Stop, stack: ExitStack) -> Cluster:
-    """Cluster whose workers have the same versions and are ready for the sweep."""
-    from topcli.studies.sweep.worker import Job, Preparation, versions
-
-    threads = _wait_for_workers(client, address, on_message, stop)
-    job = Job(uuid.uuid4().hex[:16], versions(), loaded_scheme_files())
-    for line in _check_workers(client, job):
-        on_message(line)
-    plugin = Preparation(job)
-    client.register_plugin(plugin, name=plugin.name)
-
-    def unregister() -> None:
-        with suppress(Exception):  # the scheduler may be gone
-            client.unregister_worker_plugin(plugin.name)
-
-    stack.callback(unregister)
-    return Cluster(client, address, job, threads, on_message)
-
-
-def _threads(client: Client) -> int:
+def thread_count(client: Client, address: str) -> int:
     """Number of threads of all workers."""
-    return sum(cast(dict[str, int], client.nthreads()).values())
-
-
-def _wait_for_workers(client: Client, address: str, on_message: Callable[[str], None], stop: Stop) -> int:
-    """Number of threads of all workers, of which there is at least one."""
-    deadline, said = time.monotonic() + WORKER_SECONDS, False
-    while not (threads := _threads(client)):
-        if stop() or time.monotonic() > deadline:
-            raise UsageError(
-                f"--dask {address}: the scheduler has no workers", f"dask worker {address} starts one on this machine"
-            )
-        if not said:
-            on_message(f"{address} has no workers; waiting for one")
-            said = True
-        time.sleep(POLL_SECONDS)
-    return threads
-
-
-def _check_workers(client: Client, job: Job) -> list[str]:
-    """Compare the workers with this process; return warnings. Raises UsageError that names a worker that differs."""
-    from topcli.studies.sweep.worker import describe, difference
-
-    found = cast(dict[str, Any], client.run(describe, on_error="return"))
-    cpus: dict[str, int] = {}
-    for worker, answer in sorted(found.items()):
-        if isinstance(answer, BaseException):
-            raise UsageError(
-                f"worker {worker}: topcli cannot be imported there ({reason_of(answer)[:200]})",
-                f"install topcli {job.versions['topcli']} there",
-            )
-        if fault := difference(job.versions, answer["versions"]):
-            raise UsageError(f"worker {worker}: {fault}", "install the same versions there")
-        cpus[answer["cpu"]] = cpus.get(answer["cpu"], 0) + 1
-    if len(cpus) < 2:
-        return []
-    kinds = ", ".join(f"{count} with {cpu}" for cpu, count in cpus.items())
-    return [f"warning: the workers have different processors ({kinds}); results may differ in the last digits"]
+    return sum(cast(dict[str, int], answer(client, address, client.nthreads)).values())
 
 
 @dataclass
 class Cluster:
-    """Back end of a sweep on the prepared workers of a scheduler; ``threads`` is the number of their threads."""
+    """Back end of a sweep on the prepared workers of a scheduler; ``threads`` is the number of their threads.
+
+    ``replace_workers`` starts other workers, if they are on this machine: a worker that ends while it is started is not
+    started again.
+    """
 
     client: Client
     address: str
     job: Job
     threads: int
     on_message: Callable[[str], None]
+    replace_workers: Callable[[], object] | None = None
+    clock: Callable[[], float] = time.monotonic
     _flying: dict[Any, tuple[Future[Any], Batch]] = field(default_factory=dict)
     _ended: queue.SimpleQueue[Future[Any]] = field(default_factory=queue.SimpleQueue)
     _pieces: deque[Batch] = field(default_factory=deque)
     """Parts of batches that were divided."""
     _suspects: deque[Batch] = field(default_factory=deque)
-    """Single rows whose workers were lost while there were others."""
-    _counted: float = field(default_factory=time.monotonic)
+    """Single rows whose workers were lost while other rows were there, too."""
+    _replaced: int = 0
+
+    def __post_init__(self) -> None:
+        self._counted = self._alive = self.clock()
+        """Times at which the workers were counted, and at which one was there or they were replaced."""
 
     def __call__(self, made: Iterable[Batch], work: Work, stop: Stop) -> Iterator[tuple[Batch, Results]]:
         """Yield each batch and its results; the rows in flight are given up once ``stop()`` returns true."""
@@ -367,15 +179,26 @@ class Cluster:
                     yield batch, future.result(timeout=COUNT_SECONDS)
 
     def _count(self) -> None:
-        """Count the threads of the workers, so that new workers get work, too."""
-        if time.monotonic() - self._counted < COUNT_SECONDS:
+        """Count the threads of the workers, so that new ones get work, too. Raises RunError if there will be none."""
+        now = self.clock()
+        if now - self._counted < COUNT_SECONDS:
             return
-        self._counted = time.monotonic()
-        with suppress(OSError):
-            threads = _threads(self.client)
+        self._counted = now
+        with suppress(OSError, RunError):
+            threads = thread_count(self.client, self.address)
             if not threads and self.threads:
                 self.on_message(f"warning: {self.address} has no workers left; waiting for new ones")
             self.threads = threads
+        if self.threads:
+            self._alive, self._replaced = now, 0
+        elif self.replace_workers and now - self._alive >= RESTART_SECONDS:
+            if self._replaced == RESTARTS:
+                raise RunError(
+                    f"--dask {self.address}: its workers end before they begin; finished rows are kept",
+                    "run the sweep again to continue",
+                )
+            self._alive, self._replaced = now, self._replaced + 1
+            self.replace_workers()
 
     def _give_up(self) -> None:
         """Cancel what is in flight, and end the rows that are being evaluated."""
@@ -384,8 +207,10 @@ class Cluster:
         if not self._flying:
             return
         with suppress(Exception):
-            self.client.cancel([future for future, _ in self._flying.values()])
-            self.client.run(stop, self.job.token, on_error="ignore")
+            flying = [future for future, _ in self._flying.values()]
+            answer(self.client, self.address, lambda: self.client.cancel(flying), RESTART_SECONDS)
+            ask = self.client.run
+            answer(self.client, self.address, lambda: ask(stop, self.job.token, on_error="ignore"), RESTART_SECONDS)
         self._flying.clear()
 
 

@@ -12,7 +12,7 @@ import os
 import time
 import zlib
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,16 +90,17 @@ class Journal:
     """The journal in ``folder``: read it, append blocks to it, read rows back; a context manager.
 
     ``damaged`` is the number of lines that cannot be read. With ``write`` the caller must hold the lock of the folder.
+    ``clock`` gives the seconds that ``SYNC_SECONDS`` is compared with.
     """
 
-    def __init__(self, folder: Path, write: bool = False) -> None:
-        self.path, self._write = folder / JOURNAL, write
+    def __init__(self, folder: Path, write: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
+        self.path, self._write, self._clock = folder / JOURNAL, write, clock
         self._offsets: list[tuple[int, int]] = []
         self._pieces: list[tuple[Names, NDArray[np.bool_], NDArray[np.int32], int]] = []
         self._codes: dict[str, int] = {}
         self._measured: dict[frozenset[str], int] = {}
         self._parsed: OrderedDict[int, Block] = OrderedDict()
-        self._synced = time.monotonic()
+        self._synced = clock()
         self._end = self.damaged = 0
         self._handle = -1
 
@@ -160,9 +161,9 @@ class Journal:
             written = 0
             while written < len(line):
                 written += os.pwrite(self._handle, line[written:], self._end + written)
-            if time.monotonic() - self._synced > SYNC_SECONDS:
+            if self._clock() - self._synced >= SYNC_SECONDS:
                 os.fsync(self._handle)
-                self._synced = time.monotonic()
+                self._synced = self._clock()
         except OSError as error:
             os.ftruncate(self._handle, self._end)
             raise io_failure(error, self.path, "the rows finished before are kept") from None

@@ -13,9 +13,8 @@ import numpy as np
 
 from topcli.config.sweep.document import Sweep
 from topcli.config.sweep.rows import Row, RowReader
-from topcli.store.manifest import MANIFEST, SWEEP, sealed, sha256_of
+from topcli.store.manifest import SWEEP, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
-from topcli.store.run_folder import write_whole
 from topcli.studies.rows import METADATA, ROWS
 from topcli.studies.sweep.journal import Index, Journal
 from topcli.studies.sweep.plan import DONE, REPEATED, Plan
@@ -152,10 +151,10 @@ def _fitting(value: Any, kind: str) -> Any:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-def write_manifest(
+def manifest_text(
     folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float, commit: Commit
-) -> None:
-    """Write the manifest of a finished sweep. Raises OSError."""
+) -> str:
+    """Manifest of a finished sweep as JSON."""
     names = [ROWS, "sweep.yaml"]
     content = sealed(
         {
@@ -174,5 +173,4 @@ def write_manifest(
             },
         }
     )
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    write_whole(folder / MANIFEST, lambda path: path.write_text(text, encoding="utf-8"))
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"

@@ -22,6 +22,7 @@ from topcli.config.sweep.document import Sweep, load_sweep
 from topcli.config.sweep.rows import Row, RowReader
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
+from topcli.store.checkpoint import sync
 from topcli.store.manifest import MANIFEST
 from topcli.store.parts import LOCK, lock_folder, owner
 from topcli.store.provenance import Commit, now
@@ -31,7 +32,7 @@ from topcli.studies.sweep.batches import batches
 from topcli.studies.sweep.evaluate import Results, Work, unfinished
 from topcli.studies.sweep.journal import COMPLETED, JOURNAL, Block, Journal
 from topcli.studies.sweep.plan import CODE, MEASURE, NEW, RETRY, Plan, Survey, changes, plan_sweep, survey
-from topcli.studies.sweep.results import write_manifest, write_rows
+from topcli.studies.sweep.results import manifest_text, write_rows
 
 SWEEP_FILE = "sweep.yaml"
 SERIES = "series"
@@ -220,6 +221,7 @@ def run_sweep(
     with ExitStack() as stack:
         try:
             folder.mkdir(exist_ok=True)
+            sync(out)
             lock = lock_folder(folder, {"sweep": sweep.name})
         except OSError as error:
             raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another with --out") from None
@@ -258,8 +260,8 @@ class _Runner:
     def run(self, backend: Backend | None, began: float, commit: Commit) -> SweepResult:
         """Run the rows of the plan, and write the table and the manifest."""
         threads = self.options.threads or default_threads()
+        (self.folder / MANIFEST).unlink(missing_ok=True)  # it vouches for the files that now change
         self._write(SWEEP_FILE, self.sweep.to_yaml())
-        (self.folder / MANIFEST).unlink(missing_ok=True)
         if self.plan.to_run:
             rows = (row for row, _ in rows_to_run(self.plan))
             made = batches(rows, threads, self.options.batch_scale)
@@ -270,7 +272,8 @@ class _Runner:
         interrupted = self.watcher.stop() and sum(outcomes.values()) < self.survey.count
         seconds = time.perf_counter() - began
         if sum(outcomes.values()) == self.survey.count:
-            write_manifest(self.folder, self.sweep, outcomes, self.started, seconds, commit)
+            text = manifest_text(self.folder, self.sweep, outcomes, self.started, seconds, commit)
+            self._write(MANIFEST, text)
         return SweepResult(self.folder, self.plan, outcomes, self.tally.ran, interrupted, seconds)
 
     def _keep(self, batch: Sequence[Row], results: Results) -> None:
