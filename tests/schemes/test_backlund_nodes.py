@@ -19,8 +19,8 @@ from topcli.contracts import Floats, Outcome, Stepper
 from topcli.errors import StepTooLongError, UsageError
 from topcli.schemes.kowalevski import backlund_nodes
 from topcli.schemes.kowalevski.backlund import BacklundOptions
-from topcli.schemes.kowalevski.backlund_constants import frozen_constants, longest_step
-from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_composition
+from topcli.schemes.kowalevski.backlund_constants import frozen_constants
+from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_back, longest_composition
 from topcli.schemes.kowalevski.backlund_nodes import substeps_of
 from topcli.schemes.kowalevski.integer_series import motion
 from topcli.schemes.registry import find_scheme
@@ -178,9 +178,9 @@ def test_lengths_up_to_the_longest(count: int) -> None:
         most = longest(y, count=count)
         for fraction in (0.01, 0.5, 0.98, 0.999999):
             a, b = lengths(fraction * most, count, constants)
-            assert 0.0 < a < -b <= longest_step(*constants)
+            assert 0.0 < a < -b <= longest_back(constants)
             assert lengths(-fraction * most, count, constants) == (-a, -b)
-        assert b == pytest.approx(-longest_step(*constants), rel=1e-4)
+        assert b == pytest.approx(-longest_back(constants), rel=1e-4)
         root = count ** (1.0 / 3.0)
         a, b = lengths(1e-3, count, constants)
         assert (a, b) == (pytest.approx(1e-3 / (count - root), rel=1e-5), pytest.approx(-root * a, rel=1e-5))
