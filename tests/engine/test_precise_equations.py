@@ -24,7 +24,8 @@ def one_step(name: str, h: Fraction) -> tuple[Any, Any]:
     scheme, top = find_scheme(name, "kowalevski"), TOPS["kowalevski"].new()
     made = prepared(scheme, top, scheme.options(), 50, (h, {"A": Fraction(2), "c0": Fraction(1)}, STATE), 10_000)
     states = Run(made.top, made.loop, made.y0, made.h, 1).collect().states
-    return tuple(mpmath.matrix([mpf(str(v)) for v in row]) for row in (states[0], states[-1]))
+    before, after = (mpmath.matrix([mpf(str(v)) for v in row]) for row in (states[0], states[-1]))
+    return before, after
 
 
 def gradients(y: Any) -> Any:
@@ -49,7 +50,7 @@ def outside(D: Any, v: Any) -> Any:
 
 
 def tensor(m: Vector, g: Vector) -> Any:
-    """Poisson tensor of e(3): a function of (m, gamma) with the gradient (a, b) has the field (m x a + g x b, g x a)."""
+    """Poisson tensor of e(3): a function of m and g with the gradient (a, b) has the field (m x a + g x b, g x a)."""
 
     def hat(v: Vector) -> list[list[Any]]:
         return [[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]]

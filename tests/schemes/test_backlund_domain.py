@@ -56,7 +56,7 @@ def test_longest_step_is_the_first_that_is_not_safe(c: float) -> None:
 def test_nothing_ends_the_map_up_to_four() -> None:
     """R >= (1 - y)(1 - x + r²) for 2e5 real states, and not by much for some."""
     y = np.vstack([random_states(100_000, seed=91), random_states(100_000, seed=92) * np.array([3, 3, 3, 1, 1, 1])]).T
-    gamma_sq, two_l, energy, k_sq = integrals(y, 1.0)
+    gamma_sq, two_l, energy, k_sq = integrals(list(y), 1.0)
     low, high = 2.0 * (energy - np.sqrt(k_sq)), 2.0 * (energy + np.sqrt(k_sq))
     assert (two_l**2 <= gamma_sq * high * (1.0 + 1e-12)).all()
     u = 16.0 / high * np.random.default_rng(93).uniform(0.0, 1.0, high.shape)
@@ -115,7 +115,8 @@ def test_frozen_steps_of_a_spinning_top_need_a_projection() -> None:
     h = 1.1
     assert 0.8 * limit(y) < h < limit(y)
     assert 2.9 < h * abs(y[2]) < 3.3
-    off = [max(deviations(ran(stepper(**options), y, h, N, 10)[0]).values()) for options in ({}, {"project": 16})]
+    choices: list[dict[str, Any]] = [{}, {"project": 16}]
+    off = [max(deviations(ran(stepper(**options), y, h, N, 10)[0]).values()) for options in choices]
     assert off[0] > 1e6 * math.sqrt(N)
     assert off[1] < 1.0 * math.sqrt(N)
     short = deviations(ran(stepper(), y, 0.7 * limit(y), N, 10)[0])

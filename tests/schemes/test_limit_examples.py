@@ -18,11 +18,15 @@ EXAMPLE = re.compile(rf"omega = {NUMBERS},?(?: with| and)? gamma = {NUMBERS}(?: 
 def examples() -> list[tuple[Scheme, str, list[float], list[float], float]]:
     """Scheme, name of the limit, omega, gamma and c0 of every state in a text."""
     return [
-        (scheme, name, *([float(v) for v in numbers.split(",")] for numbers in (omega, gamma)), float(c0 or 1.0))
+        (scheme, name, vector(omega), vector(gamma), float(c0 or 1.0))
         for scheme in all_schemes()
         for name, text in scheme.limits.items()
         for omega, gamma, c0 in EXAMPLE.findall(text)
     ]
+
+
+def vector(numbers: str) -> list[float]:
+    return [float(v) for v in numbers.split(",")]
 
 
 def simulate(scheme: str, omega: list[float], gamma: list[float], c0: float) -> topcli.Trajectory:
