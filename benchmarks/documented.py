@@ -36,7 +36,7 @@ def random_states(count: int, seed: int) -> list[Floats]:
     return [tuple(map(float, y)) for y in np.hstack([random.normal(size=(count, 3)), gamma])]
 
 
-def states_of(name: str, y0: Floats, h: float, N: int, every: int, **options: Any) -> tuple[Array, Array]:
+def states_of(name: str, y0: Floats, h: float, N: int, every: int, **options: Any) -> tuple[Any, Array]:
     """Step numbers and states of a run."""
     scheme = find_scheme(name, "kowalevski")
     recorded = Run(TOP, scheme.build(TOP, scheme.options(**options)), y0, h, N, every).collect()
