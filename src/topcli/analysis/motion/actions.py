@@ -5,7 +5,7 @@ to x is
 
     pi(x) = (1/2) int dZ / sqrt(-Z (x Z + x G - L²)),    d pi/dE = (s - E/6)/w,    d pi/dk² = 1/(4 w),
 
-so that (x1, pi1, x2, pi2) are canonical up to functions of x (Novikov, Veselov, Proc. Steklov Inst. 165 (1985) 53-65).
+so that (x1, pi1, x2, pi2) are canonical up to functions of x (Veselov, Novikov, Proc. Steklov Inst. 165 (1985) 53-65).
 The actions are the integrals over the cycles of the torus, divided by 2 pi:
 
     J1 = (n1/pi) (int_a^b f dx + pi sqrt(a) - pi |L|/sqrt(G)),    J2 = (n2/pi) (int_-inf^r f dx - pi sqrt(r)),

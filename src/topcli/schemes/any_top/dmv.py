@@ -320,7 +320,8 @@ FREE_MAP = Integrability(
     conserves=lambda top: (
         tuple(one.name for one in top.invariants()) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ())
     ),
-    citation="Moser, Veselov 1991; McLachlan, Scovel 1995; Hairer, Vilmart 2006 (preprocessed)",
+    citation="Moser, Veselov 1991; McLachlan, Scovel 1995; McLachlan, Zanna 2005 (equal to RATTLE, preprocessed); "
+    "Hairer, Vilmart 2006 (preprocessed)",
     formula=r"""
 m^- = m + \tfrac h2\,\gamma\times r, \qquad
 h\,m^-_i = 2\,\bigl(I_i e_0 e_i + (I_k - I_j)\,e_j e_k\bigr), \quad e_0^2 + |e|^2 = 1, \quad (i, j, k) \text{ cyclic}

@@ -61,7 +61,7 @@ def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
     order=2,
     explicit=True,
     self_adjoint=True,
-    citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 2.1",
+    citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 2.1",
     formula=HIROTA_KIMURA,
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
@@ -70,8 +70,8 @@ def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
 def build(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state: gamma is eliminated, and the three equations for omega are solved in closed form.
 
-    None of the three integrals is conserved exactly; the deviations are of size h². Special tops have faster
-    implementations of the same map under the same name.
+    None of the three integrals is conserved exactly; for small h the deviations are of size h². Special tops have
+    faster implementations of the same map under the same name.
     """
     return with_counter(
         increment_stepper(hk_heavy_change, 6, options), NEAR_SINGULAR, small_determinant(heavy_determinant)

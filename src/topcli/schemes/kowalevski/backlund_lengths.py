@@ -10,7 +10,7 @@ The flows commute. Hence n steps of length a > 0 and one of length -b < 0 are th
     n T_E(a) - T_E(b) = H,    n T_K(a) - T_K(b) = 0
 
 T_K increases, so that the second equation defines a(b). T_E'/T_K' = 2 (t² - r²)/s² decreases, hence H increases with b:
-there is one solution for every H up to the one that belongs to the longest admissible b.
+there is one solution for every H up to the one that belongs to the longest b, ``longest_back``.
 """
 
 from __future__ import annotations
@@ -22,10 +22,13 @@ from typing import NamedTuple
 import numpy as np
 
 from topcli.contracts import Array
-from topcli.schemes.kowalevski.backlund_constants import FOREVER, longest_step
+from topcli.schemes.kowalevski.backlund_constants import FOREVER
 
 QUADRATURE = 32
-"""Gauss-Legendre points: their error is 1e-18 up to 0.9 of the length at which p or t vanishes."""
+"""Gauss-Legendre points: their error is 1e-18 up to ``LONGEST_BACK``."""
+LONGEST_BACK = 3.6
+"""Longest step back times sqrt(F + 2k) and times sqrt|c gamma|. There y <= 0.81, and p and t do not come close to 0,
+as they may within the longer steps of ``backlund_constants.admits``."""
 ROUNDS = 60
 CLOSE = 1e-9
 """Relative change of a length after which one more round of Newton's method yields round-off."""
@@ -95,9 +98,18 @@ def forward_length(b: float, count: int, constants: Floats4, unit: float) -> flo
     return math.nan
 
 
+def longest_back(constants: Floats4) -> float:
+    """Longest step back; 0 if omega is too large for a double."""
+    _, high, weight, _ = constants
+    scale = max(high, weight)
+    if not math.isfinite(high - constants[0]):
+        return 0.0
+    return min(LONGEST_BACK / math.sqrt(scale), FOREVER) if scale > 0.0 else FOREVER
+
+
 def longest_composition(constants: Floats4, count: int = MOST) -> float:
     """Longest H that ``count`` steps and one backward step can make, without the errors of this number."""
-    longest = longest_step(*constants)
+    longest = longest_back(constants)
     if longest == 0.0 or longest >= FOREVER:
         return longest
     a = forward_length(longest, count, constants, longest)
@@ -110,7 +122,7 @@ def lengths(H: float, count: int, constants: Floats4) -> tuple[float, float]:
     Newton's method for b, on the curve a(b); a bracket of b catches what leads away.
     """
     unit, root = abs(H), count ** (1.0 / 3.0)
-    lower, upper = 0.0, longest_step(*constants)
+    lower, upper = 0.0, longest_back(constants)
     b, close = min(root * unit / (count - root), upper), False
     for _ in range(ROUNDS):
         a = forward_length(b, count, constants, unit)

@@ -212,8 +212,8 @@ class ExactSetup:
     limits={
         "huge": "c gamma is found as a difference of terms of the size of |omega|², with an error of eps |omega|²/c in "
         "gamma; beyond |omega| of about 1e100 sqrt(c) the motion is refused.",
-        "critical orbits": "A motion on which s1 or s2 rests in a double root of the cubic, such as omega = (0, 1, 2) "
-        "with gamma = (0, 0, 2), is refused; motions next to it are not.",
+        "critical orbits": "A motion on which s1 or s2 rests in a double root of the cubic, such as omega = (0, 1, 2), "
+        "gamma = (0, 0, 1) with c0 = 2, is refused; motions next to it are not.",
         "weak gravity": "The error eps |omega|²/c of gamma is 1e-10 for c = 1e-6 and |omega| = 1. A motion is refused "
         "if its states differ from steps of Taylor series by more than 1e-10 (1 + |omega|²/c).",
         "near a separatrix": "The initial state is taken as exact. Next to an unstable motion an error of one ulp in "

@@ -177,7 +177,7 @@ def hk_kowalevski_compensated(state: Floats, h: float, p: Floats) -> Floats:
     order=2,
     explicit=True,
     self_adjoint=True,
-    citation="Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
+    citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
     formula=HIROTA_KIMURA,
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
@@ -187,8 +187,8 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form.
 
     Every quadratic term y z of the vector field becomes (y' z + y z')/2, every linear term its mean. The step is
-    self-adjoint. None of the four integrals is conserved exactly; their deviations stay bounded, of size h². With
-    `compensated`, the rounding errors in the change of gamma are compensated as well.
+    self-adjoint. None of the four integrals is conserved exactly; for small h their deviations stay bounded,
+    of size h². With `compensated`, the rounding errors in the change of gamma are compensated as well.
     """
     if is_compensated(options):
         stepper = Stepper(hk_kowalevski_compensated, 12, enter_compensated, first6, checked=6)

@@ -1,10 +1,10 @@
 """Implicit midpoint rule for the Kowalevski top with a correction that conserves k² as well: all four integrals.
 
-With m = (y' + y)/2 and a direction n that conserves gamma², 2l and E (``lie_poisson``)::
+With y = (m, gamma), z = (y' + y)/2 and a direction n that conserves gamma², 2l and E (``lie_poisson``)::
 
-    y' = y + h f(m) + s n(m),   s such that k(y') = k(y)
+    y' = y + h f(z) + s n(z),   s such that k(y') = k(y)
 
-The midpoint rule conserves gamma², 2l and E because they are quadratic, and so does the term s n(m); only the number s
+The midpoint rule conserves gamma², 2l and E because they are quadratic, and so does the term s n(z); only the number s
 remains to be determined. All terms are symmetric in y and y', so the step is self-adjoint. It is not singular where
 omega1 + i omega2 vanishes: k² enters by its gradient, and there is no square root.
 
@@ -255,10 +255,11 @@ def enter(y: Floats, h: float, p: Floats) -> Floats:
     citation="after Dahlby, Owren, Yaguchi 2011 (several integrals) and Cooper 1987 (quadratic ones)",
     formula=r"""
 y' = y + h\,f(\bar y) + s\,J\,\bigl(|F|^2 X - (F\cdot X)\,F\bigr), \qquad
-F = J\,\nabla E, \quad X = J\,\nabla k^2 \ \text{ at } \bar y, \text{ in } m, \gamma, \qquad
-s \text{ such that } k(y') = k(y)
+F = J\,\nabla E, \quad X = J\,\nabla k^2 \ \text{ at } \bar y, \qquad
+s \text{ such that } k(y') = k(y), \qquad y = (m, \gamma)
 """,
-    equations="y' = y + h f(m) + s J(|F|² X - (F·X) F), m = (y + y')/2, F = J grad E, X = J grad k² at m, k(y') = k(y)",
+    equations="y' = y + h f(z) + s J(|F|² X - (F·X) F), z = (y + y')/2, F = J grad E, X = J grad k² at z, k(y') = k(y) "
+    "for y = (m, gamma), m = (2 omega1, 2 omega2, omega3)",
     limits={
         "singular-step": LONG_NEWTON,
         "delone-sleeping": TRIPLE_ROOT.format("The steps are those of the midpoint rule, and k² is"),
@@ -267,6 +268,7 @@ s \text{ such that } k(y') = k(y)
 def build(top: Top, options: NoOptions) -> Stepper:
     """Implicit midpoint rule plus a change that conserves gamma², 2l and E, with its length chosen to conserve k².
 
+    The equation is one for m and gamma: J is their Poisson tensor, and |F|² and F·X are products of their fields.
     Self-adjoint; all four integrals are conserved, and omega1 + i omega2 = 0 is a regular point. For k close to 0
     (Delone's motion), xi = omega² - c gamma is rotated by the mean omega3 instead, which conserves k. On degenerate
     tori, where the four gradients are linearly dependent, and if the iteration does not converge, the step is that of

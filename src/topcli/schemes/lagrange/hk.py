@@ -227,7 +227,8 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
     self_adjoint=True,
     conserves=("m_axis",),
     modified=hk_modified,
-    citation="Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
+    citation="Kahan 1993; Kimura, Hirota 2000; Petrera, Pfadler, Suris 2011 (integrability); "
+    "Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
     integrable=Integrability(UNKNOWN, UNKNOWN),
     formula=HIROTA_KIMURA,
     equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
