@@ -156,6 +156,8 @@ def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None
     assert cells[0] == ["row", "h", "scheme", "outcome", "deviation.energy", "error.max"]
     assert [float(row[1]) for row in cells[1:]] == table["h"].tolist()
     assert [float(row[4]) for row in cells[1:]] == pytest.approx(table["deviation.energy"], rel=1e-3)
+    captions = ["error of the state over time t", "gamma1 over time t"]
+    assert [one.text for one in compared.all("figcaption")] == captions
     figures = json.loads((results / "compared.json").read_text())
     rows = {row[0]: row[1:] for row in compared.all("table")[0].cells()}
     assert [float(one) for one in rows["max error"]] == pytest.approx(
