@@ -181,6 +181,8 @@ def test_runs_of_one_top_are_compared_and_others_are_not(results: Path) -> None:
     assert "h" not in rows, "keys that agree are left out"
     reports = [json.loads((results / name / "report.json").read_text()) for name in ("one", "other")]
     energies = [next(row for row in one["invariants"] if row["name"] == "energy") for one in reports]
+    seconds = [one["seconds"]["run"] for one in reports]
+    assert [float(cell) for cell in rows["run seconds"]] == pytest.approx(seconds, rel=6e-3)
     assert [float(cell) for cell in rows["E max deviation"]] == pytest.approx(
         [e["max_deviation"] for e in energies], rel=0.06
     )
