@@ -20,10 +20,11 @@ from reading_html import Element, read_html, section_of
 from shown import shows
 from stored_results import store_ensemble, store_run
 from sweep_rows import write_rows
+from topcli.pages import ensembles
 from topcli.pages.contents import Chapter
 from topcli.pages.page import rendered
 from topcli.pages.report import report_page
-from topcli.pages.studies import order_chapter, stress_chapter
+from topcli.pages.studies import claims_chapter, order_chapter, stress_chapter
 from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
 from topcli.store.series import read_series
 from topcli.studies.rows import read_rows
@@ -271,3 +272,34 @@ def test_the_distribution_of_an_ensemble_is_that_of_its_trajectories(tmp_path: P
         rms = sorted(table[f"{invariant['name']}_rms_deviation"].tolist())
         assert shows(rows["rms deviation, median"][i], rms[5])
         assert shows(rows["rms deviation, max"][i], rms[10])
+
+
+def test_verdicts_on_claims_have_their_colours() -> None:
+    keys = ("id", "statement", "source", "figure", "bound", "verdict")
+    verdicts = {"holds": GREEN, "does not hold as stated": RED, "not tried": ""}
+    claims = [dict(zip(keys, (name, "s", "p", 1.0, 2.0, name), strict=True)) for name in verdicts]
+    page = shown(claims_chapter({"claims": claims}))
+    table = page.all("table")[0]
+    at = table.cells()[0].index("verdict")
+    rows = zip(table.cells()[1:], colours_of(table, colour_names(page)["light"])[1:], strict=True)
+    assert {cells[at]: colours[at] for cells, colours in rows} == verdicts
+
+
+def test_a_comparison_says_how_many_entries_failed_and_why() -> None:
+    found = topcli.compare("rk4", "exact", config="euler_hk", h=10.0, N=200)
+    chapter = found.chapter(None)
+    failed = [one for one in found.figures["schemes"] if one["outcome"] != "completed"]
+    assert [one["label"] for one in failed] == ["rk4"]
+    assert (chapter.state, chapter.good) == ("1 failed", False)
+    assert chapter.message == f"rk4: {failed[0]['message']}"
+
+
+def test_failed_trajectories_are_named_with_their_steps() -> None:
+    failures = [{"trajectory": 3, "outcome": "blew_up", "step": 17, "t": 0.85}]
+    report = {"trajectories": 5, "outcomes": {"completed": 4, "blew_up": 1}, "failures": failures}
+    assert ensembles._outcomes({**report, "counters": {"near_singular": 9}}).lines == [
+        "4 of 5 trajectories: completed",
+        "1 of 5 trajectories: blew_up",
+        "trajectory 3: blew_up at step 17",
+        "counter near singular: 9",
+    ]

@@ -202,6 +202,8 @@ def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None
     assert cells[0] == ["row", "h", "scheme", "outcome", "deviation.energy", "error.max"]
     assert [float(row[1]) for row in cells[1:]] == table["h"].tolist()
     assert [float(row[4]) for row in cells[1:]] == pytest.approx(table["deviation.energy"], rel=1e-3)
+    captions = ["error of the state over time t", "gamma1 over time t"]
+    assert [one.text for one in compared.all("figcaption")] == captions
     figures = json.loads((results / "compared.json").read_text())
     rows = {row[0]: row[1:] for row in compared.all("table")[0].cells()}
     assert [float(one) for one in rows["max error"]] == pytest.approx(
@@ -225,6 +227,8 @@ def test_runs_of_one_top_are_compared_and_others_are_not(results: Path) -> None:
     assert "h" not in rows, "keys that agree are left out"
     reports = [json.loads((results / name / "report.json").read_text()) for name in ("one", "other")]
     energies = [next(row for row in one["invariants"] if row["name"] == "energy") for one in reports]
+    seconds = [one["seconds"]["run"] for one in reports]
+    assert [float(cell) for cell in rows["run seconds"]] == pytest.approx(seconds, rel=6e-3)
     assert [float(cell) for cell in rows["E max deviation"]] == pytest.approx(
         [e["max_deviation"] for e in energies], rel=0.06
     )
