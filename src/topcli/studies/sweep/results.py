@@ -13,11 +13,11 @@ import numpy as np
 
 from topcli.config.sweep.document import Sweep
 from topcli.config.sweep.rows import RowReader
-from topcli.store.manifest import MANIFEST, SWEEP, sealed, sha256_of
+from topcli.store.manifest import MANIFEST, SWEEP, json_text, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import write_whole
 from topcli.studies.rows import METADATA, ROWS
-from topcli.studies.sweep.journal import Index, Journal
+from topcli.studies.sweep.journal import JOURNAL, Index, Journal
 from topcli.studies.sweep.plan import DONE, REPEATED, Plan
 
 ROW_GROUP = 1 << 14
@@ -138,7 +138,7 @@ def write_manifest(
     folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float, commit: Commit
 ) -> None:
     """Write the manifest of a finished sweep. Raises OSError."""
-    names = [ROWS, "sweep.yaml"]
+    names = [ROWS, "sweep.yaml", JOURNAL]
     content = sealed(
         {
             "manifest_version": 2,
@@ -156,5 +156,4 @@ def write_manifest(
             },
         }
     )
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    write_whole(folder / MANIFEST, lambda path: path.write_text(text, encoding="utf-8"))
+    write_whole(folder / MANIFEST, lambda path: path.write_text(json_text(content), encoding="utf-8"))
