@@ -180,7 +180,8 @@ class Rationals:
         value = self.fraction(x)
         parts = math.isqrt(max(value.numerator, 0)), math.isqrt(value.denominator)
         if Fraction(*parts) ** 2 != value:
-            text = shortened(f"{integer_text(value.numerator)}/{integer_text(value.denominator)}")
+            below = "" if value.denominator == 1 else f"/{integer_text(value.denominator)}"
+            text = shortened(f"{integer_text(value.numerator)}{below}")
             raise NotRationalError(f"the square root of {text} is not rational")
         return self.number(Fraction(*parts))
 
