@@ -466,6 +466,8 @@ def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Pa
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
         (checked,) = check_all(str(path), tmp_path)
         assert checked.files[0].damaged, place
+    path.write_bytes(whole.replace(b"0.1", b"1E-1"))  # the same number
+    assert check_all(str(path), tmp_path)[0].files[0].reason == "its text is not as it was written"
     path.write_bytes(whole.replace(b"0.1", b"0.2"))
     (chapter,) = all_chapters([str(path)], tmp_path)
     assert (chapter.state, chapter.good) == ("damaged", False)
