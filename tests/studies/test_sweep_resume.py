@@ -273,10 +273,7 @@ def test_verify_covers_the_journal_and_the_stored_series_of_a_finished_sweep(tmp
 
 @pytest.mark.slow
 def test_a_large_sweep_is_planned_in_bounded_memory_and_operations() -> None:
-    """26 bytes for each row are kept, and no row costs more calls of functions than the first ones.
-
-    Measured: a peak of 50 bytes for each row, with the axis itself, and 50 calls.
-    """
+    """Measured: 18 bytes are kept for each row, at most 36 are taken, and a row costs 98 calls of functions."""
 
     def data(rows: int) -> dict[str, Any]:
         return {**DATA, "grid": {"scheme": ["hk", "rk4"], "h": {"from": 1e-3, "to": 1e-2, "count": rows // 2}}}
@@ -296,14 +293,15 @@ def test_a_large_sweep_is_planned_in_bounded_memory_and_operations() -> None:
 
     calls(1000)
     few, many = calls(2000), calls(6000)
-    assert (many - few) / 4000 < 80
+    assert (many - few) / 4000 < 110
     found = sweep_from(data(100_000))
     tracemalloc.start()
     try:
-        assert survey(found).count == 100_000
+        surveyed = survey(found)
+        assert surveyed.count == 100_000
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     print(few, many, kept, peak)
-    assert kept < 40 * 100_000
-    assert peak < 100 * 100_000
+    assert kept < 26 * 100_000
+    assert peak < 60 * 100_000
