@@ -4,7 +4,7 @@
 # make check     lint, format, types, layers, tests
 # make docs      the documentation as HTML in docs/_build/html
 # make docs-images  the pictures in docs/images, with a summary of their data
-# make attack    mutated configs, damaged files, kills: minutes, and nothing may be found (ARGS='damage --seed 7')
+# make attack    hostile files, damaged results, kills: tens of minutes, and nothing may be found (ARGS='damage --seed 7')
 # make claims    decide the paper's claims: a quarter of a minute
 # make bench     speed against error, ours and other people's integrators: the table and the figure
 # make bench-steps  what single steps, start-up and storage cost (ratios against named baselines)

@@ -1,8 +1,8 @@
-"""``python -m attack [fuzz] [damage] [kills]``: attack topcli, and leave with 1 when something was found.
+"""``python -m attack [PART...]``: attack topcli, and exit with 1 if something was found.
 
-Without a part all three are done. ``--seed`` (``ATTACK_SEED``) repeats an earlier attack, ``--only`` single cases;
-``--configs``, ``--damages`` and ``--kills`` (``ATTACK_CONFIGS``, ``ATTACK_DAMAGES``, ``ATTACK_KILLS``) say
-how many, ``ATTACK_LIMIT`` after how many seconds a call counts as hanging.
+Without a part all of ``PARTS`` are done. ``--seed`` (``ATTACK_SEED``) repeats an earlier attack, ``--only`` single
+cases of one part. ``--configs``, ``--damages`` and so on (``ATTACK_CONFIGS``, ``ATTACK_DAMAGES``, ...) say how many
+cases a part has, ``ATTACK_LIMIT`` after how many seconds a call counts as hanging.
 """
 
 from __future__ import annotations
@@ -26,12 +26,29 @@ from attack.damage import damage
 from attack.fuzz import fuzz
 from attack.judge import Finding
 from attack.kills import kills
+from attack.odd import odd
+from attack.pages import pages
 from attack.scenes import COMPILED, Scenes, prepare, small_pieces, wait
+from attack.series import series
+from attack.sweeps import axes, sweeps
+from attack.verified import flips
 
-PARTS = ("fuzz", "damage", "kills")
+Result = tuple[dict[str, int], list[Finding]]
+Work = Callable[[Scenes, int, list[int], Path], Result]
+PARTS: dict[str, tuple[Work, str, int, str]] = {
+    "damage": (damage, "damages", 200, "damaged files of runs and of the machine-code cache"),
+    "kills": (kills, "kills", 120, "kills, power cuts and full disks at the n-th operation on the disk"),
+    "sweeps": (sweeps, "sweeps", 100, "damaged, edited and shared folders of sweeps"),
+    "axes": (axes, "axes", 300, "sweep files with hostile values"),
+    "flips": (flips, "flips", 200, "flipped bits and cut files that verify must find"),
+    "series": (series, "series", 120, "files of other programs for analyse"),
+    "pages": (pages, "pages", 60, "results with markup in them, for report"),
+    "odd": (odd, "odds", 80, "stored set-ups, animations, rational numbers"),
+}
+"""Attacks, each with its function, the option that says how many cases it has, and their number."""
+ALL = ("fuzz", *PARTS)
 NOTES = ("slow",)
 """Kinds that are printed and are no fault: some configs ask for hours of honest work, which a signal ends."""
-Result = tuple[dict[str, int], list[Finding]]
 
 
 def _number(name: str, default: int) -> int:
@@ -41,20 +58,19 @@ def _number(name: str, default: int) -> int:
 def arguments() -> argparse.Namespace:
     """Arguments of the command line, with defaults from the environment."""
     parser = argparse.ArgumentParser(prog="attack", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART", help="fuzz, damage, kills; all by default")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(ALL)}; all by default")
     parser.add_argument("--seed", type=int, default=_number("ATTACK_SEED", random.SystemRandom().randrange(1, 10**6)))
-    parser.add_argument("--configs", type=int, default=_number("ATTACK_CONFIGS", 20_000), help="mutated configs")
-    parser.add_argument("--damages", type=int, default=_number("ATTACK_DAMAGES", 200), help="damaged files")
-    parser.add_argument("--kills", type=int, default=_number("ATTACK_KILLS", 100), help="kills")
-    parser.add_argument("--only", type=int, nargs="+", metavar="CASE", help="only these cases of fuzz or of damage")
+    for option, count, text in (("configs", 20_000, "mutated configs"), *(one[1:] for one in PARTS.values())):
+        parser.add_argument(f"--{option}", type=int, default=_number(f"ATTACK_{option.upper()}", count), help=text)
+    parser.add_argument("--only", type=int, nargs="+", metavar="CASE", help="only these cases of a part")
     parser.add_argument("--workers", type=int, default=_number("ATTACK_WORKERS", min(4, os.cpu_count() or 1)))
     parser.add_argument("--folder", type=Path, help="where to work and to keep what is found; a temporary folder")
     asked = parser.parse_args()
-    if wrong := [part for part in asked.parts if part not in PARTS]:
-        parser.error(f"no such part: {wrong[0]}; choose from {', '.join(PARTS)}")
-    asked.parts = asked.parts or list(PARTS)
-    if asked.only and len({"fuzz", "damage"} & set(asked.parts)) != 1:
-        parser.error("--only wants either fuzz or damage, whose cases it names")
+    if wrong := [part for part in asked.parts if part not in ALL]:
+        parser.error(f"no such part: {wrong[0]}; choose from {', '.join(ALL)}")
+    asked.parts = asked.parts or list(ALL)
+    if asked.only and len(asked.parts) != 1:
+        parser.error("--only wants a single part, whose cases it names")
     return asked
 
 
@@ -86,14 +102,13 @@ def attack(part: str, asked: argparse.Namespace, scenes: Callable[[], Scenes], f
     if part == "fuzz":
         return fuzz(asked.seed, asked.only or list(range(asked.configs)), folder / "fuzz", kept, asked.workers)
     here = scenes()
-    if part == "damage":
-        cases = asked.only or list(range(asked.damages))
-        if not asked.only:
-            for scheme in COMPILED:  # made here, before the work is shared out
-                here.code(scheme)
-        workers = 1 if asked.only else asked.workers
-        return shared_out(lambda share: damage(here, asked.seed, share, kept), cases, workers, folder)
-    return kills(here, asked.seed, asked.kills, kept)
+    work, option, *_ = PARTS[part]
+    cases = asked.only or list(range(getattr(asked, option)))
+    if part == "damage" and not asked.only:
+        for scheme in COMPILED:  # made here, before the work is shared out
+            here.code(scheme)
+    workers = 1 if asked.only else asked.workers
+    return shared_out(lambda share: work(here, asked.seed, share, kept), cases, workers, folder)
 
 
 def main() -> int:
@@ -113,8 +128,6 @@ def main() -> int:
             small_pieces()
             (folder / "runs").mkdir()
             made.append(prepare(folder / "runs"))
-            if not made[0].verify:
-                print("damage: there is no command `topcli verify` to be tried", flush=True)
         return made[0]
 
     found = 0

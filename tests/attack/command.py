@@ -86,7 +86,8 @@ class Watch:
                 text = os.fsdecode(path)
                 if isinstance(folder, int) and folder >= 0 and not os.path.isabs(text):
                     text = os.path.join(os.readlink(f"/proc/self/fd/{folder}"), text)
-                if event in _NOFOLLOW:
+                stays = event == "open" and isinstance(arguments[2], int) and arguments[2] & os.O_NOFOLLOW
+                if event in _NOFOLLOW or stays:
                     yield os.path.join(os.path.realpath(os.path.dirname(text) or "."), os.path.basename(text))
                 else:
                     yield os.path.realpath(text)
@@ -188,8 +189,17 @@ def fork(work: Callable[[], int]) -> int:
     return pid
 
 
-def start(argv: Sequence[str], cwd: Path, writable: Sequence[Path], environment: Mapping[str, str] = {}) -> Running:
-    """Begin a call of the command with the working folder ``cwd``; it may write in the folders ``writable``."""
+def start(
+    argv: Sequence[str],
+    cwd: Path,
+    writable: Sequence[Path],
+    environment: Mapping[str, str] = {},
+    prepare: Callable[[], object] = lambda: None,
+) -> Running:
+    """Begin a call of the command with the working folder ``cwd``; it may write in the folders ``writable``.
+
+    ``prepare`` is called before it, in its process.
+    """
     files = (tempfile.TemporaryFile(), tempfile.TemporaryFile(), tempfile.TemporaryFile())  # noqa: SIM115
 
     def work() -> int:
@@ -198,6 +208,7 @@ def start(argv: Sequence[str], cwd: Path, writable: Sequence[Path], environment:
         redirect(files[0], files[1])
         watch = Watch(lambda line: os.write(files[2].fileno(), (line + "\n").encode("utf-8", "replace")))
         with watch.over(writable):
+            prepare()
             return in_process(argv)
 
     return Running(tuple(argv), fork(work), files)
@@ -209,6 +220,7 @@ def call(
     writable: Sequence[Path],
     environment: Mapping[str, str] = {},
     limit: float = LIMIT,
+    prepare: Callable[[], object] = lambda: None,
 ) -> Said:
     """Call the command and wait for its end."""
-    return start(argv, cwd, writable, environment).finish(limit)
+    return start(argv, cwd, writable, environment, prepare).finish(limit)

@@ -11,6 +11,10 @@ import json
 import os
 import random
 import shutil
+import signal
+import traceback
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -50,13 +54,14 @@ class Sandbox:
         (folder / "elsewhere" / "precious.txt").write_text(FOREIGN)
         self.out, self.cache = folder / "out", Path(os.environ["NUMBA_CACHE_DIR"])
 
-    def call(self, *argv: str) -> Said:
-        """Call the command, and judge what it says and which files it touches."""
+    def call(self, *argv: str, prepare: Callable[[], object] = lambda: None) -> Said:
+        """Call the command, and judge what it says and which files it touches; ``prepare`` may put faults into it."""
         elsewhere = _hashes(self.folder / "elsewhere")
         writable = [self.out, self.cache, Path(os.environ["MPLCONFIGDIR"])]
-        said = call(argv, self.folder, writable, {"NUMBA_CACHE_DIR": str(self.cache)})
+        said = call(argv, self.folder, writable, {"NUMBA_CACHE_DIR": str(self.cache)}, prepare=prepare)
         self.case.said.append(said)
-        self.case.faults += judged(said)
+        if said.code != -signal.SIGKILL:
+            self.case.faults += judged(said)
         if _hashes(self.folder / "elsewhere") != elsewhere:
             self.fault("touched", f"topcli {' '.join(argv)}: changed files elsewhere")
         return said
@@ -64,6 +69,34 @@ class Sandbox:
     def fault(self, kind: str, text: str) -> None:
         """Note that something is wrong."""
         self.case.faults.append((kind, f"{self.case.label}, {self.case.how}: {text}"))
+
+
+Tried = Callable[[int, random.Random, Sandbox], None]
+"""``tried(index, draw, box)`` tries one case and notes what is wrong in the box."""
+
+
+def try_all(
+    part: str, tried: Tried, base: Path, seed: int, indices: list[int], kept: Path
+) -> tuple[dict[str, int], list[Finding]]:
+    """Try the cases ``indices`` of a part, each in a sandbox of its own; counts, and what was found."""
+    counts: Counter[str] = Counter()
+    findings: list[Finding] = []
+    for index in indices:
+        case = Case("")
+        box = Sandbox(base / f"sandbox-{os.getpid()}", case)
+        try:
+            tried(index, draw_for(seed, part, index), box)
+        except Exception as error:  # of this harness: the other cases are tried all the same
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            box.fault("exception", f"{type(error).__name__} {error} at {Path(where.filename).name}:{where.lineno}")
+        counts["cases"] += 1
+        counts["calls"] += len(case.said)
+        here = str(box.folder) + os.sep
+        found = [Finding(kind, f"{part} {index}", text.replace(here, "")) for kind, text in dict.fromkeys(case.faults)]
+        if found:
+            keep(case, found, box.folder, kept / f"{part}-{index}")
+        findings += found
+    return dict(counts), findings
 
 
 def foreign_kept(box: Sandbox, planted: int) -> None:
@@ -153,8 +186,7 @@ def damage_run(scenes: Scenes, scene: Scene, draw: random.Random, box: Sandbox) 
     said = box.call("list", "runs", "--out", "out", *(["--json"] if draw.random() < 0.3 else []))
     if said.code not in (0, 1) or OTHER not in said.out:
         box.fault("lost", f"list runs exits with {said.code} and does not name the whole run beside it")
-    if scenes.verify:
-        verify(scene, box, name or "")
+    verify(scene, box, name or "")
     if draw.random() < 0.3:
         box.call("show", f"out/{scene.name}/config.yaml")
     if scene.finished and scene.config.parent.name == "parquet" and draw.random() < 0.3:
@@ -290,31 +322,21 @@ def _replaced(box: Sandbox, scenes: Scenes) -> bool:
 
 def damage(scenes: Scenes, seed: int, indices: list[int], kept: Path) -> tuple[dict[str, int], list[Finding]]:
     """Try the damages ``indices``; counts, and what was found."""
-    counts, findings = {"damaged files": 0}, []
-    for index in indices:
-        draw, case = draw_for(seed, "damage", index), Case("")
-        box = Sandbox(scenes.base / f"sandbox-{os.getpid()}", case)
-        try:
-            if index % 4 == 3:
-                damage_cache(scenes, draw, box)
-            else:
-                damage_run(scenes, scenes.runs[(index - index // 4) % len(scenes.runs)], draw, box)
-        except Exception as error:  # of this harness: the other cases are tried all the same
-            box.fault("exception", f"{type(error).__name__} {error}")
-        counts["damaged files"] += 1
-        here = str(box.folder) + os.sep
-        found = [Finding(kind, f"damage {index}", text.replace(here, "")) for kind, text in dict.fromkeys(case.faults)]
-        if found:
-            keep(case, found, box.folder, kept / f"damage-{index}")
-        findings += found
-    return counts, findings
+
+    def one(index: int, draw: random.Random, box: Sandbox) -> None:
+        if index % 4 == 3:
+            damage_cache(scenes, draw, box)
+        else:
+            damage_run(scenes, scenes.runs[(index - index // 4) % len(scenes.runs)], draw, box)
+
+    return try_all("damage", one, scenes.base, seed, indices, kept)
 
 
 def keep(case: Case, findings: list[Finding], sandbox: Path, folder: Path) -> None:
     """Keep what a damage left, the damaged file as it was before the commands, and what they said."""
     folder.mkdir(parents=True)
     about = {
-        "damage": f"{case.label}: {case.how}",
+        "case": f"{case.label}: {case.how}",
         "file": case.path,
         "findings": [asdict(finding) for finding in findings],
         "calls": [asdict(said) for said in case.said],

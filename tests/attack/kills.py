@@ -1,42 +1,42 @@
-"""Kill a run with SIGKILL at random moments, resume it, and look after every kill at what it left.
+"""Kill runs, ensembles and sweeps at the n-th operation on the disk, call them again, and look at what each kill left.
 
-Each run is a fork of this process, so that a kill costs milliseconds and falls anywhere: before the first checkpoint,
-within one, while the series is being written, while the folder is being put in its place. The moments cannot be
-repeated; everything else follows from the seed.
+What falls on the n-th operation is one of ``faults.HOW``: a kill before, within or after it, lost power, a full disk.
+Every case follows from the seed, whatever the speed of the machine.
 """
 
 from __future__ import annotations
 
-import itertools
-import os
 import random
 import shutil
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from attack.command import Running, Said, call, start
-from attack.judge import Content, Faults, Finding, content, judged, wrong_content
-from attack.mutations import draw_for
-from attack.scenes import ENSEMBLE, NAME, STEPS, Scene, Scenes, done_in_fork, experiment
+from attack.command import Said
+from attack.damage import Sandbox, try_all
+from attack.faults import HOW, Disk
+from attack.judge import Content, Finding, content, wrong_content
+from attack.scenes import ENSEMBLE, NAME, Scene, Scenes, done_in_fork, experiment
+from attack.studies import SWEEP, SweepContent, SweepScene, sweep_content
 from topcli.store.checkpoint import read_checkpoint
 from topcli.store.manifest import stored_run
 from topcli.store.parts import parts_of
 from topcli.studies.run import run_experiment
 
+KILLED = -9
 
-def reached(out: Path, name: str) -> int:
-    """The furthest step that can be gone on from."""
+
+def reached(out: Path, name: str, steps: int) -> int:
+    """The furthest step of a run of ``steps`` steps that can be gone on from."""
     standing = stored_run(out / name)
-    steps = [0]
-    if standing is not None and standing.manifest["config"]["N"] == STEPS:
-        steps.append(standing.manifest["step"])
+    found = [0]
+    if standing is not None and standing.manifest["config"]["N"] == steps:
+        found.append(standing.manifest.get("step", steps))
     for part in parts_of(out, name):
         assert not part.alive, "the folder of a dead process counts as one of a living"
         left, stored = read_checkpoint(part.folder), stored_run(part.folder)
-        steps += [left.done] if left else []
-        steps += [stored.manifest.get("step", STEPS)] if stored else []
-    return max(steps)
+        found += [left.done] if left else []
+        found += [stored.manifest.get("step", steps)] if stored else []
+    return max(found)
 
 
 @dataclass
@@ -45,148 +45,150 @@ class Start:
 
     scene: Scene
     before: Path
-    old: list[Content]
+    old: list[Content] = field(default_factory=list)
 
     @property
-    def ensemble(self) -> bool:
-        """True for an ensemble, which is not resumed but run again."""
-        return self.scene.name == ENSEMBLE
+    def steps(self) -> int:
+        """Steps of the run."""
+        return self.scene.expected.manifest["config"]["N"]
 
-    def options(self, step: int) -> list[str]:
-        """Arguments of the command if the run can be resumed from ``step``."""
-        if self.ensemble:
-            return ["--force"]
-        return ["--force"] if self.old and not step else ["--resume"]
+    def argv(self, step: int) -> list[str]:
+        """The call that runs, or goes on from ``step``; an ensemble is not resumed but run again."""
+        again = self.scene.name == ENSEMBLE or (bool(self.old) and not step)
+        frequent = ["--checkpoint-every", "0", "--force" if again else "--resume"]
+        return ["run", str(self.scene.config), "--out", "out", *frequent]
+
+    def check(self, out: Path, before: int) -> int:
+        """Look at what a kill left; the step that can be gone on from, which was ``before`` earlier."""
+        if (out / self.scene.name).exists():
+            content(out / self.scene.name)  # a folder in place must be whole
+        for old in self.old:
+            asides = [path for path in out.glob(f"{self.scene.name}*") if not wrong_content(old, path)]
+            assert asides, "an earlier finished run was lost"
+        now = reached(out, self.scene.name, self.steps)
+        assert now >= before, f"went back from step {before} to {now}"
+        return now
+
+    def wrong(self, out: Path) -> str:
+        """Difference of the end from that of a run that was never killed."""
+        hidden = [path.name for path in out.iterdir() if path.name.startswith(".")]
+        return wrong_content(self.scene.expected, out / self.scene.name) or (f"left behind: {hidden}" if hidden else "")
 
 
-def starts(scenes: Scenes) -> list[Start]:
-    """All that is killed: runs beside nothing, beside a different run, and interrupted ones; ensembles."""
+@dataclass
+class SweepStart:
+    """Content of the folder before a sweep, and the sweep that is killed."""
+
+    scene: SweepScene
+    before: Path
+    expected: SweepContent
+
+    def argv(self, step: int) -> list[str]:
+        """The call, which also continues."""
+        return ["sweep", str(self.scene.config), "--out", "out", "--threads", "1", "--json"]
+
+    def check(self, out: Path, before: int) -> int:
+        """The number of finished rows, which was ``before`` earlier; none is in the journal twice."""
+        digests = self.scene.finished(out)
+        assert len(digests) == len(set(digests)), "a row ran twice"
+        assert len(digests) >= before, f"{before} rows were finished, and then {len(digests)}"
+        return len(digests)
+
+    def wrong(self, out: Path) -> str:
+        """Difference of the end from that of a sweep that was never killed."""
+        hidden = [path.name for path in (out / SWEEP).rglob(".*")]
+        return self.expected.differs(sweep_content(out / SWEEP)) or (f"left behind: {hidden}" if hidden else "")
+
+
+Starting = Start | SweepStart
+
+
+def starts(scenes: Scenes) -> list[Starting]:
+    """All that is killed: runs beside nothing, beside a different run, interrupted and precise ones; many; sweeps."""
     base = scenes.base / "starts"
     empty, different, many = base / "empty", base / "different", base / "different-ensemble"
     empty.mkdir(parents=True)
     done_in_fork(lambda: run_experiment(experiment(steps=900), different))
     shutil.copytree(different / NAME, many / ENSEMBLE)
-    parquet, csv, interrupted, ensemble = (
-        next(one for one in scenes.runs if (one.kind, one.before.name.rpartition("-")[2]) == kind)
-        for kind in (("finished", "parquet"), ("finished", "csv"), ("interrupted", "csv"), ("finished", "ensemble"))
-    )
+    kinds = {one.before.name: one for one in scenes.runs}
+    parquet, csv, ensemble = (kinds[f"finished-{kind}"] for kind in ("parquet", "csv", "ensemble"))
     old = [content(different / NAME)]
+    new, edited, series = scenes.sweeps
     return [
-        Start(parquet, empty, []),
+        Start(parquet, empty),
+        Start(ensemble, empty),
+        Start(kinds["finished-precise"], empty),
+        SweepStart(new, empty, new.expected),
+        Start(kinds["interrupted-csv"], kinds["interrupted-csv"].before),
+        SweepStart(edited, edited.before, edited.expected),
         Start(parquet, different, old),
-        Start(interrupted, interrupted.before, []),
-        Start(ensemble, empty, []),
-        Start(csv, empty, []),
+        Start(kinds["finished-rational"], empty),
+        SweepStart(series, empty, series.expected),
+        Start(csv, empty),
         Start(ensemble, many, old),
     ]
 
 
-class Life:
-    """A run from its first start to its end, killed on the way."""
-
-    def __init__(self, begin: Start, folder: Path) -> None:
-        self.begin, self.folder, self.out = begin, folder, folder / "out"
-        self.name = begin.scene.name
-        self.faults: Faults = []
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        shutil.copytree(begin.before, self.out)
-
-    def argv(self, step: int) -> list[str]:
-        """The call that runs, or goes on from ``step``."""
-        frequent = ["--checkpoint-every", "0"]
-        return ["run", str(self.begin.scene.config), "--out", "out", *frequent, *self.begin.options(step)]
-
-    def start(self, step: int) -> Running:
-        """Begin a call."""
-        return start(self.argv(step), self.folder, [self.out, Path(os.environ["NUMBA_CACHE_DIR"])])
-
-    def check(self, before: int) -> int:
-        """Look at what a kill left; the step that can be gone on from, which was ``before`` earlier."""
-        target = self.out / self.name
-        if target.exists():
-            content(target)  # a folder in place must be whole
-        for old in self.begin.old:
-            asides = [path for path in self.out.glob(f"{self.name}*") if not wrong_content(old, path)]
-            assert asides, "an earlier finished run was lost"
-        now = reached(self.out, self.name)
-        assert now >= before, f"went back from step {before} to {now}"
-        return now
-
-    def refused(self) -> None:
-        """An ensemble that was killed is not resumed, and says so."""
-        said = call([*self.argv(0)[:-1], "--resume"], self.folder, [self.out])
-        self.judge(said)
-        assert said.code == 2, f"--resume of an ensemble exits with {said.code}"
-
-    def judge(self, said: Said) -> None:
-        """Judge what a call said, unless it was killed."""
-        if said.code != -9:
-            self.faults += judged(said)
-
-    def go(self, draw: random.Random, span: float, kills: int) -> tuple[int, int]:
-        """Kill up to a number of times, then let it end; return the kills and the number of resumed calls.
-
-        ``span`` is the seconds of a whole run. Raises AssertionError and ValueError at what must not be.
-        """
-        step, patience, done, resumed = self.check(0), 1.0, 0, 0
-        while True:
-            left = patience * span * (1.0 - 0.9 * step / STEPS)
-            running = self.start(step)
-            if done < kills:
-                # half of the kills are aimed at the second half of what is left, where folders change their places
-                time.sleep(draw.uniform(0.0, left) if draw.random() < 0.5 else draw.uniform(0.5 * left, 1.1 * left))
-                running.kill()
-            said = running.finish()
-            self.judge(said)
-            assert said.code in (0, -9), f"{' '.join(said.argv)} exits with {said.code}: {said.err[:300]}"
-            if said.code == 0:
-                break
-            done += 1
-            resumed += step > 0
-            self.judge(call(["list", "runs", "--out", "out"], self.folder, []))
-            earlier, step = step, self.check(step)
-            if self.begin.ensemble:
-                self.refused()
-            patience = 1.0 if step > earlier else 1.3 * patience
-        wrong = wrong_content(self.begin.scene.expected, self.out / self.name)
-        assert not wrong, f"differs from the run that was never killed: {wrong}"
-        hidden = [path.name for path in self.out.iterdir() if path.name.startswith(".")]
-        assert hidden == [], f"left behind: {hidden}"
-        self.check(0)
-        return done, resumed
+def operations(begin: Starting, box: Sandbox) -> tuple[int, int]:
+    """Number of operations of a call that nothing disturbs, and its exit code."""
+    shutil.copytree(begin.before, box.out)
+    disk = Disk(box.out)
+    said = box.call(*begin.argv(0), prepare=disk.install)
+    assert said.code in (0, 1, 3), said.err
+    shutil.rmtree(box.out)
+    return len(disk.operations()), said.code
 
 
-def timed(begin: Start, folder: Path) -> float:
-    """The seconds that a whole run takes."""
-    life = Life(begin, folder)
-    began = time.perf_counter()
-    said = life.start(0).finish()
-    assert said.code == 0, said.err
-    return time.perf_counter() - began
+class Killer:
+    """Tries one case after another, each from one of the starts."""
+
+    def __init__(self, scenes: Scenes) -> None:
+        self.begins = starts(scenes)
+        self._operations: dict[int, tuple[int, int]] = {}
+
+    def __call__(self, index: int, draw: random.Random, box: Sandbox) -> None:
+        kind = index % len(self.begins)
+        begin = self.begins[kind]
+        name = begin.scene.name
+        if kind not in self._operations:
+            self._operations[kind] = operations(begin, box)
+        shutil.copytree(begin.before, box.out)
+        (span, code), step, powerless = self._operations[kind], begin.check(box.out, 0), False
+        box.case.label = f"{begin.scene.kind} {name}"
+        for number in range(draw.choice((1, 1, 2, 3))):
+            how = HOW[(index // len(self.begins) + number) % len(HOW)]
+            disk = Disk(box.out, draw.randint(1, span if not number else span // 2 + 1), how)
+            said = box.call(*begin.argv(step), prepare=disk.install)
+            done = disk.operations()
+            box.case.how += f"{how} {disk.at}/{span}{f' {done[-1]}' if len(done) >= disk.at else ''}; "
+            if len(done) < disk.at:
+                break  # it had ended before
+            self.look(box, said, how)
+            powerless |= how == "power"
+            try:
+                step = begin.check(box.out, 0 if powerless else step)
+            except (AssertionError, ValueError) as error:
+                box.fault("kill", f"{error}")
+                return
+        said = box.call(*begin.argv(step))
+        if said.code != code:
+            box.fault("kill", f"called again it exits with {said.code}: {said.err[:300]}")
+        elif wrong := begin.wrong(box.out):
+            box.fault("wrong rows", f"differs from the one that was never killed: {wrong}")
+
+    def look(self, box: Sandbox, said: Said, how: str) -> None:
+        """Call the commands that look at what is left."""
+        if how.startswith("full"):
+            if said.code not in (0, 1, 3):
+                box.fault("exit code", f"on a full disk it exits with {said.code}")
+        elif said.code != KILLED:
+            box.fault("kill", f"exits with {said.code}: {said.err[:300]}")
+        box.call("list", "runs", "--out", "out")
+        left = sorted(path for path in box.out.iterdir() if path.is_dir())
+        if left and (said := box.call("verify", *(f"out/{path.name}" for path in left))).code == 1 and how != "power":
+            box.fault("kill", f"verify finds damage: {said.err[:300]}")
 
 
-def kills(scenes: Scenes, seed: int, count: int, kept: Path) -> tuple[dict[str, int], list[Finding]]:
-    """Kill ``count`` times, in turn from each start; counts, and what was found."""
-    begins, spans = starts(scenes), dict[int, float]()
-    counts, findings = {"kills": 0, "finished": 0, "resumed": 0}, []
-    for index in itertools.count():
-        if counts["kills"] >= count:
-            break
-        kind = index % len(begins)
-        spans[kind] = spans.get(kind) or timed(begins[kind], scenes.base / "timed")
-        life = Life(begins[kind], scenes.base / "life")
-        faults = life.faults
-        try:
-            done, resumed = life.go(draw_for(seed, "kills", index), spans[kind], count - counts["kills"])
-            counts["kills"] += done
-            counts["resumed"] += resumed
-            counts["finished"] += 1
-        except (AssertionError, ValueError) as error:
-            counts["kills"] += 1
-            faults.append(("kill", f"{life.begin.scene.kind} {life.name}: {error}"))
-        if faults:
-            kept.mkdir(parents=True, exist_ok=True)
-            life.folder.rename(kept / f"kills-{index}")
-        findings += [Finding(kind, f"kills {index}", text) for kind, text in dict.fromkeys(map(tuple, faults))]
-    return counts, findings
+def kills(scenes: Scenes, seed: int, indices: list[int], kept: Path) -> tuple[dict[str, int], list[Finding]]:
+    """Try the cases ``indices``, in turn from each start; counts, and what was found."""
+    return try_all("kills", Killer(scenes), scenes.base, seed, indices, kept)

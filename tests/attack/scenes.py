@@ -17,12 +17,16 @@ import pyarrow.parquet  # noqa: F401 (imported once, here, and not in every fork
 
 from attack.command import Said, call, fork
 from attack.judge import Content, content, judged
+from attack.studies import SweepScene, sweep_scenes
 from topcli.config.load import load_any, load_experiment
 from topcli.config.models import Experiment
+from topcli.config.yaml_text import to_yaml
 from topcli.engine import loop
 from topcli.store import series
 from topcli.studies.ensemble import run_ensemble
 from topcli.studies.run import Feedback, run_experiment
+from topcli.studies.sweep import batches, journal
+from topcli.studies.sweep import run as sweep_run
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 NAME = "kowalevski_hk"
@@ -32,12 +36,27 @@ OTHER = "beside"
 STEPS = 2000
 COMPILED = ("hk", "rk2", "bohlin-a", "ensemble")
 """Content of the cache of machine code: three schemes of single runs, and one of ensembles."""
+SHORT = {
+    "top": {"kind": "kowalevski", "c0": 1},
+    "initial": {"omega": ["1/3", "1/5", 2], "gamma": [0.6, 0, 0.8]},
+    "scheme": "hk",
+    "h": 0.01,
+}
+PRECISE: dict[str, dict[str, object]] = {
+    "precise": {"precision": 30, "N": 60},
+    "rational": {"precision": "rational", "N": 5, "max_digits": 3000},
+}
+"""Runs in other arithmetics than double."""
 
 
 def small_pieces() -> None:
     """Make chunks and row groups of this process, and of its forks, small."""
     loop.CHUNK_STEPS = 100
+    loop.PRECISE_STEPS = 10
     series.ROW_GROUP = 350
+    batches.PER_WORKER = 12
+    sweep_run.TABLE_SECONDS = 0.0
+    journal.SYNC_SECONDS = 0.0
 
 
 def wait(pid: int) -> int:
@@ -99,11 +118,11 @@ class Scene:
 
 @dataclass
 class Scenes:
-    """All that is attacked, under ``base``; ``verify`` is true if there is a command ``topcli verify``."""
+    """All that is attacked, under ``base``."""
 
     base: Path
     runs: list[Scene]
-    verify: bool
+    sweeps: list[SweepScene]
     _codes: dict[str, Path] = field(default_factory=dict)
 
     @property
@@ -163,7 +182,16 @@ def prepare(base: Path) -> Scenes:
             lambda out, one=one, asked=asked: run_experiment(one, out, stop=lambda: next(asked) == 12),
         )
     scene("finished", "ensemble", lambda out: run_ensemble(many, out))  # pyright: ignore[reportArgumentType]
-    return Scenes(base, runs, verify=call(["verify", "--help"], base, []).code == 0)
+    for kind, keys in PRECISE.items():
+        path = configs / kind / f"{NAME}.yaml"
+        path.parent.mkdir()
+        data = {"name": NAME, **SHORT, **keys}
+        path.write_text(to_yaml(data), encoding="utf-8")
+        one = load_any(path)
+        done_in_fork(lambda one=one, kind=kind: run_experiment(one, base / f"reference-{kind}"))  # pyright: ignore[reportArgumentType]
+        reference[kind] = content(base / f"reference-{kind}" / NAME)
+        scene("finished", kind, lambda out, one=one: run_experiment(one, out))  # pyright: ignore[reportArgumentType]
+    return Scenes(base, runs, sweep_scenes(base, configs))
 
 
 def must_be_fine(said: Said) -> None:

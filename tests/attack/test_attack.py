@@ -11,19 +11,22 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from attack.__main__ import arguments
-from attack.command import Said
+from attack.command import Said, fork
 from attack.damage import Case, Sandbox, foreign_kept, meet, plot, verify
+from attack.faults import Disk
 from attack.fuzz import misread, read_back, wrong_run
 from attack.judge import CODES, Finding, content, judged, rows_apart, wrong_content
-from attack.kills import Life, Start
+from attack.kills import Start
 from attack.mutations import CORPUS, MUTATIONS, Mutant, draw_for, mutant
-from attack.scenes import Scene
+from attack.pages import Reader
+from attack.scenes import Scene, wait
 from attack.spoil import FOREIGN
 from conftest import ROOT
 from topcli.config.load import load_experiment
@@ -172,7 +175,7 @@ class Box(Sandbox):
         self.out.mkdir()
         self.said = said
 
-    def call(self, *argv: str) -> Said:
+    def call(self, *argv: str, prepare: Callable[[], object] = lambda: None) -> Said:
         return self.said
 
 
@@ -257,17 +260,62 @@ def test_foreign_files_must_survive(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_leftovers_of_a_kill_are_judged(scene: Scene, tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    life = Life(Start(scene, tmp_path / "empty", []), tmp_path / "life")
-    assert life.check(0) == 0
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert Start(scene, empty).check(empty, 0) == 0
     with pytest.raises(AssertionError, match="went back from step 5 to 0"):
-        life.check(5)
+        Start(scene, empty).check(empty, 5)
     with pytest.raises(AssertionError, match="an earlier finished run was lost"):
-        Life(Start(scene, tmp_path / "empty", [scene.expected]), tmp_path / "life").check(0)
-    Life(Start(scene, scene.before, [scene.expected]), tmp_path / "life").check(0)
-    (tmp_path / "life" / "out" / scene.name / "report.json").write_text("{")
+        Start(scene, empty, [scene.expected]).check(empty, 0)
+    assert Start(scene, empty, [scene.expected]).check(scene.before, 0) == 12
+    (scene.before / scene.name / "report.json").write_text("{")
     with pytest.raises(ValueError, match="cannot be read"):
-        life.check(0)
+        Start(scene, empty).check(scene.before, 0)
+
+
+def written(root: Path) -> int:
+    """Write two files, of which one is flushed, and put one in the place of the other."""
+    with (root / "new").open("w") as file:
+        file.write("12345678")
+        file.flush()
+        os.fsync(file.fileno())
+    (root / "other").write_bytes(b"12345678")
+    os.replace(root / "other", root / "old")
+    return 0
+
+
+OPERATIONS = ["create new", "write new", "fsync new", "create other", "write other", "replace old"]
+
+
+@pytest.mark.parametrize(
+    ("at", "how", "left"),
+    [
+        (0, "before", {"new": 8, "old": 8}),
+        (2, "before", {"new": 0, "old": 3}),
+        (2, "torn", {"new": 4, "old": 3}),
+        (2, "after", {"new": 8, "old": 3}),
+        (2, "power", {"new": 0, "old": 3}),
+        (3, "power", {"new": 8, "old": 3}),
+        (6, "before", {"new": 8, "other": 8, "old": 3}),
+        (6, "power", {"new": 8, "old": 0}),
+        (5, "full once", {"new": 8, "other": 4, "old": 3}),
+    ],
+)
+def test_a_fault_falls_on_its_operation(tmp_path: Path, at: int, how: str, left: dict[str, int]) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    (root / "old").write_text("123")
+    disk = Disk(root, at, how)
+
+    def work() -> int:
+        disk.install()
+        (tmp_path / "outside").write_text("x")
+        return written(root)
+
+    status = wait(fork(work))
+    assert status == (0 if at == 0 else 99 if how.startswith("full") else -9)
+    assert disk.operations() == OPERATIONS[: at or None]
+    assert {path.name: path.stat().st_size for path in root.iterdir()} == left
 
 
 # --- the attack as a whole ------------------------------------------------------------------------------------------
@@ -292,12 +340,37 @@ def test_mutated_configs_end_in_a_result_or_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_damaged_files_and_kills_are_survived(tmp_path: Path) -> None:
+def test_damaged_files_are_survived(tmp_path: Path) -> None:
     """Damages that hold: of checkpoints, series and folders, the last one of the machine-code cache."""
     cases = ["2", "4", "6", "8", "10", "12", "16", "18", "11"]
-    printed = attack(tmp_path, "damage", "kills", "--seed", "1", "--only", *cases, "--kills", "2")
-    assert f"damage: {len(cases)} damaged files in" in printed
-    assert re.search(r"kills: 2 kills, \d+ finished", printed)
+    printed = attack(tmp_path, "damage", "--seed", "1", "--only", *cases)
+    assert f"damage: {len(cases)} cases, " in printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("part", "cases"),
+    [
+        ("kills", range(11)),  # one from each start
+        ("sweeps", range(6)),
+        ("axes", range(6)),
+        ("flips", range(16)),
+        ("series", range(5)),
+        ("pages", range(7)),
+        ("odd", range(4)),
+    ],
+)
+def test_a_small_attack_finds_nothing(tmp_path: Path, part: str, cases: range) -> None:
+    printed = attack(tmp_path, part, "--seed", "1", "--only", *map(str, cases))
+    assert f"{part}: {len(cases)} cases, " in printed
+
+
+def test_markup_in_a_page_is_seen() -> None:
+    reader = Reader()
+    reader.feed('<p title="<b>"><a href="#part1">x</a><svg><path style="fill: url(#a)"/></svg>&lt;script&gt;')
+    assert reader.wrong == []
+    reader.feed('<script>1</script><img src="x"><a href="javascript:1">x</a><p onclick="1"><link href="http://x">')
+    assert [text.split()[0] for text in reader.wrong] == ["an", "an", "img", "a", "a", "p", "link"]
 
 
 @pytest.mark.parametrize(
@@ -305,7 +378,7 @@ def test_damaged_files_and_kills_are_survived(tmp_path: Path) -> None:
     [
         (["pieces"], "no such part: pieces"),
         (["--only", "1"], "--only wants"),
-        (["kills", "--only", "1"], "--only wants"),
+        (["kills", "odd", "--only", "1"], "--only wants"),
     ],
 )
 def test_wrong_usage_is_refused(
@@ -318,9 +391,9 @@ def test_wrong_usage_is_refused(
 
 
 def test_number_of_attacks_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, number in {"SEED": "7", "CONFIGS": "8", "DAMAGES": "9", "KILLS": "10"}.items():
+    for name, number in {"SEED": "7", "CONFIGS": "8", "DAMAGES": "9", "KILLS": "10", "ODDS": "11"}.items():
         monkeypatch.setenv(f"ATTACK_{name}", number)
     monkeypatch.setattr(sys, "argv", ["attack", "--kills", "3"])
     asked = arguments()
-    assert (asked.seed, asked.configs, asked.damages, asked.kills) == (7, 8, 9, 3)
-    assert asked.parts == ["fuzz", "damage", "kills"]
+    assert (asked.seed, asked.configs, asked.damages, asked.kills, asked.odds) == (7, 8, 9, 3, 11)
+    assert asked.parts == ["fuzz", "damage", "kills", "sweeps", "axes", "flips", "series", "pages", "odd"]

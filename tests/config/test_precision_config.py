@@ -128,3 +128,19 @@ def test_commands_that_compute_in_doubles_refuse_another_precision() -> None:
     with pytest.raises(ConfigError, match="precision: computed in doubles here"):
         load_experiment("kowalevski_hk", ["precision=50"])
     assert load_any("kowalevski_hk", ["precision=50"]).digest != load_any("kowalevski_hk").digest
+
+
+@pytest.mark.parametrize("h", ["1/1" + "0" * 5000, "0." + "1" * 5000])
+def test_numbers_of_thousands_of_digits_are_read_and_written(tmp_path: Path, h: str) -> None:
+    path = tmp_path / "long.yaml"
+    h = h.replace("1/1", "1" + "0" * 4990 + "/1") if "/" in h else h
+    path.write_text(
+        f"top: kowalevski\ninitial: {{omega: [1, 0, 0], gamma: [0.6, 0, 0.8]}}\nscheme: rk4\nh: {h}\nN: 1\n"
+        "precision: 40\n"
+    )
+    experiment = load_experiment(path, any_precision=True)
+    assert experiment.exact is not None
+    wanted = Fraction(1, 10**10) if "/" in h else Fraction(10**5000 - 1, 9 * 10**5000)
+    assert experiment.exact.h == wanted
+    (tmp_path / "again.yaml").write_text(experiment.to_yaml())
+    assert load_experiment(tmp_path / "again.yaml", any_precision=True).digest == experiment.digest

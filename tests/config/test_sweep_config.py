@@ -15,7 +15,7 @@ import pytest
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.sweep.document import load_sweep, sweep_from
 from topcli.config.sweep.rows import Row, RowReader
-from topcli.errors import TopcliError
+from topcli.errors import ConfigError, TopcliError
 from topcli.studies.sweep.plan import survey
 
 BASE: dict[str, Any] = {
@@ -354,3 +354,36 @@ def test_a_packaged_sweep_needs_no_path() -> None:
     assert load_sweep("Heavy-Drift").name == "heavy_drift"
     with pytest.raises(TopcliError, match=r"no packaged sweep is called 'heavy_drif'.*did you mean 'heavy_drift'"):
         load_sweep("heavy_drif")
+
+
+@pytest.mark.parametrize("key", ["sample", "seed"])
+@pytest.mark.parametrize("first", [float("nan"), float("inf"), "x", None, [1], {}])
+def test_a_range_of_draws_with_odd_ends_is_refused(key: str, first: object) -> None:
+    data = {
+        "base": {"top": "kowalevski", "scheme": "hk", "h": 0.01, "N": 10},
+        "random": {"omega": {"sphere": 1}, "gamma": "sphere"},
+        "grid": {key: {"from": first, "to": 5}},
+    }
+    with pytest.raises(ConfigError, match=rf"grid\.{key}\.(from|count)"):
+        sweep_from(data)
+
+
+@pytest.mark.parametrize("spacing", ["linear", "log"])
+def test_the_ends_of_a_range_are_those_that_are_given(spacing: str) -> None:
+    """All 17 digits of them, and the largest double, which 15 digits round to infinity."""
+    first, last = 0.12345678901234568, 1.7976931348623157e308
+    data = {
+        "base": {"top": "kowalevski", "scheme": "hk", "h": 0.01, "N": 10},
+        "grid": {"top.c0": {"from": first, "to": last, "count": 3, "spacing": spacing}},
+    }
+    values = sweep_from(data).axes[0].columns[0]
+    assert (values[0], values[2]) == (first, last)
+
+
+def test_a_duration_of_null_is_that_of_the_base() -> None:
+    initial = {"omega": [1, 0, 0], "gamma": [0, 0, 1]}
+    data = {
+        "base": {"top": "kowalevski", "initial": initial, "scheme": "hk", "h": 0.5, "N": 10},
+        "grid": {"T": [None]},
+    }
+    assert [row.keys for row in RowReader(sweep_from(data)).rows()] == [(5.0,)]

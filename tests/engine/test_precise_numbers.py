@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.tolerances import follow_precision
-from topcli.engine.precise.floating import Floating
+from topcli.contracts import Outcome, Stepper
+from topcli.engine.precise.floating import Floating, arithmetic_of
+from topcli.engine.precise.loop import longest, precise_loop
 from topcli.engine.precise.numbers import NotRationalError, StrayDoubleError, meaning
 from topcli.engine.precise.rational import Exact, Rationals
 from topcli.engine.precise.rebuild import Rebuilder
-from topcli.engine.precise.texts import decimal_text, exact_text, from_exact_text
+from topcli.engine.precise.texts import decimal_text, exact_text, fraction_from, from_exact_text, integer_text
 
 LIMIT = 1e-12
 ROUNDS = 7
@@ -105,3 +108,39 @@ def test_decimal_texts_are_rounded_correctly(value: Fraction, digits: int, text:
 def test_exact_texts_read_back() -> None:
     value = Fraction(-(3**500), 7**400)
     assert from_exact_text(exact_text(value)) == value
+
+
+def test_numbers_within_a_step_are_bounded() -> None:
+    """A step that squares its number twelve times, as a composition does, ends when the number is too long."""
+    longest_seen = [0]
+
+    def step(s: Any, h: Any, p: Any) -> Any:
+        x = s[0]
+        for _ in range(12):
+            x = x * x
+            longest_seen[0] = max(longest_seen[0], longest((x,)))
+        return (x / x,)
+
+    arithmetic = arithmetic_of("rational")
+    for digits, outcome in ((30, Outcome.DIGIT_LIMIT), (10_000, None)):
+        longest_seen[0] = 0
+        loop = precise_loop(Stepper(step, 1), 1, (), arithmetic, digits)
+        work = np.array([arithmetic.number(Fraction(3))], dtype=object)
+        taken = loop.drive(work, np.empty(1, dtype=object), None, None, 1, 1, 1)
+        assert taken == (1 if outcome is None else -1)
+        assert outcome is None or loop.failure(work) is outcome
+        limit = int(digits * math.log2(10.0))
+        assert longest_seen[0] <= 4 * limit
+        assert longest_seen[0] > (limit if outcome else 6000)  # 3^4096 has 6493 binary digits
+
+
+def test_texts_of_long_integers_are_exact() -> None:
+    """Python itself refuses to convert more than 4300 digits."""
+    text = "7" + "0123456789" * 600
+    number = fraction_from(text)
+    assert number.denominator == 1
+    assert number.numerator % 10**10 == 123456789
+    assert number.numerator // 10**5990 == 70123456789
+    assert integer_text(number.numerator) == text
+    assert fraction_from(f"1/{text}") == Fraction(1, number.numerator)
+    assert fraction_from(f"0.{text}") * 10 ** len(text) == number

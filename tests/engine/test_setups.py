@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -314,3 +316,22 @@ def test_an_ensemble_states_the_time_of_its_set_ups(
 def test_what_the_closed_form_refuses_ends_the_run(folder: Path) -> None:
     with pytest.raises(RunError, match="too weak"):
         Run(Kowalevski(c0=1e-300), method(), GEN, 0.1, 5).collect()
+
+
+def test_only_the_motion_of_its_state_is_taken(folder: Path) -> None:
+    """With a right checksum too, as the user alone can write it: another motion, or one without an attribute."""
+    setup, other = ExactSetup(), Y + np.array([1e-3, 0, 0, 0, 0, 0])
+    whole, another = setup.compute(Y, P), setup.compute(other, P)
+    exact._kept().clear()
+    plain = json.loads(whole)
+    for name in list(plain[2]):
+        less = [*plain[:2], {key: value for key, value in plain[2].items() if key != name}]
+        with contextlib.suppress(ValueError):  # some attributes are not needed for states
+            setup.use(Y, P, json.dumps(less).encode())
+            assert np.abs(exact.exact_states(Y, 0.01, N[:1], P)[0] - Y).max() < 1e-12
+        exact._kept().clear()
+    with pytest.raises(ValueError, match="the motion of another state"):
+        setup.use(Y, P, another)
+    assert setup.needed(Y, P)
+    setup.use(Y, P, whole)
+    assert not setup.needed(Y, P)

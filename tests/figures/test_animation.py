@@ -260,6 +260,7 @@ def test_mp4_is_playable(tmp_path: Path, motion: BodyMotion) -> None:
         (("--out", "a.webm"), "--out a.webm: must end in .gif or .mp4"),
         (("--out", "a.gif", "--fps", "60"), "--fps 60: a GIF has at most 50 frames per second; write an .mp4"),
         (("--out", "a.gif", "--seconds", "200"), "a GIF has at most 2500 frames, not 5000; write an .mp4"),
+        (("--out", "a.gif", "--seconds", "4.4", "--size", "3840"), "1081344000 pixels in all frames of a GIF"),
         (("--out", "a.gif", "--stop", "9"), "--stop 9: the run is from t = 0 to 4"),
         (("--out", "a.gif", "--size", "10"), "--size"),
     ],

@@ -23,12 +23,16 @@ from stored_results import (
     store_stress,
     store_sweep,
 )
+from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.pages.contents import Chapter, Facts, Notes, Picture, Pictures, Table, Text
+from topcli.pages.find import all_chapters
 from topcli.pages.page import rendered
 from topcli.pages.report import page_of, report_page
 from topcli.pages.series_pictures import before_explosion, deviations
 from topcli.store.series import read_series
+from topcli.studies.compare import write_comparison
+from topcli.studies.run import run_experiment
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
 
@@ -490,3 +494,32 @@ def test_colours_are_legible_on_their_ground(mode: str) -> None:
         assert contrast(name, "paper") > 4.5
     for number in range(1, 7):
         assert contrast(f"line{number}", "paper") > 3
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "report.json", "series.parquet", "manifest.json"])
+def test_a_page_shows_nothing_through_a_link(tmp_path: Path, name: str) -> None:
+    folder = run_experiment(load_experiment("kowalevski_hk", ["N=20"]), tmp_path).stored.folder
+    secret = tmp_path / "secret"
+    (folder / name).rename(secret)
+    (folder / name).symlink_to(secret)
+    (chapter,) = all_chapters([str(folder)], tmp_path)
+    assert (chapter.state, chapter.good, chapter.blocks) == ("damaged", False, [])
+    assert chapter.missing == [f"{name}: is not a regular file; nothing of this folder is shown"]
+
+
+def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
+    from topcli.studies.checks import check_all
+
+    path = write_comparison(tmp_path / "comparison.json", {"title": "a", "x": 0.1})
+    assert not check_all(str(path), tmp_path)[0].damaged
+    whole = path.read_bytes()
+    for place in range(len(whole)):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
+        (checked,) = check_all(str(path), tmp_path)
+        assert checked.files[0].damaged, place
+    path.write_bytes(whole.replace(b"0.1", b"1E-1"))  # the same number
+    assert check_all(str(path), tmp_path)[0].files[0].reason == "its text is not as it was written"
+    path.write_bytes(whole.replace(b"0.1", b"0.2"))
+    (chapter,) = all_chapters([str(path)], tmp_path)
+    assert (chapter.state, chapter.good) == ("damaged", False)
+    assert chapter.missing[-1] == "comparison.json: its SHA-256 differs from the one that it holds"

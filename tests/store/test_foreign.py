@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -77,7 +78,7 @@ def test_wrong_content_is_named(tmp_path: Path, content: str | bytes, words: str
     ("column", "words"),
     [
         (pa.array([1.0, None]), "row 2: a is empty"),
-        (pa.array(["one", "two"]), "row 1: a is not a number but of type string: 'one'"),
+        (pa.array(["one", "two"]), "a is not a number but of type string"),
         (pa.array([1.0, float("nan")]), "row 2: a is not finite (nan)"),
     ],
 )
@@ -108,3 +109,50 @@ def test_a_missing_file_and_a_run_folder_are_named(tmp_path: Path) -> None:
     written(tmp_path, "t,a\n", "series.csv")
     with pytest.raises(UsageError, match=r"is a folder; did you mean .*series\.csv\?"):
         ForeignSeries(tmp_path)
+
+
+def parquet_of(tmp_path: Path, columns: dict[str, Any]) -> ForeignSeries:
+    path = tmp_path / "series.parquet"
+    pq.write_table(pa.table(columns), path, compression="zstd")
+    return ForeignSeries(path)
+
+
+def test_too_many_rows_are_refused_before_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("topcli.store.foreign.MAX_ROWS", 10)
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *arguments, **options: pytest.fail("the rows were read"))
+    with pytest.raises(UsageError, match="more than 10 rows"):
+        parquet_of(tmp_path, {"t": np.arange(11.0)}).read(["t"])
+
+
+@pytest.mark.parametrize("columns", [{"t": [[0.0] * 50]}, {"t": ["x" * 50]}, {"t": [{"a": 1.0}]}, {"t": [None]}])
+def test_columns_without_numbers_are_refused_before_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, columns: dict[str, Any]
+) -> None:
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *arguments, **options: pytest.fail("the rows were read"))
+    with pytest.raises(UsageError, match="t is not a number but of type"):
+        parquet_of(tmp_path, columns).read(["t"])
+
+
+def test_the_ending_of_a_name_decompresses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fast reader of Arrow decompresses by the ending, unless it is told not to."""
+    path = tmp_path / "a.csv.gz"
+    path.write_text("t,x\n0,1\n1,2\n")
+    monkeypatch.setattr(ForeignSeries, "_read_slowly", lambda *arguments: pytest.fail("the fast reader refused it"))
+    assert ForeignSeries(path).read(["x"])["x"].tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("cell", ["2", "'2'"])  # the second one takes the slow reader
+def test_text_is_read_up_to_the_limit_of_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,x\n" + "0,1\n" * 20 + f"1,{cell}\n")
+    monkeypatch.setattr("topcli.store.foreign.MAX_ROWS", 10)
+    with pytest.raises(UsageError, match="more than 10 rows"):
+        ForeignSeries(path).read(["x"])
+
+
+def test_a_line_without_end_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,x\n0,y\n" + "1" * 300)
+    monkeypatch.setattr("topcli.store.foreign.MAX_LINE", 200)
+    with pytest.raises(UsageError, match="line 3 has more than 200 characters"):
+        list(ForeignSeries(path)._rows())

@@ -221,3 +221,13 @@ def test_a_changed_entry_of_the_manifest_is_damage(tmp_path: Path, change) -> No
     assert [file.name for file in check_run(run.folder).files if file.damaged] == [MANIFEST]
     assert run_experiment(experiment, tmp_path).status == "ran"
     assert not check_run(run.folder).damaged
+
+
+def test_the_text_of_a_manifest_is_compared(tmp_path: Path) -> None:
+    """1.5e-05 and 1.5E-05 are one number, and one of them was not written."""
+    run = run_experiment(small(), tmp_path).stored
+    path = run.folder / MANIFEST
+    assert not check_run(run.folder).damaged
+    path.write_text(path.read_text().replace('"name"', '"n\\u0061me"', 1))
+    assert not run.damage()
+    assert [file.name for file in check_run(run.folder).files if file.damaged] == [MANIFEST]

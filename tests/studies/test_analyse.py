@@ -194,9 +194,9 @@ def test_too_many_rows_and_endless_times_are_named(tmp_path: Path, monkeypatch: 
     assert refusal(tmp_path, motion(EVEN[:3]) | {"t": t}) == (
         "t from -1.7e+308 to 1.7e+308 is a time beyond double precision"
     )
-    monkeypatch.setattr("topcli.studies.analyse.MAX_ROWS", 2000)
-    assert refusal(tmp_path, motion(EVEN)) == "2001 rows; at most 2000 fit in memory, so write fewer rows"
-    monkeypatch.setattr("topcli.studies.analyse.MAX_ROWS", 2001)
+    monkeypatch.setattr("topcli.store.foreign.MAX_ROWS", 2000)
+    assert refusal(tmp_path, motion(EVEN)) == "more than 2000 rows; at most these fit in memory, so write fewer"
+    monkeypatch.setattr("topcli.store.foreign.MAX_ROWS", 2001)
     assert analysed(tmp_path, motion(EVEN)).report["rows"] == 2001
 
 

@@ -7,16 +7,22 @@ import itertools
 import json
 import os
 import signal
+import sys
+import tracemalloc
+import zlib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from attack.command import fork
 from injected import Operations, in_fork
 from sweeping import DATA, MANY, sweep, table, without_origin
+from topcli.config.sweep.document import sweep_from
 from topcli.errors import RunError, UsageError
-from topcli.store.verify import check_run
-from topcli.studies.sweep.journal import Block, Journal
+from topcli.studies.checks import check_all
+from topcli.studies.sweep.journal import Block, Journal, damaged_lines
+from topcli.studies.sweep.plan import survey
 from topcli.studies.sweep.run import Watcher
 
 
@@ -179,8 +185,7 @@ def test_a_kill_at_any_write_loses_nothing_and_runs_nothing_twice(tmp_path: Path
         assert codes[0] in (0, -signal.SIGKILL)
         assert known == 48
         assert repr(without_origin(table(out))) == wanted
-        checked = check_run(out / "study")
-        assert checked is not None
+        (checked,) = check_all(str(out / "study"), out)
         assert (checked.finished, checked.damaged) == (True, False)
         assert sorted(os.listdir(out / "study")) == sorted(os.listdir(tmp_path / "whole" / "study"))
         if codes[0] == 0:
@@ -195,3 +200,124 @@ def finished_digests(folder: Path) -> list[str]:
     path = folder / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
     return [digest for line in lines if line.endswith(b"\n") for digest in json.loads(line[9:])["digest"]]
+
+
+SERIES = {**DATA, "store": "series", "include": [{"scheme": "rk2", "h": 0.03}]}
+
+
+def stored_series(out: Path) -> set[str]:
+    return {path.parent.name for path in (out / "study" / "series").glob("*/manifest.json")}
+
+
+def test_series_that_a_killed_process_has_not_stored_are_stored(tmp_path: Path) -> None:
+    """Rows are in the journal before their series are stored; so are those of a sweep that stored none at first."""
+    sweep(tmp_path, {**SERIES, "store": "none"})
+    wanted = {row["digest"][:16] for row in table(tmp_path)}
+    assert len(wanted) == 5
+    assert sweep(tmp_path, SERIES).ran == 0
+    assert stored_series(tmp_path) == wanted
+    lost = sorted(wanted)[1]
+    (tmp_path / "study" / "series" / lost / "manifest.json").unlink()
+    for path in (tmp_path / "study" / "series" / lost).iterdir():
+        path.unlink()
+    assert sweep(tmp_path, SERIES).ran == 0
+    assert stored_series(tmp_path) == wanted
+
+
+def test_a_sweep_without_all_of_its_series_is_not_finished(tmp_path: Path) -> None:
+    watcher = Watcher(stop=lambda: bool(list(tmp_path.glob("study/series/*/manifest.json"))))
+    result = sweep(tmp_path, SERIES, watcher)
+    assert result.interrupted
+    assert not (tmp_path / "study" / "manifest.json").exists()
+    assert not sweep(tmp_path, SERIES).interrupted
+    assert len(stored_series(tmp_path)) == 5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"digest": ["x" * 64] * 2},
+        {"digest": ["aa" * 32]},
+        {"outcome": ["completed"]},
+        {"message": [1, 2]},
+        {"code": "ab", "outcome": None},
+        {"keys": []},
+        {"keys": {"h": [0.1]}},
+        {"values": {"x": [1.0, "2"]}},
+        {"values": 5},
+        {"cpu": None},
+        {"more": 1},
+    ],
+)
+def test_a_line_that_no_sweep_has_written_is_damaged(tmp_path: Path, change: dict[str, Any]) -> None:
+    block = Block(["aa" * 32, "bb" * 32], ["completed"] * 2, [""] * 2, ["c"] * 2, {"h": [1, 2]}, {"x": [1.0, 2.0]}, "")
+    for extra, damaged in (({}, 0), (change, 1)):
+        text = json.dumps({**block.__dict__, **extra}).encode()
+        (tmp_path / "journal.jsonl").write_bytes(b"%08x %s\n" % (zlib.crc32(text), text))
+        with Journal(tmp_path) as journal:
+            assert journal.damaged == damaged
+            assert len(journal.index().digest) == (0 if damaged else 2)
+
+
+def test_every_flipped_bit_and_every_cut_of_a_journal_is_found(tmp_path: Path) -> None:
+    sweep(tmp_path, {**DATA, "grid": {"h": [0.01]}})
+    (tmp_path / "study" / "manifest.json").unlink()
+    path = tmp_path / "study" / "journal.jsonl"
+    whole = path.read_bytes()
+    assert not check_all(str(tmp_path / "study"), tmp_path)[0].damaged
+    for place in range(len(whole)):
+        for bit in range(8):
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << bit]) + whole[place + 1 :])
+            assert damaged_lines(path) > 0, (place, bit)
+    for length in range(1, len(whole)):
+        path.write_bytes(whole[:length])
+        assert damaged_lines(path) == 1
+    assert check_all(str(tmp_path / "study"), tmp_path)[0].damaged
+
+
+def test_verify_covers_the_journal_and_the_stored_series_of_a_finished_sweep(tmp_path: Path) -> None:
+    sweep(tmp_path, SERIES)
+    folder = tmp_path / "study"
+    assert not any(one.damaged for one in check_all("study", tmp_path))
+    for path in [folder / "journal.jsonl", *sorted(folder.glob("series/*/series.parquet"))[:2]]:
+        content = path.read_bytes()
+        path.write_bytes(content.replace(b"\n", b"", 1) if path.suffix == ".jsonl" else content[:-1])
+        (damaged,) = [one for one in check_all("study", tmp_path) if one.damaged]
+        assert [file.name for file in damaged.files if file.damaged] == [path.name]
+        path.write_bytes(content)
+
+
+@pytest.mark.slow
+def test_a_large_sweep_is_planned_in_bounded_memory_and_operations() -> None:
+    """Measured: 18 bytes are kept for each row, at most 36 are taken, and a row costs 98 calls of functions."""
+
+    def data(rows: int) -> dict[str, Any]:
+        return {**DATA, "grid": {"scheme": ["hk", "rk4"], "h": {"from": 1e-3, "to": 1e-2, "count": rows // 2}}}
+
+    def calls(rows: int) -> int:
+        found, count = sweep_from(data(rows)), [0]
+
+        def seen(frame: object, event: str, argument: object) -> None:
+            count[0] += event in ("call", "c_call")
+
+        sys.setprofile(seen)
+        try:
+            survey(found)
+        finally:
+            sys.setprofile(None)
+        return count[0]
+
+    calls(1000)
+    few, many = calls(2000), calls(6000)
+    assert (many - few) / 4000 < 110
+    found = sweep_from(data(100_000))
+    tracemalloc.start()
+    try:
+        surveyed = survey(found)
+        assert surveyed.count == 100_000
+        kept, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    print(few, many, kept, peak)
+    assert kept < 26 * 100_000
+    assert peak < 60 * 100_000

@@ -12,18 +12,20 @@ from topcli.cli.talk import emit, print_json, say
 
 
 def verify(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Run folders or names of runs in --out.")],
+    runs: Annotated[
+        list[str], typer.Argument(metavar="RUN...", help="Folders of runs or sweeps, names in --out, or JSON files.")
+    ],
     out: Out = Path("results"),
     as_json: Json = False,
 ) -> None:
-    """Verify the files of runs by their checksums.
+    """Verify the files of runs, sweeps and stored comparisons by their checksums.
 
-    For an unfinished run, verify the checkpoint and the rows that it can be continued from. Exits with status 0 if all
-    files are intact, with 1 if a file is damaged.
+    For an unfinished run, verify the checkpoint and the rows that it can be continued from; for an unfinished sweep,
+    its journal. Exits with status 0 if all files are intact, with 1 if a file is damaged.
     """
-    from topcli.store.verify import check_runs
+    from topcli.studies.checks import check_all
 
-    checked = [one for run in runs for one in check_runs(run, out)]
+    checked = [one for run in runs for one in check_all(run, out)]
     if as_json:
         print_json("verify", {"runs": [one.data() for one in checked]})
     for one in checked:

@@ -199,7 +199,8 @@ def _on_shell(top: Top, states: Array, where: slice, energy: float) -> NDArray[n
     without[:, where] = 0.0
     potential = factor * invariant.value(without)
     kinetic = factor * invariant.value(states) - potential
-    square = (energy - potential) / kinetic
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        square = (energy - potential) / kinetic
     possible = square >= 0.0
     states[:, where] *= np.sqrt(np.where(possible, square, 0.0))[:, None]
     return possible

@@ -17,7 +17,7 @@ from topcli.config.problems import Problems
 from topcli.contracts import Top
 from topcli.engine.precise.floating import arithmetic_of
 from topcli.engine.precise.numbers import DOUBLE, NotRationalError
-from topcli.engine.precise.texts import decimal_text
+from topcli.engine.precise.texts import decimal_text, fraction_from, integer_text
 
 _NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")
 _MODEST = re.compile(r"[^eE]*([eE][-+]?\d{1,3})?")
@@ -53,9 +53,9 @@ def plain(value: Fraction) -> float | str:
             return float(value)
     except OverflowError:
         pass
-    text = f"{value.numerator}/{value.denominator}"
+    text = f"{integer_text(value.numerator)}/{integer_text(value.denominator)}"
     decimal = decimal_text(value, len(text))
-    if Fraction(decimal) == value:
+    if fraction_from(decimal) == value:
         digits, exponent = decimal.split("e")
         return f"{digits.rstrip('0')}e{exponent}"
     return text
@@ -75,7 +75,7 @@ def _numbers(value: Any) -> Any:
         return [_numbers(item) for item in value]
     if isinstance(value, str) and _NUMBER.fullmatch(value):
         try:
-            made = WrittenFloat(float(Fraction(value)))
+            made = WrittenFloat(float(fraction_from(value)))
         except OverflowError:
             return value
         made.text = value
@@ -86,7 +86,7 @@ def _numbers(value: Any) -> Any:
 def fraction_of(value: float) -> Fraction:
     """Number as it is written in the config."""
     text = value.text if isinstance(value, WrittenFloat) else repr(value)
-    return Fraction(text if _MODEST.fullmatch(text) else repr(float(value)))
+    return fraction_from(text if _MODEST.fullmatch(text) else repr(float(value)))
 
 
 def read_exact(
@@ -125,7 +125,7 @@ def _vector(
     def root_of(value: Fraction) -> Fraction:
         with arithmetic.active():
             root = arithmetic.fraction(arithmetic.root(arithmetic.number(value)))
-        return Fraction(decimal_text(root, precision + GUARD)) if isinstance(precision, int) else root
+        return fraction_from(decimal_text(root, precision + GUARD)) if isinstance(precision, int) else root
 
     if auto is None:
         length = root_of(square)

@@ -42,6 +42,8 @@ GIF_TICK = 100.0
 """Units of time of a GIF in a second."""
 GIF_FRAMES = 2500
 """Largest number of frames of a GIF, which are all held in memory."""
+GIF_PIXELS = 1 << 30
+"""Largest number of pixels of all frames of a GIF together, each a byte."""
 NAME_LENGTH = 28
 """Letters of a name that fit in a frame."""
 INCHES = 7.2
@@ -240,6 +242,12 @@ def animate(motion: BodyMotion, film: Film, path: Path, on_progress: Progress = 
     Raises UsageError if the format cannot be written here, and RunError if the file cannot be.
     """
     write = encoder_for(path, film.fps, len(film.times) / film.fps)
+    pixels = len(film.times) * film.size[0] * film.size[1]
+    if write is write_gif and pixels > GIF_PIXELS:
+        raise UsageError(
+            f"--out {path}: {pixels} pixels in all frames of a GIF, at most {GIF_PIXELS}; take fewer frames, "
+            "a smaller --size, or an .mp4"
+        )
     require_writable(path.parent)
     stage, count = Stage(motion, film), len(film.times)
 

@@ -9,11 +9,12 @@ from typing import Any
 
 from topcli.errors import UsageError, nearest, quoted
 from topcli.pages.contents import Chapter
-from topcli.pages.runs import damaged_chapter, part_chapter, run_chapter
+from topcli.pages.runs import DAMAGED, damaged_chapter, part_chapter, run_chapter
 from topcli.pages.studies import bench_chapter, claims_chapter, comparison_chapter, order_chapter, stress_chapter
 from topcli.pages.sweeps import sweep_chapter
 from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
-from topcli.store.parts import is_part, parts_of
+from topcli.store.parts import is_part, linked_file, parts_of
+from topcli.store.study import SEAL, check_study
 from topcli.studies.rows import ROWS
 from topcli.studies.sweep.run import SWEEP_FILE, is_sweep
 
@@ -51,7 +52,17 @@ def _names(results: Path) -> list[str]:
         return []
 
 
+def _link_in(folder: Path) -> Path | None:
+    """A link, or anything but a regular file, in the place of a file of a result; None if there is none."""
+    others = (folder / name for name in (ROWS, SWEEP_FILE, *STUDIES))
+    return linked_file(folder) or next((path for path in others if path.is_symlink()), None)
+
+
 def _of_folder(folder: Path, name: str) -> Chapter:
+    if link := _link_in(folder):  # a page shows nothing of files that its results do not hold
+        chapter = Chapter(folder.name, "run", state=DAMAGED, good=False)
+        chapter.missing.append(f"{link.name}: is not a regular file; nothing of this folder is shown")
+        return chapter
     found = look(folder)
     if isinstance(found, StoredRun):
         return bench_chapter(found) if found.manifest.get("kind") == "bench" else run_chapter(found, name)
@@ -86,6 +97,12 @@ def _of_file(path: Path, name: str) -> Chapter:
     chapter = _study(data, name)
     if chapter is None:
         raise UsageError(f"{path}: not a result that topcli report shows", _KNOWN)
+    if SEAL in data:
+        try:
+            check_study(data)
+        except DamagedError as error:
+            chapter.state, chapter.good = DAMAGED, False
+            chapter.missing.append(f"{path.name}: {error}")
     return chapter
 
 

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import csv
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -18,6 +19,11 @@ from topcli.errors import UsageError, quoted, shortened
 _PARQUET = b"PAR1"
 _SEPARATORS = (",", ";", "\t")
 _HEADER_BYTES = 1 << 20
+MAX_ROWS = 2_000_000
+MAX_LINE = 1 << 20
+"""Characters of a line of CSV, beyond which the file is no table of numbers."""
+MAX_COLUMN = 64 * MAX_ROWS
+"""Bytes of a decompressed Parquet column; numbers take 8 for each row, the rest is left for their encoding."""
 
 
 class ForeignSeries:
@@ -101,36 +107,67 @@ class ForeignSeries:
         import pyarrow.parquet as pq
 
         try:
-            table = pq.read_table(self.path, columns=list(names), page_checksum_verification=True)
-        except (OSError, pa.ArrowException) as error:
+            with pq.ParquetFile(self.path, page_checksum_verification=True) as file:
+                self._check_parquet(file, names)
+                table = file.read(columns=list(names), use_threads=False)
+        except (OSError, ValueError, pa.ArrowException) as error:
             raise UsageError(f"{self.path}: is a damaged Parquet file ({_first_line(error)})") from None
         found = {}
         for name in names:
             column = table.column(name)
-            if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
-                first = f": {quoted(str(column[0].as_py()))}" if len(column) else ""
-                raise UsageError(f"{self.path}: row 1: {name} is not a number but of type {column.type}{first}")
             if column.null_count:
                 at = int(np.argmax(column.is_null().to_numpy()))
                 raise UsageError(f"{self.path}: row {at + 1}: {name} is empty")
             found[name] = column.to_numpy().astype(np.float64)
         return found
 
+    def _check_parquet(self, file: Any, names: Sequence[str]) -> None:
+        """Raise UsageError for columns that hold no numbers or too many, before any of them is decompressed."""
+        import pyarrow as pa
+
+        about = file.metadata
+        self._check_count(about.num_rows)
+        for name in names:
+            kind = file.schema_arrow.field(name).type
+            if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+                raise UsageError(f"{self.path}: {name} is not a number but of type {shortened(str(kind))}")
+        sizes: Counter[str] = Counter()
+        for group in range(about.num_row_groups):
+            for place in range(about.num_columns):
+                column = about.row_group(group).column(place)
+                sizes[column.path_in_schema] += column.total_uncompressed_size
+        if large := [name for name in names if sizes[name] > MAX_COLUMN]:
+            raise UsageError(f"{self.path}: {large[0]} has {sizes[large[0]]} bytes, too many for a column of numbers")
+
+    def _check_count(self, rows: int) -> None:
+        """Raise UsageError for more rows than fit in memory."""
+        if rows > MAX_ROWS:
+            raise UsageError(f"{self.path}: more than {MAX_ROWS} rows; at most these fit in memory, so write fewer")
+
     def _read_csv(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         import pyarrow as pa
         import pyarrow.csv as arrow
 
         try:
-            table = arrow.read_csv(
-                self.path,
-                arrow.ReadOptions(column_names=self.names, skip_rows=1),
-                arrow.ParseOptions(delimiter=self._separator),
-                arrow.ConvertOptions(
-                    column_types=dict.fromkeys(names, pa.float64()), include_columns=list(names), null_values=[]
-                ),
-            )
+            with (
+                pa.input_stream(self.path, compression=None) as source,  # by default the ending of the name decides
+                arrow.open_csv(
+                    source,
+                    arrow.ReadOptions(column_names=self.names, skip_rows=1),
+                    arrow.ParseOptions(delimiter=self._separator),
+                    arrow.ConvertOptions(
+                        column_types=dict.fromkeys(names, pa.float64()), include_columns=list(names), null_values=[]
+                    ),
+                ) as reader,
+            ):
+                pieces, rows = [], 0
+                for piece in reader:
+                    rows += piece.num_rows
+                    self._check_count(rows)
+                    pieces.append(piece)
         except (OSError, pa.ArrowException):
             return self._read_slowly(names)
+        table = pa.Table.from_batches(pieces, reader.schema)
         return {name: table.column(name).to_numpy() for name in names}
 
     def _read_slowly(self, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -138,6 +175,7 @@ class ForeignSeries:
         places = {name: self.names.index(name) for name in names}
         found: dict[str, list[float]] = {name: [] for name in names}
         for row, cells in enumerate(self._rows(), 1):
+            self._check_count(row)
             if len(cells) != len(self.names):
                 raise UsageError(f"{self.path}: row {row}: has {len(cells)} columns; expected {len(self.names)}")
             for name, place in places.items():
@@ -152,13 +190,22 @@ class ForeignSeries:
         """Rows of a CSV file without the header and without empty lines."""
         try:
             with self.path.open(encoding="utf-8-sig", newline="") as file:
-                reader = self._cells(file)
+                reader = self._cells(self._lines(file))
                 next(reader, None)
                 yield from (cells for cells in reader if cells)
         except UnicodeDecodeError as error:
             raise self._neither(f"byte 0x{error.object[error.start]:02x} is not UTF-8 text") from None
         except (OSError, csv.Error) as error:
             raise UsageError(f"{self.path}: cannot be read ({_first_line(error)})") from None
+
+    def _lines(self, file: TextIO) -> Iterator[str]:
+        """Lines of an open CSV file. Raises UsageError for one that is too long."""
+        number = 0
+        while line := file.readline(MAX_LINE):
+            number += 1
+            if len(line) == MAX_LINE:
+                raise self._neither(f"line {number} has more than {MAX_LINE} characters")
+            yield line
 
 
 def _number(text: str) -> float | None:

@@ -126,11 +126,16 @@ def _read_manifest(folder: str | Path) -> dict[str, Any]:
     return found
 
 
-def sealed(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """``manifest`` with the checksum of all its other entries as the last one."""
-    content = {name: value for name, value in manifest.items() if name != _SEAL}
+def json_text(content: Mapping[str, Any]) -> str:
+    """Text of a JSON file of topcli."""
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def sealed(content: Mapping[str, Any], seal: str = _SEAL) -> dict[str, Any]:
+    """``content`` with the checksum of all its other entries as the last one, called ``seal``."""
+    content = {name: value for name, value in content.items() if name != seal}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return {**content, _SEAL: hashlib.sha256(text.encode()).hexdigest()}
+    return {**content, seal: hashlib.sha256(text.encode()).hexdigest()}
 
 
 def check_seal(manifest: Mapping[str, Any]) -> None:

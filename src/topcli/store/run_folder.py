@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import itertools
-import json
 import os
 import shutil
 import tempfile
@@ -25,6 +24,7 @@ from topcli.store.manifest import (
     DamagedError,
     StoredRun,
     check_file,
+    json_text,
     look,
     sealed,
     sha256_of,
@@ -288,7 +288,7 @@ class RunWriter:
             sync(self.folder / name)
         write_whole(
             self.folder / MANIFEST,
-            lambda path: path.write_text(json.dumps(complete, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"),
+            lambda path: path.write_text(json_text(complete), encoding="utf-8"),
         )
         return self.put_in_place(complete)
 

@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError
+from topcli.store.manifest import DamagedError, json_text, sealed
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import io_failure, require_writable, write_whole
+
+SEAL = "content_sha256"
+"""Entry with the checksum of all others."""
 
 
 def write_study(path: Path, data: Mapping[str, Any], source: str | None) -> Path:
@@ -20,12 +24,26 @@ def write_study(path: Path, data: Mapping[str, Any], source: str | None) -> Path
     require_writable(path.parent)
     with Commit() as commit:
         complete = {**data, "source": source, "written": now(), **commit.read()}
-    text = json.dumps(complete, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    plain = json.loads(json.dumps(complete, allow_nan=False))
+    text = json_text(sealed(plain, SEAL))
     try:
         write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise io_failure(error, path, "nothing was written") from error
     return path
+
+
+def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
+    """Compare a study with the checksum that it holds, and its ``text``, if given, with what is written of it.
+
+    Raises DamagedError.
+    """
+    if not isinstance(data.get(SEAL), str):
+        raise DamagedError(f"holds no {SEAL}; it is not a study that topcli stored")
+    if data[SEAL] != sealed(data, SEAL)[SEAL]:
+        raise DamagedError("its SHA-256 differs from the one that it holds")
+    if text is not None and text != json_text(data):
+        raise DamagedError("its text is not as it was written")
 
 
 def stored_study(path: Path, version: int, command: str) -> dict[str, Any] | None:

@@ -6,10 +6,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from topcli.errors import RunError, UsageError
+from topcli.errors import RunError
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, sha256_of, stored_sweep
-from topcli.store.parts import is_part, parts_of
+from topcli.store.manifest import (
+    MANIFEST,
+    DamagedError,
+    DamagedRun,
+    StoredRun,
+    json_text,
+    look,
+    sha256_of,
+    stored_sweep,
+)
+from topcli.store.parts import is_part
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,9 @@ def _readable(path: Path) -> str:
 
 def _finished(run: StoredRun) -> CheckedRun:
     damage, entries = run.damage(), run.manifest["files"]
+    sealed = MANIFEST not in damage and run.manifest["manifest_version"] > 1
+    if sealed and (run.folder / MANIFEST).read_bytes() != json_text(run.manifest).encode():
+        damage[MANIFEST] = "its text is not as it was written"
     files = []
     for name in (MANIFEST, *entries):
         reason, damaged = damage.get(name, ""), name in damage
@@ -102,18 +114,3 @@ def check_run(folder: Path) -> CheckedRun | None:
     if (sweep := stored_sweep(folder)) is not None:
         return _finished(sweep)
     return _unfinished(folder) if is_part(folder) else None
-
-
-def check_runs(run: str, out: Path) -> list[CheckedRun]:
-    """Check the run folder ``run``, or the run of this name in ``out`` and its part folders.
-
-    Raises UsageError if there is none.
-    """
-    try:
-        folders = [Path(run)] if Path(run).is_dir() else [out / run, *(part.folder for part in parts_of(out, run))]
-        found = [checked for folder in folders if (checked := check_run(folder))]
-    except OSError as error:
-        raise UsageError(f"{run[:400]}: cannot be read ({error.strerror})") from None
-    if not found:
-        raise UsageError(f"{run[:400]}: no run folder, and no run of this name in {out}; topcli list runs names them")
-    return found

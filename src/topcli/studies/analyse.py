@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,10 +19,10 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, nearest, quoted
 from topcli.store.foreign import ForeignSeries
+from topcli.store.manifest import sha256_of
 from topcli.studies.report import report_data
 from topcli.tops import forms
 
-MAX_ROWS = 2_000_000
 UNIT = 1e-3
 """Deviation of the length of a unit vector from 1 that the first row may have; beyond it the units are wrong."""
 AGREEMENT = 1e-6
@@ -114,8 +113,6 @@ def read_rows(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> Rows:
     t = found[sources["t"]]
     if len(t) < 2:
         raise UsageError(f"{file.path}: {len(t)} row{'s' * (len(t) != 1)}; a series needs at least 2")
-    if len(t) > MAX_ROWS:
-        raise UsageError(f"{file.path}: {len(t)} rows; at most {MAX_ROWS} fit in memory, so write fewer rows")
     states = np.column_stack([found[sources[name]] for name in top.components])
     _check_times(file.path, sources["t"], t)
     _check_units(file.path, top, states)
@@ -276,7 +273,7 @@ def analyse_series(
     error = series.get(ERROR)
     summary = {
         "file": str(file.path),
-        "sha256": hashlib.sha256(file.path.read_bytes()).hexdigest(),
+        "sha256": sha256_of(file.path),
         "config": experiment.resolved(),
         "top": top.kind,
         "top_title": top.title,

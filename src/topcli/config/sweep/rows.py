@@ -323,7 +323,9 @@ class RowReader:
         if key == "N":
             return lambda values, row, top, scheme: row.N
         if key == "T":
-            return lambda values, row, top, scheme: float(values[at]) if values[at] is not MISSING else row.N * row.h
+            return lambda values, row, top, scheme: (
+                row.N * row.h if values[at] in (MISSING, None) else float(values[at])
+            )
         if key == "output.every":
             return lambda values, row, top, scheme: row.every
         if key in ("sample", "seed"):

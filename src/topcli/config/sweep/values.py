@@ -107,8 +107,9 @@ def _ends(model: Any, raw: dict[str, Any], path: KeyPath, problems: Problems) ->
 
 
 def _range(raw: dict[str, Any], key: str, path: KeyPath, problems: Problems) -> tuple[Sequence[Any], bool] | None:
-    if "count" not in raw and key in ("sample", "seed") and isinstance(raw.get("to"), int):
-        raw = {**raw, "count": max(1, raw["to"] - int(raw.get("from", 0)) + 1)}
+    first, last = raw.get("from"), raw.get("to")
+    if "count" not in raw and key in ("sample", "seed") and isinstance(first, int) and isinstance(last, int):
+        raw = {**raw, "count": max(1, last - first + 1)}
     ends = _ends(Range, raw, path, problems)
     if ends is None:
         return None
@@ -119,7 +120,8 @@ def _range(raw: dict[str, Any], key: str, path: KeyPath, problems: Problems) -> 
         problems.add(path, f"from and to are both {first!r}; a range of {found.count} values needs two ends")
         return None
     else:
-        values = [between(first, last, i / (found.count - 1), log) for i in range(found.count)]
+        inner = (between(first, last, i / (found.count - 1), log) for i in range(1, found.count - 1))
+        values = [first, *inner, last]
     if key in INTEGER_KEYS:
         return list(dict.fromkeys(round(value) for value in values)), log
     return values, log

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from fractions import Fraction
 from types import ModuleType
 from typing import Any
@@ -18,6 +19,30 @@ from topcli.engine.precise.numbers import (
     is_short,
     meaning,
 )
+from topcli.engine.precise.texts import integer_text
+from topcli.errors import shortened
+
+_longest: ContextVar[int] = ContextVar("longest", default=0)
+"""Binary digits that no number may exceed; 0 for no limit."""
+
+
+class TooLongError(ArithmeticError):
+    """A number longer than the limit of ``at_most``."""
+
+
+@contextmanager
+def at_most(bits: int) -> Iterator[None]:
+    """Raise TooLongError for a number whose numerator or denominator has more than ``bits`` binary digits.
+
+    The numbers of a composed step may grow by a power of ten thousands within that step, so a limit that is looked at
+    after the step comes too late.
+    """
+    token = _longest.set(bits)
+    try:
+        yield
+    finally:
+        _longest.reset(token)
+
 
 LONG = 1 << 14
 """Binary digits from which on an operation takes so long that each one heeds a request to stop."""
@@ -32,6 +57,8 @@ class Exact:
         self.q = q
         if q.denominator.bit_length() > LONG:
             heed_stop()
+        if (limit := _longest.get()) and self.length > limit:
+            raise TooLongError(f"{self.length} binary digits")
 
     def _other(self, other: Any) -> Any:
         if type(other) is Exact:
@@ -160,7 +187,9 @@ class Rationals:
         value = self.fraction(x)
         parts = math.isqrt(max(value.numerator, 0)), math.isqrt(value.denominator)
         if Fraction(*parts) ** 2 != value:
-            raise NotRationalError(f"the square root of {value} is not rational")
+            below = "" if value.denominator == 1 else f"/{integer_text(value.denominator)}"
+            text = shortened(f"{integer_text(value.numerator)}{below}")
+            raise NotRationalError(f"the square root of {text} is not rational")
         return self.number(Fraction(*parts))
 
     def fraction(self, x: Any) -> Fraction:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 from fractions import Fraction
 
 
@@ -15,6 +16,18 @@ def from_exact_text(text: str) -> Fraction:
     """Number that ``exact_text`` has written."""
     numerator, denominator = text.split("/")
     return Fraction(int(numerator, 16), int(denominator, 16))
+
+
+def integer_text(value: int) -> str:
+    """Decimal text of an integer of any length; ``str`` refuses those of more than 4300 digits."""
+    return format(Decimal(value), "f")
+
+
+def fraction_from(text: str) -> Fraction:
+    """Number of a decimal text or of a quotient of integers, of any length."""
+    numerator, slash, denominator = text.partition("/")
+    number = Fraction(Decimal(numerator))
+    return number / Fraction(Decimal(denominator)) if slash else number
 
 
 def decimal_text(value: Fraction, digits: int) -> str:
@@ -30,5 +43,5 @@ def decimal_text(value: Fraction, digits: int) -> str:
     whole = round(size / Fraction(10) ** (exponent - digits + 1))
     if whole == 10**digits:
         whole, exponent = whole // 10, exponent + 1
-    text = str(whole)
+    text = integer_text(whole)
     return f"{'-' if value < 0 else ''}{text[0]}.{text[1:]}e{exponent:+d}"

@@ -31,6 +31,8 @@ from topcli.schemes.registry import scheme
 
 KEPT = 64
 """Motions kept in memory."""
+AT_ONCE = 2.0**-17
+"""Time after which a stored motion, in its own units, must be next to its initial state."""
 WEAK = 1e-9
 """Round-off eps |omega|²/c, relative to gamma, from which on gravity is too weak for a motion that was refused."""
 
@@ -182,8 +184,18 @@ class ExactSetup:
     def use(self, y0: Array, p: Floats, data: bytes) -> None:
         """Take a stored motion. Raises ValueError."""
         key = self._key(y0, p)
-        if key is not None:
-            _keep(key, motion_from(data))
+        if key is None:
+            return
+        motion = motion_from(data)
+        try:
+            with np.errstate(all="ignore"):
+                found = motion.states(np.array([0, 1]), AT_ONCE)
+                near = np.abs(found - key[0]).max() <= 10.0 * AT_ONCE * max(1.0, *map(abs, key[0])) + WEAK / abs(key[1])
+        except Exception as error:  # of attributes that are missing or of another kind
+            raise ValueError(f"no stored motion: {error}") from None
+        if not near:
+            raise ValueError("the motion of another state")
+        _keep(key, motion)
 
     def code(self) -> str:
         """Digest of the sources of this package and of topcli's arithmetic, and the versions that they use."""

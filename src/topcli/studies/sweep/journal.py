@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import time
 import zlib
 from collections import OrderedDict
@@ -31,6 +32,7 @@ KEPT_BLOCKS = 24
 DIGEST = "S16"
 """First 16 bytes of a digest."""
 COMPLETED = "completed"
+_TEXT = re.compile(r"[0-9a-f]{64}").fullmatch
 
 Names = NDArray[np.bytes_]
 
@@ -212,10 +214,22 @@ class Journal:
 
 
 def _parse(line: bytes) -> Block | None:
-    """Block of a line; None if the line is damaged."""
+    """Block of a line; None if the line is damaged or holds no rows by columns."""
     try:
-        if int(line[:8], 16) != zlib.crc32(line[9:-1]):
+        if line[:9] != b"%08x " % zlib.crc32(line[9:-1]):
             return None
-        return Block(**json.loads(line[9:-1]))
-    except (ValueError, TypeError):
+        block = Block(**json.loads(line[9:-1]))
+        columns = (block.outcome, block.message, block.code, *block.keys.values(), *block.values.values())
+        whole = all(len(column) == len(block.digest) for column in columns) and all(map(_TEXT, block.digest))
+        texts = (*block.outcome, *block.message, *block.code, block.cpu, *block.keys, *block.values)
+        numbers = (value for column in block.values.values() for value in column)
+        whole &= all(isinstance(text, str) for text in texts) and all(isinstance(one, float | int) for one in numbers)
+        return block if whole else None
+    except (ValueError, TypeError, AttributeError, RecursionError):
         return None
+
+
+def damaged_lines(path: Path) -> int:
+    """Number of lines of a journal that cannot be read, an incomplete last one included. Raises OSError."""
+    with path.open("rb") as file:
+        return sum(not line.endswith(b"\n") or _parse(line) is None for line in file)

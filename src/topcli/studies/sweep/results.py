@@ -13,10 +13,10 @@ import numpy as np
 
 from topcli.config.sweep.document import Sweep
 from topcli.config.sweep.rows import Row, RowReader
-from topcli.store.manifest import SWEEP, sealed, sha256_of
+from topcli.store.manifest import SWEEP, json_text, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.studies.rows import METADATA, ROWS
-from topcli.studies.sweep.journal import Index, Journal
+from topcli.studies.sweep.journal import JOURNAL, Index, Journal
 from topcli.studies.sweep.plan import DONE, REPEATED, Plan
 from topcli.tops import TOPS
 
@@ -155,7 +155,7 @@ def manifest_text(
     folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float, commit: Commit
 ) -> str:
     """Manifest of a finished sweep as JSON."""
-    names = [ROWS, "sweep.yaml"]
+    names = [ROWS, "sweep.yaml", JOURNAL]
     content = sealed(
         {
             "manifest_version": 2,
@@ -173,4 +173,4 @@ def manifest_text(
             },
         }
     )
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    return json_text(content)

@@ -23,7 +23,7 @@ from topcli.config.sweep.rows import Row, RowReader
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
 from topcli.store.checkpoint import sync
-from topcli.store.manifest import MANIFEST
+from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.parts import LOCK, lock_folder, owner
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import io_failure, require_real, require_writable, write_whole
@@ -31,7 +31,7 @@ from topcli.studies.rows import ROWS
 from topcli.studies.sweep.batches import batches
 from topcli.studies.sweep.evaluate import Results, Work, unfinished
 from topcli.studies.sweep.journal import COMPLETED, JOURNAL, Block, Journal
-from topcli.studies.sweep.plan import CODE, MEASURE, NEW, RETRY, Plan, Survey, changes, plan_sweep, survey
+from topcli.studies.sweep.plan import REASONS, Plan, Survey, changes, plan_sweep, survey
 from topcli.studies.sweep.results import manifest_text, write_rows
 
 SWEEP_FILE = "sweep.yaml"
@@ -172,7 +172,7 @@ def planned(sweep: Sweep, out: Path, options: SweepOptions) -> tuple[Plan, list[
 def rows_to_run(plan: Plan) -> Iterator[tuple[Row, int]]:
     """Yield the rows that have to run, each with the reason."""
     for row in RowReader(plan.survey.sweep).rows():
-        if (reason := int(plan.status[row.number])) in (NEW, CODE, MEASURE, RETRY):
+        if (reason := int(plan.status[row.number])) in REASONS:
             yield row, reason
 
 
@@ -269,9 +269,10 @@ class _Runner:
             for batch, results in (backend or in_threads(threads))(made, work, self._stop):
                 self._keep(batch, results)
         outcomes = self._table()
-        interrupted = self.watcher.stop() and sum(outcomes.values()) < self.survey.count
+        complete = sum(outcomes.values()) == self.survey.count and (self.sweep.store != SERIES or self._store_all())
+        interrupted = self.watcher.stop() and not complete
         seconds = time.perf_counter() - began
-        if sum(outcomes.values()) == self.survey.count:
+        if complete:
             text = manifest_text(self.folder, self.sweep, outcomes, self.started, seconds, commit)
             self._write(MANIFEST, text)
         return SweepResult(self.folder, self.plan, outcomes, self.tally.ran, interrupted, seconds)
@@ -298,14 +299,21 @@ class _Runner:
                 self.tally.failed += 1
                 self.tally.broken |= self.options.fail_fast
                 self.watcher.failure(batch[i], results.outcome[i], results.message[i])
-        if self.sweep.store == SERIES:
-            for i in which:
-                self._store_series(batch[i])
         self.tally.done += len(which)
         self.tally.ran += len(which)
         self.watcher.progress(self.tally.done, self.survey.count - self.plan.repeated, self.tally.failed)
         if time.monotonic() - self._written > max(TABLE_SECONDS, 20.0 * self._table_seconds):
             self._table()
+
+    def _store_all(self) -> bool:
+        """Store the series of all rows that ran in this call or have none; False if the sweep is stopped before."""
+        for row in RowReader(self.sweep).rows():
+            if self.watcher.stop():
+                return False
+            stored = stored_run(self.folder / SERIES / row.digest[:16])
+            if self.plan.status[row.number] in REASONS or stored is None or stored.interrupted:
+                self._store_series(row)
+        return not self.watcher.stop()
 
     def _store_series(self, row: Row) -> None:
         """Run a row again into a run folder of its own."""

@@ -1,0 +1,60 @@
+"""Checks of everything that ``topcli verify`` names: runs, ensembles, sweeps with their series, stored studies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from topcli.errors import UsageError
+from topcli.store.manifest import DamagedError, read_json
+from topcli.store.parts import parts_of
+from topcli.store.study import check_study
+from topcli.store.verify import CheckedFile, CheckedRun, check_run
+from topcli.studies.sweep.journal import JOURNAL, damaged_lines
+from topcli.studies.sweep.run import SERIES, is_sweep
+
+
+def _unfinished_sweep(folder: Path) -> CheckedRun:
+    """Check the journal, from which an unfinished sweep is continued; its table is written again."""
+    try:
+        damaged = damaged_lines(folder / JOURNAL)
+        reason = f"{damaged} damaged lines, whose rows run again" if damaged else "every line has its checksum"
+    except OSError as error:
+        damaged, reason = 1, f"cannot be read ({error.strerror})"
+    return CheckedRun(folder, False, (CheckedFile(JOURNAL, bool(damaged), reason),))
+
+
+def _study(path: Path) -> CheckedRun:
+    """Check a file of a study, which holds its own checksum."""
+    reason, damaged = "", False
+    try:
+        check_study(read_json(path), path.read_text(encoding="utf-8"))
+    except (DamagedError, UnicodeDecodeError) as error:
+        reason, damaged = str(error), True
+    return CheckedRun(path.parent, True, (CheckedFile(path.name, damaged, reason),))
+
+
+def _checked(place: Path) -> list[CheckedRun]:
+    """Results in a folder or file; a sweep comes before its stored series."""
+    if place.is_file():
+        return [_study(place)]
+    found = check_run(place)
+    if found is None and is_sweep(place):
+        found = _unfinished_sweep(place)
+    series = sorted((place / SERIES).iterdir()) if is_sweep(place) and (place / SERIES).is_dir() else []
+    return [one for one in (found, *map(check_run, series)) if one is not None]
+
+
+def check_all(name: str, out: Path) -> list[CheckedRun]:
+    """Check what is at the path ``name``, or the run or sweep of this name in ``out`` and its part folders.
+
+    Raises UsageError if there is nothing that topcli stored.
+    """
+    try:
+        place = Path(name)
+        places = [place] if place.exists() else [out / name, *(part.folder for part in parts_of(out, name))]
+        found = [one for place in places for one in _checked(place)]
+    except OSError as error:
+        raise UsageError(f"{name[:400]}: cannot be read ({error.strerror})") from None
+    if not found:
+        raise UsageError(f"{name[:400]}: no run folder, and no run of this name in {out}; topcli list runs names them")
+    return found

@@ -1,0 +1,119 @@
+"""The sweeps that are attacked: their files, and what is in their folders."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from attack.command import call
+from attack.judge import content, rows_apart
+from topcli.config.sweep.document import sweep_from
+from topcli.studies.sweep.journal import Journal
+
+SWEEP = "study"
+DATA: dict[str, Any] = {
+    "name": SWEEP,
+    "base": {
+        "top": "kowalevski",
+        "initial": {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]},
+        "h": 0.01,
+        "N": 60,
+    },
+    "grid": {"scheme": ["hk", "rk4"], "h": [0.002 * k for k in range(1, 11)]},
+    "include": [{"scheme": "rk2", "h": 1e150}],
+    "measure": ["deviation.energy", "drift.k_sq"],
+}
+"""Twenty rows, and one that blows up."""
+
+
+@dataclass(frozen=True)
+class SweepContent:
+    """A folder of a sweep apart from times and from the processor: its rows, its file, its outcomes, its series."""
+
+    rows: list[dict[str, Any]]
+    file: str
+    outcomes: dict[str, int]
+    series: dict[str, Any]
+
+    def differs(self, found: SweepContent | str) -> str:
+        """Difference of another sweep from this one; empty if there is none."""
+        if isinstance(found, str):
+            return found
+        for name in ("file", "outcomes"):
+            if getattr(self, name) != getattr(found, name):
+                return f"another {name}: {getattr(found, name)}"
+        if (rows := list(map(repr, found.rows))) != list(map(repr, self.rows)):
+            apart = [one for one, other in zip(rows, map(repr, self.rows), strict=False) if one != other]
+            return f"{len(rows)} rows, {len(apart)} differ, first {apart[:1]}"
+        if self.series.keys() != found.series.keys():
+            return f"series of {sorted(found.series)}"
+        return next((text for name, rows in self.series.items() if (text := rows_apart(rows, found.series[name]))), "")
+
+
+def sweep_content(folder: Path) -> SweepContent | str:
+    """Content of a finished sweep; the reason why it cannot be read."""
+    try:
+        manifest = json.loads((folder / "manifest.json").read_bytes())
+        rows = pq.read_table(folder / "rows.parquet").to_pylist()
+        series = {path.name: content(path).rows for path in sorted((folder / "series").glob("[!.]*"))}
+        for row in rows:
+            del row["cpu"]
+        rows.sort(key=lambda row: (not row["current"], row["row"], row["digest"]))
+        return SweepContent(rows, (folder / "sweep.yaml").read_text(), manifest["outcomes"], series)
+    except (OSError, ValueError, KeyError) as error:
+        return f"cannot be read: {error}"
+
+
+@dataclass
+class SweepScene:
+    """A sweep file, a folder ``before`` with what an earlier life left, and the content at its end."""
+
+    kind: str
+    config: Path
+    before: Path
+    expected: SweepContent
+    name: str = SWEEP
+
+    def finished(self, out: Path) -> list[str]:
+        """Digests of the rows in the journal."""
+        with Journal(out / SWEEP) as journal:
+            index = journal.index()
+            return [str(journal.block(int(b)).digest[p]) for b, p in zip(index.block, index.place, strict=True)]
+
+
+def sweep_scenes(base: Path, configs: Path) -> list[SweepScene]:
+    """A new sweep, one whose file was edited after it had finished, and one that stores series."""
+    found = []
+    fewer = {**DATA, "grid": {**DATA["grid"], "h": [*DATA["grid"]["h"][2:7], 0.05]}}
+    few = {"scheme": ["hk"], "h": [0.01, 0.02]}
+    for kind, data, earlier in (
+        ("new sweep", DATA, None),
+        ("edited sweep", DATA, fewer),
+        (
+            "sweep with series",
+            {**DATA, "grid": few, "store": "series", "include": [{"scheme": "rk4", "h": 0.03}]},
+            None,
+        ),
+    ):
+        config = configs / f"{kind.replace(' ', '-')}.yaml"
+        before, whole = base / "before" / config.stem, base / f"whole-{config.stem}"
+        before.mkdir(parents=True)
+        argv = ["sweep", str(config), "--threads", "1", "--out"]
+        for out, given in ((before, earlier), (whole, data)):
+            if given is not None:
+                config.write_text(sweep_from(given).to_yaml(), encoding="utf-8")
+                if out == whole:
+                    shutil.copytree(before, whole)
+                said = call([*argv, str(out)], base, [base])
+                if said.code not in (0, 3):
+                    raise RuntimeError(f"the attack could not be prepared: {said.err}")
+        expected = sweep_content(whole / SWEEP)
+        if isinstance(expected, str):
+            raise RuntimeError(f"the attack could not be prepared: {expected}")
+        found.append(SweepScene(kind, config, before, expected))
+    return found
