@@ -119,8 +119,11 @@ class Top(BaseModel):
     unit_vectors: ClassVar[tuple[str, ...]] = ()
     """Names of those ``vectors`` that must have unit length."""
     energy: ClassVar[str] = "energy"
-    """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
-    ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
+    """Name of the invariant that is the energy or a multiple of it (``analysis.leaving``). A run far off its energy
+    surface has the outcome ``left_motion``, and ensembles draw states of a given energy; neither works for a top
+    without an invariant of this name."""
+    energy_factor: ClassVar[float] = 1.0
+    """Energy divided by the invariant ``energy``, for example 0.5 if that is twice the energy."""
     in_space: ClassVar[bool] = False
     """True if the state is given in the frame fixed in space, as angular momentum and axis, not in the body's frame."""
     swing: ClassVar[str]
