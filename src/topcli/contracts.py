@@ -6,7 +6,7 @@ Rules for the author of a scheme:
 
 1. ``step(state, h, p) -> state`` takes and returns flat tuples of floats, has no side effects, and uses only float
    arithmetic, functions of ``math``, and other functions of this kind. The engine can then compile it, and it also
-   runs as plain Python.
+   runs as plain Python. It raises nothing: a step that fails returns nan.
 2. ``p`` is ``top.constants()``; ``h`` may be negative, and N = 1 is allowed.
 3. Every declared trait (order, self-adjointness, exact invariants) is checked by the tests.
 """

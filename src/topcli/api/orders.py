@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from topcli.pages.contents import Chapter
 
-PLAIN = ("declared_order", "order", "plateau", "onset", "ended", "broken")
+PLAIN = ("declared_order", "order", "verdict", "plateau", "onset", "ended", "broken")
 
 
 @dataclass(frozen=True, repr=False)
@@ -29,8 +29,8 @@ class OrderReport(Report):
     study : dict
         Everything that was measured, as ``topcli order --json`` prints it.
     table : pandas.DataFrame
-        A row for each scheme, indexed by its name: declared and observed order, level and onset of the plateau of
-        round-off, smallest error and its step.
+        A row for each scheme, indexed by its name: declared and observed order, the verdict on the declared one, level
+        and onset of the plateau of round-off, smallest error and its step.
     """
 
     study: dict[str, Any]

@@ -20,18 +20,31 @@ def _print_study(study: dict[str, Any]) -> None:
     print_table(header, error_lines(study["schemes"]), "largest error at each h", range(len(header)))
 
 
-def _say_failures(study: dict[str, Any]) -> bool:
-    """Report schemes left out and settings that failed; True if a scheme could not be measured."""
+def _say_failures(study: dict[str, Any]) -> int:
+    """Report schemes left out, code and settings that failed, and orders that are not as declared; the exit code."""
+    from topcli.studies.order import FALSE
+
     for one in study["left_out"]:
         say(f"{one['scheme']} is left out: {one['reason']}")
-    for row in study["schemes"]:
+    rows = study["schemes"]
+    for row in rows:
         if row["broken"]:
             say(f"error: {row['scheme']}: {row['broken']}")
-        elif row["failed"]:
+            continue
+        if row["failed"]:
             first = row["failed"][0]
             failed = f"{len(row['failed'])} of its step sizes gave no result"
             say(f"{row['scheme']}: {failed}; h = {first['h']:.2g} {first['reason']}")
-    return any(row["broken"] or not row["points"] for row in study["schemes"])
+        if row["verdict"] in FALSE:
+            say(f"error: {row['scheme']}: {row['why']}")
+        elif row["why"] and len(row["points"]) > 2:
+            say(f"{row['scheme']}: order undecided: {row['why']}")
+    broken = [row for row in rows if row["broken"]]
+    if broken:
+        return 3 if len(broken) < len(rows) else 2
+    if not all(row["points"] for row in rows):
+        return 1
+    return 4 if any(row["verdict"] in FALSE for row in rows) else 0
 
 
 Top = Annotated[
@@ -71,7 +84,8 @@ def order(
     """Measure errors over h, observed orders and round-off.
 
     Errors are the largest over the run against a reference in double-double arithmetic. The order is fitted at the
-    smallest steps above the plateau of round-off.
+    smallest steps above the plateau of round-off. Exits with status 4 if it is below the declared order, and with 3 if
+    the code of some of the schemes fails.
     """
     from topcli.store.run_folder import require_writable
     from topcli.studies.order import ladders, order_source, order_study, write_order
@@ -104,8 +118,8 @@ def order(
         _print_study(study)
         for file in files:
             say(f"wrote {file}")
-    if _say_failures(study):
-        raise typer.Exit(1)
+    if code := _say_failures(study):
+        raise typer.Exit(code)
 
 
 def _say_sizes(asked: tuple[float, ...], used: list[float]) -> None:

@@ -21,7 +21,7 @@ from topcli.errors import UsageError, quoted
 from topcli.store.envelope import thinned
 from topcli.store.provenance import environment
 from topcli.store.study import write_study
-from topcli.studies.entries import Entry, few_rows, read_entries
+from topcli.studies.entries import Entry, few_rows, read_entries, users_code
 from topcli.studies.measures.references import exact_method
 from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
@@ -182,12 +182,20 @@ def compare_schemes(
 
     Errors are Euclidean norms of the difference of states from the ``reference`` at the compared times: Taylor series
     or the closed form (``REFERENCES``). The reversal defect is the largest over states spread along the reference.
-    Raises UsageError as ``read_entries``, and for a reference that the top does not have.
+    Entries whose code fails are listed under ``failed``; the others go on. Raises UsageError as ``read_entries``, for a
+    reference that the top does not have, and if the code of all entries fails.
     """
-    compared = read_entries(experiment, entries, options)
+    asked = read_entries(experiment, entries, options)
     top = experiment.top
-    methods = [one.experiment.method() for one in compared]
-    trajectories = [trajectory_of(one.experiment) for one in compared]
+    compared, methods, trajectories, failed = [], [], [], []
+    for one in asked:
+        with users_code(failed, one.label):
+            method, trajectory = one.experiment.method(), trajectory_of(one.experiment)
+            compared.append(one)
+            methods.append(method)
+            trajectories.append(trajectory)
+    if not compared:
+        raise failed[0].error
     references = _References(top, experiment.y0, reference)
     finest = max((one.experiment for one in compared), key=lambda one: one.N // one.output.every)
     finest_rows = references.at(finest, finest.output.every)
@@ -222,6 +230,7 @@ def compare_schemes(
                 "rows": len(t),
                 "few_rows": few_rows(compared, experiment),
                 "schemes": figures,
+                "failed": [one.as_dict() for one in failed],
             }
         ),
         series,

@@ -13,9 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pydantic import ValidationError
+
 from topcli.config.models import Experiment, digest_of
-from topcli.contracts import Block, Method, Sampler
+from topcli.contracts import Block, Method, Sampler, Scheme, Top
 from topcli.engine.fingerprint import fingerprint
+from topcli.errors import UsageError
 from topcli.store.manifest import StoredRun
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import RunWriter
@@ -36,6 +39,14 @@ def method_fingerprint(method: Method) -> str:
         stages = method.stages and (fingerprint(method.stages[0]), method.stages[1])
         layout = (method.width, method.counters, method.iterative, method.checked, method.plain, stages)
     return hashlib.sha256((code + repr(layout)).encode()).hexdigest()
+
+
+def scheme_code(scheme: Scheme, top: Top) -> str:
+    """Digest of the code of a scheme with its default options; the reason if it cannot be built for ``top``."""
+    try:
+        return method_fingerprint(scheme.build(top, scheme.options()))
+    except (UsageError, ValidationError) as error:
+        return str(error)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Sampler, Scheme, Stepper
-from topcli.errors import UsageError
+from topcli.errors import SchemeCodeError, UsageError
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import SchemeMisfitError, composable_names, find_scheme, names_for
 from topcli.store.provenance import environment, installed
@@ -28,7 +28,7 @@ from topcli.studies.bench.competitors import (
 from topcli.studies.bench.front import decade_rows, front
 from topcli.studies.bench.measure import Effort, Measurements, as_rows, deviations, explore, time_all
 from topcli.studies.bench.scenes import Problem
-from topcli.studies.identity import method_fingerprint
+from topcli.studies.identity import scheme_code
 from topcli.studies.peers import Peer, missing
 from topcli.studies.report import finite
 
@@ -56,9 +56,10 @@ def default_names(form: str) -> list[str]:
 def choose(problem: Problem, names: Sequence[str]) -> Entrants:
     """Return the schemes ``names`` that fit the problem's top; all schemes if none is named.
 
-    Left out are schemes that fit other tops only, that need options, that are evaluated rather than stepped, and, by
-    default, those that run in the interpreter. Raises UsageError for a scheme named twice, and UnknownNameError with
-    the nearest names.
+    Left out are schemes that fit other tops only, that need options or equations that the top does not give, that are
+    evaluated rather than stepped, and, by default, those that run in the interpreter. A scheme whose code raises takes
+    part, so that its failure is reported. Raises UsageError for a scheme named twice, and UnknownNameError with the
+    nearest names.
     """
     schemes: list[Scheme] = []
     exact: list[Scheme] = []
@@ -76,6 +77,12 @@ def choose(problem: Problem, names: Sequence[str]) -> Entrants:
         except ValidationError as error:
             left_out.append((scheme.name, f"needs options ({error.errors()[0]['loc'][0]})"))
             continue
+        except SchemeCodeError:
+            schemes.append(scheme)
+            continue
+        except UsageError as error:
+            left_out.append((scheme.name, str(error)))
+            continue
         if isinstance(method, Sampler) and scheme.order is None:
             exact.append(scheme)
         elif isinstance(method, Sampler):
@@ -91,7 +98,7 @@ def choose(problem: Problem, names: Sequence[str]) -> Entrants:
 
 def code_of(entrants: Entrants, problem: Problem) -> str:
     """Digest of the code of all schemes that take part."""
-    codes = [method_fingerprint(scheme.build(problem.top, scheme.options())) for scheme in entrants.schemes]
+    codes = [scheme_code(scheme, problem.top) for scheme in entrants.schemes]
     return hashlib.sha256(" ".join(codes).encode()).hexdigest()
 
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Scheme
-from topcli.errors import ConfigError, RunError, StepTooLongError, UsageError, nearest, shortened
+from topcli.errors import ConfigError, RunError, SchemeCodeError, StepTooLongError, UsageError, nearest, shortened
 from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.user_code import users_error
 from topcli.studies.stress import CASES, case_names, cases_named
 from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
+from topcli.studies.stress.checks import false_order
 from topcli.tops import TOPS, forms
+
+GENERIC = "backwards"
+"""Case of every top whose motion is a generic one with a short step: there every scheme has its order."""
+CODE_FAILED = "code failed"
 
 
 @dataclass(frozen=True)
@@ -22,7 +28,8 @@ class Judged:
     """The finding of a trial and its verdict.
 
     ``verdict`` is ``"limit"`` if the scheme broke as it declares, ``"unexplained"`` if it broke without declaring it,
-    ``"outlived limit"`` if it declares a limit and did not break, and ``"ok"`` otherwise.
+    ``"outlived limit"`` if it declares a limit and did not break, ``"code failed"`` if its code raised or could not be
+    compiled, and ``"ok"`` otherwise.
     """
 
     case: Case
@@ -65,12 +72,14 @@ def tried(case: Case, scheme: Scheme, cache: CaseCache, options: Mapping[str, An
     """Try one scheme in one case."""
     start = time.perf_counter()
     counters: Mapping[str, int] = {}
-    known = scheme.options.model_fields
+    failed, known = False, scheme.options.model_fields
+    given = {key: value for key, value in (options or {}).items() if key in known}
     try:
-        experiment = case.experiment(scheme.name, {k: v for k, v in (options or {}).items() if k in known})
-        trial = Trial(case, experiment, cache)
+        trial = Trial(case, case.experiment(scheme.name, given), cache)
         with np.errstate(all="ignore"):
             finding = case.check(trial)
+            if finding.result is Result.DEGRADED and "order" in finding.figures:
+                finding = _with_declaration(finding, case.form, scheme, given, cache)
         counters = trial.counters
     except StepTooLongError as error:
         finding = Finding(Result.BROKE, f"refused: {str(error).splitlines()[0]}", 0)
@@ -81,9 +90,23 @@ def tried(case: Case, scheme: Scheme, cache: CaseCache, options: Mapping[str, An
     except (ArithmeticError, ValueError) as error:
         # the interpreter may raise where machine code returns inf or nan
         finding = Finding(Result.BROKE, f"failed: {type(error).__name__}: {error}".splitlines()[0], 0)
+    except Exception as error:
+        known_error = error if isinstance(error, SchemeCodeError) else users_error(error)
+        if known_error is None:
+            raise
+        finding, failed = Finding(Result.BROKE, str(known_error), 0), True
     limit = scheme.limits.get(case.name, "")
-    verdict = verdict_of(scheme, case.name, finding.result)
+    verdict = CODE_FAILED if failed else verdict_of(scheme, case.name, finding.result)
     return Judged(case, scheme, finding, verdict, limit, counters, time.perf_counter() - start)
+
+
+def _with_declaration(
+    finding: Finding, form: str, scheme: Scheme, options: Mapping[str, Any], cache: CaseCache
+) -> Finding:
+    """The ``finding`` on a lost order, as a break if the declared order is false on the generic motion as well."""
+    generic = next(case for case in CASES if case.form == form and case.name == GENERIC)
+    why = false_order(Trial(generic, generic.experiment(scheme.name, options), cache))
+    return replace(finding, result=Result.BROKE, why=f"on a generic motion {why}") if why else finding
 
 
 def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tuple[list[Scheme], list[Case]]:
@@ -94,6 +117,9 @@ def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tup
     fits = [form.form for form in forms(top)] if top else list(TOPS)
     wanted = [case for name in dict.fromkeys(cases) for case in cases_named(name)] if cases else list(CASES)
     wanted = [case for case in wanted if case.form in fits]
+    if not wanted and not cases:
+        known = sorted({case.form for case in CASES})
+        raise UsageError(f"the top {shortened(str(top))} has no hard cases; those with cases: {', '.join(known)}")
     if not wanted:
         raise UsageError(f"--case {shortened(cases[0])}: no such case for {top}; {nearest(cases[0], _names_for(fits))}")
     used: list[Scheme] = []
