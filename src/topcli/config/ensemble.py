@@ -370,7 +370,7 @@ class EnsembleExperiment:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of what the ensemble computes and records, without name and format (``identity_of``)."""
-        return digest_of(self.resolved())
+        return digest_of(self.resolved(), self.first.own_code)
 
     def to_yaml(self) -> str:
         """Return the resolved config as YAML that loads to the same ensemble."""

@@ -50,7 +50,7 @@ def plan_run(
             other = f"(digest {existing.manifest['digest'][:8]}, this one {digest[:8]})"
             holds = f"a different experiment {other}"
             if not difference(existing.manifest["config"], identity.config):
-                holds = f"this experiment as identified by another version of topcli {other}"
+                holds = f"this experiment as {identity.other_code(existing.manifest)} {other}"
             raise UsageError(
                 f"{target}: holds {holds}; nothing was written",
                 "choose another name with --name or another folder with --out, or use --force, which renames "

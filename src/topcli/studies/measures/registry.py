@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from topcli.contracts import Invariant, Sampler, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.registry import all_schemes, plugin_failures, registering_origin
+from topcli.schemes.registry import all_schemes, origin_of, plugin_failures
 from topcli.tops import TOPS
 
 FAMILY = ".NAME"
@@ -187,7 +187,7 @@ def measure(
             of_failed=of_failed,
             reproducible=reproducible,
             # these may be imported because a plugin registers its own
-            origin="topcli" if evaluate.__module__.startswith("topcli.") else registering_origin(),
+            origin=origin_of(evaluate),
         )
         return evaluate
 

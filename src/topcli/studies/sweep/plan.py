@@ -155,13 +155,16 @@ def _check_measures(row: Row, sweep: Sweep, problems: Problems) -> None:
 
 
 def _code_of(row: Row) -> str:
-    """Digest of the code of a row's scheme; made ready for the default top, so that it is the same for all tops."""
+    """Digest of the code of a row's scheme; made ready for the default top, so that it is the same for all tops.
+
+    It includes the code of a user's top.
+    """
     one = shared_experiment(Shared.of(row))
     try:
-        return method_fingerprint(one.scheme.build(TOPS[row.form].new(), one.options))
+        return method_fingerprint(one.scheme.build(TOPS[row.form].new(), one.options)) + one.own_code
     except TopcliError:
         try:
-            return method_fingerprint(one.method())
+            return method_fingerprint(one.method()) + one.own_code
         except TopcliError:  # the row will fail, and say why
             return ""
 
