@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,7 +88,7 @@ class OrderReport(Report):
 def order(
     *schemes: str,
     top: str | None = None,
-    config: str | Path | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] = (),
     sizes: Sequence[float] = (),
     duration: float | None = None,
@@ -103,8 +103,8 @@ def order(
         Names of schemes; six by default.
     top : str, optional
         Form of a top, whose packaged scene is run.
-    config : path or str, optional
-        Config or scene that gives the top, the initial state and, by N*h, the duration.
+    config : path, str or mapping, optional
+        Config, scene, or the content of a config that gives the top, the initial state and, by N*h, the duration.
     overrides : sequence of str, optional
         Texts ``"key=value"`` as for ``--set`` on the command line.
     sizes : sequence of float, optional

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,6 +11,7 @@ import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, Schemes, Sets, complete_config, complete_top, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say, say_warnings
+from topcli.errors import UsageError, quoted, shortened
 
 
 def _print_study(study: dict[str, Any]) -> None:
@@ -58,7 +61,7 @@ Config = Annotated[
     ),
 ]
 Sizes = Annotated[
-    list[float] | None,
+    list[str] | None,
     typer.Option("--h", metavar="H", help="Use this step size; repeat for several.", show_default="a ladder"),
 ]
 Duration = Annotated[
@@ -92,7 +95,13 @@ def order(
 
     load_scheme_files(scheme_files)
     what = ladders(
-        schemes or (), top=top, config=config, sets=sets or (), sizes=sizes or (), duration=duration, steps=steps
+        schemes or (),
+        top=top,
+        config=config,
+        sets=sets or (),
+        sizes=_sizes(sizes or ()),
+        duration=duration,
+        steps=steps,
     )
     say_warnings(what.problem.experiment)
     default = what == ladders(())
@@ -120,6 +129,20 @@ def order(
             say(f"wrote {file}")
     if code := _say_failures(study):
         raise typer.Exit(code)
+
+
+def _sizes(texts: Sequence[str]) -> list[float]:
+    """Step sizes of the options ``--h``. Raises UsageError."""
+    try:
+        return [float(text) for text in texts]
+    except ValueError:
+        given = [part.strip() for text in texts for part in text.split(",")]
+        right = " ".join(f"--h {part}" for part in given)
+        known = all(re.fullmatch(r"[-+.\deE]+", part) for part in given)
+        raise UsageError(
+            f"--h {quoted(','.join(texts))}: must be one number; "
+            + (f"repeat the option for several: {shortened(right)}" if known else "for example --h 0.1 --h 0.05")
+        ) from None
 
 
 def _say_sizes(asked: tuple[float, ...], used: list[float]) -> None:

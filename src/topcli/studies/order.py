@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order
 from topcli.analysis.reference import reference_states
-from topcli.config.load import load_experiment
+from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
@@ -115,7 +115,7 @@ def ladders(
     names: Sequence[str],
     *,
     top: str | None = None,
-    config: str | Path | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
     sets: Sequence[str] = (),
     sizes: Sequence[float] = (),
     duration: float | None = None,
@@ -129,8 +129,8 @@ def ladders(
         Schemes. Without names, ``top`` and ``config`` they are those of ``DEFAULT``.
     top : str, optional
         Form of a top, whose packaged scene is run.
-    config : str or Path, optional
-        Config or scene that gives the top, the initial state and, by N*h, the duration.
+    config : str, Path or mapping, optional
+        Config, scene or content of a config that gives the top, the initial state and, by N*h, the duration.
     sets : sequence of str
         Overrides of the config.
     sizes : sequence of float
@@ -148,7 +148,10 @@ def ladders(
     if top is not None and config is not None:
         raise UsageError("--top and --config both choose the scene; give one of them")
     wanted = names or (DEFAULT if top is None and config is None else ())
-    experiment = load_experiment(config or _default_config(wanted, top), sets)
+    if isinstance(config, Mapping):
+        experiment = experiment_from(config, sets)
+    else:
+        experiment = load_experiment(config or _default_config(wanted, top), sets)
     own = experiment.duration if config is not None else DURATION
     length = own if duration is None else duration
     if not (math.isfinite(length) and length > 0.0):
