@@ -215,9 +215,10 @@ def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
     try:
         equations, fault = _compared(top)
     except NotImplementedError:
+        other = "use a scheme that needs the field alone, such as rk4, or " if needed_by.startswith("scheme") else ""
         raise UsageError(
             f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not give; "
-            "use a scheme that needs the field alone, such as rk4, or define euler_poisson()"
+            f"{other}define euler_poisson()"
         ) from None
     if fault:
         raise UsageError(f"top {top.kind!r}: euler_poisson(), which {needed_by} needs, is not its field: {fault}")
