@@ -16,6 +16,7 @@ from topcli.config.load import load_experiment
 from topcli.engine.fingerprint import own_code
 from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes, find_scheme, scheme
+from topcli.studies.sweep.evaluate import forget
 from topcli.tops import TOPS
 
 FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
@@ -150,6 +151,7 @@ def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Sai
             edit(folder / "gyrostat.py", old, new)
         said.append(cli(*command))
         registry.unload_scheme_files()
+        forget()
     assert [one.code for one in said] == [0, 0, 0]
     assert ["(2 ran)" in one.out + one.err for one in said] == [True, False, True]
 

@@ -149,7 +149,7 @@ def ladders(
         raise UsageError("--top and --config both choose the scene; give one of them")
     wanted = names or (DEFAULT if top is None and config is None else ())
     if isinstance(config, Mapping):
-        experiment = experiment_from(config, sets)
+        experiment = experiment_from(config, sets, any_precision=False)
     else:
         experiment = load_experiment(config or _default_config(wanted, top), sets)
     own = experiment.duration if config is not None else DURATION
