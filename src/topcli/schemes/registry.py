@@ -17,7 +17,6 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-from weakref import WeakKeyDictionary
 
 from pydantic import BaseModel
 
@@ -43,8 +42,8 @@ _schemes: dict[tuple[str, str], Scheme] = {}
 _for_every_top: dict[str, Callable[[str], None]] = {}
 """By the name of each scheme declared for every top: what registers it for one form, of a top that comes in later."""
 _origin = "topcli"
-_top_origins: WeakKeyDictionary[type[Top], str] = WeakKeyDictionary()
-"""Distribution or file of each top that a plugin brought."""
+_top_origins: dict[str, str] = {}
+"""Distribution or file of each form of a top that a plugin brought."""
 _other_tables: list[tuple[MutableMapping[Any, Any], dict[Any, Any]]] = []
 """Tables of other parts that plugins extend, each with its built-in content."""
 
@@ -52,6 +51,9 @@ _other_tables: list[tuple[MutableMapping[Any, Any], dict[Any, Any]]] = []
 def plugin_table(table: MutableMapping[Any, Any]) -> None:
     """Let plugins extend ``table``, which holds what is built in; those of a plugin that fails are removed."""
     _other_tables.append((table, dict(table)))
+
+
+plugin_table(_top_origins)
 
 
 def origin_of(function: Callable[..., Any]) -> str:
@@ -63,7 +65,7 @@ def origin_of(function: Callable[..., Any]) -> str:
 
 def top_origin(top: type[Top]) -> str:
     """Distribution or file of a top."""
-    return "topcli" if is_own(top) else _top_origins.get(top) or file_of(top)
+    return "topcli" if is_own(top) else _top_origins.get(top.form) or file_of(top)
 
 
 @dataclass(frozen=True)
@@ -298,7 +300,7 @@ def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> Plugin
     try:
         load()
         for form in TOPS.keys() - before[1].keys():
-            _top_origins[TOPS[form]] = origin
+            _top_origins[form] = origin
             for known, register_for in before[2].items():
                 if (known, form) not in _schemes:  # the plugin may bring its own
                     register_for(form)
