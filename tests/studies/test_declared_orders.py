@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -222,3 +224,36 @@ def test_stress_goes_on_without_code_that_fails(own: Callable[..., Said], scheme
         assert one["verdict"] == ("code failed" if failed else "ok"), one
         assert not failed or one["why"].startswith(PLACES[one["scheme"]])
     assert said.err.count("error: ") == len({one["scheme"] for one in trials if one["verdict"] == "code failed"})
+
+
+HIDDEN = """
+import topcli
+from topcli.contracts import Stepper
+
+def step(y, h, p):
+    return (y[0] - h, y[int(8.0 * (0.8 - y[0]))], y[2], y[3], y[4], y[5])  # out of range from the sixth step on
+
+@topcli.scheme("hidden", top="kowalevski", title="a", order=1, explicit=True, self_adjoint=False, citation="none",
+               equations="none")
+def build(top, options):
+    '''Index that leaves the state.'''
+    return Stepper(step, 6)
+"""
+
+
+def test_a_compiled_step_that_raises_ends_the_run(tmp_path: Path) -> None:
+    """Compiled code reports the error on its own and takes no step; the loop must not ask again without end."""
+    (tmp_path / "own.py").write_text(HIDDEN)
+    settings = ["--set", "scheme=hidden", "--set", "h=0.1", "--set", "N=500", "--scheme-file", "own.py"]
+    done = subprocess.run(
+        [sys.executable, "-m", "topcli", "run", "kowalevski_generic_hk", *settings],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "IndexError: tuple index out of range" in done.stderr
+    last = "error: the compiled step raised the exception printed above, within 64 steps of step 0; return nan from a"
+    assert done.stderr.splitlines()[-1].startswith(last)
