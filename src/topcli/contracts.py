@@ -6,7 +6,7 @@ Rules for the author of a scheme:
 
 1. ``step(state, h, p) -> state`` takes and returns flat tuples of floats, has no side effects, and uses only float
    arithmetic, functions of ``math``, and other functions of this kind. The engine can then compile it, and it also
-   runs as plain Python.
+   runs as plain Python. It raises nothing: a step that fails returns nan.
 2. ``p`` is ``top.constants()``; ``h`` may be negative, and N = 1 is allowed.
 3. Every declared trait (order, self-adjointness, exact invariants) is checked by the tests.
 """
@@ -131,8 +131,11 @@ class Top(BaseModel):
     unit_vectors: ClassVar[tuple[str, ...]] = ()
     """Names of those ``vectors`` that must have unit length."""
     energy: ClassVar[str] = "energy"
-    """Name of the invariant that is the energy or a multiple of it. A run far off its energy surface has the outcome
-    ``left_motion`` (``analysis.leaving``); a top without an invariant of this name never has it."""
+    """Name of the invariant that is the energy or a multiple of it (``analysis.leaving``). A run far off its energy
+    surface has the outcome ``left_motion``, and ensembles draw states of a given energy; neither works for a top
+    without an invariant of this name."""
+    energy_factor: ClassVar[float] = 1.0
+    """Energy divided by the invariant ``energy``, for example 0.5 if that is twice the energy."""
     step_constants: ClassVar[tuple[str, ...]] = ()
     """Each number of ``constants``, the last argument ``p`` of a step, as the name of a parameter or a formula of
     parameters such as "c = c0/C"; for people."""
@@ -227,9 +230,10 @@ def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
     try:
         equations, fault = _compared(top)
     except NotImplementedError:
+        other = "use a scheme that needs the field alone, such as rk4, or " if needed_by.startswith("scheme") else ""
         raise UsageError(
             f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not give; "
-            "use a scheme that needs the field alone, such as rk4, or define euler_poisson()"
+            f"{other}define euler_poisson()"
         ) from None
     if fault:
         raise UsageError(f"top {top.kind!r}: euler_poisson(), which {needed_by} needs, is not its field: {fault}")

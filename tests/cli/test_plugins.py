@@ -225,3 +225,32 @@ def test_an_installed_plugin_may_register_measures_alone(tmp_path: Path) -> None
     doctor = topcli("doctor", "--json", cwd=tmp_path, path=site)
     (plugin,) = json.loads(doctor.stdout)["plugins"]
     assert plugin == {"name": "measuring", "state": "registers omega1.min"}
+
+
+@pytest.mark.slow
+def test_the_entry_points_of_a_package_have_their_own_schemes(tmp_path: Path) -> None:
+    """One registers a scheme, one a top, one nothing; what they import from elsewhere counts for all of them."""
+    package = tmp_path / "site" / "several"
+    info = package.parent / "several-1.0.dist-info"
+    info.mkdir(parents=True)
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "first.py").write_text(SCHEME.format(name="rest", top="kowalevski", doc="Stay."))
+    (package / "second.py").write_text(MEASURE.format(end="min"))
+    imports = "from topcli.tops import TOPS\nfrom topcli.tops.heavy import Heavy\n"
+    (package / "third.py").write_text(f"{imports}class Own(Heavy):\n    kind = form = 'own'\nTOPS['own'] = Own\n")
+    (package / "fourth.py").write_text("import several.first\n")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: several\nVersion: 1.0\n")
+    names = ("first", "second", "third", "fourth")
+    (info / "entry_points.txt").write_text(
+        "[topcli.schemes]\n" + "".join(f"{name} = several.{name}\n" for name in names)
+    )
+    found = json.loads(topcli("doctor", "--json", cwd=tmp_path, path=package.parent).stdout)
+    states = {one["name"]: one["state"] for one in found["plugins"]}
+    assert states == {
+        "first": "registers rest",
+        "second": "registers omega1.min",
+        "third": "registers own",
+        "fourth": "registers no scheme, measure or top",
+    }
+    assert found["problems"] == ["plugin fourth registers no scheme, measure or top"]

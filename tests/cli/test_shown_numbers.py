@@ -149,6 +149,7 @@ def test_order_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pyte
         "scheme",
         "order",
         "observed",
+        "verdict",
         "fitted over h",
         "round-off",
         "from h",
@@ -158,7 +159,8 @@ def test_order_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pyte
     for row, one in zip(rows, schemes, strict=True):
         best = min(one["points"], key=lambda point: point["error"])
         fitted = (one["fitted"][0], one["fitted"][-1]) if one["fitted"] else (None,)
-        values = [(one["declared_order"],), (one["order"],), fitted, (one["plateau"],), (one["onset"],)]
+        judged = [(one["declared_order"],), (one["order"],), (one["verdict"],)]
+        values = [*judged, fitted, (one["plateau"],), (one["onset"],)]
         expect(row, one["scheme"], [*values, (best["error"],), (best["h"],)])
     header, *lines = out.partition("largest error at each h\n")[2].splitlines()
     assert cells_of(header) == ["h", "hk", "rk4", "dg4"]

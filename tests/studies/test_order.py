@@ -158,6 +158,7 @@ def test_the_source_names_everything_that_a_study_depends_on() -> None:
 def fake_study(*arguments: object) -> dict[str, Any]:
     points = [{"h": 0.1 / 2**k, "error": 0.01 / 4**k, "end_error": 0.1} for k in range(4)]
     row = {"scheme": "hk", "declared_order": 2, "order": 2.0, "fitted": [0.0125, 0.025, 0.05], "plateau": None}
+    row |= {"verdict": "as declared", "why": ""}
     row |= {"onset": None, "ended": "", "broken": None, "failed": [], "points": points}
     return {"schema_version": 1, "name": "n", "top": "t", "duration": 1.0, "schemes": [row], "left_out": []}
 
@@ -199,7 +200,7 @@ def test_failures_and_changed_sizes_are_reported(cli: Callable[..., Any], monkey
     assert cli("order", "hk").code == 1
     study["schemes"][0]["broken"] = "cannot be compiled"
     said = cli("order", "hk")
-    assert (said.code, said.err.splitlines()[-1]) == (1, "error: hk: cannot be compiled")
+    assert (said.code, said.err.splitlines()[-1]) == (2, "error: hk: cannot be compiled")
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +33,16 @@ class Found:
     value: float
     cached: bool
     code: str
+
+
+@contextmanager
+def loaded_file(path: Path) -> Iterator[None]:
+    """Load what a file registers, and forget it at the end."""
+    registry.load_scheme_file(path)
+    try:
+        yield
+    finally:
+        registry.unload_scheme_files()
 
 
 def write_scheme(folder: Path, body: str, options: str = "") -> Path:

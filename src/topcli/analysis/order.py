@@ -1,16 +1,18 @@
-"""Observed orders of convergence and of the reversal defect."""
+"""Observed orders of convergence, their comparison with declared ones, and the order of the reversal defect."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Method, Sampler, Stepper, Top
 from topcli.engine.driver import Loop, loop_of, plain_loop
 
@@ -29,6 +31,14 @@ SUSPECT = 1e-11
 """Smaller errors may be close to a plateau not reached by any size; they are fitted only if others are too few."""
 _FITTED = 3
 """Number of sizes that are fitted."""
+SHORTFALL = 0.1
+"""An observed order this far below the declared one refutes the declaration, if the fit is reliable."""
+SETTLED = 0.25
+"""Largest difference of the two slopes within a reliable fit, relative to the shortfall."""
+CLOSE = 0.05
+"""Largest estimate of the leading correction to the slope at the sizes of a reliable fit."""
+NO_ORDER = 0.5
+"""Errors of a smaller order may be as large as the motion: then no step is short enough to judge them."""
 
 
 def observed_order(sizes: Sequence[float], errors: Sequence[float], floor: float) -> float | None:
@@ -80,6 +90,8 @@ class Convergence:
         Slope of log(error) over log(h) at the smallest sizes above the plateau; None if there are fewer than three.
     fitted : tuple of float
         Sizes that were fitted, ascending; empty without an order.
+    errors : tuple of float
+        Errors at the fitted sizes.
     plateau : float or None
         Level of round-off: median error of the sizes up to ``onset``; None if the errors do not reach it.
     onset : float or None
@@ -88,6 +100,7 @@ class Convergence:
 
     order: float | None
     fitted: tuple[float, ...]
+    errors: tuple[float, ...]
     plateau: float | None
     onset: float | None
 
@@ -145,9 +158,96 @@ def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
     return Convergence(
         order=order,
         fitted=tuple(s for s, _ in used) if order is not None else (),
+        errors=tuple(e for _, e in used) if order is not None else (),
         plateau=level,
         onset=None if first is None else points[first][0],
     )
+
+
+class OrderVerdict(StrEnum):
+    """Result of comparing an observed order with the declared one."""
+
+    AS_DECLARED = "as declared"
+    TOO_LOW = "too low"
+    INCONSISTENT = "inconsistent"
+    UNDECIDED = "undecided"
+
+
+def judge_order(
+    declared: int, found: Convergence, size: float, consistent: Callable[[], bool] = lambda: True
+) -> tuple[OrderVerdict, str]:
+    """Compare an observed order with the declared one.
+
+    The order is too low only if the fit leaves no other explanation: its errors are above round-off, they are so small
+    that the next term of their expansion in h changes the slope by little, and its two slopes agree.
+
+    Parameters
+    ----------
+    declared : int
+        Declared order of convergence.
+    found : Convergence
+        Observed order, from errors in the units of the state.
+    size : float
+        Size of the motion: the largest distance of its states from the first one.
+    consistent : callable, optional
+        ``consistent()`` is false if single steps are inconsistent (``is_consistent``); called only for errors that do
+        not fall with h.
+
+    Returns
+    -------
+    tuple of OrderVerdict and str
+        Verdict and its reason, which is empty for ``AS_DECLARED``.
+
+    Examples
+    --------
+    >>> sizes = [0.04, 0.02, 0.01]
+    >>> judge_order(3, convergence(sizes, [1.6e-3, 4e-4, 1e-4]), 1.0)
+    (<OrderVerdict.TOO_LOW: 'too low'>, 'the observed order 2.00 is below the declared order 3')
+    """
+    if found.order is None:
+        return OrderVerdict.UNDECIDED, "fewer than three step sizes have errors above round-off"
+    h, e = np.log(found.fitted), np.log(found.errors)
+    fine, coarse = np.diff(e) / np.diff(h)
+    high = found.order >= declared - SHORTFALL
+    if high and min(fine, coarse) >= declared - 2.0 * SHORTFALL:
+        return OrderVerdict.AS_DECLARED, ""
+    changes = f"the slope changes from {coarse:.2f} to {fine:.2f}; use other steps"
+    if high:
+        return OrderVerdict.UNDECIDED, changes
+    below = f"the observed order {found.order:.2f} is below the declared order {declared}"
+    if found.order < NO_ORDER and not consistent():
+        return OrderVerdict.INCONSISTENT, f"{below}: its step is not consistent with the equations of motion"
+    # an error (h/h0)^p of a self-adjoint scheme has a correction of relative size (h/h0)^2
+    if found.order < NO_ORDER or found.errors[-1] > size * CLOSE ** (0.5 * declared):
+        return OrderVerdict.UNDECIDED, f"{below}, but the errors are large; use smaller steps"
+    if found.plateau is None and found.errors[0] <= SUSPECT * size:
+        return OrderVerdict.UNDECIDED, f"{below}, but the errors are close to round-off; use larger steps"
+    if abs(fine - coarse) > SETTLED * (declared - found.order):
+        return OrderVerdict.UNDECIDED, f"{below}, but {changes}"
+    return OrderVerdict.TOO_LOW, below
+
+
+def is_consistent(top: Top, method: Method, y0: Array) -> bool:
+    """True if the error of a single step from ``y0`` (d,) falls faster than h, as that of every consistent scheme.
+
+    A step that fails, or whose error is round-off, does not refute it.
+    """
+    long = 2.0**-7 / (float(np.abs(y0).max()) or 1.0)
+    sizes = np.array([0.25 * long, long])
+    d, p = len(y0), np.array(top.constants())
+    loop = _interpreted(method, d, len(p))
+    errors = []
+    for h, exact in zip(sizes, reference_states(top, tuple(y0.tolist()), sizes), strict=True):
+        work, end = np.zeros(loop.width), np.empty(d)
+        try:
+            with np.errstate(all="ignore"):
+                loop.enter(y0, work, p, float(h))
+                taken = loop.drive(work, end, p, float(h), 1, 1, 1)
+        except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
+            return True
+        errors.append(math.inf if taken < 0 else float(np.abs(end - exact).max()))
+    short, whole = errors
+    return not (math.isfinite(whole) and short > 1e-12 * np.abs(y0).max() and short / sizes[0] > 0.5 * whole / sizes[1])
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from topcli.pages.contents import Chapter
 
-PLAIN = ("declared_order", "order", "plateau", "onset", "ended", "broken")
+PLAIN = ("declared_order", "order", "verdict", "plateau", "onset", "ended", "broken")
 
 
 @dataclass(frozen=True, repr=False)
@@ -29,8 +29,8 @@ class OrderReport(Report):
     study : dict
         Everything that was measured, as ``topcli order --json`` prints it.
     table : pandas.DataFrame
-        A row for each scheme, indexed by its name: declared and observed order, level and onset of the plateau of
-        round-off, smallest error and its step.
+        A row for each scheme, indexed by its name: declared and observed order, the verdict on the declared one, level
+        and onset of the plateau of round-off, smallest error and its step.
     """
 
     study: dict[str, Any]
@@ -88,7 +88,7 @@ class OrderReport(Report):
 def order(
     *schemes: str,
     top: str | None = None,
-    config: str | Path | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] = (),
     sizes: Sequence[float] = (),
     duration: float | None = None,
@@ -103,8 +103,8 @@ def order(
         Names of schemes; six by default.
     top : str, optional
         Form of a top, whose packaged scene is run.
-    config : path or str, optional
-        Config or scene that gives the top, the initial state and, by N*h, the duration.
+    config : path, str or mapping, optional
+        Config, scene, or the content of a config that gives the top, the initial state and, by N*h, the duration.
     overrides : sequence of str, optional
         Texts ``"key=value"`` as for ``--set`` on the command line.
     sizes : sequence of float, optional

@@ -121,7 +121,8 @@ def landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
 
     Descending Landen transformation, accurate for k close to 1 too.
     """
-    a, root = 1.0, m1
+    a = middle = 1.0
+    root = m1
     ladder = []
     for _ in range(LANDEN_LIMIT):
         root = math.sqrt(root)

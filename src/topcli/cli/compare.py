@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -88,7 +89,7 @@ def _compare_one(
     failed = [scheme for scheme in compared if scheme["outcome"] != "completed"]
     for scheme in failed:
         say(f"error: {scheme['label']}: {scheme['message']}")
-    return 1 if failed else 0
+    return _say_code_failures(comparison.figures) or (1 if failed else 0)
 
 
 def _compare_ensemble(
@@ -107,7 +108,15 @@ def _compare_ensemble(
         display.close()
     files = [] if outputs.saved is None else [str(write_comparison(outputs.saved, figures))]
     _show(figures, files, outputs.as_json)
-    return say_ensemble_failures(figures)
+    code = say_ensemble_failures(figures)
+    return _say_code_failures(figures) or code
+
+
+def _say_code_failures(figures: Mapping[str, Any]) -> int:
+    """Report entries whose code fails; the exit code if there are any, beside others that were compared, else 0."""
+    for one in figures["failed"]:
+        say(f"error: {one['label']}: {one['reason']}")
+    return 3 if figures["failed"] else 0
 
 
 Entries = Annotated[

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,6 +11,7 @@ import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, Schemes, Sets, complete_config, complete_top, load_scheme_files
 from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say, say_warnings
+from topcli.errors import UsageError, quoted, shortened
 
 
 def _print_study(study: dict[str, Any]) -> None:
@@ -20,18 +23,31 @@ def _print_study(study: dict[str, Any]) -> None:
     print_table(header, error_lines(study["schemes"]), "largest error at each h", range(len(header)))
 
 
-def _say_failures(study: dict[str, Any]) -> bool:
-    """Report schemes left out and settings that failed; True if a scheme could not be measured."""
+def _say_failures(study: dict[str, Any]) -> int:
+    """Report schemes left out, code and settings that failed, and orders that are not as declared; the exit code."""
+    from topcli.studies.order import FALSE
+
     for one in study["left_out"]:
         say(f"{one['scheme']} is left out: {one['reason']}")
-    for row in study["schemes"]:
+    rows = study["schemes"]
+    for row in rows:
         if row["broken"]:
             say(f"error: {row['scheme']}: {row['broken']}")
-        elif row["failed"]:
+            continue
+        if row["failed"]:
             first = row["failed"][0]
             failed = f"{len(row['failed'])} of its step sizes gave no result"
             say(f"{row['scheme']}: {failed}; h = {first['h']:.2g} {first['reason']}")
-    return any(row["broken"] or not row["points"] for row in study["schemes"])
+        if row["verdict"] in FALSE:
+            say(f"error: {row['scheme']}: {row['why']}")
+        elif row["why"] and len(row["points"]) > 2:
+            say(f"{row['scheme']}: order undecided: {row['why']}")
+    broken = [row for row in rows if row["broken"]]
+    if broken:
+        return 3 if len(broken) < len(rows) else 2
+    if not all(row["points"] for row in rows):
+        return 1
+    return 4 if any(row["verdict"] in FALSE for row in rows) else 0
 
 
 Top = Annotated[
@@ -45,7 +61,7 @@ Config = Annotated[
     ),
 ]
 Sizes = Annotated[
-    list[float] | None,
+    list[str] | None,
     typer.Option("--h", metavar="H", help="Use this step size; repeat for several.", show_default="a ladder"),
 ]
 Duration = Annotated[
@@ -71,14 +87,21 @@ def order(
     """Measure errors over h, observed orders and round-off.
 
     Errors are the largest over the run against a reference in double-double arithmetic. The order is fitted at the
-    smallest steps above the plateau of round-off.
+    smallest steps above the plateau of round-off. Exits with status 4 if it is below the declared order, and with 3 if
+    the code of some of the schemes fails.
     """
     from topcli.store.run_folder import require_writable
     from topcli.studies.order import ladders, order_source, order_study, write_order
 
     load_scheme_files(scheme_files)
     what = ladders(
-        schemes or (), top=top, config=config, sets=sets or (), sizes=sizes or (), duration=duration, steps=steps
+        schemes or (),
+        top=top,
+        config=config,
+        sets=sets or (),
+        sizes=_sizes(sizes or ()),
+        duration=duration,
+        steps=steps,
     )
     say_warnings(what.problem.experiment)
     default = what == ladders(())
@@ -104,8 +127,22 @@ def order(
         _print_study(study)
         for file in files:
             say(f"wrote {file}")
-    if _say_failures(study):
-        raise typer.Exit(1)
+    if code := _say_failures(study):
+        raise typer.Exit(code)
+
+
+def _sizes(texts: Sequence[str]) -> list[float]:
+    """Step sizes of the options ``--h``. Raises UsageError."""
+    try:
+        return [float(text) for text in texts]
+    except ValueError:
+        given = [part.strip() for text in texts for part in text.split(",")]
+        right = " ".join(f"--h {part}" for part in given)
+        known = all(re.fullmatch(r"[-+.\deE]+", part) for part in given)
+        raise UsageError(
+            f"--h {quoted(','.join(texts))}: must be one number; "
+            + (f"repeat the option for several: {shortened(right)}" if known else "for example --h 0.1 --h 0.05")
+        ) from None
 
 
 def _say_sizes(asked: tuple[float, ...], used: list[float]) -> None:

@@ -116,7 +116,8 @@ def stress(
 ) -> None:
     """Test schemes in hard cases and find what breaks.
 
-    Exits with status 4 if a scheme breaks without a declared limit, or holds in a case that it declares as its limit.
+    Exits with status 4 if a scheme breaks without a declared limit, or holds in a case that it declares as its limit;
+    with 3 if the code of some of the schemes fails.
     """
     from topcli.store.run_folder import require_writable
     from topcli.studies.stress.record import stress_data, stress_source, write_stress
@@ -142,10 +143,20 @@ def stress(
         print_json("stress", {**data, "files": files})
     else:
         _print_study(data, files, verbose)
-    wrong = [one for one in data["trials"] if one["verdict"] in ("unexplained", "outlived limit")]
+    if code := _say_faults(data["trials"]):
+        raise typer.Exit(code)
+
+
+def _say_faults(trials: list[dict[str, Any]]) -> int:
+    """Report code that failed and trials that contradict a declaration; the exit code."""
+    failed = [one for one in trials if one["verdict"] == "code failed"]
+    for scheme, top, why in dict.fromkeys((one["scheme"], one["top"], one["why"]) for one in failed):
+        say(f"error: {scheme} ({top}): {why}")
+    wrong = [one for one in trials if one["verdict"] in ("unexplained", "outlived limit")]
     for one in wrong:
         unexplained = one["verdict"] == "unexplained"
         defect = "breaks without a declared limit" if unexplained else "holds in a case declared as its limit"
         say(f"error: {one['scheme']} ({one['top']}), case {one['case']}: {defect}: {one['why']}")
-    if wrong:
-        raise typer.Exit(4)
+    if failed:
+        return 3 if len(failed) < len(trials) else 2
+    return 4 if wrong else 0

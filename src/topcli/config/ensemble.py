@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from topcli.analysis.leaving import energy_of
 from topcli.config.models import Experiment, as_integer, digest_of
 from topcli.config.yaml_text import to_yaml
-from topcli.contracts import Array, Invariant, Top
+from topcli.contracts import Array, Top
 
 MAX_TRAJECTORIES = 10**6
 SEARCH_BLOCK = 1 << 14
@@ -144,21 +145,25 @@ class Draw:
     size: float
 
 
-def energy_of(top: Top) -> tuple[Invariant, float] | None:
-    """Return the invariant proportional to the energy and the factor that makes it so; None if the top has none."""
-    for invariant in top.invariants():
-        if invariant.name == "energy":
-            return invariant, 1.0
-        if invariant.name == "m_omega":
-            return invariant, 0.5
-    return None
+def energy_fault(top: Top, vector: str) -> str:
+    """Reason why ``vector`` cannot be scaled to a given energy of the state; empty if it can."""
+    energy = energy_of(top)
+    if energy is None:
+        return f"the top {top.form} has no invariant {top.energy!r}, the name of its energy"
+    states = np.tile(np.cos(np.arange(1.0, len(top.components) + 1.0)), (3, 1))  # in general position
+    states[:, slice(*top.vectors[vector])] *= np.array([[0.0], [1.0], [2.0]])
+    with np.errstate(all="ignore"):
+        none, once, twice = energy.value(states)
+        if abs((twice - none) - 4.0 * (once - none)) <= 1e-12 * energy.scale(states).max():
+            return ""
+    return f"{energy.name!r}, the energy of the top {top.form}, is not quadratic in {vector}; use sphere or near"
 
 
 def draw_examples(cls: type[Top], vector: str) -> list[str]:
     """One example, as a config writes it, of each way to draw ``vector``."""
     if vector in cls.unit_vectors:
         return ["sphere", "{near: 0.1}"]
-    return ["{sphere: 2}", "{near: 0.1}", *(["{energy: 1.5}"] if energy_of(cls.new()) else [])]
+    return ["{sphere: 2}", "{near: 0.1}", *([] if energy_fault(cls.new(), vector) else ["{energy: 1.5}"])]
 
 
 def directions(u: Array) -> Array:
@@ -192,9 +197,8 @@ def ball(centre: Array, radius: float, u: Array) -> Array:
 
 def _on_shell(top: Top, states: Array, where: slice, energy: float) -> NDArray[np.bool_]:
     """Scale the unit vectors at ``where`` to the energy; True for each state that has such a scale."""
-    found = energy_of(top)
-    assert found is not None
-    invariant, factor = found
+    invariant, factor = energy_of(top), top.energy_factor
+    assert invariant is not None
     without = states.copy()
     without[:, where] = 0.0
     potential = factor * invariant.value(without)
@@ -367,7 +371,7 @@ class EnsembleExperiment:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of what the ensemble computes and records, without name and format (``identity_of``)."""
-        return digest_of(self.resolved())
+        return digest_of(self.resolved(), self.first.own_code)
 
     def to_yaml(self) -> str:
         """Return the resolved config as YAML that loads to the same ensemble."""

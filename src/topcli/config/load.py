@@ -66,7 +66,12 @@ def load_experiment(
     """
     document, name = _named_document(source, overrides, changes)
     found = _single(document, name)
-    if found.precision != DOUBLE and not any_precision:
+    return found if any_precision else _in_doubles(found, document)
+
+
+def _in_doubles(found: Experiment, document: Document) -> Experiment:
+    """Return an experiment that is computed in doubles. Raises ConfigError for another precision."""
+    if found.precision != DOUBLE:
         problems = Problems(document)
         problems.add(
             ("precision",),
@@ -121,12 +126,16 @@ def config_data(source: Path | str, overrides: Sequence[str] = (), changes: Chan
     return {"name": name, **document.data}
 
 
-def experiment_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment:
+def experiment_from(
+    data: Mapping[str, Any], overrides: Sequence[str] = (), *, any_precision: bool = True
+) -> Experiment:
     """Return the experiment of a config given as a dict; its default name is made of its top and scheme.
 
     Lists may be tuples or numpy arrays. Raises as ``load_experiment``; the messages name the key.
     """
-    return _single(_document(data, overrides), None)
+    document = _document(data, overrides)
+    found = _single(document, None)
+    return found if any_precision else _in_doubles(found, document)
 
 
 def any_from(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Experiment | EnsembleExperiment:

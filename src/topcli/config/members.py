@@ -22,7 +22,7 @@ from topcli.config.ensemble import (
     Section,
     Spaced,
     draw_examples,
-    energy_of,
+    energy_fault,
 )
 from topcli.config.models import number_of, read_initial, read_vector
 from topcli.config.problems import Problems, unknown_key, validate
@@ -309,8 +309,8 @@ def read_draw(raw: object, cls: type[Top], top: Top, path: KeyPath, problems: Pr
     if size is None or not math.isfinite(size):
         problems.add((*path, kind), f"must be a finite number, not {describe(value)}; write {_draw_forms(cls, name)}")
         return None
-    if kind == "energy" and energy_of(top) is None:
-        problems.add((*path, kind), f"the top {cls.form} has no energy among its invariants")
+    if kind == "energy" and (fault := energy_fault(top, name)):
+        problems.add((*path, kind), fault)
         return None
     if kind != "energy" and not size > 0.0:
         problems.add((*path, kind), f"must be greater than 0, not {describe(value)}")

@@ -23,6 +23,7 @@ from topcli.config.exact import ExactNumbers
 from topcli.config.problems import Problems, unknown_key, validate
 from topcli.config.yaml_text import to_yaml
 from topcli.contracts import Invariant, Method, Scheme, Top
+from topcli.engine.fingerprint import own_code
 from topcli.engine.precise.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import COMPOSITIONS
@@ -195,9 +196,12 @@ def identity_of(resolved: Mapping[str, Any]) -> dict[str, Any]:
     return kept | {"output": {key: value for key, value in resolved["output"].items() if key != "format"}}
 
 
-def digest_of(resolved: Mapping[str, Any]) -> str:
-    """SHA-256 of ``identity_of`` a resolved config as canonical JSON, 64 hexadecimal digits."""
-    return hashlib.sha256(canonical(identity_of(resolved)).encode()).hexdigest()
+def digest_of(resolved: Mapping[str, Any], own_code: str = "") -> str:
+    """SHA-256 of ``identity_of`` a resolved config as canonical JSON, 64 hexadecimal digits.
+
+    ``own_code`` is the digest of the code of a user's top and scheme, which a config only names.
+    """
+    return hashlib.sha256((canonical(identity_of(resolved)) + own_code).encode()).hexdigest()
 
 
 def canonical(data: object) -> str:
@@ -273,9 +277,14 @@ class Experiment(BaseModel):
         return {**self.exact.resolved(self.top), "precision": self.precision, **limit}
 
     @property
+    def own_code(self) -> str:
+        """Digest of the code of the top and the scheme that are a user's own; empty if both are topcli's."""
+        return own_code(type(self.top), self.scheme)
+
+    @property
     def digest(self) -> str:
         """SHA-256 of what the run computes and records, without name and format (``identity_of``)."""
-        return digest_of(self.resolved())
+        return digest_of(self.resolved(), self.own_code)
 
     def to_yaml(self) -> str:
         """Return the resolved config as YAML that loads to the same experiment."""

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from topcli.analysis.attitude import ATTITUDES
 from topcli.analysis.columns import spellings
-from topcli.config.ensemble import Random, Section, Spaced, energy_of
+from topcli.config.ensemble import Random, Section, Spaced, energy_fault
 from topcli.config.members import SOURCES
 from topcli.config.models import AUTO, Config
 from topcli.contracts import Scheme, Top
@@ -220,7 +220,7 @@ def _draw(cls: type[Top], name: str) -> Schema:
         "near": positive
         | {"description": f"uniform within this {'angle' if unit else 'distance'} of the vector in initial"},
     }
-    if not unit and energy_of(cls.new()):
+    if not unit and not energy_fault(cls.new(), name):
         kinds["energy"] = {
             "type": "number",
             "description": "a direction uniform on the sphere, scaled to this energy of the whole state",

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic_core import to_jsonable_python
 
 from topcli.config.ensemble import draw_examples
 from topcli.config.models import Config, Output
 from topcli.config.yaml_text import flow
 from topcli.contracts import Scheme, Top
+from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.tops import top_class
 
@@ -35,8 +37,18 @@ def starter_config(
     """
     cls = top_class(top)
     names = names_for(cls.form)
-    found = find_scheme(scheme or next((name for name in DEFAULT_SCHEMES if name in names), names[0]), cls.form)
+    found = find_scheme(scheme or _default_scheme(cls, names), cls.form)
     return "\n".join(_lines(cls, found, schema, toml)) + "\n"
+
+
+def _default_scheme(cls: type[Top], names: Sequence[str]) -> str:
+    """First of ``DEFAULT_SCHEMES``, else of ``names``, that can be built for the top; else the first one."""
+    for name in [*(name for name in DEFAULT_SCHEMES if name in names), *names]:
+        scheme = find_scheme(name, cls.form)
+        with suppress(UsageError, ValidationError):
+            scheme.build(cls.new(), scheme.options())
+            return name
+    return names[0]
 
 
 def _lines(cls: type[Top], scheme: Scheme, schema: str, toml: bool) -> list[str]:

@@ -20,6 +20,7 @@ import functools
 import hashlib
 import importlib
 import importlib.util
+import inspect
 import sys
 import types
 from collections.abc import Callable, Iterable
@@ -32,9 +33,10 @@ from typing import Any, Generic, Protocol
 import numpy as np
 from pydantic import BaseModel
 
-from topcli.contracts import Method, Stepper, stop_asked
+from topcli.contracts import Method, Scheme, Stepper, Top, stop_asked
 from topcli.engine.source import is_installed, is_versioned, names_in, place_of, plain_function, references, used_names
 from topcli.errors import SchemeCodeError
+from topcli.schemes.user_code import is_own, named_module
 
 _PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...), type(NotImplemented)))
 _WRAPPERS = (staticmethod, classmethod)
@@ -268,7 +270,7 @@ class _Walk:
                         self._module(importlib.import_module(name), names)
 
     def _class(self, kind: type) -> None:
-        self.put(f"class {kind.__module__}.{kind.__qualname__}")
+        self.put(f"class {named_module(kind)}.{kind.__qualname__}")
         if self.by_name(kind.__module__):
             return
         self._items("bases", kind.__bases__)
@@ -338,6 +340,49 @@ def fingerprint(*functions: Callable[..., Any] | None, compiled: bool = True) ->
                 walk.value(plain or function)
         except _IndescribableError as why:
             raise SchemeCodeError(f"{function!r} is or holds {why}, which cannot be identified by its value") from None
+    return walk.digest.hexdigest()
+
+
+class _OwnWalk(_Walk):
+    """A digest of code of a user, in which topcli's counts by name; what cannot be described counts by its kind."""
+
+    def by_name(self, module: str) -> bool:
+        """True for topcli, and as for any walk."""
+        return module.partition(".")[0] == "topcli" or super().by_name(module)
+
+    def value(self, value: Any) -> None:
+        """Add any value."""
+        try:
+            super().value(value)
+        except _IndescribableError as why:
+            self.put(str(why))
+
+
+def _base_of(scheme: Scheme) -> Scheme | None:
+    """Scheme that ``scheme`` is composed of; None for others."""
+    cells = getattr(inspect.unwrap(scheme.build), "__closure__", None) or ()
+    return next((cell.cell_contents for cell in cells if isinstance(cell.cell_contents, Scheme)), None)
+
+
+def own_code(top: type[Top], scheme: Scheme) -> str:
+    """Digest of the code of a top and of a scheme that are not topcli's own; empty if both are.
+
+    It covers everything that they define and refer to, such as field, constants and invariants, whether a step uses it
+    or not, but not where their file lies, its comments, or code of topcli.
+    """
+    values: list[Any] = []
+    if not is_own(top):
+        values.append(top)
+    while base := _base_of(scheme):
+        scheme = base
+    build = inspect.unwrap(scheme.build)
+    if not is_own(build):
+        values += [build, scheme.modified, scheme.longest_step, scheme.order_with, scheme.conserves]
+    if not values:
+        return ""
+    walk = _OwnWalk(frozenset(value.__module__.partition(".")[0] for value in (top, build)))
+    for value in values:
+        walk.value(value)
     return walk.digest.hexdigest()
 
 

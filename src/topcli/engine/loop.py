@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, heeding
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.setups import SetupTime
+from topcli.errors import SchemeCodeError
 
 CHUNK_ROWS = 8192
 CHUNK_STEPS = 1 << 19
@@ -208,6 +209,11 @@ class Run:
                     now = time.perf_counter()
                     if went < 0:
                         return went - taken, False
+                    if went == 0 and self._loop.compiled and not self._loop.returns_early:
+                        raise SchemeCodeError(
+                            f"the compiled step raised the exception printed above, within {size} steps of step "
+                            f"{self._position.done + taken}; return nan from a step that fails"
+                        )
                     taken += went
                     if went < size or taken == steps:
                         return taken, False

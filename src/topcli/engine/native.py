@@ -31,7 +31,7 @@ from topcli.arithmetic.branches import unlikely
 from topcli.arithmetic.fused import fma
 from topcli.engine.code_cache import ObjectCode, store_code, stored_code
 from topcli.engine.fingerprint import fingerprint
-from topcli.engine.source import compilable_copy
+from topcli.engine.source import compilable_copy, require_no_raise
 from topcli.errors import RunError, TopcliError
 
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
@@ -210,8 +210,13 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     jit = njit(forceinline=inline, error_model="numpy")
     # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
     signature_type = types.int64(*(kinds[c] for c in signature))
+
+    def compiler(kernel: Any) -> Any:
+        require_no_raise(kernel)  # the time loop would never end: a cfunc that raises returns 0
+        return jit(kernel)
+
     return cfunc(signature_type, error_model="numpy", forceinline=True)(
-        compilable_copy(function, jit, {id(fma): _fma_instruction(), id(unlikely): _expectation()})
+        compilable_copy(function, compiler, {id(fma): _fma_instruction(), id(unlikely): _expectation()})
     )
 
 

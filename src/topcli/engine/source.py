@@ -157,6 +157,18 @@ class Copier:
         return made
 
 
+def require_no_raise(function: types.FunctionType) -> None:
+    """Raise SchemeCodeError for a function that raises or asserts, which compiled code cannot pass on."""
+    import dis
+
+    for step in dis.get_instructions(function):
+        if step.opname in ("RAISE_VARARGS", "LOAD_ASSERTION_ERROR"):
+            raise SchemeCodeError(
+                f"{place_of(function)}: {function.__name__} raises or asserts, which compiled code cannot; return nan "
+                "from a step that fails, or set Stepper(..., plain=True)"
+            )
+
+
 def _cell_content(refers: dict[str, Any], name: str) -> tuple[Any, ...]:
     """Content of a variable's closure cell; empty for a variable without a value."""
     return (refers[name],) if name in refers else ()

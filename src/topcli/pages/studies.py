@@ -73,10 +73,11 @@ def _compared(chapter: Chapter, figures: dict[str, Any]) -> Table:
     """Table of a comparison, and the state of the chapter."""
     title, header, lines = comparison_table(figures)
     chapter.title, _, chapter.subtitle = title.partition(": ")
-    bad = [one for one in figures["schemes"] if not _completed(one)]
+    bad = [f"{one['label']}: {one['message']}" for one in figures["schemes"] if not _completed(one)]
+    bad += [f"{one['label']}: {one['reason']}" for one in figures.get("failed", [])]
     chapter.good = not bad
     chapter.state = "completed" if chapter.good else f"{len(bad)} failed"
-    chapter.message = "; ".join(f"{one['label']}: {one['message']}" for one in bad)
+    chapter.message = "; ".join(bad)
     return Table("Comparison", header, lines, reference_note(figures))
 
 

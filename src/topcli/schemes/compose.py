@@ -188,7 +188,11 @@ def obstacle(base: Scheme) -> str:
             options = None
         if options is not None:
             top = TOPS[base.top].new()
-            reason = _method_obstacle(_composable(base.build(top, options)), top)
+            try:
+                method = base.build(top, options)
+            except UsageError as error:
+                return f"cannot be built: {error}"
+            reason = _method_obstacle(_composable(method), top)
             if reason:
                 return reason
     if base.order != BASE_ORDER:

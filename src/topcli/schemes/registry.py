@@ -23,7 +23,17 @@ from pydantic import BaseModel
 from topcli.contracts import Block, Floats, Integrability, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
-from topcli.schemes.user_code import ENTRY_POINT_GROUP, FromSource, modules_beside, reason_of, users_error, users_place
+from topcli.schemes.user_code import (
+    ENTRY_POINT_GROUP,
+    SCHEME_FILE,
+    FromSource,
+    file_of,
+    is_own,
+    modules_beside,
+    reason_of,
+    users_error,
+    users_place,
+)
 from topcli.tops import TOPS
 
 Build = Callable[[Any, Any], Method]
@@ -32,6 +42,8 @@ _schemes: dict[tuple[str, str], Scheme] = {}
 _for_every_top: dict[str, Callable[[str], None]] = {}
 """By the name of each scheme declared for every top: what registers it for one form, of a top that comes in later."""
 _origin = "topcli"
+_top_origins: dict[str, str] = {}
+"""Distribution or file of each form of a top that a plugin brought."""
 _other_tables: list[tuple[MutableMapping[Any, Any], dict[Any, Any]]] = []
 """Tables of other parts that plugins extend, each with its built-in content."""
 
@@ -41,9 +53,19 @@ def plugin_table(table: MutableMapping[Any, Any]) -> None:
     _other_tables.append((table, dict(table)))
 
 
-def registering_origin() -> str:
-    """Distribution or file that is being imported, for the entries that it registers."""
-    return _origin
+plugin_table(_top_origins)
+
+
+def origin_of(function: Callable[..., Any]) -> str:
+    """Distribution or file that registers ``function`` while it is being imported; else the file of the function."""
+    if is_own(function):
+        return "topcli"
+    return file_of(function) if _origin == "topcli" else _origin
+
+
+def top_origin(top: type[Top]) -> str:
+    """Distribution or file of a top."""
+    return "topcli" if is_own(top) else _top_origins.get(top.form) or file_of(top)
 
 
 @dataclass(frozen=True)
@@ -162,9 +184,9 @@ def scheme(
     (4.0, -1.0, 4.0)
     """
     forms = TOPS if top is None else (top,) if isinstance(top, str) else tuple(top)
-    origin = _origin
 
     def register(build: Build) -> Build:
+        origin = origin_of(build)
         declared = partial(
             Scheme,
             name=name.lower(),
@@ -278,6 +300,7 @@ def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> Plugin
     try:
         load()
         for form in TOPS.keys() - before[1].keys():
+            _top_origins[form] = origin
             for known, register_for in before[2].items():
                 if (known, form) not in _schemes:  # the plugin may bring its own
                     register_for(form)
@@ -319,7 +342,7 @@ def load_scheme_file(path: Path) -> None:
     plugin_failures()
     if not os.path.isfile(path):  # False also for what cannot be a path
         raise UsageError(f"scheme file {path}: no such file")
-    name = "topcli_scheme_file_" + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    name = SCHEME_FILE + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(name, path, loader=FromSource(name, str(path)))
     if spec is None or spec.loader is None:
         raise UsageError(f"scheme file {path}: not a Python file (expected a name ending in .py)")

@@ -12,11 +12,30 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 from topcli.errors import SchemeCodeError, TopcliError
 
 ENTRY_POINT_GROUP = "topcli.schemes"
+SCHEME_FILE = "topcli_scheme_file_"
+"""Start of the names of the modules of scheme files; a digest of the path follows."""
 _NOT_BESIDE = sys.stdlib_module_names | {"topcli"}
+
+
+def is_own(value: Any) -> bool:
+    """True if a function or class belongs to topcli, not to a user's file or another package."""
+    return value.__module__.partition(".")[0] == "topcli"
+
+
+def named_module(value: Any) -> str:
+    """Name of the module of a function or class, the same for a scheme file wherever it lies."""
+    return SCHEME_FILE if value.__module__.startswith(SCHEME_FILE) else value.__module__
+
+
+def file_of(value: Any) -> str:
+    """File of a function or class, or the name of its module if there is none."""
+    module = sys.modules.get(value.__module__)
+    return str(getattr(module, "__file__", None) or value.__module__)
 
 
 class FromSource(importlib.machinery.SourceFileLoader):

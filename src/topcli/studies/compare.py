@@ -21,7 +21,7 @@ from topcli.engine.precise.numbers import MAX_DIGITS
 from topcli.store.envelope import thinned
 from topcli.store.provenance import environment
 from topcli.store.study import write_study
-from topcli.studies.entries import Entry, few_rows, read_entries
+from topcli.studies.entries import Entry, few_rows, read_entries, users_code
 from topcli.studies.measures.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.studies.report import finite, left_motion
 from topcli.studies.simulate import trajectory_of
@@ -160,22 +160,29 @@ def compare_schemes(
 
     Errors are Euclidean norms of the difference of states from the ``reference`` at the compared times: Taylor series
     or the closed form (``references.METHODS``). The reversal defect is the largest over states spread along the
-    reference.
-    Raises UsageError as ``read_entries``, and for a reference that the top does not have.
+    reference. Entries whose code fails are listed under ``failed``; the others go on. Raises UsageError as
+    ``read_entries``, for a reference that the top does not have, and if the code of all entries fails.
     """
-    compared = read_entries(experiment, entries, options)
+    asked = read_entries(experiment, entries, options)
     top = experiment.top
     reference_form(top, reference)
-    methods = [one.experiment.method() for one in compared]
     shared = SharedReferences(sys.maxsize, MAX_STEPS)
 
     def reference_of(one: Experiment, every: int) -> Array:
         n = np.arange(0, one.N + 1, every)
         return shared.states(top, reference, np.array(experiment.y0), one.h, n)
 
-    finest = max((one.experiment for one in compared), key=lambda one: one.N // one.output.every)
+    finest = max((one.experiment for one in asked), key=lambda one: one.N // one.output.every)
     finest_rows = reference_of(finest, finest.output.every)  # first, because it may be refused
-    trajectories = [trajectory_of(one.experiment) for one in compared]
+    compared, methods, trajectories, failed = [], [], [], []
+    for one in asked:
+        with users_code(failed, one.label):
+            method, trajectory = one.experiment.method(), trajectory_of(one.experiment)
+            compared.append(one)
+            methods.append(method)
+            trajectories.append(trajectory)
+    if not compared:
+        raise failed[0].error
     probes = finest_rows[probe_rows(len(finest_rows))]
     timed = nanoseconds_per_step(
         [(top, method, experiment.y0, one.experiment.h) for one, method in zip(compared, methods, strict=True)],
@@ -207,6 +214,7 @@ def compare_schemes(
                 "rows": len(t),
                 "few_rows": few_rows(compared, experiment),
                 "schemes": figures,
+                "failed": [one.as_dict() for one in failed],
             }
         ),
         series,

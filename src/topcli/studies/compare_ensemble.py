@@ -15,7 +15,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.studies.compare import settings
 from topcli.studies.ensemble_report import EndingTally
-from topcli.studies.entries import Entry, few_rows, read_entries
+from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
 from topcli.studies.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
 from topcli.studies.measures.references import METHODS, TAYLOR, reference_form
 from topcli.studies.report import finite
@@ -51,24 +51,37 @@ def compare_ensemble(
     -------
     dict
         ``schemes`` holds for each entry the counted outcomes, the first failures, and the quantiles of each measure
-        over the trajectories that took all their steps and have a value, with the ``count`` of these.
+        over the trajectories that took all their steps and have a value, with the ``count`` of these. ``failed`` lists
+        the entries whose code fails.
 
     Raises
     ------
     UsageError
-        As ``read_entries``, for a reference that the top does not have, and for more rows than fit in memory.
+        As ``read_entries``, for a reference that the top does not have, for more rows than fit in memory, and if the
+        code of all entries fails.
     """
     compared = read_entries(experiment.first, entries, options)
     known = reference_form(experiment.top, reference) is not None or not reference_obstacle(experiment.top)
-    columns = [_Column(entry, experiment.top, reference if known else None) for entry in compared]
+    columns: list[_Column] = []
+    failed: list[Failed] = []
+    for entry in compared:
+        with users_code(failed, entry.label):
+            columns.append(_Column(entry, experiment.top, reference if known else None))
     done, total = 0, experiment.count * sum(column.experiment.N for column in columns)
     for group in experiment.members.groups:
-        size = min(column.prepare(group) for column in columns)
-        for initial in group.source.blocks(size):
-            for column in columns:  # one block under all entries, so that they share its references
-                column.add(initial)
+        sizes = []
+        for column in _working(columns, failed):
+            with users_code(failed, column.entry.label):
+                sizes.append(column.prepare(group))
+        for initial in group.source.blocks(min(sizes, default=group.count)):
+            for column in _working(columns, failed):  # one block under all entries, so that they share its references
+                with users_code(failed, column.entry.label):
+                    column.add(initial)
                 done += len(initial) * column.experiment.N
                 on_progress(done, total)
+    columns = _working(columns, failed)
+    if not columns:
+        raise failed[0].error
     first = compared[0]
     return finite(
         {
@@ -81,8 +94,15 @@ def compare_ensemble(
             "rows": first.experiment.N // first.stride + 1,
             "few_rows": few_rows(compared, experiment.first),
             "schemes": [column.figures() for column in columns],
+            "failed": [one.as_dict() for one in failed],
         }
     )
+
+
+def _working(columns: Sequence[_Column], failed: Sequence[Failed]) -> list[_Column]:
+    """The ``columns`` whose code has not failed."""
+    labels = {one.label for one in failed}
+    return [column for column in columns if column.entry.label not in labels]
 
 
 class _Column:

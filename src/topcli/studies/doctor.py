@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
+import inspect
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from topcli.engine.code_cache import cache_folder, cache_state
 from topcli.engine.ensemble import default_threads
 from topcli.engine.native import native
-from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures
+from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures, top_origin
 from topcli.store.provenance import environment, installed
 from topcli.studies.measures import all_measures
+from topcli.tops import TOPS
 
 EXTRAS = ("scipy", "pandas", "matplotlib", "typer", "rich", "ruamel.yaml", "platformdirs")
 
@@ -18,6 +21,25 @@ EXTRAS = ("scipy", "pandas", "matplotlib", "typer", "rich", "ruamel.yaml", "plat
 def _probe(x: Any, n: int) -> int:
     x[0] = x[0] + 1.0
     return n + 1
+
+
+def _registered_by(entry: EntryPoint, entries: Sequence[EntryPoint]) -> list[str]:
+    """Names of the schemes, measures and tops of an entry point.
+
+    Of several entry points of a package each has what its own module, or one within it, defines; what no such module
+    defines counts for all of them.
+    """
+    origin = entry.dist.name if entry.dist else entry.name
+    parts = [(one.name, inspect.unwrap(one.build), one.origin) for one in all_schemes()]
+    parts += [(one.name, one.evaluate, one.origin) for one in all_measures()]
+    parts += [(form, TOPS[form], top_origin(TOPS[form])) for form in TOPS]
+    modules = {one.module for one in entries if (one.dist.name if one.dist else one.name) == origin}
+    found = set()
+    for name, value, where in parts:
+        within = [module for module in modules if f"{value.__module__}.".startswith(f"{module}.")]
+        if where == origin and (not within or max(within, key=len) == entry.module):
+            found.add(name)
+    return sorted(found)
 
 
 def diagnosis() -> dict[str, Any]:
@@ -36,12 +58,12 @@ def diagnosis() -> dict[str, Any]:
         problems.append(f"compiled code is not kept: {folder} cannot be written or loaded; every process recompiles")
     failures = {failure.name: failure.reason for failure in plugin_failures()}
     plugins = []
-    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
-        origin = entry.dist.name if entry.dist else entry.name
-        names = sorted({one.name for one in (*all_schemes(), *all_measures()) if one.origin == origin})
+    entries = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
+    for entry in entries:
+        names = _registered_by(entry, entries)
         about = f"failed: {failures[entry.name]}" if entry.name in failures else f"registers {', '.join(names)}"
         if not names and entry.name not in failures:
-            about = "registers no scheme or measure"
+            about = "registers no scheme, measure or top"
             problems.append(f"plugin {entry.name} {about}")
         plugins.append({"name": entry.name, "state": about})
     problems += [f"plugin {name} failed: {reason}" for name, reason in failures.items()]

@@ -283,7 +283,7 @@ def run_ensemble(
     if message := setup_message(experiment, threads):
         on_message(f"{identity.name}: {message}")
     with Commit() as commit, RunWriter(out, identity.name, displace=force or retry_failed) as writer:
-        origin = Origin(identity, experiment.first.scheme.origin, now(), environment(), commit)
+        origin = Origin(identity, experiment.first.scheme, type(experiment.top), now(), environment(), commit)
         try:
             return _carry_out(experiment, writer, origin, progress, stop, threads)
         except OSError as error:

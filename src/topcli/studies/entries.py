@@ -20,8 +20,9 @@ from topcli.config.load import experiment_from
 from topcli.config.models import Experiment, number_of
 from topcli.config.overrides import parse_override
 from topcli.contracts import Scheme
-from topcli.errors import UnknownNameError, UsageError, nearest, printable, quoted, shortened
+from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
 from topcli.schemes.registry import find_scheme
+from topcli.schemes.user_code import users_error
 
 STEP = "h"
 """Key of an entry's own step size; all other keys are options of its scheme."""
@@ -118,6 +119,30 @@ def few_rows(entries: Sequence[Entry], experiment: Experiment) -> bool:
     """True if the entries share fewer times than ``experiment`` has rows, and fewer than ``FEW_ROWS``."""
     shared = entries[0].experiment.N // entries[0].stride
     return shared < min(FEW_ROWS, experiment.N // experiment.output.every)
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Entry whose code raised or could not be compiled."""
+
+    label: str
+    error: SchemeCodeError
+
+    def as_dict(self) -> dict[str, str]:
+        """Plain data, ready for JSON."""
+        return {"label": self.label, "reason": str(self.error)}
+
+
+@contextmanager
+def users_code(failed: list[Failed], label: str) -> Iterator[None]:
+    """Append to ``failed`` if the code of the entry ``label``, from a user's file or a plugin, fails within."""
+    try:
+        yield
+    except Exception as error:
+        found = error if isinstance(error, SchemeCodeError) else users_error(error)
+        if found is None:
+            raise
+        failed.append(Failed(label, found))
 
 
 def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Entry:

@@ -13,9 +13,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pydantic import ValidationError
+
 from topcli.config.models import Experiment, digest_of
-from topcli.contracts import Block, Method, Sampler
+from topcli.contracts import Block, Method, Sampler, Scheme, Top
 from topcli.engine.fingerprint import fingerprint
+from topcli.errors import UsageError
+from topcli.schemes.registry import top_origin
 from topcli.store.manifest import StoredRun
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import RunWriter
@@ -38,6 +42,14 @@ def method_fingerprint(method: Method) -> str:
     return hashlib.sha256((code + repr(layout)).encode()).hexdigest()
 
 
+def scheme_code(scheme: Scheme, top: Top) -> str:
+    """Digest of the code of a scheme with its default options; the reason if it cannot be built for ``top``."""
+    try:
+        return method_fingerprint(scheme.build(top, scheme.options()))
+    except (UsageError, ValidationError) as error:
+        return str(error)
+
+
 @dataclass(frozen=True)
 class Identity:
     """Resolved experiment or ensemble (``config``), the ``digest`` of what it computes, and that of the ``code``.
@@ -54,13 +66,15 @@ class Identity:
         """Identity of an experiment under one method, or of an ensemble under those of its groups."""
         config = experiment.resolved()
         codes = [method_fingerprint(method) for method in methods]
+        one = experiment if isinstance(experiment, Experiment) else experiment.first
+        digest = digest_of(config, one.own_code)
         if isinstance(experiment, Experiment) and experiment.output.attitude:
             from topcli.engine.attitude import attitude_code
 
             codes = [f"{code},{attitude_code(method)}" for code, method in zip(codes, methods, strict=True)]
-            return cls(config, digest_of(config), hashlib.sha256(codes[0].encode()).hexdigest())
+            return cls(config, digest, hashlib.sha256(codes[0].encode()).hexdigest())
         code = codes[0] if len(codes) == 1 else hashlib.sha256(",".join(codes).encode()).hexdigest()
-        return cls(config, digest_of(config), code)
+        return cls(config, digest, code)
 
     @property
     def name(self) -> str:
@@ -71,6 +85,12 @@ class Identity:
     def digests(self) -> dict[str, str]:
         """``digest`` and ``code``, as locks, checkpoints and manifests hold them."""
         return {"digest": self.digest, "code": self.code}
+
+    def other_code(self, manifest: Mapping[str, Any]) -> str:
+        """Reason why a run with an equal config has another digest, in half a line."""
+        origins = [manifest.get("top_origin"), manifest.get("scheme_origin")]
+        users = " and ".join(one for one in dict.fromkeys(origins) if one not in (None, "topcli"))
+        return f"computed by other code of {users}" if users else "identified by another version of topcli"
 
     def same(self, about: Mapping[str, Any]) -> bool:
         """True if ``about``, a manifest or the data of a checkpoint, has both digests."""
@@ -91,7 +111,8 @@ class Origin:
     """Origin of the files of a run folder: the experiment, its scheme, the time and the environment."""
 
     identity: Identity
-    scheme_origin: str
+    scheme: Scheme
+    top: type[Top]
     started: str
     environment: dict[str, Any]
     commit: Commit
@@ -123,7 +144,8 @@ def store_run(
             "message": report["message"],
             **manifest,
             "config": identity.config,
-            "scheme_origin": origin.scheme_origin,
+            "scheme_origin": origin.scheme.origin,
+            "top_origin": top_origin(origin.top),
             "started": origin.started,
             "ended": now(),
             "seconds": report["seconds"],

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from topcli.analysis.leaving import energy_of
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array
@@ -51,7 +52,8 @@ def largest_by_octave(times: Array, values: Array) -> Array:
 def _energy_errors(experiment: Experiment) -> Array:
     """Largest deviation of the energy in each octave, relative to the size of its terms at the start."""
     top, found, numbers = experiment.top, [], []
-    energy = next(one for one in top.invariants() if one.name == top.energy)
+    energy = energy_of(top)
+    assert energy is not None
     first = np.array([experiment.y0])
     start, scale = float(energy.value(first)[0]), float(energy.scale(first)[0])
     for chunk in Run(top, experiment.method(), experiment.y0, experiment.h, STEPS - 1):

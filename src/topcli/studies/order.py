@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from topcli.analysis.order import convergence
+import numpy as np
+
+from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order
 from topcli.analysis.reference import reference_states
-from topcli.config.load import load_experiment
+from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
@@ -25,7 +27,7 @@ from topcli.studies.bench.ladder import Rung
 from topcli.studies.bench.line_up import choose
 from topcli.studies.bench.measure import Effort, Measurements, explore
 from topcli.studies.bench.scenes import Problem
-from topcli.studies.identity import method_fingerprint
+from topcli.studies.identity import scheme_code
 from topcli.studies.report import finite
 from topcli.studies.roundoff import GENERIC, SCENES
 
@@ -39,8 +41,10 @@ STEPS = 4_000_000
 """Largest number of steps of one run."""
 SECONDS = 5.0
 """CPU seconds that one run may take."""
+FALSE = (OrderVerdict.TOO_LOW, OrderVerdict.INCONSISTENT)
+"""Verdicts on a scheme whose declared order is false."""
 FILE = Path("order") / "order.json"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 class _Ladder(SchemeCompetitor):
@@ -49,6 +53,11 @@ class _Ladder(SchemeCompetitor):
     def __init__(self, scheme: Scheme, problem: Problem, most: int, rungs: Sequence[Rung]) -> None:
         super().__init__(scheme, problem)
         self._most, self._given = most, rungs
+
+    def is_consistent(self) -> bool:
+        """True if single steps from the problem's initial state are consistent with the equations of motion."""
+        method = self._scheme.build(self._problem.top, self._defaults())
+        return is_consistent(self._problem.top, method, self._y0)
 
     def rungs(self) -> Iterator[Rung]:
         """Yield the rungs, coarse to fine."""
@@ -106,7 +115,7 @@ def ladders(
     names: Sequence[str],
     *,
     top: str | None = None,
-    config: str | Path | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
     sets: Sequence[str] = (),
     sizes: Sequence[float] = (),
     duration: float | None = None,
@@ -120,8 +129,8 @@ def ladders(
         Schemes. Without names, ``top`` and ``config`` they are those of ``DEFAULT``.
     top : str, optional
         Form of a top, whose packaged scene is run.
-    config : str or Path, optional
-        Config or scene that gives the top, the initial state and, by N*h, the duration.
+    config : str, Path or mapping, optional
+        Config, scene or content of a config that gives the top, the initial state and, by N*h, the duration.
     sets : sequence of str
         Overrides of the config.
     sizes : sequence of float
@@ -139,7 +148,10 @@ def ladders(
     if top is not None and config is not None:
         raise UsageError("--top and --config both choose the scene; give one of them")
     wanted = names or (DEFAULT if top is None and config is None else ())
-    experiment = load_experiment(config or _default_config(wanted, top), sets)
+    if isinstance(config, Mapping):
+        experiment = experiment_from(config, sets, any_precision=False)
+    else:
+        experiment = load_experiment(config or _default_config(wanted, top), sets)
     own = experiment.duration if config is not None else DURATION
     length = own if duration is None else duration
     if not (math.isfinite(length) and length > 0.0):
@@ -159,15 +171,23 @@ def ladders(
     return Ladders(problem, schemes, left_out if names else (), tuple(sizes), steps)
 
 
-def _row(scheme: Scheme, measured: Measurements) -> dict[str, Any]:
-    """Errors of one scheme as plain data, with the observed order and the plateau."""
+def _row(ladder: _Ladder, measured: Measurements, size: float) -> dict[str, Any]:
+    """Errors of one scheme as plain data, with the observed order, the verdict on the declared one, and the plateau.
+
+    ``size`` is the largest distance of the motion from its start.
+    """
     sizes = [rung.rung.value for rung in measured.rungs]
     errors = [rung.error for rung in measured.rungs]
     found = convergence(sizes, errors)
+    verdict, why = None, ""
+    if ladder.order is not None and not measured.broken:
+        verdict, why = judge_order(ladder.order, found, size, ladder.is_consistent)
     return {
-        "scheme": scheme.name,
-        "declared_order": scheme.order,
+        "scheme": ladder.name,
+        "declared_order": ladder.order,
         "order": found.order,
+        "verdict": verdict,
+        "why": why,
         "fitted": list(found.fitted),
         "plateau": found.plateau,
         "onset": found.onset,
@@ -186,10 +206,11 @@ def order_study(what: Ladders, on_progress: Callable[[int, int], None] = lambda 
     """
     problem = what.problem
     reference = reference_states(problem.top, problem.experiment.y0, problem.times)
+    size = float(np.linalg.norm(reference - reference[0], axis=1).max())
     rows = []
     for i, scheme in enumerate(what.schemes):
         ladder = _Ladder(scheme, problem, what.steps, what.rungs)
-        rows.append(_row(scheme, explore(ladder, problem, reference, Effort(SECONDS))))
+        rows.append(_row(ladder, explore(ladder, problem, reference, Effort(SECONDS)), size))
         on_progress(i + 1, len(what.schemes))
     return finite(
         {
@@ -209,8 +230,10 @@ def order_study(what: Ladders, on_progress: Callable[[int, int], None] = lambda 
 def order_source(what: Ladders) -> str:
     """Digest of everything that the results of a study depend on."""
     experiment: Experiment = what.problem.experiment
-    codes = [method_fingerprint(scheme.build(what.problem.top, scheme.options())) for scheme in what.schemes]
-    code = fingerprint(order_study, _row, convergence, explore, reference_states, compiled=False)
+    codes = [scheme_code(scheme, what.problem.top) for scheme in what.schemes]
+    code = fingerprint(
+        order_study, _row, convergence, judge_order, is_consistent, explore, reference_states, compiled=False
+    )
     settings = [what.problem.duration, what.problem.intervals, what.sizes, what.steps, SECONDS]
     text = json.dumps([experiment.digest, [scheme.name for scheme in what.schemes], codes, code, settings])
     return hashlib.sha256(text.encode()).hexdigest()

@@ -7,7 +7,7 @@ from typing import Any
 
 from topcli.studies.report import number
 
-HEADER = ("scheme", "order", "observed", "fitted over h", "round-off", "from h", "smallest error", "at h")
+HEADER = ("scheme", "order", "observed", "verdict", "fitted over h", "round-off", "from h", "smallest error", "at h")
 
 
 def order_title(study: Mapping[str, Any]) -> str:
@@ -16,13 +16,14 @@ def order_title(study: Mapping[str, Any]) -> str:
 
 
 def order_line(row: dict[str, Any]) -> list[str]:
-    """Line of one scheme: declared and observed order, the fitted step sizes, the plateau, the smallest error."""
+    """Line of one scheme: declared and observed order, verdict, fitted step sizes, plateau, smallest error."""
     best = min((one for one in row["points"] if one["error"] is not None), key=lambda one: one["error"], default=None)
     fitted = f"{number(row['fitted'][0], 2)} to {number(row['fitted'][-1], 2)}" if row["fitted"] else "–"
     return [
         row["scheme"],
         "–" if row["declared_order"] is None else str(row["declared_order"]),
         "–" if row["order"] is None else f"{row['order']:.2f}",
+        row["verdict"] or "–",
         fitted,
         number(row["plateau"], 2),
         number(row["onset"], 2),

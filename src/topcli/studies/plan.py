@@ -51,7 +51,7 @@ def plan_run(
                 holds = f"a different experiment ({differs})"
             else:
                 digests = f"digest {existing.manifest['digest'][:8]}, this one {digest[:8]}"
-                holds = f"this experiment as identified by another version of topcli ({digests})"
+                holds = f"this experiment as {identity.other_code(existing.manifest)} ({digests})"
             raise UsageError(
                 f"{target}: holds {holds}; nothing was written",
                 "choose another name with --name or another folder with --out, or use --force, which renames "

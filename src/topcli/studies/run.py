@@ -218,7 +218,9 @@ def run_experiment(
         start = checked_start(identity, writer, source, tell) if resume else None
         about = checkpoint_data(identity, start)
         checkpoints = Checkpoints(writer, about, checkpoint_every, last=start)
-        origin = Origin(identity, experiment.scheme.origin, about["started"], about["environment"], commit)
+        origin = Origin(
+            identity, experiment.scheme, type(experiment.top), about["started"], about["environment"], commit
+        )
         job = _Job(experiment, method, writer, checkpoints, origin, precise)
         try:
             stored, report = _carry_out(job, start, feedback.on_progress, stop)

@@ -48,6 +48,7 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3)}
     energy: ClassVar[str] = "m_omega"
+    energy_factor: ClassVar[float] = 0.5
     swing: ClassVar[str] = "omega2"
     step_constants: ClassVar[tuple[str, ...]] = (
         "A",

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 
 from topcli.contracts import Sampler, Scheme, Stepper
-from topcli.errors import UsageError
+from topcli.errors import SchemeCodeError, UsageError
 from topcli.schemes.registry import SchemeMisfitError, all_schemes, composable_names
 from topcli.studies.bench.scenes import Problem
 from topcli.studies.entries import scheme_with
@@ -70,9 +70,10 @@ def default_names(form: str) -> list[str]:
 def choose(problem: Problem, names: Sequence[str]) -> LineUp:
     """Return the schemes ``NAME[:option=value,...]`` that fit the problem's top; ``default_names`` if none is named.
 
-    Left out are schemes that fit other tops only, that need options, that are evaluated rather than stepped, and, by
-    default, those that run in the interpreter. Raises UsageError for a scheme named twice, and UnknownNameError with
-    the nearest names.
+    Left out are schemes that fit other tops only, that need options or equations that the top does not give, that are
+    evaluated rather than stepped, and, by default, those that run in the interpreter. A scheme whose code raises takes
+    part, so that its failure is reported. Raises UsageError for a scheme named twice, and UnknownNameError with the
+    nearest names.
     """
     schemes: list[Scheme] = []
     exact: list[Scheme] = []
@@ -90,10 +91,11 @@ def choose(problem: Problem, names: Sequence[str]) -> LineUp:
         except ValidationError as error:
             left_out.append((scheme.name, f"needs options ({error.errors()[0]['loc'][0]})"))
             continue
+        except SchemeCodeError:
+            schemes.append(scheme)
+            continue
         except UsageError as error:
-            if names:
-                raise
-            left_out.append((scheme.name, error.lines[0]))
+            left_out.append((scheme.name, str(error)))
             continue
         if isinstance(method, Sampler) and scheme.order is None:
             exact.append(scheme)

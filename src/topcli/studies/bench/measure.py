@@ -16,6 +16,7 @@ import numpy as np
 from topcli.analysis.pareto import Point
 from topcli.contracts import Array, Invariant
 from topcli.errors import UsageError
+from topcli.schemes.user_code import users_error
 from topcli.studies.bench.competitors import Competitor, NoResultError
 from topcli.studies.bench.ladder import Rung
 from topcli.studies.bench.scenes import Problem
@@ -128,6 +129,12 @@ def explore(competitor: Competitor, problem: Problem, reference: Array, effort: 
             continue
         except UsageError as error:  # a step that cannot be compiled fails at every rung
             measured.ended = measured.broken = str(error)
+            break
+        except Exception as error:
+            found = users_error(error)
+            if found is None:
+                raise
+            measured.ended = measured.broken = str(found)
             break
         with np.errstate(over="ignore", invalid="ignore"):
             errors = np.linalg.norm(first.states - reference, axis=1)

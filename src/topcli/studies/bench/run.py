@@ -25,14 +25,14 @@ from topcli.studies.bench.front import decade_rows, front
 from topcli.studies.bench.line_up import LineUp
 from topcli.studies.bench.measure import Effort, Measurements, as_rows, deviations, explore, time_all
 from topcli.studies.bench.scenes import Problem
-from topcli.studies.identity import method_fingerprint
+from topcli.studies.identity import scheme_code
 from topcli.studies.peers import Peer, missing
 from topcli.studies.report import finite
 
 
 def code_of(line_up: LineUp, problem: Problem) -> str:
     """Digest of the code of all schemes that take part."""
-    codes = [method_fingerprint(scheme.build(problem.top, scheme.options())) for scheme in line_up.schemes]
+    codes = [scheme_code(scheme, problem.top) for scheme in line_up.schemes]
     return hashlib.sha256(" ".join(codes).encode()).hexdigest()
 
 

@@ -12,6 +12,7 @@ from topcli.contracts import Array
 from topcli.studies.measures.batch import Batch
 from topcli.studies.measures.references import obstacle
 from topcli.studies.measures.registry import (
+    COUNTER,
     DEVIATION,
     DRIFT,
     END_ERROR,
@@ -128,10 +129,12 @@ def reversal(batch: Batch) -> Array:
     summary="number of events NAME that the scheme counts",
     unit=NUMBER,
     names=counter_names,
-    noun="counter",
+    noun=COUNTER,
 )
 def counter(batch: Batch, name: str) -> Array:
-    """Count at the end of the run."""
+    """Count at the end of the run; nan for a scheme that does not count it."""
+    if name not in batch.endings.counters:
+        return np.full(len(batch), np.nan)
     return batch.endings.counts[:, batch.endings.counters.index(name)].astype(np.float64)
 
 

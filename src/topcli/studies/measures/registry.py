@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from topcli.contracts import Invariant, Sampler, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.registry import all_schemes, plugin_failures, registering_origin
+from topcli.schemes.registry import all_schemes, origin_of, plugin_failures
 from topcli.tops import TOPS
 
 FAMILY = ".NAME"
@@ -104,6 +104,11 @@ class MeasureMisfitError(UsageError):
     """The measure exists but does not fit the top or the scheme (exit code 2)."""
 
 
+class NoCounterError(MeasureMisfitError):
+    """The scheme does not have the counter of a measure (exit code 2)."""
+
+
+COUNTER = "counter"
 MEASURES: dict[str, Measure] = {}
 """Measures and families by name; ``all_measures`` includes those of plugins."""
 
@@ -188,7 +193,7 @@ def measure(
             of_failed=of_failed,
             reproducible=reproducible,
             # these may be imported because a plugin registers its own
-            origin="topcli" if evaluate.__module__.startswith("topcli.") else registering_origin(),
+            origin=origin_of(evaluate),
         )
         return evaluate
 
@@ -230,7 +235,7 @@ def measures_of_form(form: str) -> list[Measure]:
 
 
 def resolve_measures(
-    names: Sequence[str], top: Top, scheme: Scheme, options: BaseModel | None = None
+    names: Sequence[str], top: Top, scheme: Scheme, options: BaseModel | None = None, *, any_counter: bool = False
 ) -> tuple[Measure, ...]:
     """Return the measures called ``names`` for runs of ``top`` under ``scheme``.
 
@@ -244,6 +249,8 @@ def resolve_measures(
         Scheme of the runs.
     options : BaseModel, optional
         Options of the scheme, by default its defaults.
+    any_counter : bool, optional
+        True to accept counters that the scheme does not have; their values are nan.
 
     Returns
     -------
@@ -256,6 +263,8 @@ def resolve_measures(
         For a name that is no measure of this top and scheme; the message suggests the nearest ones.
     MeasureMisfitError
         For a measure that does not fit the top or the scheme, with the reason.
+    NoCounterError
+        For a counter that the scheme does not have.
     UsageError
         For a name that is given twice.
     """
@@ -263,7 +272,12 @@ def resolve_measures(
     for i, name in enumerate(names):
         if name in names[:i]:
             raise UsageError(f"measure {quoted(name)} is named twice")
-        one = _find(name, top, scheme, options)
+        try:
+            one = _find(name, top, scheme, options)
+        except NoCounterError:
+            if not any_counter:
+                raise
+            one = MEASURES[COUNTER + FAMILY].member(name.partition(".")[2])
         if reason := _misfit(one, top, scheme, options):
             raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {reason}")
         found.append(replace(one, needs=tuple(top.swing if need == SWING else need for need in one.needs)))
@@ -283,6 +297,9 @@ def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Mea
     if member in known:
         return family.member(member)
     whose = f"top {top.kind!r} under scheme {scheme.name!r}"
+    if base == COUNTER and member not in ("", "NAME"):
+        hint = f"; {nearest(member, known)}" if known else ""
+        raise NoCounterError(f"measure {quoted(name)}: {whose} has no {family.noun} {quoted(member)}{hint}")
     if not known:
         raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {whose} has no {family.noun}")
     if member in ("", "NAME"):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from topcli.analysis.drift import invariant_report
-from topcli.analysis.order import observed_order
+from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order, observed_order
 from topcli.analysis.swings import minima_times
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Sampler
@@ -80,6 +80,24 @@ def keeps_order(trial: Trial) -> Finding:
         why if held else f"{why}: falls short of its order {trial.order}",
         figures={**figures, "order": order},
     )
+
+
+def false_order(trial: Trial) -> str:
+    """Reason why the declared order is false, from the errors of a generic motion; empty if it is not refuted."""
+    assert trial.order is not None
+    y0 = np.array(trial.y0)
+    for finer in (1, 4, 16):  # until the steps are short enough to decide
+        errors, size = [], 0.0
+        for factor in (finer, 2 * finer, 4 * finer):
+            motion = trial.run(trial.h / factor, trial.N * factor, _every(trial.N) * factor)
+            exact = trial.reference(motion.t)
+            errors.append(float(np.abs(motion.states - exact).max()))
+            size = float(np.abs(exact - exact[0]).max())
+        found = convergence([4.0, 2.0, 1.0], errors)
+        verdict, why = judge_order(trial.order, found, size, lambda: is_consistent(trial.top, trial.method, y0))
+        if verdict is not OrderVerdict.UNDECIDED:
+            return why
+    return ""
 
 
 def _timed(what: str, time: float, exact: float, trial: Trial, when: str = "at") -> Finding:

@@ -12,8 +12,9 @@ from topcli.engine.fingerprint import fingerprint
 from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
-from topcli.studies.identity import method_fingerprint
+from topcli.studies.identity import scheme_code
 from topcli.studies.stress import CASES
+from topcli.studies.stress.checks import false_order
 from topcli.studies.stress.suite import Judged, tried
 from topcli.tops import TOPS
 
@@ -40,12 +41,12 @@ def stress_source() -> str:
     """Digest of everything that the results of the whole suite depend on: the code and limits of schemes and cases."""
     schemes = []
     for scheme in all_schemes():
-        method = scheme.build(TOPS[scheme.top].new(), scheme.options())
-        schemes.append([scheme.name, scheme.top, method_fingerprint(method), sorted(scheme.limits.items())])
+        code = scheme_code(scheme, TOPS[scheme.top].new())
+        schemes.append([scheme.name, scheme.top, code, sorted(scheme.limits.items())])
     checks = [
         [case.name, case.form, case.question, fingerprint(case.check, case.config, compiled=False)] for case in CASES
     ]
-    text = json.dumps([schemes, checks, fingerprint(tried, compiled=False)])
+    text = json.dumps([schemes, checks, fingerprint(tried, false_order, compiled=False)])
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Scheme
-from topcli.errors import ConfigError, RunError, StepTooLongError, UsageError, nearest, shortened
+from topcli.errors import ConfigError, RunError, SchemeCodeError, StepTooLongError, UsageError, nearest, shortened
 from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.user_code import users_error
 from topcli.studies.stress import CASES, case_names, cases_named
 from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
+from topcli.studies.stress.checks import false_order
 from topcli.tops import TOPS, forms
+
+GENERIC = "backwards"
+"""Case of every top whose motion is a generic one with a short step: there every scheme has its order."""
+CODE_FAILED = "code failed"
 
 
 @dataclass(frozen=True)
@@ -22,7 +28,8 @@ class Judged:
     """The finding of a trial and its verdict.
 
     ``verdict`` is ``"limit"`` if the scheme broke as it declares, ``"unexplained"`` if it broke without declaring it,
-    ``"outlived limit"`` if it declares a limit and did not break, and ``"ok"`` otherwise.
+    ``"outlived limit"`` if it declares a limit and did not break, ``"code failed"`` if its code raised or could not be
+    compiled, and ``"ok"`` otherwise.
     """
 
     case: Case
@@ -61,16 +68,29 @@ def verdict_of(scheme: Scheme, case: str, result: Result) -> str:
     return "outlived limit" if declared and "+" not in scheme.name else "ok"
 
 
-def tried(case: Case, scheme: Scheme, cache: CaseCache, options: Mapping[str, Any] | None = None) -> Judged:
-    """Try one scheme in one case."""
+def tried(
+    case: Case,
+    scheme: Scheme,
+    cache: CaseCache,
+    options: Mapping[str, Any] | None = None,
+    generic: Case | None = None,
+) -> Judged:
+    """Try one scheme in one case.
+
+    An order that is lost in the ``generic`` case of the top as well, if that is given, counts as a false declaration.
+    """
     start = time.perf_counter()
     counters: Mapping[str, int] = {}
-    known = scheme.options.model_fields
+    failed, known = False, scheme.options.model_fields
+    given = {key: value for key, value in (options or {}).items() if key in known}
     try:
-        experiment = case.experiment(scheme.name, {k: v for k, v in (options or {}).items() if k in known})
-        trial = Trial(case, experiment, cache)
+        trial = Trial(case, case.experiment(scheme.name, given), cache)
         with np.errstate(all="ignore"):
             finding = case.check(trial)
+            if generic is not None and finding.result is Result.DEGRADED and "order" in finding.figures:
+                why = false_order(Trial(generic, generic.experiment(scheme.name, given), cache))
+                if why:
+                    finding = replace(finding, result=Result.BROKE, why=f"on a generic motion {why}")
         counters = trial.counters
     except StepTooLongError as error:
         finding = Finding(Result.BROKE, f"refused: {str(error).splitlines()[0]}", 0)
@@ -81,9 +101,19 @@ def tried(case: Case, scheme: Scheme, cache: CaseCache, options: Mapping[str, An
     except (ArithmeticError, ValueError) as error:
         # the interpreter may raise where machine code returns inf or nan
         finding = Finding(Result.BROKE, f"failed: {type(error).__name__}: {error}".splitlines()[0], 0)
+    except Exception as error:
+        known_error = error if isinstance(error, SchemeCodeError) else users_error(error)
+        if known_error is None:
+            raise
+        finding, failed = Finding(Result.BROKE, str(known_error), 0), True
     limit = scheme.limits.get(case.name, "")
-    verdict = verdict_of(scheme, case.name, finding.result)
+    verdict = CODE_FAILED if failed else verdict_of(scheme, case.name, finding.result)
     return Judged(case, scheme, finding, verdict, limit, counters, time.perf_counter() - start)
+
+
+def generic_case(form: str) -> Case:
+    """Case of a top on whose motion every scheme has its order."""
+    return next(case for case in CASES if case.form == form and case.name == GENERIC)
 
 
 def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tuple[list[Scheme], list[Case]]:
@@ -94,6 +124,9 @@ def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tup
     fits = [form.form for form in forms(top)] if top else list(TOPS)
     wanted = [case for name in dict.fromkeys(cases) for case in cases_named(name)] if cases else list(CASES)
     wanted = [case for case in wanted if case.form in fits]
+    if not wanted and not cases:
+        known = sorted({case.form for case in CASES})
+        raise UsageError(f"the top {shortened(str(top))} has no hard cases; those with cases: {', '.join(known)}")
     if not wanted:
         raise UsageError(f"--case {shortened(cases[0])}: no such case for {top}; {nearest(cases[0], _names_for(fits))}")
     used: list[Scheme] = []
@@ -150,6 +183,6 @@ def stress(
     cache = CaseCache()
     done: list[Judged] = []
     for case, scheme in pairs:
-        done.append(tried(case, scheme, cache, options))
+        done.append(tried(case, scheme, cache, options, generic_case(case.form)))
         on_progress(len(done), len(pairs))
     return done

@@ -168,7 +168,7 @@ def _top(text: str, form: str) -> Top:
 @lru_cache(maxsize=256)
 def _measures(names: tuple[str, ...], top: str, scheme: str, form: str) -> tuple[Measure, ...]:
     """Measures of rows with this top and scheme."""
-    return resolve_measures(names, _top(top, form), *_scheme(scheme, form))
+    return resolve_measures(names, _top(top, form), *_scheme(scheme, form), any_counter=True)
 
 
 @lru_cache(maxsize=256)

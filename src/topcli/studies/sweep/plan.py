@@ -19,7 +19,7 @@ from topcli.config.sweep.document import Sweep
 from topcli.config.sweep.rows import Row, RowReader
 from topcli.errors import TopcliError, UnknownNameError
 from topcli.studies.identity import method_fingerprint
-from topcli.studies.measures import resolve_measures
+from topcli.studies.measures import NoCounterError, resolve_measures
 from topcli.studies.sweep.evaluate import Shared, shared_experiment
 from topcli.studies.sweep.journal import DIGEST, Index, Names, short_digest
 from topcli.tops import TOPS
@@ -121,10 +121,11 @@ def survey(sweep: Sweep) -> Survey:
     types: dict[str, set[type]] = {key: set() for key in sweep.keys}
     tops: dict[str, tuple[str, ...]] = {}
     problems = Problems(sweep.document)
+    lacking: dict[str, list[NoCounterError | None]] = {}
     for row in RowReader(sweep).rows():
         pair = (row.form, row.scheme)
         if pair not in known:
-            _check_measures(row, sweep, problems)
+            _check_measures(row, sweep, problems, lacking)
             known[pair] = names.setdefault(_code_of(row), len(names))
         if row.top not in tops and len(tops) < WARNED_TOPS:
             tops[row.top] = shared_experiment(Shared.of(row)).top.warnings()
@@ -132,6 +133,9 @@ def survey(sweep: Sweep) -> Survey:
         codes.add(known[pair])
         for found, value in zip(types.values(), row.keys, strict=True):
             found.add(type(value))
+    for errors in lacking.values():  # a counter that one scheme has may be lacking elsewhere
+        if errors and None not in errors:
+            problems.add(("measure",), str(errors[0]), unknown_name=True)
     problems.raise_any()
     kinds = {key: _column_type(found) for key, found in types.items()}
     warnings = tuple(dict.fromkeys(line for lines in tops.values() for line in lines))
@@ -145,23 +149,33 @@ def _column_type(found: set[type]) -> str:
     return "float64" if found <= {int, float, type(None)} else "string"
 
 
-def _check_measures(row: Row, sweep: Sweep, problems: Problems) -> None:
+def _check_measures(
+    row: Row, sweep: Sweep, problems: Problems, lacking: dict[str, list[NoCounterError | None]]
+) -> None:
+    """Add the measures that do not fit to ``problems``; ``lacking`` gets a counter's error, None where it exists."""
     one = shared_experiment(Shared.of(row))
     for name in sweep.measures:
+        found = lacking.setdefault(name, [])
         try:
             resolve_measures([name], one.top, one.scheme, one.options)
+            found.append(None)
+        except NoCounterError as error:
+            found.append(error)
         except TopcliError as error:
             problems.add(("measure",), str(error), unknown_name=isinstance(error, UnknownNameError))
 
 
 def _code_of(row: Row) -> str:
-    """Digest of the code of a row's scheme; made ready for the default top, so that it is the same for all tops."""
+    """Digest of the code of a row's scheme; made ready for the default top, so that it is the same for all tops.
+
+    It includes the code of a user's top.
+    """
     one = shared_experiment(Shared.of(row))
     try:
-        return method_fingerprint(one.scheme.build(TOPS[row.form].new(), one.options))
+        return method_fingerprint(one.scheme.build(TOPS[row.form].new(), one.options)) + one.own_code
     except TopcliError:
         try:
-            return method_fingerprint(one.method())
+            return method_fingerprint(one.method()) + one.own_code
         except TopcliError:  # the row will fail, and say why
             return ""
 

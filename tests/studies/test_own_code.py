@@ -1,0 +1,172 @@
+"""Code of users as part of an experiment: what changes its digest, what does not, and what its manifest names."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from conftest import ROOT, Said
+from documentation import read_page
+from scheme_files import loaded_file
+from topcli.config.load import load_experiment
+from topcli.engine.fingerprint import own_code
+from topcli.schemes import registry
+from topcli.schemes.registry import all_schemes, find_scheme, scheme
+from topcli.studies.sweep.evaluate import forget
+from topcli.tops import TOPS
+
+FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
+FIELD = ("+ b * y[0]) / B", "+ 1.5 * b * y[0]) / B")
+COMPOSED = """
+import topcli
+from topcli.contracts import Stepper
+from topcli.schemes.kowalevski.hk import hk_kowalevski
+
+def step(y, h, p):
+    return hk_kowalevski(y, 1.0 * h, p)
+
+@topcli.scheme("own-hk", top="kowalevski", title="HK", order=2, explicit=True, self_adjoint=True, citation="none",
+               equations="none")
+def build(top, options):
+    '''HK.'''
+    return Stepper(step, 6)
+"""
+
+
+@pytest.fixture
+def folder(cli: Callable[..., Said]) -> Iterator[Path]:
+    """The working folder, with the files of the page."""
+    for name, text in FILES.items():
+        Path(name).write_text(text)
+    yield Path()
+    registry.unload_scheme_files()
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+
+
+def digests(path: Path) -> dict[str, str]:
+    """Digests of the experiment under a scheme of the file and under one of topcli."""
+    with loaded_file(path):
+        return {name: load_experiment("rotor.yaml", [f"scheme={name}"]).digest for name in ("heun", "rk4")}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "changed"),
+    [
+        (*FIELD, {"heun", "rk4"}),
+        ("return (self.A, self.B, self.C, self.b)", "return (self.A, self.C, self.B, self.b)", {"heun", "rk4"}),
+        ("energy(y):\n            return 0.5 *", "energy(y):\n            return 1.5 *", {"heun", "rk4"}),
+        ('swing: ClassVar[str] = "omega2"', 'swing: ClassVar[str] = "omega1"', {"heun", "rk4"}),
+        ("d = 0.5 * h", "d = 0.25 * h", {"heun"}),
+        ("return Stepper(heun, 3)", "return Stepper(heun, 3, checked=2)", {"heun"}),
+        ("d = 0.5 * h", "d = 0.5 * h  # half", set()),
+        ("d = 0.5 * h\n", "\n    d = 0.5 * h\n", set()),
+    ],
+)
+def test_an_edit_of_used_code_is_another_experiment(folder: Path, old: str, new: str, changed: set[str]) -> None:
+    before = digests(folder / "gyrostat.py")
+    edit(folder / "gyrostat.py", old, new)
+    after = digests(folder / "gyrostat.py")
+    assert {name for name in before if before[name] != after[name]} == changed
+
+
+def test_the_place_of_a_file_changes_no_digest(folder: Path) -> None:
+    (folder / "other").mkdir()
+    copy = folder / "other" / "copied.py"
+    copy.write_text("# a copy\n" + FILES["gyrostat.py"])
+    assert digests(copy) == digests(folder / "gyrostat.py")
+
+
+def test_code_of_a_composed_scheme_counts(folder: Path) -> None:
+    found = []
+    for factor in ("1.0 * h", "1.5 * h"):
+        (folder / "own.py").write_text(COMPOSED.replace("1.0 * h", factor))
+        with loaded_file(folder / "own.py"):
+            found.append(own_code(TOPS["kowalevski"], find_scheme("own-hk+suzuki4", "kowalevski")))
+    assert len({"", *found}) == 3
+
+
+def test_an_experiment_of_topcli_is_its_config() -> None:
+    assert {own_code(TOPS[one.top], one) for one in all_schemes() if one.origin == "topcli"} == {""}
+    experiment = load_experiment("kowalevski_hk")
+    plain = experiment.resolved()
+    del plain["name"], plain["output"]["format"]
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
+    assert experiment.digest == hashlib.sha256(text.encode()).hexdigest()
+
+
+@pytest.mark.parametrize("name", ["heun", "rk4"])
+def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said], folder: Path, name: str) -> None:
+    """Under rk4 alike, although that is topcli's own scheme; with --force the earlier run is renamed, and said so."""
+    command = ("run", "rotor.yaml", "--scheme-file", "gyrostat.py", "--set", f"scheme={name}", "--name", "rotor")
+    assert cli(*command).code == 0
+    registry.unload_scheme_files()
+    manifest = json.loads(Path("results/rotor/manifest.json").read_text())
+    assert manifest["top_origin"] == "gyrostat.py"
+    assert manifest["scheme_origin"] == ("gyrostat.py" if name == "heun" else "topcli")
+    edit(folder / "gyrostat.py", *FIELD)
+    refused = cli(*command)
+    registry.unload_scheme_files()
+    assert refused.code == 2
+    first, second = refused.err.splitlines()
+    assert first.startswith(
+        "error: results/rotor: holds this experiment as computed by other code of gyrostat.py (digest"
+    )
+    assert "--force, which renames" in second
+    assert json.loads(Path("results/rotor/manifest.json").read_text()) == manifest
+    assert [path.name for path in Path("results").iterdir()] == ["rotor"]
+    forced = cli(*command, "--force")
+    earlier = f"rotor.{manifest['digest'][:8]}"
+    assert forced.code == 0
+    assert f"renamed the earlier, different run to results/{earlier}" in forced.err
+    assert sorted(path.name for path in Path("results").iterdir()) == ["rotor", earlier]
+    new = json.loads(Path("results/rotor/manifest.json").read_text())
+    assert (new["digest"] != manifest["digest"], new["config"] == manifest["config"]) == (True, True)
+    assert cli("run", "kowalevski_hk", "--set", "N=20", "--name", "plain").code == 0
+    plain = json.loads(Path("results/plain/manifest.json").read_text())
+    assert (plain["top_origin"], plain["scheme_origin"]) == ("topcli", "topcli")
+
+
+@pytest.mark.slow
+def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Said], folder: Path) -> None:
+    """Also of an invariant, which no step uses."""
+    sweep = "base: rotor.yaml\ngrid: {h: [0.01, 0.02]}\nmeasure: [deviation.energy]\n"
+    (folder / "study.yaml").write_text(sweep)
+    command = ("sweep", "study.yaml", "--scheme-file", "gyrostat.py")
+    said = []
+    for old, new in (
+        ("", ""),
+        ("", ""),
+        ("energy(y):\n            return 0.5 *", "energy(y):\n            return 1.5 *"),
+    ):
+        if old:
+            edit(folder / "gyrostat.py", old, new)
+        said.append(cli(*command))
+        registry.unload_scheme_files()
+        forget()
+    assert [one.code for one in said] == [0, 0, 0]
+    assert ["(2 ran)" in one.out + one.err for one in said] == [True, False, True]
+
+
+def test_a_scheme_of_a_script_names_the_script() -> None:
+    before = dict(registry._schemes)
+    try:
+
+        @scheme(
+            "scripted", top="euler", title="a", order=1, explicit=True, self_adjoint=True, citation="a", equations="a"
+        )
+        def build(top, options):
+            """Test."""
+
+        assert find_scheme("scripted", "euler").origin == __file__
+    finally:
+        registry._schemes.clear()
+        registry._schemes.update(before)
