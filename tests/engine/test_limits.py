@@ -284,6 +284,23 @@ def test_slow_interpreted_steps_are_timed_few_at_a_time() -> None:
     assert now[0] == 30 * 10**9
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("h", [5e-324, 1e-310, -1e-300])
+@pytest.mark.parametrize(
+    "one", [one for one in all_schemes() if "+" not in one.name], ids=lambda one: f"{one.top}-{one.name}"
+)
+def test_a_tiny_step_moves_nothing_or_is_refused(one: Scheme, h: float, impatient: None) -> None:
+    """Scaled working states lose digits among denormal numbers; the motion over the run is far below round-off."""
+    top = TOPS[one.top]()
+    method = one.build(top, one.options())
+    y0 = np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64][: len(top.components)])
+    found = Run(top, method, y0, h, 40).collect()
+    if found.ending.outcome is Outcome.COMPLETED:
+        np.testing.assert_allclose(found.states, np.broadcast_to(y0, found.states.shape), rtol=0.0, atol=1e-15)
+    else:
+        assert (one.name, found.ending.outcome) == ("backlund", Outcome.NO_CONVERGENCE)
+
+
 SIZES = (5e-324, 1.0, 1e150, 1e306)
 STEPS = (5e-324, 1e-300, -0.01, 1.0, 1e150)
 QUESTIONS = 100

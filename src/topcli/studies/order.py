@@ -19,7 +19,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
 from topcli.studies.bench.competitors import SchemeCompetitor
@@ -27,6 +27,7 @@ from topcli.studies.bench.ladder import Rung
 from topcli.studies.bench.line_up import choose
 from topcli.studies.bench.measure import Effort, Measurements, explore
 from topcli.studies.bench.scenes import Problem
+from topcli.studies.entries import scheme_with
 from topcli.studies.identity import scheme_code
 from topcli.studies.report import finite
 from topcli.studies.roundoff import GENERIC, SCENES
@@ -95,13 +96,13 @@ def _default_config(names: Sequence[str], top: str | None) -> str:
         if top.lower() not in scenes:
             raise UnknownNameError(f"--top: no scene for the top {quoted(top)}; {nearest(top, scenes)}")
         return scenes[top.lower()]
-    bases = [name.lower().partition("+")[0] for name in names]
+    bases = [name.lower().partition(":")[0].partition("+")[0] for name in names]
     fits = {base: {one.top for one in all_schemes() if one.name == base} for base in bases}
     for form, scene in scenes.items():
         if all(form in forms for forms in fits.values()):
             return scene
     for name in names:
-        find_scheme(name, "kowalevski")  # names the nearest, if one is unknown, and the tops that it fits
+        scheme_with(name, "kowalevski")  # names the nearest, if one is unknown, and the tops that it fits
     raise UsageError(f"no top fits all of {', '.join(names)}; name schemes of one top")
 
 
@@ -159,7 +160,7 @@ def ladders(
     problem = Problem(experiment.name, experiment.top.title, experiment, length, INTERVALS)
     _require_sizes(sizes, problem.interval)
     for name in wanted:
-        find_scheme(name, problem.top.form)
+        scheme_with(name, problem.top.form)
     found = choose(problem, wanted)
     adaptive = [(one.name, "its steps follow a tolerance, not h") for one in found.schemes if one.adaptive]
     exact = [(one.name, "is a closed form: its error does not depend on h") for one in found.exact]

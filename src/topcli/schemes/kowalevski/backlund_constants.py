@@ -28,6 +28,8 @@ LEAST_R = 1.0 / 32.0
 """Least R of a step. tau depends on its root, so that the rounding error of tau grows as 1/sqrt R."""
 TINY_STATE = 8e-3
 """Size of the scaled state below which tau is not rounded: the rounding would change E visibly."""
+SHORTEST = 1e-290
+"""Shortest step: omega times h loses digits among denormal numbers."""
 HALVINGS = 50
 FOREVER = 1e300
 """Longest step at rest without gravity; finite, because ensembles test their working states for infinities."""
