@@ -18,6 +18,7 @@ from topcli.engine.endings import CODES, Endings
 from topcli.studies import ensemble as study
 from topcli.studies.ensemble import run_ensemble
 from topcli.studies.ensemble_report import SHOWN, EndingTally
+from topcli.tops.kowalevski import Kowalevski
 
 START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
 GRID = {"top.c0": [0.5, 1.0, 2.0], "omega1": {"start": 0.1, "stop": 0.9, "count": 90}}
@@ -53,6 +54,24 @@ def test_memory_does_not_grow_with_the_members(
     few = peak(tmp_path / "few", 2_000, store=store, **changes)
     many = peak(tmp_path / "many", 12_000, store=store, **changes)
     assert many - few < 10_000 * 40
+
+
+def test_the_drifts_of_any_number_of_steps_are_fitted_in_little_memory() -> None:
+    """A run may have 1e12 steps; its recorded step numbers alone would take terabytes."""
+    tally = EnsembleTally(Kowalevski().invariants(), 2, last=10**12)
+    tracemalloc.start()
+    try:
+        tally.slopes(1, 0.01)
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+    group = experiment(N=10**12, ensemble={"random": {**RANDOM, "count": 2}, "store": "statistics"})
+    tracemalloc.start()
+    try:
+        study.GroupRun(group, next(iter(group.members.groups)), 0, lambda *_: None, lambda: False, 1)
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_block_of_the_engine_begins_with_a_tile() -> None:

@@ -31,7 +31,7 @@ class BlockSums:
     """
 
     def __init__(self, shape: tuple[int, int], last: int) -> None:
-        self._width = 1
+        self._width, self._last = 1, last
         while last // self._width >= 2 * BLOCKS:
             self._width *= 2
         self._sums = np.zeros((*shape, 2 * BLOCKS))
@@ -46,12 +46,18 @@ class BlockSums:
             np.concatenate([before, places.ravel()]), weights=np.concatenate([sums.ravel(), deviation.ravel()])
         ).reshape(count, size)
 
-    def slopes(self, n: NDArray[np.int64], h: float) -> Array:
-        """Slopes of the lines fitted to the means over the blocks of rows ``n`` (m,); nan for fewer than 8 blocks."""
+    def slopes(self, every: int, h: float) -> Array:
+        """Slopes of the lines fitted to the means over the blocks; nan for fewer than 8 blocks.
+
+        The rows are those of every ``every``-th step, up to the last.
+        """
         found = np.full(self._sums.shape[:2], np.nan)
-        counts = np.bincount(n // self._width, minlength=2 * BLOCKS)
-        filled = counts > 0
-        line = hann_line(np.bincount(n // self._width, weights=n, minlength=2 * BLOCKS)[filled] / counts[filled] * h)
+        starts = [-(-block * self._width // every) for block in range(2 * BLOCKS)]  # first row of each block
+        ends = [min(end, self._last // every + 1) for end in (*starts[1:], self._last // every + 1)]
+        filled = np.array(ends) > np.array(starts)
+        counts = np.array(ends) - np.array(starts)
+        means = [0.5 * (every * (start + end - 1)) for start, end in zip(starts, ends, strict=True) if end > start]
+        line = hann_line(np.array(means) * h)
         if line is not None:
             # one by one, because a product of matrices rounds differently from one of vectors
             for place in np.ndindex(*found.shape):
@@ -140,12 +146,12 @@ class EnsembleTally:
         never = self._rows == 0
         self.max_deviation[:, never] = self._squares[:, never] = np.nan
 
-    def slopes(self, n: NDArray[np.int64], h: float) -> Array:
+    def slopes(self, every: int, h: float) -> Array:
         """Drifts per unit time (invariants, trajectories), fitted as in ``analysis.drift``; nan if not summed.
 
-        ``n`` (m,) are the recorded step numbers. The drift of a trajectory that lacks some of these rows means nothing.
+        Every ``every``-th step is recorded. The drift of a trajectory that lacks some of these rows means nothing.
         """
-        return np.full(self.first.shape, np.nan) if self._blocks is None else self._blocks.slopes(n, h)
+        return np.full(self.first.shape, np.nan) if self._blocks is None else self._blocks.slopes(every, h)
 
     @property
     def rms_deviation(self) -> Array:
@@ -178,13 +184,13 @@ class EnsembleTally:
         return self._steps > 0
 
 
-def measure_columns(tally: EnsembleTally, n: NDArray[np.int64], h: float) -> dict[str, Array]:
+def measure_columns(tally: EnsembleTally, N: int, every: int, h: float) -> dict[str, Array]:
     """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation``, ``_final_deviation``, ``_drift`` (trajectories,).
 
-    ``n`` (m,) are the recorded step numbers of a whole trajectory. One that lacks some of them has no drift, but nan.
+    A whole trajectory has ``N`` steps and a row for every ``every``-th. One that lacks some has no drift, but nan.
     """
     figures = {name: getattr(tally, name) for name in ("first", *MEASURES)}
-    figures["drift"] = np.where(tally.rows == len(n), tally.slopes(n, h), np.nan)
+    figures["drift"] = np.where(tally.rows == N // every + 1, tally.slopes(every, h), np.nan)
     return {
         f"{invariant.name}_{name}": values[i]
         for i, invariant in enumerate(tally.invariants)

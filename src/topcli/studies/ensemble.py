@@ -56,10 +56,9 @@ class GroupRun(Generic[Made]):
         self.experiment, self.group, self.offset = experiment, group, offset
         """``offset`` is the number of the block's first trajectory in the ensemble."""
         self._next = offset
-        self.n = np.arange(0, one.N + 1, one.output.every, dtype=np.int64)
-        """Recorded step numbers of a whole trajectory."""
         self.modified: tuple[Invariant, ...] = one.modified
         self.invariants = (*group.top.invariants(), *self.modified)
+        self._last = one.N // one.output.every * one.output.every
         self.tally = self._tally(0)
         self.names = list(one.output.columns or column_names(group.top))
 
@@ -81,7 +80,7 @@ class GroupRun(Generic[Made]):
         )
 
     def _tally(self, count: int) -> EnsembleTally:
-        return EnsembleTally(self.invariants, count, self.group.top, int(self.n[-1]))
+        return EnsembleTally(self.invariants, count, self.group.top, self._last)
 
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
         """Run the next trajectories of the group, from ``y0`` (m, d): results of ``keep`` and trajectory-steps done."""
@@ -115,7 +114,8 @@ class GroupRun(Generic[Made]):
         made["outcome"] = _OUTCOME_NAMES[run.endings.outcome]
         made["n"] = run.endings.step
         made["left_motion"] = run.endings.left
-        return made | measure_columns(self.tally, self.n, self.experiment.first.h)
+        one = self.experiment.first
+        return made | measure_columns(self.tally, one.N, one.output.every, one.h)
 
 
 _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)

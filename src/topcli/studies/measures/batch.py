@@ -252,7 +252,7 @@ class BatchRecorder:
             if whole and ERROR in self._needs and self._references[i] is None:
                 self.max_error[i] = np.nan
         index = {invariant.name: i for i, invariant in enumerate(self._tally.invariants)}
-        slopes = self._tally.slopes(self._n, one.h)
+        slopes = self._tally.slopes(one.output.every, one.h)
         return Batch(
             experiment=one,
             n=self._n,
