@@ -46,16 +46,16 @@ ORDERS = {
     "schemes": [
         {
             "scheme": "hk", "declared_order": 2, "order": 1.98, "fitted": [0.1, 0.2], "plateau": 3e-13, "onset": 0.0123,
-            "ended": "why hk", "broken": None, "failed": [],
+            "verdict": "as declared", "ended": "why hk", "broken": None, "failed": [],
             "points": [point(0.4, 1e-2, 7.0), point(0.2, 2e-5, 8.0), point(0.1, 3e-3, 9.0), point(0.05, None, 6.0)],
         },
         {
             "scheme": "rk4", "declared_order": 4, "order": None, "fitted": [], "plateau": None, "onset": None,
-            "ended": "why rk4", "broken": "cannot be compiled", "failed": [], "points": [],
+            "verdict": None, "ended": "why rk4", "broken": "cannot be compiled", "failed": [], "points": [],
         },
         {
             "scheme": "bs", "declared_order": 1, "order": 1.02, "fitted": [0.3], "plateau": 5e-12, "onset": 0.5,
-            "ended": "why bs", "broken": None, "failed": [],
+            "verdict": "undecided", "ended": "why bs", "broken": None, "failed": [],
             "points": [point(0.4, None, 1.0), point(0.2, 4e-3, 2.0), point(0.1, 6e-3, 3.0)],
         },
     ],
@@ -67,7 +67,7 @@ ORDERS = {
 def test_orders_have_their_own_errors_and_steps() -> None:
     report = OrderReport(ORDERS)
     best = {"hk": (2e-5, 0.2), "rk4": (None, None), "bs": (4e-3, 0.2)}
-    fields = ("declared_order", "order", "plateau", "onset", "ended", "broken")
+    fields = ("declared_order", "order", "verdict", "plateau", "onset", "ended", "broken")
     assert values_of(report.table) == [
         {"scheme": row["scheme"], **{key: row[key] for key in fields}}
         | dict(zip(("smallest_error", "at_h"), best[row["scheme"]], strict=True))

@@ -179,7 +179,7 @@ def test_a_sweep_is_no_run(cli: Cli, study: Path) -> None:
 def test_verify_checks_the_files_of_a_sweep(cli: Cli, study: Path) -> None:
     cli("sweep", "study.yaml")
     said = cli("verify", "study")
-    assert (said.code, said.out) == (0, "results/study: finished, 3 files intact\n")
+    assert (said.code, said.out) == (0, "results/study: finished, 4 files intact\n")
     path = Path("results/study/rows.parquet")
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1

@@ -212,12 +212,26 @@ def test_the_table_of_orders_is_that_of_the_study() -> None:
     """The smallest error is neither the first nor the last, and its h is its own."""
     points = [{"h": 0.4 / 2**k, "error": error, "end_error": 7.0} for k, error in enumerate((1e-2, 2e-5, 3e-3, None))]
     row = {"scheme": "hk", "declared_order": 3, "order": 1.987, "fitted": [0.05, 0.2], "plateau": 3.4e-13}
-    row |= {"onset": 0.0123, "ended": "", "broken": None, "failed": [], "points": points}
+    row |= {
+        "onset": 0.0123,
+        "verdict": "too low",
+        "why": "w",
+        "ended": "",
+        "broken": None,
+        "failed": [],
+        "points": points,
+    }
     made = {"name": "n", "top": "t", "duration": 7.0, "schemes": [row], "left_out": [], "environment": {}}
     page = shown(order_chapter(made, None))
     orders, errors = page.all("table")[:2]
     header, cells = orders.cells()
-    values = {"scheme": ("hk",), "order": (3,), "observed": (1.987,), "fitted over h": (0.05, 0.2)}
+    values = {
+        "scheme": ("hk",),
+        "order": (3,),
+        "observed": (1.987,),
+        "verdict": ("too low",),
+        "fitted over h": (0.05, 0.2),
+    }
     values |= {"round-off": (3.4e-13,), "from h": (0.0123,), "smallest error": (2e-5,), "at h": (0.2,)}
     assert header == list(values)
     for cell, (name, expected) in zip(cells, values.items(), strict=True):
@@ -275,9 +289,9 @@ def test_the_distribution_of_an_ensemble_is_that_of_its_trajectories(tmp_path: P
 
 
 def test_verdicts_on_claims_have_their_colours() -> None:
-    keys = ("id", "statement", "source", "figure", "bound", "verdict")
+    keys = ("id", "origin", "statement", "source", "figure", "bound", "verdict")
     verdicts = {"holds": GREEN, "does not hold as stated": RED, "not tried": ""}
-    claims = [dict(zip(keys, (name, "s", "p", 1.0, 2.0, name), strict=True)) for name in verdicts]
+    claims = [dict(zip(keys, (name, "paper", "s", "p", 1.0, 2.0, name), strict=True)) for name in verdicts]
     page = shown(claims_chapter({"claims": claims}))
     table = page.all("table")[0]
     at = table.cells()[0].index("verdict")

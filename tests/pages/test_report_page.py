@@ -510,16 +510,16 @@ def test_a_page_shows_nothing_through_a_link(tmp_path: Path, name: str) -> None:
 def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
     from topcli.studies.checks import check_all
 
-    path = write_comparison(tmp_path / "comparison.json", {"title": "a", "x": 0.1})
+    path = write_comparison(tmp_path / "comparison.json", {"title": "a", "x": 0.375})
     assert not check_all(str(path), tmp_path)[0].damaged
     whole = path.read_bytes()
     for place in range(len(whole)):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
         (checked,) = check_all(str(path), tmp_path)
         assert checked.files[0].damaged, place
-    path.write_bytes(whole.replace(b"0.1", b"1E-1"))  # the same number
+    path.write_bytes(whole.replace(b"0.375", b"3.75E-1"))  # the same number
     assert check_all(str(path), tmp_path)[0].files[0].reason == "its text is not as it was written"
-    path.write_bytes(whole.replace(b"0.1", b"0.2"))
+    path.write_bytes(whole.replace(b"0.375", b"0.625"))
     (chapter,) = all_chapters([str(path)], tmp_path)
     assert (chapter.state, chapter.good) == ("damaged", False)
     assert chapter.missing[-1] == "comparison.json: its SHA-256 differs from the one that it holds"

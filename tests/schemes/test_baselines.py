@@ -187,7 +187,7 @@ def test_times_of_steps_are_medians_without_the_first_and_over_the_steps_taken()
     methods = [scheme.build(top, scheme.options()) for scheme in schemes]
     ended = Run(top, methods[3], exploding, 1.0, 50_000).collect().ending.step
     assert 1 < ended < 100
-    elapsed = [[9e9] * 4, [7e6, 5e6, 1e6, 3e6], [1e6, 9e6, 5e6, 3e6], [4e6, 2e6, 3e6, 3e6]]
+    elapsed = [[9e9, 1e3, 9e9, 9e9], [7e6, 5e6, 1e6, 3e6], [1e6, 9e6, 5e6, 3e6], [4e6, 2e6, 3e6, 3e6]]
     ticks = iter([tick for row in elapsed for one in row for tick in (0, int(one))])
     runs = [(top, method, GEN, 0.01) for method in methods[:3]] + [(top, methods[3], exploding, 1.0)]
     found = nanoseconds_per_step(runs, 50_000, repetitions=3, clock=lambda: next(ticks))

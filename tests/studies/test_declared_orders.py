@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -255,5 +256,5 @@ def test_a_compiled_step_that_raises_ends_the_run(tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert "IndexError: tuple index out of range" in done.stderr
-    last = "error: the compiled step raised the exception printed above, within 64 steps of step 0; return nan from a"
-    assert done.stderr.splitlines()[-1].startswith(last)
+    last = r"error: the compiled step raised the exception printed above, within \d+ steps of step \d+; return nan from"
+    assert re.match(last, done.stderr.splitlines()[-1])

@@ -18,7 +18,7 @@ def verify(
     out: Out = Path("results"),
     as_json: Json = False,
 ) -> None:
-    """Verify the files of runs, sweeps and stored comparisons by their checksums.
+    """Verify stored results by their checksums.
 
     For an unfinished run, verify the checkpoint and the rows that it can be continued from; for an unfinished sweep,
     its journal. Exits with status 0 if all files are intact, with 1 if a file is damaged.

@@ -13,7 +13,7 @@ import math
 
 from topcli.arithmetic.increments import compensated_sums, first6
 from topcli.contracts import Floats, StepFunction, Stepper
-from topcli.schemes.kowalevski.backlund_constants import rounded_tau, tau_at, tau_of
+from topcli.schemes.kowalevski.backlund_constants import SHORTEST, rounded_tau, tau_at, tau_of
 from topcli.schemes.kowalevski.backlund_step import physical_change, scaled_change
 
 
@@ -27,7 +27,7 @@ def frozen_step(s: Floats, h: float, p: Floats) -> Floats:
 def stage(s: Floats, h: float, p: Floats) -> Floats:
     """One step of any length: omega, gamma; errors; the frozen constants; the longest step; the status."""
     y, e = (s[0], s[1], s[2], s[3], s[4], s[5]), (s[6], s[7], s[8], s[9], s[10], s[11])
-    fits = abs(h) <= s[17]
+    fits = SHORTEST <= abs(h) <= s[17]
     tau = rounded_tau(tau_of(h, s[12], s[13], s[14], s[15]), h * h * s[16]) if fits else math.nan
     status = s[18] if fits else math.nan
     y, e = compensated_sums(y, e, physical_change(y, h, p[0], tau))
@@ -37,7 +37,7 @@ def stage(s: Floats, h: float, p: Floats) -> Floats:
 def recomputed_stage(s: Floats, h: float, p: Floats) -> Floats:
     """One step of any length, tau from the current state: omega, gamma; errors; the longest step; the status."""
     y, e = (s[0], s[1], s[2], s[3], s[4], s[5]), (s[6], s[7], s[8], s[9], s[10], s[11])
-    fits = abs(h) <= s[12]
+    fits = SHORTEST <= abs(h) <= s[12]
     tau = tau_at(y, h, p[0]) if fits else math.nan
     status = s[13] if fits else math.nan
     y, e = compensated_sums(y, e, physical_change(y, h, p[0], tau))
