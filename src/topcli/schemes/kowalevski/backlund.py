@@ -239,8 +239,8 @@ a\,x + (b - d_3)\,y + (2 + t - d_1)\,z &= 2n + d_2
         "there round-off is safe; the map itself exists for some longer steps too. For tops with energies large "
         "against gravity this is 0.98 of 4/sqrt(2E + 2k) or less. A member of an ensemble ends as `no_convergence` at "
         "step 1.",
-        "compositions": "Backward stages let deviations grow. With kahan-li8 the integrals of some motions, 1 to 2 of 12 "
-        "random ones, are lost within 2e4 steps of a third of the longest or more. `project: 16` prevents it.",
+        "compositions": "Backward stages let deviations grow. With kahan-li8 the integrals of some motions, 1 to 2 of "
+        "12 random ones, are lost within 2e4 steps of a third of the longest or more. `project: 16` prevents it.",
         "tiny steps": "A step below 1e-290 in size ends as `no_convergence`: omega times h would lose digits.",
         "spin about the third axis": "With k between about E/30 and E/8, where the spin about the third axis prevails, "
         "deviations grow instead of contracting for |h omega3| between about 2.9 and 3.3, and all integrals are lost "
