@@ -152,6 +152,6 @@ class WorkPrecisionFigure(Figure):
         rows = -(-len(panels) // 2)
         labels = {curve.name: curve.label for _, curves in drawn for curve in curves}
         first = tuple(labels.get(name, name) for name in (*shown, *peers))
-        layout = SharedLegend(rows, (7.0, 0.9 + 2.8 * rows), first=first)
+        layout = SharedLegend(rows, (7.0, 1.0 + 2.8 * rows), ncols=3, first=first)
         code = fingerprint(_shown, _curves, compiled=False)
         return Loaded(panels, lambda: data, {"benches": made_from, "code": code}, layout)
