@@ -435,12 +435,13 @@ def test_orders_are_drawn_from_the_study() -> None:
 @pytest.mark.slow
 def test_the_figure_of_orders_is_drawn_from_the_stored_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from topcli.figures.catalogue import FIGURES
+    from topcli.studies.order import SCHEMA_VERSION
 
     runs = []
 
     def measured(what: object, on_progress: object) -> dict[str, Any]:
         runs.append(what)
-        return {"schema_version": 1, **study()}
+        return {"schema_version": SCHEMA_VERSION, **study()}
 
     monkeypatch.setattr("topcli.studies.order.order_study", measured)
     monkeypatch.setattr("topcli.studies.order.order_source", lambda what: "code")

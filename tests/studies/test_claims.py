@@ -147,7 +147,7 @@ DEFECTS: dict[str, tuple[float, float]] = {
     "reversible": (3.588e-4, 1e-3),
     "not reversible": (0.0, 0.0),
     "equal maps": (2.986e-2, 1e-3),
-    "neighbours part under a map": (3.30, 1e-2),
+    "neighbours part under a map": (3.50, 1e-2),
     "angles of the roots": (1.395, 1e-3),
     "order of an equation": (0.992, 1e-2),
     "undefined step": (0.0, 0.0),
