@@ -6,6 +6,7 @@ Every case follows from the seed, whatever the speed of the machine.
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 from dataclasses import dataclass, field
@@ -105,7 +106,7 @@ Starting = Start | SweepStart
 
 def starts(scenes: Scenes) -> list[Starting]:
     """All that is killed: runs beside nothing, beside a different run, interrupted and precise ones; many; sweeps."""
-    base = scenes.base / "starts"
+    base = scenes.base / f"starts-{os.getpid()}"  # each share of the attack makes its own
     empty, different, many = base / "empty", base / "different", base / "different-ensemble"
     empty.mkdir(parents=True)
     done_in_fork(lambda: run_experiment(experiment(steps=900), different))
