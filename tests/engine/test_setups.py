@@ -182,7 +182,16 @@ def test_a_cache_that_cannot_be_written(counted: Counted, folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"1", b"[]", b'["object","Path",{}]', b'["fraction",1,0]', b'["array","|O",[1],"AAAA"]', b"[" * 99_999],
+    [
+        b"",
+        b"1",
+        b"[]",
+        b'["object","Path",{}]',
+        b'["object","OvalTable",[]]',
+        b'["fraction",1,0]',
+        b'["array","|O",[1],"AAAA"]',
+        b"[" * 99_999,
+    ],
 )
 def test_other_bytes_are_no_motion(data: bytes) -> None:
     with pytest.raises(ValueError, match="no stored motion"):

@@ -202,6 +202,22 @@ def finished_digests(folder: Path) -> list[str]:
     return [digest for line in lines if line.endswith(b"\n") for digest in json.loads(line[9:])["digest"]]
 
 
+@pytest.mark.parametrize(
+    ("number", "expected"), [(errno.ENOSPC, RunError), (errno.EIO, RunError), (errno.EROFS, UsageError)]
+)
+def test_a_full_or_failing_disk_is_no_wrong_usage(
+    number: int, expected: type[Exception], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(path: Path) -> None:
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("topcli.studies.sweep.run.sync", fails)
+        with pytest.raises(expected):
+            sweep(tmp_path)
+    assert sweep(tmp_path).finished == 4
+
+
 SERIES = {**DATA, "store": "series", "include": [{"scheme": "rk2", "h": 0.03}]}
 
 

@@ -88,7 +88,7 @@ def motion_from(data: bytes) -> Motion:
     """Motion that ``motion_bytes`` has written. Raises ValueError for other bytes."""
     try:
         found = _value(json.loads(data))
-    except (LookupError, TypeError, ValueError, RecursionError, ZeroDivisionError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError, ArithmeticError) as error:
         raise ValueError(f"no stored motion: {error}") from None
     if not isinstance(found, MOTIONS):
         raise ValueError("no stored motion")

@@ -7,6 +7,7 @@ table of finished rows), ``manifest.json`` (written last) and, with ``store: ser
 
 from __future__ import annotations
 
+import errno
 import itertools
 import re
 import time
@@ -224,6 +225,8 @@ def run_sweep(
             sync(out)
             lock = lock_folder(folder, {"sweep": sweep.name})
         except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+                raise io_failure(error, folder, "finished rows are kept") from None
             raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another with --out") from None
         if lock is None:
             pid = owner(folder).get("pid")
