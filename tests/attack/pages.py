@@ -52,7 +52,7 @@ _LOADING = ("src", "href", "xlink:href", "srcset", "action", "data", "poster", "
 
 
 class Reader(HTMLParser):
-    """What a browser would do with a page, as far as that must not be."""
+    """Actions of a browser on a page that must not happen."""
 
     def __init__(self) -> None:
         super().__init__()

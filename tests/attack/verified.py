@@ -31,7 +31,7 @@ def comparison(scenes: Scenes) -> Path:
 
 
 def targets(scenes: Scenes) -> list[tuple[str, Path]]:
-    """What is attacked: its kind, and the folder or file."""
+    """Target of the attack: its kind, and the folder or file."""
     runs = [(one.before.name, one.folder(one.before)) for one in scenes.runs if one.kind in ("finished", "interrupted")]
     sweeps = [(one.kind, scenes.base / f"whole-{one.config.stem}" / SWEEP) for one in scenes.sweeps]
     return [*runs, *sweeps, *sweeps, ("comparison", comparison(scenes))]

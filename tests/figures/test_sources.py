@@ -1,4 +1,4 @@
-"""What a figure depends on makes it redraw: each function edited in turn, and the code of the schemes."""
+"""A figure is drawn again after a change of anything that it depends on: each function edited, the code of schemes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page means: colours against outcomes, medians against the rows, errors and tables against the study."""
+"""Meaning of a page: colours against outcomes, medians against the rows, errors and tables against the study."""
 
 from __future__ import annotations
 

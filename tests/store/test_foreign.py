@@ -134,7 +134,7 @@ def test_columns_without_numbers_are_refused_before_they_are_read(
 
 
 def test_the_ending_of_a_name_decompresses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fast reader of Arrow decompresses by the ending, unless it is told not to."""
+    """The fast reader of Arrow decompresses by the ending unless that is switched off."""
     path = tmp_path / "a.csv.gz"
     path.write_text("t,x\n0,1\n1,2\n")
     monkeypatch.setattr(ForeignSeries, "_read_slowly", lambda *arguments: pytest.fail("the fast reader refused it"))

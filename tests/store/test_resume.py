@@ -203,7 +203,7 @@ def test_a_forced_run_beside_a_different_one_is_resumed(tmp_path: Path) -> None:
 def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of its name are parts of another experiment, of other code, and of itself, some of which got further."""
+    """Parts of the same name belong to another experiment, to other code, or to this run; some got further."""
     out = tmp_path / "out"
     out.mkdir()
 

@@ -1,4 +1,4 @@
-"""What a sweep compares, counts, divides and waits for on a cluster, with clients and clocks of the tests."""
+"""Versions, counts, divided batches and waits of a sweep on a cluster, with clients and clocks of the tests."""
 
 from __future__ import annotations
 

@@ -52,12 +52,11 @@ class BlockSums:
         The rows are those of every ``every``-th step, up to the last.
         """
         found = np.full(self._sums.shape[:2], np.nan)
-        starts = [-(-block * self._width // every) for block in range(2 * BLOCKS)]  # first row of each block
-        ends = [min(end, self._last // every + 1) for end in (*starts[1:], self._last // every + 1)]
-        filled = np.array(ends) > np.array(starts)
-        counts = np.array(ends) - np.array(starts)
-        means = [0.5 * (every * (start + end - 1)) for start, end in zip(starts, ends, strict=True) if end > start]
-        line = hann_line(np.array(means) * h)
+        edges = -(-np.arange(2 * BLOCKS + 1) * self._width // every)  # first row of each block
+        edges = np.minimum(edges, self._last // every + 1)
+        counts = np.diff(edges)
+        filled = counts > 0
+        line = hann_line(0.5 * (every * (edges[:-1] + edges[1:] - 1))[filled] * h)
         if line is not None:
             # one by one, because a product of matrices rounds differently from one of vectors
             for place in np.ndindex(*found.shape):

@@ -36,7 +36,7 @@ from pydantic import BaseModel
 from topcli.contracts import Method, Scheme, Stepper, Top, stop_asked
 from topcli.engine.source import is_installed, is_versioned, names_in, place_of, plain_function, references, used_names
 from topcli.errors import SchemeCodeError
-from topcli.schemes.user_code import is_own, named_module
+from topcli.schemes.user_code import is_built_in, named_module
 
 _PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...), type(NotImplemented)))
 _WRAPPERS = (staticmethod, classmethod)
@@ -371,12 +371,12 @@ def own_code(top: type[Top], scheme: Scheme) -> str:
     or not, but not where their file lies, its comments, or code of topcli.
     """
     values: list[Any] = []
-    if not is_own(top):
+    if not is_built_in(top):
         values.append(top)
     while base := _base_of(scheme):
         scheme = base
     build = inspect.unwrap(scheme.build)
-    if not is_own(build):
+    if not is_built_in(build):
         values += [build, scheme.modified, scheme.longest_step, scheme.order_with, scheme.conserves]
     if not values:
         return ""

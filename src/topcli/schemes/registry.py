@@ -28,7 +28,7 @@ from topcli.schemes.user_code import (
     SCHEME_FILE,
     FromSource,
     file_of,
-    is_own,
+    is_built_in,
     modules_beside,
     reason_of,
     users_error,
@@ -58,14 +58,14 @@ plugin_table(_top_origins)
 
 def origin_of(function: Callable[..., Any]) -> str:
     """Distribution or file that registers ``function`` while it is being imported; else the file of the function."""
-    if is_own(function):
+    if is_built_in(function):
         return "topcli"
     return file_of(function) if _origin == "topcli" else _origin
 
 
 def top_origin(top: type[Top]) -> str:
     """Distribution or file of a top."""
-    return "topcli" if is_own(top) else _top_origins.get(top.form) or file_of(top)
+    return "topcli" if is_built_in(top) else _top_origins.get(top.form) or file_of(top)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ SCHEME_FILE = "topcli_scheme_file_"
 _NOT_BESIDE = sys.stdlib_module_names | {"topcli"}
 
 
-def is_own(value: Any) -> bool:
+def is_built_in(value: Any) -> bool:
     """True if a function or class belongs to topcli, not to a user's file or another package."""
     return value.__module__.partition(".")[0] == "topcli"
 

@@ -138,9 +138,9 @@ def sealed(content: Mapping[str, Any], seal: str = _SEAL) -> dict[str, Any]:
     return {**content, seal: hashlib.sha256(text.encode()).hexdigest()}
 
 
-def check_seal(manifest: Mapping[str, Any]) -> None:
-    """Raise DamagedError if an entry of the manifest has changed; version 1 had no checksum of its own."""
-    if manifest["manifest_version"] > 1 and manifest.get(_SEAL) != sealed(manifest)[_SEAL]:
+def check_seal(content: Mapping[str, Any], seal: str = _SEAL) -> None:
+    """Raise DamagedError if an entry has changed since ``sealed``; manifests of version 1 had no checksum."""
+    if content.get("manifest_version") != 1 and content.get(seal) != sealed(content, seal)[seal]:
         raise DamagedError("its SHA-256 differs from the one that it holds")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError
-from topcli.store.manifest import DamagedError, json_text, sealed
+from topcli.store.manifest import DamagedError, check_seal, json_text, sealed
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 
@@ -40,8 +40,7 @@ def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
     """
     if not isinstance(data.get(SEAL), str):
         raise DamagedError(f"holds no {SEAL}; it is not a study that topcli stored")
-    if data[SEAL] != sealed(data, SEAL)[SEAL]:
-        raise DamagedError("its SHA-256 differs from the one that it holds")
+    check_seal(data, SEAL)
     if text is not None and text != json_text(data):
         raise DamagedError("its text is not as it was written")
 
