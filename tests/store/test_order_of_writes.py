@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -135,12 +136,9 @@ def being_written(handle: int) -> tuple[str, str]:
     return name, re.sub(r"^\.(\w+)\.\d+", r"\1", name)
 
 
-@pytest.mark.parametrize("name", ["sweep.yaml", "rows.parquet", "manifest.json"])
-def test_a_failed_flush_keeps_the_earlier_table_of_a_sweep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    sweep(tmp_path)
-    before = (tmp_path / "study" / "rows.parquet").read_bytes()
+@contextmanager
+def flush_failing(name: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Every flush of the file ``name`` fails for a full disk; yields the names of the failures."""
     fsync, failed = os.fsync, []
 
     def full(handle: int) -> None:
@@ -151,8 +149,18 @@ def test_a_failed_flush_keeps_the_earlier_table_of_a_sweep(
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        with pytest.raises(RunError, match=f"{name}.*: no space left on the device; "):
-            sweep(tmp_path, with_grid(h=[0.01, 0.03]))
+        yield failed
+
+
+@pytest.mark.parametrize("name", ["sweep.yaml", "rows.parquet", "manifest.json"])
+def test_a_failed_flush_keeps_the_earlier_table_of_a_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    sweep(tmp_path)
+    before = (tmp_path / "study" / "rows.parquet").read_bytes()
+    said = pytest.raises(RunError, match=f"{name}.*: no space left on the device; ")
+    with flush_failing(name, monkeypatch) as failed, said:
+        sweep(tmp_path, with_grid(h=[0.01, 0.03]))
     assert failed
     rows = (tmp_path / "study" / "rows.parquet").read_bytes()
     assert (rows == before) == (name != "manifest.json")
@@ -190,18 +198,8 @@ def test_a_checkpoint_vouches_for_rows_that_are_on_the_disk(
 def test_a_failed_flush_keeps_the_earlier_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     earlier = run_experiment(small(), tmp_path).stored
     content = {path.name: path.read_bytes() for path in earlier.folder.iterdir()}
-    fsync, failed = os.fsync, []
-
-    def full(handle: int) -> None:
-        if name in being_written(handle):
-            failed.append(name)
-            raise OSError(28, "No space left on device")
-        fsync(handle)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
-        with pytest.raises(RunError, match="no space left"):
-            run_experiment(small("h=0.002"), tmp_path, force=True)
+    with flush_failing(name, monkeypatch) as failed, pytest.raises(RunError, match="no space left"):
+        run_experiment(small("h=0.002"), tmp_path, force=True)
     assert failed
     assert {path.name: path.read_bytes() for path in earlier.folder.iterdir()} == content
     found = stored_run(earlier.folder)
