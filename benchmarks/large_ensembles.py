@@ -32,7 +32,7 @@ def worker(members: int, steps: int, store: str) -> None:
     """Run one ensemble; print its figures as JSON."""
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.load import load_any
-    from topcli.studies.ensemble import run_ensemble
+    from topcli.runs.ensemble import run_ensemble
 
     settings = {"ensemble.random.count": members, "ensemble.store": store, "N": steps, "output.every": steps}
     found = load_any(

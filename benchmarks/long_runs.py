@@ -16,7 +16,7 @@ import numpy as np
 
 from topcli.config.load import load_experiment
 from topcli.engine.driver import loop_of
-from topcli.studies.run import run_experiment
+from topcli.runs.run import run_experiment
 
 ROOT = Path(__file__).resolve().parents[1]
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")

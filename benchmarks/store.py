@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from topcli.analysis.columns import column_names
+from topcli.runs.simulate import simulate
 from topcli.store.series import arrow_table, write_parquet
-from topcli.studies.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -63,7 +63,7 @@ def heavy(count: int) -> dict[str, Any]:
 def worker(count: int) -> None:
     """Run a sweep of light rows; print its figures as JSON."""
     from topcli.config.sweep.document import sweep_from
-    from topcli.studies.sweep.run import SweepOptions, run_sweep
+    from topcli.sweeps.run import SweepOptions, run_sweep
 
     with tempfile.TemporaryDirectory() as folder:
         done = run_sweep(sweep_from(light(count)), Path(folder), SweepOptions(confirmed=True, threads=1))
@@ -112,8 +112,8 @@ def rows_of(data: dict[str, Any]) -> list[Any]:
 
 def through(backend: Any, rows: list[Any], workers: int, scale: int) -> Callable[[], None]:
     """Function that evaluates ``rows`` in the batches that a sweep makes."""
-    from topcli.studies.sweep.batches import batches
-    from topcli.studies.sweep.evaluate import Work
+    from topcli.sweeps.batches import batches
+    from topcli.sweeps.evaluate import Work
 
     def run() -> None:
         found = backend(batches(iter(rows), workers, scale), Work(MEASURES), lambda: False)
@@ -127,7 +127,7 @@ def one_task_a_row(client: Any, rows: list[Any]) -> Callable[[], None]:
     """Function that evaluates ``rows`` by ``dask.delayed``."""
     import dask
 
-    from topcli.studies.sweep.evaluate import evaluate_batch
+    from topcli.sweeps.evaluate import evaluate_batch
 
     def run() -> None:
         task = dask.delayed(evaluate_batch, pure=False)
@@ -144,7 +144,7 @@ def joblib_task_a_row(rows: list[Any]) -> Callable[[], None] | None:
         import joblib
     except ImportError:
         return None
-    from topcli.studies.sweep.evaluate import evaluate_batch
+    from topcli.sweeps.evaluate import evaluate_batch
 
     def run() -> None:
         found = joblib.Parallel(n_jobs=2)(joblib.delayed(evaluate_batch)([row], MEASURES) for row in rows)
@@ -167,8 +167,8 @@ def interleaved(forms: dict[str, Callable[[], None]], repetitions: int) -> dict[
 
 def compared(light_rows: int, heavy_rows: int, repetitions: int) -> dict[str, Any]:
     """Figures of light rows through one worker, and of heavy rows in several ways."""
-    from topcli.studies.sweep.connect import BATCH_SCALE, connected
-    from topcli.studies.sweep.run import in_threads
+    from topcli.sweeps.connect import BATCH_SCALE, connected
+    from topcli.sweeps.run import in_threads
 
     few, many = rows_of(heavy(heavy_rows)), rows_of(light(light_rows))
     with ExitStack() as stack:

@@ -122,4 +122,4 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("CHUNK_STEPS", 23), ("PLAIN_STEPS", 23), ("CHUNK_ROWS", 16)):
         monkeypatch.setattr(f"topcli.engine.loop.{name}", value)
     monkeypatch.setattr(series, "ROW_GROUP", 40)
-    monkeypatch.setattr("topcli.studies.recorder.BATCH", 20)
+    monkeypatch.setattr("topcli.runs.recorder.BATCH", 20)

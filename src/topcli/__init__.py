@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from topcli.api.runs import run as run
     from topcli.api.stresses import stress as stress
     from topcli.api.sweeps import sweep as sweep
+    from topcli.runs.simulate import simulate as simulate
+    from topcli.runs.simulate_ensemble import simulate_ensemble as simulate_ensemble
     from topcli.schemes.registry import scheme as scheme
-    from topcli.studies.measures import measure as measure
-    from topcli.studies.simulate import simulate as simulate
-    from topcli.studies.simulate_ensemble import simulate_ensemble as simulate_ensemble
+    from topcli.sweeps.measures import measure as measure
 
 __version__ = "0.1.0"
 __all__ = [
@@ -54,13 +54,13 @@ _HOMES = {
     "Trajectory": "topcli.analysis.trajectory",
     "claims": "topcli.api.claims",
     "compare": "topcli.api.comparisons",
-    "measure": "topcli.studies.measures",
+    "measure": "topcli.sweeps.measures",
     "motion": "topcli.api.motions",
     "order": "topcli.api.orders",
     "run": "topcli.api.runs",
     "scheme": "topcli.schemes.registry",
-    "simulate": "topcli.studies.simulate",
-    "simulate_ensemble": "topcli.studies.simulate_ensemble",
+    "simulate": "topcli.runs.simulate",
+    "simulate_ensemble": "topcli.runs.simulate_ensemble",
     "stress": "topcli.api.stresses",
     "sweep": "topcli.api.sweeps",
 }

@@ -34,9 +34,9 @@ from topcli.config.load import load_any, load_named
 from topcli.config.models import Experiment
 from topcli.contracts import Stepper
 from topcli.engine.driver import plain_loop
+from topcli.runs import ensemble, run  # noqa: F401 (imported here like those above)
 from topcli.store.manifest import stored_run
 from topcli.store.series import read_series
-from topcli.studies import ensemble, run  # noqa: F401 (imported here like those above)
 
 BATCH = 250
 """Configs that one process tries."""

@@ -18,10 +18,10 @@ from attack.faults import HOW, Disk
 from attack.judge import Content, Finding, content, wrong_content
 from attack.scenes import ENSEMBLE, NAME, Scene, Scenes, done_in_fork, experiment
 from attack.studies import SWEEP, SweepContent, SweepScene, sweep_content
+from topcli.runs.run import run_experiment
 from topcli.store.checkpoint import read_checkpoint
 from topcli.store.manifest import stored_run
 from topcli.store.parts import parts_of
-from topcli.studies.run import run_experiment
 
 KILLED = -9
 

@@ -22,11 +22,11 @@ from topcli.config.load import load_any, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
 from topcli.engine import loop
+from topcli.runs.ensemble import run_ensemble
+from topcli.runs.run import Feedback, run_experiment
 from topcli.store import series
-from topcli.studies.ensemble import run_ensemble
-from topcli.studies.run import Feedback, run_experiment
-from topcli.studies.sweep import batches, journal
-from topcli.studies.sweep import run as sweep_run
+from topcli.sweeps import batches, journal
+from topcli.sweeps import run as sweep_run
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 NAME = "kowalevski_hk"

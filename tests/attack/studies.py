@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from attack.command import call
 from attack.judge import content, rows_apart
 from topcli.config.sweep.document import sweep_from
-from topcli.studies.sweep.journal import Journal
+from topcli.sweeps.journal import Journal
 
 SWEEP = "study"
 DATA: dict[str, Any] = {

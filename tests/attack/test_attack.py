@@ -31,8 +31,8 @@ from attack.spoil import FOREIGN
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
+from topcli.runs.run import run_experiment
 from topcli.store.series import write_parquet
-from topcli.studies.run import run_experiment
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the attack calls topcli in forks")
 TESTS = ROOT / "tests"

@@ -217,7 +217,7 @@ def user_texts(path: Path) -> list[str]:
     ]
 
 
-GENERATE_PAGES = {"studies/claims/page.py", "studies/scheme_page.py"}
+GENERATE_PAGES = {"paper/page.py", "studies/scheme_page.py"}
 """Write pages of the documentation, and name them there."""
 
 

@@ -112,7 +112,7 @@ def test_a_page_has_the_suffix_of_one(cli: Cli, stored: Path) -> None:
 def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
     """A killed process leaves a part folder with a checkpoint."""
     from stored_results import experiment
-    from topcli.studies.run import run_experiment
+    from topcli.runs.run import run_experiment
 
     class Killed(BaseException):
         pass
@@ -143,7 +143,7 @@ def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_c
 @pytest.mark.slow
 def test_an_interrupted_run_says_which_rows_are_missing(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
     from stored_results import experiment
-    from topcli.studies.run import run_experiment
+    from topcli.runs.run import run_experiment
 
     calls = iter([False, False, True])
     run_experiment(experiment("long", N=5000), in_tmp / "results", stop=lambda: next(calls, True))

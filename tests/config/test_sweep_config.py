@@ -16,7 +16,7 @@ from topcli.config.load import experiment_from, load_experiment
 from topcli.config.sweep.document import load_sweep, sweep_from
 from topcli.config.sweep.rows import Row, RowReader
 from topcli.errors import ConfigError, TopcliError
-from topcli.studies.sweep.plan import survey
+from topcli.sweeps.plan import survey
 
 BASE: dict[str, Any] = {
     "top": "kowalevski",

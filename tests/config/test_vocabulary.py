@@ -21,8 +21,8 @@ from topcli.config.starter import starter_config
 from topcli.config.yaml_text import parse_yaml
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import names_for
+from topcli.studies.bench.peers import PEERS, missing
 from topcli.studies.lax import lax_experiment
-from topcli.studies.peers import PEERS, missing
 from topcli.tops import TOPS, top_class
 
 PAIRS = [(form, name) for form in TOPS for name in names_for(form)]
@@ -258,7 +258,7 @@ def test_every_peer_has_an_extra_that_installs_it(monkeypatch: pytest.MonkeyPatc
     import tomllib
 
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
-    monkeypatch.setattr("topcli.studies.peers.find_spec", lambda package: None)
+    monkeypatch.setattr("topcli.studies.bench.peers.find_spec", lambda package: None)
     for peer in PEERS.values():
         if peer.name == "scipy":
             continue

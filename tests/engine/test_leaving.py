@@ -21,11 +21,11 @@ from topcli.analysis.many import EnsembleTally
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load_any, load_experiment
 from topcli.contracts import Invariant, Outcome, Top
+from topcli.runs.ensemble import run_ensemble
+from topcli.runs.run import run_experiment
+from topcli.runs.simulate import simulate
+from topcli.runs.simulate_ensemble import simulate_ensemble
 from topcli.schemes.registry import find_scheme
-from topcli.studies.ensemble import run_ensemble
-from topcli.studies.run import run_experiment
-from topcli.studies.simulate import simulate
-from topcli.studies.simulate_ensemble import simulate_ensemble
 from topcli.studies.stress.case import Case, CaseCache, Result
 from topcli.studies.stress.checks import stays_bounded
 from topcli.studies.stress.suite import tried

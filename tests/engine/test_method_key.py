@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from topcli.studies.identity import method_fingerprint
+from topcli.runs.identity import method_fingerprint
 
 METHOD = """
 import topcli

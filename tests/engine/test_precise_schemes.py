@@ -14,8 +14,8 @@ from topcli.engine.precise.loop import PreciseRun, prepared
 from topcli.engine.precise.numbers import RATIONAL
 from topcli.engine.precise.rebuild import Rebuilder, obstacle
 from topcli.errors import UsageError
+from topcli.runs.report import ORDINARY
 from topcli.schemes.registry import all_schemes, composed, find_scheme
-from topcli.studies.report import ORDINARY
 from topcli.tops import TOPS
 
 H = Fraction(1, 20)

@@ -12,11 +12,11 @@ import pytest
 from topcli.contracts import Stepper
 from topcli.engine.fingerprint import fingerprint, same_method
 from topcli.schemes.registry import all_schemes
-from topcli.studies.measures import BatchRun
-from topcli.studies.sweep.evaluate import Shared, shared_experiment
+from topcli.sweeps.evaluate import Shared, shared_experiment
+from topcli.sweeps.measures import BatchRun
 from topcli.tops import TOPS
 
-evaluation = importlib.import_module("topcli.studies.measures.evaluate")
+evaluation = importlib.import_module("topcli.sweeps.measures.evaluate")
 
 
 def stepper(factor: Any, default: Any = 1.0, other: bool = False) -> Stepper:

@@ -14,8 +14,8 @@ from topcli.contracts import Outcome, Stepper
 from topcli.engine import ensemble, loop, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
 from topcli.engine.loop import Run
+from topcli.runs.run import run_experiment
 from topcli.schemes.any_top import dop853
-from topcli.studies.run import run_experiment
 from topcli.tops.kowalevski import Kowalevski
 
 

@@ -24,7 +24,7 @@ from topcli.figures.make import make_figure
 from topcli.figures.picture import Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.scenes import SceneFigure, scene_config
-from topcli.studies.run import run_experiment
+from topcli.runs.run import run_experiment
 
 
 @pytest.fixture(scope="module")

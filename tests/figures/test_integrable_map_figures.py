@@ -18,10 +18,10 @@ from topcli.figures.contract import Request
 from topcli.figures.error_and_cost import LOOKS, loaded_study
 from topcli.figures.picture import draw
 from topcli.figures.torus_points import TorusSection, TorusView
+from topcli.runs.identity import method_fingerprint
 from topcli.schemes.registry import find_scheme
 from topcli.studies import error_and_cost, torus_points
 from topcli.studies.entries import scheme_with
-from topcli.studies.identity import method_fingerprint
 
 STUDY: dict[str, Any] = {
     "duration": 100.0,

@@ -22,7 +22,7 @@ from topcli.figures.roundoff import loaded_roundoff
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.studies.analyse import Analysis
 from topcli.studies.compare import Comparison
-from topcli.studies.rows import read_rows
+from topcli.sweeps.rows import read_rows
 from topcli.tops.kowalevski import Kowalevski
 
 

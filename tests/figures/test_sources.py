@@ -20,13 +20,15 @@ from topcli.figures.contract import Loaded, Request
 from topcli.figures.heat import HeatPanel
 from topcli.figures.make import _source
 from topcli.figures.sweep import Choice, sweep_figure
+from topcli.paper import swing_period
 from topcli.schemes.kowalevski import hk
-from topcli.studies import error_and_cost, growth, long_energy, swing_period, table, torus_points
+from topcli.studies import error_and_cost, growth, long_energy, torus_points
 from topcli.studies import order as study_of_orders
 from topcli.studies import roundoff as study_of_roundoff
 from topcli.studies.bench import competitors, measure
-from topcli.studies.rows import read_rows
 from topcli.studies.stress import case, checks, record, suite
+from topcli.sweeps import table
+from topcli.sweeps.rows import read_rows
 
 HK_STEP = hk.hk_kowalevski_change
 SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {

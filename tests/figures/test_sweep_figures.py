@@ -27,8 +27,8 @@ from topcli.figures.make import make_figure
 from topcli.figures.order import loaded_order
 from topcli.figures.picture import draw
 from topcli.figures.sweep import Choice, scale_of, sweep_figure, sweep_notes
-from topcli.studies.rows import read_rows
-from topcli.studies.sweep.run import SWEEP_FILE
+from topcli.sweeps.rows import read_rows
+from topcli.sweeps.run import SWEEP_FILE
 
 NAN = math.nan
 SCHEMES = {"hk": 2.0, "rk4": 4.0, "bohlin-a": 1.0}

@@ -107,7 +107,7 @@ def test_the_random_tops_are_drawn_by_medians_and_quartiles(tmp_path: Path, monk
     measures = {"deviation.energy": list(sizes.values()), "drift.energy": list(signed.values())}
     folder = write_rows(tmp_path / "heavy_drift", keys, measures)
     result = SimpleNamespace(folder=folder, outcomes={"completed": len(rows)})
-    monkeypatch.setattr("topcli.studies.sweep.run.run_sweep", lambda *arguments, **options: result)
+    monkeypatch.setattr("topcli.sweeps.run.run_sweep", lambda *arguments, **options: result)
     loaded = FIGURES["heavy-drift"].load(Request(tmp_path))
     picture = draw(loaded.panels, loaded.data(), loaded.layout)
     assert "medians and quartiles" in picture.get_suptitle()
@@ -135,7 +135,7 @@ def test_one_legend_has_the_slopes_in_all_panels(tmp_path: Path, monkeypatch: py
     }
     folder = write_rows(tmp_path / "kowalevski_errors", keys, measures, log=["h"])
     result = SimpleNamespace(folder=folder, outcomes={"completed": len(rows)})
-    monkeypatch.setattr("topcli.studies.sweep.run.run_sweep", lambda *arguments, **options: result)
+    monkeypatch.setattr("topcli.sweeps.run.run_sweep", lambda *arguments, **options: result)
     loaded = FIGURES["errors"].load(Request(tmp_path))
     picture = draw(loaded.panels, loaded.data(), loaded.layout)
     assert [axes.get_legend() for axes in picture.axes] == [None, None]

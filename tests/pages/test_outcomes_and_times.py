@@ -14,7 +14,7 @@ from reading_html import Element, read_html, section_of
 from resuming import after
 from stored_results import experiment, store_comparison, store_run, store_sweep
 from topcli.pages.report import report_page
-from topcli.studies.run import run_experiment
+from topcli.runs.run import run_experiment
 
 
 @pytest.fixture(autouse=True)

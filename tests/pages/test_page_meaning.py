@@ -27,7 +27,7 @@ from topcli.pages.report import report_page
 from topcli.pages.studies import claims_chapter, order_chapter, stress_chapter
 from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
 from topcli.store.series import read_series
-from topcli.studies.rows import read_rows
+from topcli.sweeps.rows import read_rows
 
 GREEN, AMBER, RED = "green", "amber", "red"
 SCHEMES, CASES = ("hk", "rk4"), ("pole", "delone", "huge", "rest")

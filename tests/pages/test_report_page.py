@@ -30,9 +30,9 @@ from topcli.pages.find import all_chapters
 from topcli.pages.page import rendered
 from topcli.pages.report import page_of, report_page
 from topcli.pages.series_pictures import before_explosion, deviations
+from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from topcli.studies.compare import write_comparison
-from topcli.studies.run import run_experiment
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
 

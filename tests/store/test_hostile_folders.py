@@ -17,12 +17,12 @@ import pytest
 from resuming import NAME, after, content, killed, small
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
+from topcli.runs import run as run_study
+from topcli.runs.run import Feedback, run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import MANIFEST, DamagedRun, look, stored_run, stored_runs
 from topcli.store.parts import LOCK, new_part, owner, parts_of, remove_own
-from topcli.studies import run as run_study
-from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 

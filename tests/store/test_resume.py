@@ -19,12 +19,12 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
+from topcli.runs import resume
+from topcli.runs.run import Feedback, run_experiment
 from topcli.schemes.registry import all_schemes
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint, write_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.series import read_series
-from topcli.studies import resume
-from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -138,7 +138,7 @@ def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
     (left,) = tmp_path.iterdir()
     assert sorted(path.name for path in left.iterdir()) == sorted([*FILES, "series.parquet"])
     left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that has ended
-    monkeypatch.setattr("topcli.studies.run.Run", None)  # nothing is integrated
+    monkeypatch.setattr("topcli.runs.run.Run", None)  # nothing is integrated
     assert run_experiment(small(), tmp_path, resume=True).outcome is Outcome.COMPLETED
     assert [path.name for path in tmp_path.iterdir()] == [NAME]
 
@@ -170,7 +170,7 @@ def test_another_experiment_or_code_is_refused_and_nothing_is_lost(
     before = {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"}
     with pytest.raises(UsageError, match=r"different experiment \(h: 0.001 there, 0.002 here\).*\n.*without --resume"):
         run_experiment(small("h=0.002"), tmp_path, resume=True)
-    monkeypatch.setattr("topcli.studies.identity.method_fingerprint", lambda method: "0" * 64)
+    monkeypatch.setattr("topcli.runs.identity.method_fingerprint", lambda method: "0" * 64)
     with pytest.raises(UsageError, match="other code of the scheme hk"):
         run_experiment(small(), tmp_path, resume=True)
     assert {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"} == before
@@ -213,7 +213,7 @@ def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(
         return folder.name
 
     with monkeypatch.context() as patch:
-        patch.setattr("topcli.studies.identity.method_fingerprint", lambda method: "0" * 64)
+        patch.setattr("topcli.runs.identity.method_fingerprint", lambda method: "0" * 64)
         other_code = left("code", small(), 4)
     other = left("experiment", small("h=0.002"), 4)
     less, more = left("less", small(), 2), left("more", small(), 8)

@@ -18,13 +18,13 @@ import pytest
 
 from resuming import HK, NAME, content, killed, small
 from topcli.errors import RunError, UsageError
+from topcli.runs.run import Feedback, run_experiment
 from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.growing import GrowingFile
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.parts import lock_left, lock_new, new_part, parts_of
 from topcli.store.series import SeriesWriter, read_metadata, read_series
-from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -215,7 +215,7 @@ def test_living_process_excludes_others(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
         "import sys; from pathlib import Path; from topcli.config.load import load_experiment\n"
-        "from topcli.studies.run import Feedback, run_experiment\n"
+        "from topcli.runs.run import Feedback, run_experiment\n"
         f"experiment = load_experiment({str(HK)!r}, ['N=300'])\n"
         "def wait(done, total):\n"
         "    if done > 200000 or done == total:\n"

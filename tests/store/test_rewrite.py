@@ -13,12 +13,12 @@ import pytest
 
 from topcli.config.load import load_any, load_experiment
 from topcli.errors import RunError, UsageError
+from topcli.runs import ensemble, run
+from topcli.runs.ensemble import run_ensemble
+from topcli.runs.run import Feedback, run_experiment
 from topcli.store import run_folder
 from topcli.store.manifest import sealed, stored_run
 from topcli.store.series import copy_series, read_series, write_parquet
-from topcli.studies import ensemble, run
-from topcli.studies.ensemble import run_ensemble
-from topcli.studies.run import Feedback, run_experiment
 
 BASE = ["h=0.01", "N=300"]
 CSV = "output.format=csv"
@@ -179,7 +179,7 @@ def test_the_earlier_file_is_there_until_the_new_one_is_complete(tmp_path: Path,
 def test_damaged_tables_are_computed_again_whatever_their_size(tmp_path: Path, monkeypatch) -> None:
     """Rewriting would give a damaged large file a valid checksum; a run in the same format compares its size only."""
     monkeypatch.setattr("topcli.store.manifest.CHECKED_AT_ONCE", 0)
-    monkeypatch.setattr("topcli.studies.plan.CHECKED_AT_ONCE", 0)
+    monkeypatch.setattr("topcli.runs.plan.CHECKED_AT_ONCE", 0)
     series = run_experiment(experiment(CSV), tmp_path).stored.series
     text = series.read_bytes()
     series.write_bytes(text[:-3] + bytes([text[-3] ^ 1]) + text[-2:])

@@ -20,12 +20,12 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
+from topcli.runs import run as run_study
+from topcli.runs.run import run_experiment
 from topcli.store import run_folder, series
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter, read_metadata, read_series
-from topcli.studies import run as run_study
-from topcli.studies.run import run_experiment
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 FILES = ["config.yaml", "manifest.json", "report.json", "report.md"]

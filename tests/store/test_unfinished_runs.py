@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from resuming import after, content, killed, small
-from topcli.studies.run import Feedback, run_experiment
-from topcli.studies.run_list import listed_runs
+from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.run_list import listed_runs
 
 KEYS = ("name", "outcome", "step", "resumable")
 

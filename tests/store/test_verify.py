@@ -10,13 +10,13 @@ import pytest
 
 from resuming import NAME, after, content, killed, small
 from topcli.errors import RunError
+from topcli.runs.run import Feedback, run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.footer import UNFINISHED
 from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.series import read_series
 from topcli.store.verify import check_run
-from topcli.studies.run import Feedback, run_experiment
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 

@@ -14,9 +14,9 @@ import pytest
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.errors import UsageError
+from topcli.runs.run import run_experiment
 from topcli.store.foreign import ForeignSeries
 from topcli.studies.analyse import Analysis, analyse_series, column_map
-from topcli.studies.run import run_experiment
 
 SYMMETRIC: dict[str, Any] = {
     "top": {"kind": "euler", "A": 2.0, "B": 2.0, "C": 1.0},

@@ -18,12 +18,12 @@ from topcli.config.sweep.document import sweep_from
 from topcli.config.sweep.rows import RowReader
 from topcli.contracts import Outcome
 from topcli.errors import UsageError
+from topcli.runs.identity import Identity
+from topcli.runs.run import run_experiment
 from topcli.schemes import registry
 from topcli.schemes.registry import scheme
 from topcli.store.series import read_series
 from topcli.studies.entries import read_entries
-from topcli.studies.identity import Identity
-from topcli.studies.run import run_experiment
 
 QUATERNION, ANGLES = "output.attitude=quaternion", "output.attitude=euler-angles"
 

@@ -26,9 +26,9 @@ from topcli.studies.bench.competitors import FirstCall, NoResultError, SchemeCom
 from topcli.studies.bench.ladder import Rung
 from topcli.studies.bench.line_up import LineUp, choose
 from topcli.studies.bench.measure import Effort, Measured, Measurements, as_rows, explore, time_all
+from topcli.studies.bench.peers import PEERS, Peer, find_peers, missing
 from topcli.studies.bench.run import bench
 from topcli.studies.bench.scenes import Problem, bench_problems
-from topcli.studies.peers import PEERS, Peer, find_peers, missing
 
 # what is measured
 
@@ -293,7 +293,7 @@ def test_the_set_up_of_a_closed_form_is_timed_apart(monkeypatch: pytest.MonkeyPa
 
 PEER = """
 import numpy as np
-from topcli.studies.peers.contract import Variant, checked
+from topcli.studies.bench.peers.contract import Variant, checked
 
 def variants(problem):
     def prepare(value):
@@ -310,9 +310,10 @@ def test_a_peer_is_a_file_and_one_entry(short: Problem, tmp_path: Path, monkeypa
     """``--against`` finds it, and its variants are measured in a process of its own, which has the entry too."""
     (tmp_path / "peer_of_mine.py").write_text(PEER)
     monkeypatch.setitem(PEERS, "mine", Peer("mine", "a peer that stands still", "peer_of_mine", ("numpy",)))
-    entry = "from topcli.studies.peers import PEERS, Peer; PEERS['mine'] = Peer('mine', '', 'peer_of_mine', ('numpy',))"
+    peers = "from topcli.studies.bench.peers import PEERS, Peer"
+    entry = f"{peers}; PEERS['mine'] = Peer('mine', '', 'peer_of_mine', ('numpy',))"
     lines = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {entry}"
-    start = f"{lines}; from topcli.studies.peers.worker import main; main()"
+    start = f"{lines}; from topcli.studies.bench.peers.worker import main; main()"
     monkeypatch.setattr(
         entrants.subprocess, "Popen", lambda _, **options: _popen([sys.executable, "-c", start], **options)
     )

@@ -12,13 +12,13 @@ import pytest
 
 import topcli
 from conftest import ROOT
-from topcli.studies.claims import decide
-from topcli.studies.claims.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, Bound, Finding
-from topcli.studies.claims.excluded import EXCLUDED
-from topcli.studies.claims.ledger import LEDGER, SUBJECTS
-from topcli.studies.claims.recorded import RECORDED
-from topcli.studies.claims.result import Claims
-from topcli.studies.claims.scenes import Scene
+from topcli.paper import decide
+from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, Bound, Finding
+from topcli.paper.excluded import EXCLUDED
+from topcli.paper.ledger import LEDGER, SUBJECTS
+from topcli.paper.recorded import RECORDED
+from topcli.paper.result import Claims
+from topcli.paper.scenes import Scene
 
 PAGE = ROOT / "docs" / "claims.md"
 NAMED = {claim.id: claim for claim in LEDGER}

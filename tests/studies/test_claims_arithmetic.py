@@ -7,10 +7,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from topcli.studies.claims import printed
-from topcli.studies.claims.algebra import I_UNIT, Draws, Dual, Gauss, commutator, cross, dot
-from topcli.studies.claims.kinds import motion, pictures, rank
-from topcli.studies.claims.scenes import Scene, trajectory
+from topcli.paper import printed
+from topcli.paper.algebra import I_UNIT, Draws, Dual, Gauss, commutator, cross, dot
+from topcli.paper.kinds import motion, pictures, rank
+from topcli.paper.scenes import Scene, trajectory
 from topcli.tops.euler import Euler
 
 
@@ -79,7 +79,7 @@ def test_scenes_are_shown_as_commands_and_overrides_replace() -> None:
 def test_a_run_that_fails_is_no_verdict() -> None:
     """The state blows up: the experiment has failed, not the claim."""
     from topcli.errors import RunError
-    from topcli.studies.claims.kinds.conservation import conserved
+    from topcli.paper.kinds.conservation import conserved
 
     scene = Scene("euler_bs", ("precision=rational", "h=1/10", "N=30", "max_digits=100"))
     with pytest.raises(RunError, match=r"euler_bs: stopped at step .* more digits than max_digits"):

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.studies.claims import printed
-from topcli.studies.claims.algebra import Draws, dot
-from topcli.studies.claims.claim import FAILS, HOLDS, MISPRINT
-from topcli.studies.claims.kinds import (
+from topcli.paper import printed
+from topcli.paper.algebra import Draws, dot
+from topcli.paper.claim import FAILS, HOLDS, MISPRINT
+from topcli.paper.kinds import (
     conservation,
     equation_order,
     exchange,
@@ -26,9 +26,9 @@ from topcli.studies.claims.kinds import (
     motion,
     rank,
 )
-from topcli.studies.claims.ledger import LEDGER, SUBJECTS
-from topcli.studies.claims.scenes import Scene, exact_maps, trajectory
-from topcli.studies.claims.subjects import equations, hybrid
+from topcli.paper.ledger import LEDGER, SUBJECTS
+from topcli.paper.scenes import Scene, exact_maps, trajectory
+from topcli.paper.subjects import equations, hybrid
 
 NAMED = {claim.id: claim for claim in LEDGER}
 VARIED_KINDS = ("conserved exactly", "reversible", "equal maps", "symmetric equation", "elliptic function")

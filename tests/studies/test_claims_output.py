@@ -17,12 +17,12 @@ import topcli
 from reading_html import read_html
 from topcli.errors import RunError
 from topcli.figures.claims import VerdictPanel
-from topcli.studies.claims import decide, recorded
-from topcli.studies.claims.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Bound, Finding, Kind
-from topcli.studies.claims.decided import Control, Decided
-from topcli.studies.claims.ledger import LEDGER
-from topcli.studies.claims.recorded import RECORDED
-from topcli.studies.claims.result import Claims
+from topcli.paper import decide, recorded
+from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Bound, Finding, Kind
+from topcli.paper.decided import Control, Decided
+from topcli.paper.ledger import LEDGER
+from topcli.paper.recorded import RECORDED
+from topcli.paper.result import Claims
 
 NAMED = {claim.id: claim for claim in LEDGER}
 IDS = ("matrix-m", "hk-heavy-equation", "hybrid-reversible")
@@ -82,7 +82,7 @@ def small_ledger(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         for name, one in zip(("one", "two", "three"), findings, strict=True)
     ]
     monkeypatch.setattr(decide, "chosen", lambda ids, fast: [one for one in claims if not ids or one.id in ids])
-    monkeypatch.setattr("topcli.studies.claims.ledger.LEDGER", tuple(claims))
+    monkeypatch.setattr("topcli.paper.ledger.LEDGER", tuple(claims))
     for name, verdict in (("one", HOLDS), ("two", HOLDS_WITHIN), ("three", FAILS)):
         monkeypatch.setitem(recorded.RECORDED, name, verdict)
     content["claims"] = claims

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topcli.studies.claims import printed
-from topcli.studies.claims.algebra import Draws, Gauss, dot
-from topcli.studies.claims.claim import FAILS, HOLDS, MISPRINT
-from topcli.studies.claims.kinds import identity, roots
-from topcli.studies.claims.ledger import LEDGER
+from topcli.paper import printed
+from topcli.paper.algebra import Draws, Gauss, dot
+from topcli.paper.claim import FAILS, HOLDS, MISPRINT
+from topcli.paper.kinds import identity, roots
+from topcli.paper.ledger import LEDGER
 
 NAMED = {claim.id: claim for claim in LEDGER}
 

@@ -15,9 +15,9 @@ from topcli.analysis.many import MEASURES, EnsembleTally
 from topcli.contracts import Ending, Invariant, Outcome
 from topcli.engine import ensemble as engine
 from topcli.engine.endings import CODES, Endings
-from topcli.studies import ensemble as study
-from topcli.studies.ensemble import run_ensemble
-from topcli.studies.ensemble_report import SHOWN, EndingTally
+from topcli.runs import ensemble as study
+from topcli.runs.ensemble import run_ensemble
+from topcli.runs.ensemble_report import SHOWN, EndingTally
 from topcli.tops.kowalevski import Kowalevski
 
 START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}

@@ -21,10 +21,10 @@ from topcli.config.load import any_from
 from topcli.contracts import Outcome
 from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
+from topcli.runs.ensemble import run_ensemble
+from topcli.runs.run import RunResult
 from topcli.store.manifest import stored_run
 from topcli.store.series import read_series
-from topcli.studies.ensemble import run_ensemble
-from topcli.studies.run import RunResult
 
 RANDOM = {"count": 70, "seed": 3, "gamma": "sphere", "omega": {"near": 0.3}}
 

@@ -21,7 +21,7 @@ from topcli.contracts import Floats, Invariant, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes import registry as schemes
 from topcli.schemes.registry import find_scheme
-from topcli.studies.measures import (
+from topcli.sweeps.measures import (
     MEASURES,
     BatchRun,
     MeasureMisfitError,
@@ -34,8 +34,8 @@ from topcli.studies.measures import (
     references,
     resolve_measures,
 )
-from topcli.studies.measures.batch import bytes_per_run
-from topcli.studies.measures.references import SharedReferences
+from topcli.sweeps.measures.batch import bytes_per_run
+from topcli.sweeps.measures.references import SharedReferences
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -220,7 +220,7 @@ def free(scheme: str, h: float, N: int, **top: float) -> Experiment:
 
 def shared(monkeypatch: pytest.MonkeyPatch, max_bytes: int = 1 << 20) -> SharedReferences:
     found = SharedReferences(max_bytes)
-    monkeypatch.setattr("topcli.studies.measures.batch.REFERENCES", found)
+    monkeypatch.setattr("topcli.sweeps.measures.batch.REFERENCES", found)
     return found
 
 

@@ -21,10 +21,10 @@ from topcli.engine.tile import Piece
 from topcli.errors import RunError
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.studies.compare_ensemble import compare_ensemble
-from topcli.studies.measures import BatchRun, evaluate, resolve_measures
-from topcli.studies.measures.batch import BatchRecorder
-from topcli.studies.measures.references import REFERENCES
-from topcli.studies.measures.registry import MEASURES, measure
+from topcli.sweeps.measures import BatchRun, evaluate, resolve_measures
+from topcli.sweeps.measures.batch import BatchRecorder
+from topcli.sweeps.measures.references import REFERENCES
+from topcli.sweeps.measures.registry import MEASURES, measure
 
 A, C = 2.0, 1.0
 OMEGA = (0.3, 0.4, 1.5)

@@ -19,10 +19,10 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
+from topcli.runs.precise import PreciseTally, precise_run
+from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from topcli.studies.compare import compare_schemes
-from topcli.studies.precise import PreciseTally, precise_run
-from topcli.studies.run import run_experiment
 
 EULER = ("precision=rational", "h=1/10", "N=12")
 

@@ -13,7 +13,7 @@ from conftest import ROOT
 from topcli.config.load import load_experiment, scene_files
 from topcli.config.yaml_text import parse_yaml
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.measures import BatchRun, evaluate, resolve_measures
+from topcli.sweeps.measures import BatchRun, evaluate, resolve_measures
 from topcli.tops import top_class
 
 FILES = sorted((ROOT / "configs" / "sweeps").iterdir())

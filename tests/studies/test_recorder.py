@@ -14,9 +14,9 @@ from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load_any
 from topcli.config.models import Experiment
 from topcli.contracts import Invariant
+from topcli.runs.ensemble import run_ensemble
+from topcli.runs.run import RunResult, run_experiment
 from topcli.store.series import read_series
-from topcli.studies.ensemble import run_ensemble
-from topcli.studies.run import RunResult, run_experiment
 from topcli.tops.kowalevski import Kowalevski
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from topcli.analysis.drift import InvariantRow
-from topcli.studies import report as study
-from topcli.studies.report import (
+from topcli.runs import report as study
+from topcli.runs.report import (
     REPORT_COLUMNS,
     ReportColumn,
     comparison_lines,

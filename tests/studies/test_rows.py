@@ -11,7 +11,7 @@ import pytest
 
 from sweep_rows import write_rows
 from topcli.errors import RunError, UnknownNameError, UsageError
-from topcli.studies.rows import key_labels, read_rows
+from topcli.sweeps.rows import key_labels, read_rows
 
 H = [0.1, 0.01, 0.1, 0.01]
 

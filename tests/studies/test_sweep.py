@@ -18,11 +18,11 @@ from topcli.config.load import experiment_from
 from topcli.config.sweep.document import sweep_from
 from topcli.config.sweep.rows import RowReader
 from topcli.errors import RunError, UsageError
-from topcli.studies.simulate import trajectory_of
-from topcli.studies.sweep import evaluate as seam
-from topcli.studies.sweep.batches import batches
-from topcli.studies.sweep.evaluate import Results, Work, evaluate_batch
-from topcli.studies.sweep.run import SweepOptions, Watcher, find_row, in_threads, planned, run_sweep
+from topcli.runs.simulate import trajectory_of
+from topcli.sweeps import evaluate as seam
+from topcli.sweeps.batches import batches
+from topcli.sweeps.evaluate import Results, Work, evaluate_batch
+from topcli.sweeps.run import SweepOptions, Watcher, find_row, in_threads, planned, run_sweep
 
 
 def deviation(row: dict[str, Any], out: Path) -> float:
@@ -137,7 +137,7 @@ def test_a_new_measure_runs_the_rows_again(tmp_path: Path) -> None:
 
 
 def test_changed_code_of_a_scheme_runs_its_rows_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from topcli.studies.sweep import plan as planning
+    from topcli.sweeps import plan as planning
 
     sweep(tmp_path)
     real = planning.method_fingerprint
@@ -341,7 +341,7 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
 def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     data = {**MANY, "grid": {"scheme": ["hk"]}, "random": {**MANY["random"], "count": 4000}}
     rows = list(RowReader(sweep_from(data)).rows())
-    monkeypatch.setattr("topcli.studies.sweep.batches.PER_WORKER", 1)
+    monkeypatch.setattr("topcli.sweeps.batches.PER_WORKER", 1)
     sizes = {scale: max(len(batch) for batch in batches(iter(rows), 1, scale)) for scale in (1, 3)}
     assert sizes == {1: 1024, 3: 3072}
 

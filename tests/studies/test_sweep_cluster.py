@@ -20,11 +20,11 @@ from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.sweep.document import sweep_from
 from topcli.errors import RunError, UsageError
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
-from topcli.studies.sweep import connect
-from topcli.studies.sweep.cluster import IN_FLIGHT, answer
-from topcli.studies.sweep.connect import connected, local_workers, require_dask, run_on_cluster
-from topcli.studies.sweep.evaluate import forget
-from topcli.studies.sweep.run import SweepOptions, Watcher, run_sweep
+from topcli.sweeps import connect
+from topcli.sweeps.cluster import IN_FLIGHT, answer
+from topcli.sweeps.connect import connected, local_workers, require_dask, run_on_cluster
+from topcli.sweeps.evaluate import forget
+from topcli.sweeps.run import SweepOptions, Watcher, run_sweep
 
 LONG = {
     **MANY,
@@ -232,7 +232,7 @@ def test_replaced_workers_of_this_machine_compute_the_rest(
     """The library does not start a worker again that ends while it is started, as a deadly row may make it do."""
     from distributed.core import Status
 
-    monkeypatch.setattr("topcli.studies.sweep.cluster.RESTART_SECONDS", 1.0)
+    monkeypatch.setattr("topcli.sweeps.cluster.RESTART_SECONDS", 1.0)
     done: list[int] = []
     with connected("local:1") as found:
         local: Any = found.client.cluster

@@ -21,12 +21,12 @@ from topcli.config.sweep.rows import Row, RowReader
 from topcli.contracts import StopAsked, heed_stop, heeding
 from topcli.errors import RunError
 from topcli.schemes.registry import find_scheme
-from topcli.studies.measures import batch as recording
-from topcli.studies.measures import references
-from topcli.studies.measures.references import SharedReferences
-from topcli.studies.sweep import evaluate as seam
-from topcli.studies.sweep.evaluate import Results, Work, evaluate_batch, unfinished
-from topcli.studies.sweep.run import Watcher
+from topcli.sweeps import evaluate as seam
+from topcli.sweeps.evaluate import Results, Work, evaluate_batch, unfinished
+from topcli.sweeps.measures import batch as recording
+from topcli.sweeps.measures import references
+from topcli.sweeps.measures.references import SharedReferences
+from topcli.sweeps.run import Watcher
 from topcli.tops.kowalevski import Kowalevski
 
 ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["error.max", "steps"]}
@@ -117,7 +117,7 @@ def test_finished_rows_do_not_wait_for_those_of_a_slow_batch(
     found = Work(("steps",))(rows)
     assert found.done == [True] * 3 + [False] * 4
     assert unfinished(rows, found) == rows[3:]
-    monkeypatch.setattr("topcli.studies.sweep.run.batches", lambda made, *arguments: [list(made)])
+    monkeypatch.setattr("topcli.sweeps.run.batches", lambda made, *arguments: [list(made)])
     assert sweep(tmp_path, data, threads=1).outcomes == {"completed": 7}
     lines = (tmp_path / "study" / "journal.jsonl").read_text().splitlines()
     assert [len(json.loads(line.partition(" ")[2])["digest"]) for line in lines] == [3, 3, 1]

@@ -21,9 +21,9 @@ from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.config.sweep.document import sweep_from
 from topcli.errors import RunError, UsageError
 from topcli.studies.checks import check_all
-from topcli.studies.sweep.journal import Block, Journal, damaged_lines
-from topcli.studies.sweep.plan import survey
-from topcli.studies.sweep.run import Watcher
+from topcli.sweeps.journal import Block, Journal, damaged_lines
+from topcli.sweeps.plan import survey
+from topcli.sweeps.run import Watcher
 
 
 def test_an_interrupted_sweep_continues(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_a_full_or_failing_disk_is_no_wrong_usage(
         raise OSError(number, os.strerror(number))
 
     with monkeypatch.context() as patch:
-        patch.setattr("topcli.studies.sweep.run.sync", fails)
+        patch.setattr("topcli.sweeps.run.sync", fails)
         with pytest.raises(expected):
             sweep(tmp_path)
     assert sweep(tmp_path).finished == 4

@@ -17,9 +17,9 @@ import pytest
 
 from sweep_rows import write_rows
 from topcli.errors import UsageError
-from topcli.studies.rows import read_rows
-from topcli.studies.table import Cell, Summary, SweepTable, summary, sweep_table
-from topcli.studies.table_text import cell_text, csv_text, latex, lines, markdown, notes, significant, title
+from topcli.sweeps.rows import read_rows
+from topcli.sweeps.table import Cell, Summary, SweepTable, summary, sweep_table
+from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, markdown, notes, significant, title
 
 NAN = math.nan
 SCHEMES, SIZES, SEEDS = ("hk", "a_b"), (0.1, 0.01, 1e-7), (1, 2, 3, 4)

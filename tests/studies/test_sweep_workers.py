@@ -18,9 +18,9 @@ from sweeping import DATA
 from topcli.config.sweep.document import sweep_from
 from topcli.config.sweep.rows import RowReader
 from topcli.errors import RunError, UsageError
-from topcli.studies.sweep import connect
-from topcli.studies.sweep.cluster import ALONE, IN_FLIGHT, Cluster, batch_digest
-from topcli.studies.sweep.evaluate import Results, Work
+from topcli.sweeps import connect
+from topcli.sweeps.cluster import ALONE, IN_FLIGHT, Cluster, batch_digest
+from topcli.sweeps.evaluate import Results, Work
 
 
 @pytest.fixture
@@ -45,14 +45,14 @@ def test_a_task_is_named_after_what_it_computes() -> None:
 SOURCE = Path(topcli.__file__).parent
 
 
-DESCRIBE = "import json; from topcli.studies.sweep.worker import versions; print(json.dumps(versions()))"
+DESCRIBE = "import json; from topcli.sweeps.worker import versions; print(json.dumps(versions()))"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("change", ["a comment", "a new file", "a missing file", "nothing"])
 def test_another_source_of_the_same_version_is_another_version(dask: None, tmp_path: Path, change: str) -> None:
     """A worker with a copy of topcli, one file of which differs by as little as a comment."""
-    from topcli.studies.sweep.worker import difference, versions
+    from topcli.sweeps.worker import difference, versions
 
     copy = Path(shutil.copytree(SOURCE, tmp_path / "topcli", ignore=shutil.ignore_patterns("__pycache__")))
     if change == "a comment":
@@ -76,7 +76,7 @@ def test_another_source_of_the_same_version_is_another_version(dask: None, tmp_p
 
 @pytest.mark.parametrize("name", ["topcli", "python", "numba", "llvmlite", "numpy", "the source of topcli"])
 def test_any_version_that_differs_or_is_missing_is_a_difference(dask: None, name: str) -> None:
-    from topcli.studies.sweep.worker import difference, versions
+    from topcli.sweeps.worker import difference, versions
 
     here = versions()
     assert difference(here, dict(here)) == ""
@@ -105,7 +105,7 @@ class Answering:
     ],
 )
 def test_workers_with_several_kinds_of_processors_are_warned_of(dask: None, cpus: list[str], warned: str) -> None:
-    from topcli.studies.sweep.worker import Job, versions
+    from topcli.sweeps.worker import Job, versions
 
     answers = {f"tcp://{i}": {"versions": versions(), "cpu": cpu} for i, cpu in enumerate(cpus)}
     client: Any = Answering(answers)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.studies import swing_period
+from topcli.paper import swing_period
 
 
 def test_the_law_is_that_of_the_homoclinic_orbit() -> None:

@@ -66,7 +66,7 @@ def _sweep(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
         measures |= {one: [20.0 + 3.0 * np.log10(v) for v in sizes] for one in measures if "swing" in one}
         written = write_rows(folder / name, keys, measures, log=["h"])
         result = SimpleNamespace(folder=written, outcomes={"completed": len(rows)})
-        patch.setattr("topcli.studies.sweep.run.run_sweep", lambda *arguments, **options: result)
+        patch.setattr("topcli.sweeps.run.run_sweep", lambda *arguments, **options: result)
 
     return prepare
 

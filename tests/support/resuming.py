@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.studies.run import Feedback, run_experiment
+from topcli.runs.run import Feedback, run_experiment
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 NAME = "kowalevski_hk"

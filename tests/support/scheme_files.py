@@ -9,8 +9,8 @@ from pathlib import Path
 
 from topcli.contracts import Outcome
 from topcli.engine.loop import Run
+from topcli.runs.identity import method_fingerprint
 from topcli.schemes import registry
-from topcli.studies.identity import method_fingerprint
 from topcli.tops.kowalevski import Kowalevski
 
 FILE = """

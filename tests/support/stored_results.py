@@ -8,13 +8,13 @@ from pathlib import Path
 from topcli.config.load import any_from, experiment_from
 from topcli.config.models import Experiment
 from topcli.config.sweep.document import sweep_from
+from topcli.runs.ensemble import run_ensemble
+from topcli.runs.run import run_experiment
 from topcli.studies.compare import compare_schemes, comparison_document, write_comparison
-from topcli.studies.ensemble import run_ensemble
 from topcli.studies.order import ladders, order_study
-from topcli.studies.run import run_experiment
 from topcli.studies.stress.record import stress_data
 from topcli.studies.stress.suite import stress
-from topcli.studies.sweep.run import SweepOptions, run_sweep
+from topcli.sweeps.run import SweepOptions, run_sweep
 
 START = {"omega": [2, 0, 0], "gamma": ["auto", 0, 0.1]}
 BASE = {"top": "kowalevski", "initial": START, "h": 0.01, "N": 400}

@@ -8,7 +8,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from topcli.config.sweep.document import sweep_from
-from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, run_sweep
+from topcli.sweeps.run import SweepOptions, SweepResult, Watcher, run_sweep
 
 BASE: dict[str, Any] = {
     "top": "kowalevski",

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from topcli.config.load import load_experiment
-from topcli.studies.run import run_experiment
+from topcli.runs.run import run_experiment
 
 TURNED = "output.attitude=quaternion"
 

@@ -19,11 +19,11 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Invariant, Method, Top
 from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
+from topcli.runs.simulate import simulate
 from topcli.schemes.lagrange.bs import bs_step
 from topcli.schemes.lagrange.exact import body_states, inertial_states
 from topcli.schemes.lagrange.hk import hk_corrections, hk_lagrange
 from topcli.schemes.registry import find_scheme
-from topcli.studies.simulate import simulate
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 EPS = float(np.finfo(float).eps)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from topcli.api.progress import Progress
 from topcli.api.report import Report, painted
-from topcli.studies.claims.decide import decide_claims
-from topcli.studies.claims.result import Claims
+from topcli.paper.decide import decide_claims
+from topcli.paper.result import Claims
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,8 +17,8 @@ from topcli.config.load import any_from, load_changed
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
-from topcli.studies.resume import CHECKPOINT_SECONDS
-from topcli.studies.run import Feedback, RunResult, run_experiment
+from topcli.runs.resume import CHECKPOINT_SECONDS
+from topcli.runs.run import Feedback, RunResult, run_experiment
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -233,7 +233,7 @@ def run(
         found = load_changed(config, overrides, changes)
     with Progress(found.name, progress) as bar:
         if isinstance(found, EnsembleExperiment):
-            from topcli.studies.ensemble import run_ensemble
+            from topcli.runs.ensemble import run_ensemble
 
             if resume:
                 raise UsageError("resume=True works for runs of one trajectory; run the ensemble again without it")

@@ -11,8 +11,8 @@ from topcli.api.progress import Progress
 from topcli.api.report import Report, painted
 from topcli.config.sweep.document import load_sweep, sweep_from
 from topcli.errors import UsageError
-from topcli.studies.rows import ROWS, SweepRows, read_rows
-from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher, run_sweep
+from topcli.sweeps.rows import ROWS, SweepRows, read_rows
+from topcli.sweeps.run import SweepOptions, SweepResult, Watcher, run_sweep
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -188,6 +188,6 @@ def sweep(
         watcher = Watcher(progress=lambda done, total, failed: bar(done, total, f"{failed} failed" if failed else ""))
         if dask is None:
             return SweepReport(run_sweep(loaded, Path(out), options, watcher))
-        from topcli.studies.sweep.connect import run_on_cluster
+        from topcli.sweeps.connect import run_on_cluster
 
         return SweepReport(run_on_cluster(dask, loaded, Path(out), options, watcher))

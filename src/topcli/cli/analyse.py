@@ -28,7 +28,7 @@ Plot = Annotated[bool, typer.Option("--plot", help="Draw errors, swings and devi
 
 def _lines(report: dict[str, Any]) -> list[list[str]]:
     """Lines of the report before the invariants: a label and a cell each."""
-    from topcli.studies.report import exact_number, number
+    from topcli.runs.report import exact_number, number
 
     about, swing = report["reference"], report["swing"]
     start = {"config": "the config's initial state", "first row": "the first row"}[about["start"]]
@@ -53,7 +53,7 @@ def _lines(report: dict[str, Any]) -> list[list[str]]:
 
 def _print_report(report: dict[str, Any]) -> None:
     """Print the tables of the report."""
-    from topcli.studies.report import invariant_table
+    from topcli.runs.report import invariant_table
 
     print_table([], _lines(report), f"{report['file']}: {report['top_title']}", numbers=False)
     emit()

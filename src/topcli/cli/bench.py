@@ -13,8 +13,8 @@ from topcli.cli.talk import ProgressDisplay, emit, emit_prose, print_json, print
 
 if TYPE_CHECKING:
     from topcli.studies.bench.line_up import LineUp
+    from topcli.studies.bench.peers import Peer
     from topcli.studies.bench.scenes import Problem
-    from topcli.studies.peers import Peer
 
 
 def _complete_scene(incomplete: str) -> list[str]:
@@ -25,8 +25,8 @@ def _complete_scene(incomplete: str) -> list[str]:
 
 def _print_result(result: dict[str, Any], all_points: bool) -> None:
     """Print the result of one scene: the table of decades, the front in words, and with ``all_points`` every point."""
+    from topcli.runs.report import number
     from topcli.studies.bench.stored import decade_lines, ladder_lines, microseconds, point_lines, setup_words
-    from topcli.studies.report import number
 
     span = f"t from 0 to {result['duration']:g}, CPU time per unit of time"
     print_table(*decade_lines(result), numbers=(0, 3, 6, 7, 8), title=f"{result['name']}: {result['title']}, {span}")
@@ -69,7 +69,7 @@ def _contest(problems: Sequence[Problem], schemes: Sequence[str]) -> list[LineUp
 
 def _peers(against: str) -> list[Peer]:
     """Peers named by ``--against``."""
-    from topcli.studies.peers import PEERS, find_peers
+    from topcli.studies.bench.peers import PEERS, find_peers
 
     if against.lower() == "all":
         return find_peers(list(PEERS))

@@ -10,19 +10,19 @@ from topcli.cli.options import Json
 from topcli.cli.talk import ProgressDisplay, emit, emit_prose, emit_text, print_json, print_table, say
 
 if TYPE_CHECKING:
-    from topcli.studies.claims.decided import Decided
-    from topcli.studies.claims.result import Claims
+    from topcli.paper.decided import Decided
+    from topcli.paper.result import Claims
 
 
 def complete_claim(incomplete: str) -> list[str]:
     """Names of claims that begin with ``incomplete``."""
-    from topcli.studies.claims.ledger import claim_names
+    from topcli.paper.ledger import claim_names
 
     return [name for name in claim_names() if name.startswith(incomplete.lower())]
 
 
 def _figure(row: Decided) -> str:
-    from topcli.studies.claims.claim import number_text
+    from topcli.paper.claim import number_text
 
     return number_text(row.finding.figure) if row.finding else "–"
 
@@ -58,7 +58,7 @@ def _print_details(row: Decided) -> None:
     else:
         lines["figure"] = f"{_figure(row)} {finding.bound.unit}".rstrip() + f" ({claim.kind.measures})"
         if finding.corrected is not None:
-            from topcli.studies.claims.claim import number_text
+            from topcli.paper.claim import number_text
 
             lines["corrected"] = number_text(finding.corrected)
         lines["bound"] = f"{finding.bound.text} ({finding.bound.reason})"
@@ -103,8 +103,8 @@ def claims(
     if a verdict differs from the recorded one, or if a check does not find the defect of its positive control.
     """
     from topcli.errors import UsageError
-    from topcli.studies.claims.decide import decide_claims
-    from topcli.studies.claims.ledger import chosen
+    from topcli.paper.decide import decide_claims
+    from topcli.paper.ledger import chosen
 
     if as_json and as_markdown:
         raise UsageError("--json and --markdown exclude each other; choose one")

@@ -28,7 +28,7 @@ def hinting(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[None]:
 def stored_folder(name: str, results: Path) -> Path | None:
     """Folder of a run or sweep that ``name`` is the path of, or its name in ``results``; None if there is none."""
     from topcli.store.manifest import look
-    from topcli.studies.sweep.run import is_sweep
+    from topcli.sweeps.run import is_sweep
 
     folders = (Path(name), results / name) if name else ()
     return next((folder for folder in folders if os.path.isdir(folder) and (look(folder) or is_sweep(folder))), None)
@@ -46,7 +46,7 @@ def is_config(name: str) -> bool:
 
 def plot_hint(name: str, results: Path) -> str:
     """Message about ``name`` given instead of a figure: the command that draws it; empty if it is unknown."""
-    from topcli.studies.sweep.run import is_sweep
+    from topcli.sweeps.run import is_sweep
 
     folder = stored_folder(name, results)
     if folder is not None and is_sweep(folder):

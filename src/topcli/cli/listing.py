@@ -179,7 +179,7 @@ def list_measures(top: OnlyTop = None, as_json: Json = False, scheme_files: Sche
     With --top, families such as drift.NAME are listed measure by measure.
     """
     from topcli.schemes.registry import plugin_failures
-    from topcli.studies.measures import all_measures, measures_of_form
+    from topcli.sweeps.measures import all_measures, measures_of_form
     from topcli.tops import forms
 
     load_scheme_files(scheme_files)
@@ -243,7 +243,7 @@ def list_runs(
     continues with topcli run NAME --resume.
     """
     from topcli.errors import UsageError
-    from topcli.studies.run_list import listed_runs
+    from topcli.runs.run_list import listed_runs
 
     folder = Path("results") if out is None else out
     if out is not None and not os.path.isdir(out):

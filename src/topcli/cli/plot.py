@@ -66,7 +66,7 @@ def _sweep_figure(names: list[str], options: dict[str, str | None], where: list[
     """The figure of a sweep that the arguments and options describe."""
     from topcli.errors import UsageError
     from topcli.figures.sweep import Choice, sweep_figure
-    from topcli.studies.rows import read_rows
+    from topcli.sweeps.rows import read_rows
 
     if len(names) != 2:
         raise UsageError(

@@ -27,7 +27,7 @@ HEADER = (
 
 
 def _cells(form: dict[str, Any], row: dict[str, Any]) -> list[str]:
-    from topcli.studies.report import number
+    from topcli.runs.report import number
 
     exponent = "–" if row["exponent"] is None else f"{row['exponent']:.2f} ± {row['exponent_error']:.2f}"
     return [

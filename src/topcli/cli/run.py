@@ -17,7 +17,7 @@ from topcli.errors import TopcliError, UsageError, quoted
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
-    from topcli.studies.run import RunResult
+    from topcli.runs.run import RunResult
 
 
 class Interruption:
@@ -78,10 +78,10 @@ def _print_result(result: RunResult, labelled: bool) -> None:
     """Print the message and the table of a run."""
     report, warning, notes = result.report, "", []
     if report.get("kind") == "ensemble":
-        from topcli.studies.ensemble_report import ensemble_table as invariant_table
+        from topcli.runs.ensemble_report import ensemble_table as invariant_table
     else:
-        from topcli.studies.accuracy import accuracy_note
-        from topcli.studies.report import invariant_table, precision_note, warning_of
+        from topcli.runs.accuracy import accuracy_note
+        from topcli.runs.report import invariant_table, precision_note, warning_of
 
         warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
     if result.set_aside:
@@ -101,19 +101,19 @@ def _print_result(result: RunResult, labelled: bool) -> None:
 def _dry_run(experiment: Experiment | EnsembleExperiment, options: RunOptions) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
     from topcli.config.models import Experiment
-    from topcli.studies.identity import Identity
-    from topcli.studies.plan import plan_run
+    from topcli.runs.identity import Identity
+    from topcli.runs.plan import plan_run
 
     out, source = options.out, None
     if isinstance(experiment, Experiment):
-        from topcli.studies.resume import find_source
-        from topcli.studies.run import prepared_precision
+        from topcli.runs.resume import find_source
+        from topcli.runs.run import prepared_precision
 
         prepared_precision(experiment)
         identity, rows = Identity.of(experiment, [experiment.method()]), experiment.N // experiment.output.every + 1
         source = find_source(identity, out) if options.resume else None
     else:
-        from topcli.studies.ensemble import ensemble_identity
+        from topcli.runs.ensemble import ensemble_identity
 
         _refuse_to_resume(options.resume)
         identity, rows = ensemble_identity(experiment), experiment.rows
@@ -143,7 +143,7 @@ def _run(
     from topcli.config.models import Experiment
 
     if isinstance(experiment, Experiment):
-        from topcli.studies.run import Feedback, run_experiment
+        from topcli.runs.run import Feedback, run_experiment
 
         return run_experiment(
             experiment,
@@ -155,7 +155,7 @@ def _run(
             stop=interruption,
             feedback=Feedback(display) if options.quiet else Feedback(display, say),
         )
-    from topcli.studies.ensemble import run_ensemble
+    from topcli.runs.ensemble import run_ensemble
 
     _refuse_to_resume(options.resume)
     return run_ensemble(
@@ -198,7 +198,7 @@ def _experiment(config: str, options: RunOptions) -> Experiment | EnsembleExperi
     from topcli.config.load import any_from, load_named
 
     if options.resume and not is_config(config):
-        from topcli.studies.resume import config_to_resume
+        from topcli.runs.resume import config_to_resume
 
         name = config.removeprefix(f"{options.out}{os.sep}").removesuffix(os.sep)
         if data := config_to_resume(options.out, name):

@@ -15,8 +15,8 @@ from topcli.errors import UsageError, shortened
 if TYPE_CHECKING:
     from topcli.config.sweep.document import Sweep
     from topcli.config.sweep.rows import Row
-    from topcli.studies.sweep.plan import Plan
-    from topcli.studies.sweep.run import SweepOptions, SweepResult, Watcher
+    from topcli.sweeps.plan import Plan
+    from topcli.sweeps.run import SweepOptions, SweepResult, Watcher
 
 SHOWN_FAILURES = 20
 SHOWN_ROWS = 20
@@ -104,8 +104,8 @@ def _plan_data(sweep: Sweep, plan: Plan, changed: list[str]) -> dict[str, Any]:
 
 
 def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> None:
-    from topcli.studies.sweep.plan import REASONS
-    from topcli.studies.sweep.run import MANY_ROWS, planned, rows_to_run
+    from topcli.sweeps.plan import REASONS
+    from topcli.sweeps.run import MANY_ROWS, planned, rows_to_run
 
     plan, changed = planned(sweep, out, options)
     data = _plan_data(sweep, plan, changed)
@@ -179,7 +179,7 @@ def sweep(
     was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
     """
     from topcli.config.sweep.document import load_sweep
-    from topcli.studies.sweep.run import SweepOptions, Watcher
+    from topcli.sweeps.run import SweepOptions, Watcher
 
     if dask is not None and threads is not None:
         raise UsageError("--threads does not go with --dask: each worker has its own number of threads")
@@ -214,11 +214,11 @@ def sweep(
 
 def _run(sweep: Sweep, out: Path, options: SweepOptions, watcher: Watcher, dask: str | None) -> SweepResult:
     """Run a sweep in this process, or on a Dask cluster."""
-    from topcli.studies.sweep.run import run_sweep
+    from topcli.sweeps.run import run_sweep
 
     if dask is None:
         return run_sweep(sweep, out, options, watcher)
-    from topcli.studies.sweep.connect import run_on_cluster
+    from topcli.sweeps.connect import run_on_cluster
 
     return run_on_cluster(dask, sweep, out, options, watcher)
 
@@ -245,7 +245,7 @@ def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:
 def show_sweep(folder: Path, number: int | None, sets: list[str], as_json: bool) -> None:
     """Print the config of a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
     from topcli.config.load import experiment_from
-    from topcli.studies.sweep.run import find_row, stored_sweep_file
+    from topcli.sweeps.run import find_row, stored_sweep_file
 
     if number is None:
         sweep = stored_sweep_file(folder, sets)

@@ -13,7 +13,7 @@ from topcli.cli.tables import table_lines
 from topcli.cli.talk import emit_text, print_json, print_table, say
 
 if TYPE_CHECKING:
-    from topcli.studies.table import SweepTable
+    from topcli.sweeps.table import SweepTable
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR/NAME", help="Folder of a sweep.")]
 Where = Annotated[
@@ -46,7 +46,7 @@ OutFile = Annotated[
 
 def _text(table: SweepTable, form: str) -> str:
     """The table as text in one of the formats."""
-    from topcli.studies import table_text
+    from topcli.sweeps import table_text
 
     if form == "text":
         header, keys = table_text.header(table), len(table.row_keys)
@@ -74,9 +74,9 @@ def table(
     maximum, or the observed order in h. Cells with failed rows are marked. CSV and JSON have all digits.
     """
     from topcli.errors import UsageError, nearest, quoted
-    from topcli.studies.rows import read_rows
-    from topcli.studies.table import sweep_table
-    from topcli.studies.table_text import FORMATS, header, lines, notes, title
+    from topcli.sweeps.rows import read_rows
+    from topcli.sweeps.table import sweep_table
+    from topcli.sweeps.table_text import FORMATS, header, lines, notes, title
 
     if form not in FORMATS:
         raise UsageError(f"--format {quoted(form)}: unknown format; {nearest(form, FORMATS)}")

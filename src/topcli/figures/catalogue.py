@@ -27,7 +27,7 @@ from topcli.figures.torus import TorusFigure
 from topcli.figures.torus_points import TorusPointsFigure
 from topcli.figures.traces import BodyPanel, VectorPanel
 from topcli.figures.work_precision import WorkPrecisionFigure
-from topcli.studies.swing_period import spacing_law
+from topcli.paper.swing_period import spacing_law
 
 
 def _headed(figsize: tuple[float, float]) -> Grid:

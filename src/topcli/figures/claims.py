@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from topcli.figures.picture import Styles
-from topcli.studies.claims.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED
-from topcli.studies.claims.ledger import SUBJECTS
+from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED
+from topcli.paper.ledger import SUBJECTS
 
 LOOKS = {
     HOLDS: ("#0072B2", "white"),

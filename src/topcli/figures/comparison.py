@@ -148,9 +148,9 @@ class ComparisonFigure(Figure):
         from topcli.analysis.reference import distances, reference_states
         from topcli.config.load import load_experiment
         from topcli.engine.fingerprint import fingerprint
+        from topcli.runs.identity import method_fingerprint
         from topcli.studies.compare import compare_schemes
         from topcli.studies.entries import under_scheme
-        from topcli.studies.identity import method_fingerprint
 
         config = scene_config(self.scene, request.configs)
         experiment = load_experiment(config, request.overrides)

@@ -10,7 +10,7 @@ import numpy as np
 
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import Grid, Styles
-from topcli.studies.swing_period import (
+from topcli.paper.swing_period import (
     EPS,
     EXACT,
     PAPER_STEP,

@@ -15,7 +15,7 @@ from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs, described, exact_column
 
 if TYPE_CHECKING:
-    from topcli.studies.run import RunResult
+    from topcli.runs.run import RunResult
 
 
 class RunPanel(Drawable, Protocol):
@@ -100,7 +100,7 @@ class SceneFigure(Figure):
     def _run(self, scene: str, columns: list[str], request: Request) -> tuple[RunResult, DrawnRun]:
         """Completed run of ``scene`` with the ``columns``. Raises UsageError and RunError."""
         from topcli.config.load import load_experiment, load_named
-        from topcli.studies.run import Feedback, run_experiment
+        from topcli.runs.run import Feedback, run_experiment
 
         config = scene_config(scene, request.configs)
         experiment = load_experiment(config, request.overrides)

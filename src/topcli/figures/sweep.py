@@ -15,9 +15,9 @@ from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, curve_column,
 from topcli.figures.heat import Axis, HeatPanel
 from topcli.figures.picture import Grid
 from topcli.store.manifest import sha256_of
-from topcli.studies.rows import SweepRows, key_labels
-from topcli.studies.table import SPREADS, aggregated, require_aggregate, require_groups
-from topcli.studies.table_text import left_out
+from topcli.sweeps.rows import SweepRows, key_labels
+from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_groups
+from topcli.sweeps.table_text import left_out
 
 DECADES = 2.0
 """Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""

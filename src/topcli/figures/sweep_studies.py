@@ -15,7 +15,7 @@ from topcli.figures.curves import CurvePanel, curve_column
 from topcli.figures.picture import Grid
 from topcli.figures.sweep import Choice, curves
 from topcli.store.manifest import sha256_of
-from topcli.studies.rows import read_rows
+from topcli.sweeps.rows import read_rows
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class SweepStudyFigure(Figure):
     def load(self, request: Request) -> Loaded:
         """Return panels and data. Raises UsageError and RunError."""
         from topcli.config.sweep.document import load_sweep
-        from topcli.studies.sweep.run import Watcher, run_sweep
+        from topcli.sweeps.run import Watcher, run_sweep
 
         def progress(done: int, total: int, failed: int) -> None:
             request.on_progress(done, total)

@@ -12,8 +12,8 @@ from topcli.figures.curves import LINEAR, LOG, CurvePanel, curve_column, plain
 from topcli.pages.contents import Chapter, Notes, Picture, Pictures, Table
 from topcli.pages.series_pictures import positive
 from topcli.pages.svg import svg_of
+from topcli.runs.ensemble_report import ensemble_table
 from topcli.store.series import read_series
-from topcli.studies.ensemble_report import ensemble_table
 
 MOST_POINTS = 60
 """Points of a curve of quantiles."""

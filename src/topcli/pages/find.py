@@ -15,8 +15,8 @@ from topcli.pages.sweeps import sweep_chapter
 from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
 from topcli.store.parts import is_part, linked_file, parts_of
 from topcli.store.study import SEAL, check_study
-from topcli.studies.rows import ROWS
-from topcli.studies.sweep.run import SWEEP_FILE, is_sweep
+from topcli.sweeps.rows import ROWS
+from topcli.sweeps.run import SWEEP_FILE, is_sweep
 
 STUDIES = ("stress.json", "order.json")
 """Files of studies, found in a folder of their own."""

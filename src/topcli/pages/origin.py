@@ -11,8 +11,8 @@ from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
 from topcli.errors import TopcliError, UsageError, shortened
 from topcli.pages.contents import Facts, Notes, Table, Text
+from topcli.runs.report import number
 from topcli.schemes.registry import find_scheme
-from topcli.studies.report import number
 from topcli.tops import TOPS
 
 LONGEST_TEXT = 400

@@ -20,10 +20,10 @@ from topcli.pages.origin import (
     value_text,
 )
 from topcli.pages.series_pictures import series_pictures
+from topcli.runs.report import invariant_table, precision_note, warning_of
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import MANIFEST, REPORT, DamagedError, DamagedRun, StoredRun, read_json
 from topcli.store.parts import Part
-from topcli.studies.report import invariant_table, precision_note, warning_of
 
 DAMAGED = "damaged"
 UNFINISHED = "unfinished"

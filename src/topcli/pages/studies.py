@@ -17,14 +17,14 @@ from topcli.figures.picture import Grid
 from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures, Table
 from topcli.pages.origin import citation_block, config_block, files_block, provenance_block, value_text
 from topcli.pages.svg import svg_of
+from topcli.paper.claim import OURS, PAPER
+from topcli.runs.report import number
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
-from topcli.studies.claims.claim import OURS, PAPER
 from topcli.studies.compare import Comparison
 from topcli.studies.compare_table import comparison_table, reference_note
-from topcli.studies.measures.references import EXACT
 from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
-from topcli.studies.report import number
+from topcli.sweeps.measures.references import EXACT
 from topcli.tops import top_class
 
 SIZE = (5.6, 3.2)

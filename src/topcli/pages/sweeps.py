@@ -20,9 +20,9 @@ from topcli.pages.contents import Chapter, Facts, Notes, Picture, Pictures, Tabl
 from topcli.pages.origin import citation_block, files_block, provenance_block, text_block
 from topcli.pages.svg import svg_of
 from topcli.store.manifest import StoredRun, stored_sweep
-from topcli.studies.rows import SweepRows, encoded, key_labels, read_rows
-from topcli.studies.sweep.run import SWEEP_FILE, stored_sweep_file
-from topcli.studies.table_text import significant
+from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
+from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file
+from topcli.sweeps.table_text import significant
 
 MOST_ROWS = 200
 """Rows of a sweep that a page lists."""

@@ -7,8 +7,8 @@ from typing import Any
 
 from topcli.pages.contents import Chapter, Table
 from topcli.pages.origin import value_text
-from topcli.studies.report import comparison_lines
-from topcli.studies.resume import OUTSIDE_IDENTITY, flattened
+from topcli.runs.report import comparison_lines
+from topcli.runs.resume import OUTSIDE_IDENTITY, flattened
 
 
 def comparison_of(chapters: Sequence[Chapter]) -> list[Chapter]:

@@ -18,9 +18,9 @@ from topcli.analysis.uneven import uneven_report
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, nearest, quoted
+from topcli.runs.report import report_data
 from topcli.store.foreign import ForeignSeries
 from topcli.store.manifest import sha256_of
-from topcli.studies.report import report_data
 from topcli.tops import forms
 
 UNIT = 1e-3

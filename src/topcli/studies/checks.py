@@ -9,8 +9,8 @@ from topcli.store.manifest import DamagedError, read_json
 from topcli.store.parts import parts_of
 from topcli.store.study import check_study
 from topcli.store.verify import CheckedFile, CheckedRun, check_run
-from topcli.studies.sweep.journal import JOURNAL, damaged_lines
-from topcli.studies.sweep.run import SERIES, is_sweep
+from topcli.sweeps.journal import JOURNAL, damaged_lines
+from topcli.sweeps.run import SERIES, is_sweep
 
 
 def _unfinished_sweep(folder: Path) -> CheckedRun:

@@ -18,13 +18,13 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome, Sampler
 from topcli.engine.loop import nanoseconds_per_step
 from topcli.engine.precise.numbers import MAX_DIGITS
+from topcli.runs.report import finite, left_motion
+from topcli.runs.simulate import trajectory_of
 from topcli.store.envelope import thinned
 from topcli.store.provenance import environment
 from topcli.store.study import write_study
 from topcli.studies.entries import Entry, few_rows, read_entries, users_code
-from topcli.studies.measures.references import METHODS, TAYLOR, SharedReferences, reference_form
-from topcli.studies.report import finite, left_motion
-from topcli.studies.simulate import trajectory_of
+from topcli.sweeps.measures.references import METHODS, TAYLOR, SharedReferences, reference_form
 
 if TYPE_CHECKING:
     from topcli.engine.precise.loop import PreciseRun
@@ -89,7 +89,7 @@ def _unlimited(experiment: Experiment) -> PreciseRun | None:
     """Run of an experiment in its precision; None for double. Its limit of digits leaves room for single steps."""
     if experiment.exact is None:
         return None
-    from topcli.studies.precise import precise_run
+    from topcli.runs.precise import precise_run
 
     return precise_run(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
 

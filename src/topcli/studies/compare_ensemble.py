@@ -13,12 +13,12 @@ from topcli.analysis.reference import reference_obstacle
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
+from topcli.runs.ensemble_report import EndingTally
+from topcli.runs.report import finite
 from topcli.studies.compare import settings
-from topcli.studies.ensemble_report import EndingTally
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
-from topcli.studies.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
-from topcli.studies.measures.references import METHODS, TAYLOR, reference_form
-from topcli.studies.report import finite
+from topcli.sweeps.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
+from topcli.sweeps.measures.references import METHODS, TAYLOR, reference_form
 
 QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
 MEASURED = ("error.max", "error.end", "reversal", "swing_spacing.first")

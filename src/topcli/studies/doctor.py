@@ -12,7 +12,7 @@ from topcli.engine.ensemble import default_threads
 from topcli.engine.native import native
 from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures, top_origin
 from topcli.store.provenance import environment, installed
-from topcli.studies.measures import all_measures
+from topcli.sweeps.measures import all_measures
 from topcli.tops import TOPS
 
 EXTRAS = ("scipy", "pandas", "matplotlib", "typer", "rich", "ruamel.yaml", "platformdirs")

@@ -15,14 +15,14 @@ from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
+from topcli.runs.identity import method_fingerprint
+from topcli.runs.report import finite
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
 from topcli.studies.bench.competitors import SchemeCompetitor
 from topcli.studies.bench.measure import Effort, as_rows, explore, time_all
 from topcli.studies.bench.scenes import Problem
 from topcli.studies.entries import scheme_with
-from topcli.studies.identity import method_fingerprint
-from topcli.studies.report import finite
 
 SCENE = "kowalevski_generic_hk"
 DURATION, INTERVALS = 100.0, 20

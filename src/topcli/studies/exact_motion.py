@@ -10,9 +10,9 @@ from topcli.analysis.reference import reference_obstacle, reference_states
 from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.errors import UnknownNameError, UsageError
+from topcli.runs.simulate import trajectory_of
 from topcli.schemes.registry import find_scheme
 from topcli.studies.entries import under_scheme
-from topcli.studies.simulate import trajectory_of
 
 CLOSED_FORM = "exact"
 """Name of the schemes that evaluate a closed form."""

@@ -17,8 +17,8 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.fingerprint import fingerprint
+from topcli.runs.identity import method_fingerprint
 from topcli.schemes.compensated import enter_compensated
-from topcli.studies.identity import method_fingerprint
 from topcli.studies.roundoff import copies_followed, sampling_of
 
 STEPS = 1 << 19

@@ -25,11 +25,11 @@ from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top, checked_equations
 from topcli.errors import UsageError, shortened
+from topcli.runs.report import finite
+from topcli.runs.simulate import trajectory_of
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.entries import under_scheme
-from topcli.studies.report import finite
-from topcli.studies.simulate import trajectory_of
 from topcli.tops import forms
 
 NAME = "the study of Lax forms"

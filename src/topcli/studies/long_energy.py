@@ -17,8 +17,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Run
+from topcli.runs.identity import method_fingerprint
 from topcli.studies.entries import under_scheme
-from topcli.studies.identity import method_fingerprint
 
 STEPS = 1 << 20
 SIZES = {"kowalevski_generic_hk": 0.05, "euler_hk": 0.05}

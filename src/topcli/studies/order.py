@@ -19,6 +19,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.runs.identity import scheme_code
+from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
@@ -28,8 +30,6 @@ from topcli.studies.bench.line_up import choose
 from topcli.studies.bench.measure import Effort, Measurements, explore
 from topcli.studies.bench.scenes import Problem
 from topcli.studies.entries import scheme_with
-from topcli.studies.identity import scheme_code
-from topcli.studies.report import finite
 from topcli.studies.roundoff import GENERIC, SCENES
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from topcli.studies.report import number
+from topcli.runs.report import number
 
 HEADER = ("scheme", "order", "observed", "verdict", "fitted over h", "round-off", "from h", "smallest error", "at h")
 

@@ -25,9 +25,9 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Invariant, Outcome, Sampler
 from topcli.engine.loop import Run, nanoseconds_per_step
 from topcli.errors import ConfigError, UsageError
+from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
 from topcli.studies.entries import under_scheme
-from topcli.studies.report import finite
 
 SCENES = {
     "kowalevski": "kowalevski_hybrid_xi",

@@ -12,8 +12,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Run
+from topcli.runs.identity import method_fingerprint
 from topcli.studies.entries import under_scheme
-from topcli.studies.identity import method_fingerprint
 
 SCENE = "kowalevski_generic_backlund"
 POINTS = 1_000_000

@@ -20,8 +20,8 @@ from pydantic import BaseModel
 from topcli.contracts import Array, Sampler, Scheme
 from topcli.engine.driver import Loop, loop_of
 from topcli.studies.bench.ladder import Rung, ladder, tolerance_option
+from topcli.studies.bench.peers import Peer
 from topcli.studies.bench.scenes import Problem
-from topcli.studies.peers import Peer
 
 
 class NoResultError(Exception):
@@ -151,7 +151,7 @@ class PeerProcess:
     def __init__(self, peer: Peer, problem: Problem) -> None:
         self._log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "topcli.studies.peers.worker"],
+            [sys.executable, "-P", "-m", "topcli.studies.bench.peers.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

@@ -11,6 +11,8 @@ import numpy as np
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Scheme
+from topcli.runs.identity import scheme_code
+from topcli.runs.report import finite
 from topcli.store.provenance import environment, installed
 from topcli.studies.bench.competitors import (
     MANY,
@@ -24,10 +26,8 @@ from topcli.studies.bench.competitors import (
 from topcli.studies.bench.front import decade_rows, front
 from topcli.studies.bench.line_up import LineUp
 from topcli.studies.bench.measure import Effort, Measurements, as_rows, deviations, explore, time_all
+from topcli.studies.bench.peers import Peer, missing
 from topcli.studies.bench.scenes import Problem
-from topcli.studies.identity import scheme_code
-from topcli.studies.peers import Peer, missing
-from topcli.studies.report import finite
 
 
 def code_of(line_up: LineUp, problem: Problem) -> str:

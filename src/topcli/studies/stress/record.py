@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from topcli.engine.fingerprint import fingerprint
+from topcli.runs.identity import scheme_code
 from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
-from topcli.studies.identity import scheme_code
 from topcli.studies.stress import CASES
 from topcli.studies.stress.checks import false_order
 from topcli.studies.stress.suite import Judged, tried

@@ -1,0 +1,202 @@
+"""Runs in another precision than double: the invariants and their deviations are computed in that precision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.analysis.columns import columns
+from topcli.analysis.digit_growth import DigitGrowth, digit_growth
+from topcli.analysis.drift import InvariantRow, InvariantTally
+from topcli.analysis.trajectory import Trajectory
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Invariant
+from topcli.engine.loop import Run
+from topcli.engine.precise.loop import PreciseRun, longest, prepared
+from topcli.engine.precise.numbers import RATIONAL
+from topcli.engine.precise.texts import decimal_text
+from topcli.runs.recorder import Recorder, Rows
+from topcli.store.checkpoint import Checkpoint
+from topcli.store.series import DECIMAL, SeriesMark
+
+
+def precise_run(experiment: Experiment) -> PreciseRun | None:
+    """Prepare the run of an experiment in its precision; None if that is double.
+
+    Raises UsageError, naming the scheme and the reason, if the scheme has no such precision.
+    """
+    exact = experiment.exact
+    if exact is None:
+        return None
+    numbers = (exact.h, exact.parameters, exact.y0)
+    return prepared(
+        experiment.scheme, experiment.top, experiment.options, experiment.precision, numbers, experiment.max_digits
+    )
+
+
+class PreciseTally:
+    """Report on the invariants of a run in another precision."""
+
+    def __init__(self, experiment: Experiment, run: PreciseRun) -> None:
+        self._run, self._rational = run, experiment.precision == RATIONAL
+        scheme, options = experiment.scheme, experiment.options
+        with run.arithmetic.active():
+            modified = scheme.modified(run.top, run.h, options) if scheme.modified else ()
+            self._invariants: tuple[Invariant, ...] = (*run.top.invariants(), *modified)
+        first = self.values(run.y0[None, :])
+        self._firsts = {name: values[0] for name, values in first.items()}
+        origins = {name: _double(value) for name, value in self._firsts.items()}
+        in_doubles = (*experiment.top.invariants(), *experiment.modified)
+        self.tally = InvariantTally(in_doubles, experiment.h, experiment.top, run.arithmetic.eps, origins)
+        self._unequal = dict.fromkeys(origins, 0)
+        self._count = 0
+        self._growth: list[tuple[int, int]] = []
+
+    def values(self, states: NDArray[Any]) -> dict[str, list[Any]]:
+        """Values of the invariants at ``states`` (m, d) in this precision; None where one does not exist."""
+        with self._run.arithmetic.active():
+            return {one.name: _values(one, states) for one in self._invariants}
+
+    def add(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, list[Any]]:
+        """Add rows: step numbers (m,) and states (m, d); return the values of the invariants."""
+        values = self.values(states)
+        deviations: dict[str, Array] = {}
+        for name, found in values.items():
+            first = self._firsts[name]
+            with self._run.arithmetic.active():
+                off = [None if x is None or first is None else x - first for x in found]
+            deviations[name] = np.array([_double(x) for x in off])
+            self._unequal[name] += sum(x is None or x != 0 for x in off)
+        self._count += len(n)
+        if self._rational:
+            self._growth += [(int(step), longest(state)) for step, state in zip(n, states, strict=True)]
+        self.tally.add(n, states.astype(np.float64), deviations)
+        return values
+
+    def rows(self) -> list[InvariantRow]:
+        """Report with one row for each invariant; equality in rational numbers is stated as such."""
+        rows = self.tally.rows()
+        if not self._rational:
+            return rows
+        equal = f"equal at all {self._count} rows"
+        return [replace(row, reason=equal) if not self._unequal[row.name] else row for row in rows]
+
+    @property
+    def growth(self) -> DigitGrowth | None:
+        """Growth of the numbers; None unless they are rational."""
+        steps = np.array(self._growth, dtype=np.int64).reshape(-1, 2)
+        return digit_growth(steps[:, 0], steps[:, 1])
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All sums, from which ``restore`` continues."""
+        return {
+            **self.tally.state(),
+            "growth": np.array(self._growth, dtype=np.int64).reshape(-1, 2),
+            "unequal": np.array([self._count, *self._unequal.values()], dtype=np.int64),
+        }
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from a ``state()``. Raises KeyError or ValueError if it has another form."""
+        self.tally.restore(state)
+        self._growth = [(int(step), int(bits)) for step, bits in state["growth"]]
+        self._count, *unequal = state["unequal"].tolist()
+        self._unequal = dict(zip(self._unequal, unequal, strict=True))
+
+    @property
+    def left(self) -> int | None:
+        """First recorded step at which the energy was beyond its limit; None for never."""
+        return self.tally.left
+
+
+def _double(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _values(invariant: Invariant, states: NDArray[Any]) -> list[Any]:
+    try:
+        return list(invariant.value(states))
+    except ZeroDivisionError:
+        return [None] if len(states) == 1 else [x for row in states for x in _values(invariant, row[None, :])]
+
+
+class PreciseRecorder(Recorder):
+    """Recorder of a run in another precision: its rows are rounded once, after the invariants have been evaluated."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        run: PreciseRun,
+        path: Path,
+        metadata: Mapping[str, str],
+        start: Checkpoint | None = None,
+    ) -> None:
+        self._run, self._digits = run, experiment.output.digits
+        self.precise = PreciseTally(experiment, run)
+        super().__init__(experiment, path, metadata, start)
+
+    def new_tally(self) -> Any:
+        """Tally of the report."""
+        return self.precise
+
+    def all_names(self, names: Sequence[str]) -> list[str]:
+        """Names of the columns of the series: the recorded ones, then those as decimal texts."""
+        return [*names, *(name + DECIMAL for name in names if self._digits and name != "n")]
+
+    def evaluated(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Add rows to the tally; return their columns."""
+        found = self.precise.add(n, states)
+        doubles = {name: np.array([_double(x) for x in values]) for name, values in found.items()}
+        top, h = self._experiment.top, self._experiment.h
+        made = columns(top, n, h, states.astype(np.float64), self._names, self._modified, doubles)
+        if self._digits:
+            at = {name: list(states[:, i]) for i, name in enumerate(top.components)}
+            with self._run.arithmetic.active():
+                at |= {"t": [int(step) * self._run.h for step in n], **found}
+            made |= {name + DECIMAL: self._texts(at[name]) for name in self._names if name != "n"}
+        return made
+
+    def _texts(self, values: Sequence[Any]) -> NDArray[Any]:
+        assert self._digits is not None
+        fraction, digits = self._run.arithmetic.fraction, self._digits
+        return np.array(["nan" if x is None else decimal_text(fraction(x), digits) for x in values], dtype=np.object_)
+
+    def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
+        """All that a checkpoint holds of the rows so far, numbers as texts."""
+        tally, mark, (n, states) = super().state(flush)
+        return tally, mark, (n, self.stored(states))
+
+    def stored(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        """Numbers in the form in which a checkpoint holds them."""
+        return self._run.encoded(numbers)
+
+    def loaded(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Numbers that ``stored`` has made."""
+        return self._run.decoded(stored)
+
+
+def precise_trajectory(experiment: Experiment, run: PreciseRun) -> Trajectory:
+    """Run an experiment in memory; the states are rounded to doubles, the report is computed in its precision."""
+    loop = Run(run.top, run.loop, run.y0, run.h, experiment.N, experiment.output.every)
+    n, states, ending = loop.collect()
+    tally = PreciseTally(experiment, run)
+    tally.add(n, states)
+    ending = ending.having_left(tally.left, loop.h)
+    doubles, rows = states.astype(np.float64), tuple(tally.rows())
+    return Trajectory(
+        experiment.top,
+        experiment.scheme.name,
+        loop.h,
+        n,
+        doubles,
+        ending,
+        loop.compile_seconds,
+        loop.run_seconds,
+        experiment.modified,
+        rows,
+    )

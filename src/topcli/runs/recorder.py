@@ -1,0 +1,144 @@
+"""The recorder: rows leave the time loop once, for the report, the series and the checkpoints of a run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.analysis.attitude import attitude_columns
+from topcli.analysis.columns import columns, invariant_values
+from topcli.analysis.drift import InvariantTally
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Ending
+from topcli.engine.loop import Chunk
+from topcli.runs.report import left_motion
+from topcli.store.checkpoint import Checkpoint
+from topcli.store.series import SeriesMark, SeriesWriter
+
+BATCH = 256
+"""Rows that are evaluated and written together: doing so for a single row costs as much as some thousand steps."""
+
+Rows = tuple[NDArray[np.int64], Array]
+"""Step numbers (m,) and states (m, d)."""
+
+
+class Batch:
+    """Rows waiting to be evaluated and written."""
+
+    def __init__(self) -> None:
+        self._pieces: list[Rows] = []
+        self._count = 0
+
+    def add(self, n: NDArray[np.int64], states: Array) -> None:
+        """Append rows: step numbers (m,) and states (m, d); copied unless they fill the batch by themselves."""
+        self._pieces.append((n.copy(), states.copy()) if len(n) < BATCH else (n, states))
+        self._count += len(n)
+
+    @property
+    def full(self) -> bool:
+        """True if there are at least BATCH rows."""
+        return self._count >= BATCH
+
+    def rows(self) -> Rows:
+        """All rows of the batch."""
+        if len(self._pieces) == 1:
+            return self._pieces[0]
+        if not self._pieces:
+            return np.empty(0, dtype=np.int64), np.empty((0, 0))
+        return np.concatenate([n for n, _ in self._pieces]), np.concatenate([states for _, states in self._pieces])
+
+    def take(self) -> Rows:
+        """All rows of the batch, which is empty afterwards."""
+        rows = self.rows()
+        self._pieces, self._count = [], 0
+        return rows
+
+
+class Recorder:
+    """Pass the rows of a run on, batch by batch, to the ``tally`` of the report and the ``series``; a context manager.
+
+    The invariants of a batch are evaluated once, for both. ``start`` is the checkpoint that an interrupted run
+    continues from, bit for bit. Raises ValueError or KeyError for a checkpoint of another form, OSError if the series
+    cannot be written, and RunError if its rows are damaged.
+    """
+
+    def __init__(
+        self, experiment: Experiment, path: Path, metadata: Mapping[str, str], start: Checkpoint | None = None
+    ) -> None:
+        self._experiment = experiment
+        self._modified = experiment.modified
+        self._invariants = (*experiment.top.invariants(), *self._modified)
+        self._names = experiment.recorded
+        self._batch = Batch()
+        self.tally = self.new_tally()
+        self.series = SeriesWriter(path, self.all_names(self._names), metadata, start.series if start else None)
+        if start is not None:
+            self.tally.restore(start.tally)
+            if len(start.rows[0]):
+                self._batch.add(start.rows[0], self.loaded(start.rows[1]))
+
+    def new_tally(self) -> InvariantTally:
+        """Tally of the report."""
+        return InvariantTally(self._invariants, self._experiment.h, self._experiment.top)
+
+    def all_names(self, names: Sequence[str]) -> list[str]:
+        """Names of the columns of the series."""
+        return list(names)
+
+    def stored(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        """Numbers in the form in which a checkpoint holds them."""
+        return numbers
+
+    def loaded(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Numbers that ``stored`` has made."""
+        return stored
+
+    def __enter__(self) -> Recorder:
+        self.series.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.series.__exit__(*exception)
+
+    def add(self, chunk: Chunk) -> None:
+        """Record the rows of a chunk. A chunk cut short never completes a batch: sums depend on where rows are cut."""
+        if len(chunk.n):
+            self._batch.add(chunk.n, chunk.states)
+        if chunk.whole and self._batch.full:
+            self._pass_on()
+
+    def _pass_on(self) -> None:
+        self.series.write(self.evaluated(*self._batch.take()))
+
+    def evaluated(self, n: NDArray[np.int64], states: Array) -> dict[str, NDArray[Any]]:
+        """Add rows to the tally; return their columns. The invariants are evaluated once, for both."""
+        top, h = self._experiment.top, self._experiment.h
+        attitude: dict[str, NDArray[Any]] = {}
+        if form := self._experiment.output.attitude:
+            d = len(top.components)
+            attitude = attitude_columns(form, states[:, d:])
+            states = np.ascontiguousarray(states[:, :d])
+        values = invariant_values(self._invariants, states)
+        self.tally.add(n, states, values)
+        return columns(top, n, h, states, self._names, self._modified, values | attitude)
+
+    def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
+        """All that a checkpoint holds of the rows so far; with ``flush`` the series is flushed to the disk first."""
+        return self.tally.state(), self.series.mark(flush=flush), self._batch.rows()
+
+    def finish(self, ending: Ending) -> Ending:
+        """Pass on the remaining rows and complete the series; the ending, with the step at which the motion was left.
+
+        Raises OSError.
+        """
+        if len(self._batch.rows()[0]):
+            self._pass_on()
+        ending = ending.having_left(self.tally.left, self._experiment.h)
+        left = {} if ending.left is None else {"topcli.left_motion": json.dumps(left_motion(ending))}
+        self.series.finish({"topcli.outcome": ending.outcome.value, "topcli.message": ending.message, **left})
+        return ending

@@ -1,0 +1,282 @@
+"""Batches of finished runs that differ only in their initial states, and what is recorded of them for measures.
+
+Only what the measures need is recorded. Sums over rows do not depend on the pieces in which the rows come, nor the
+figures of a run on the other runs of its batch: a batch has the bits of its single runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.analysis.drift import BLOCKS
+from topcli.analysis.leaving import energy_of
+from topcli.analysis.many import EnsembleTally
+from topcli.analysis.order import PROBES as PROBE_STATES
+from topcli.analysis.order import probe_rows
+from topcli.analysis.reference import distances
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Outcome
+from topcli.engine.endings import CODES, Endings
+from topcli.engine.tile import Piece
+from topcli.errors import RunError, UsageError
+from topcli.sweeps.measures.references import REFERENCES, reference_kind
+from topcli.sweeps.measures.registry import (
+    DEVIATION,
+    DRIFT,
+    END_ERROR,
+    ERROR,
+    PROBES,
+    RECORDED,
+    STATES,
+    Measure,
+    integrals_of,
+)
+
+WHOLE = (CODES[Outcome.COMPLETED], CODES[Outcome.LEFT_MOTION])
+"""Codes of the outcomes of runs that took all their steps."""
+MAX_BYTES = 1 << 31
+"""Memory that the records of one run may take."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Finished runs of one experiment from several initial states, as measures see them.
+
+    ``len(batch)`` is the number of runs. Fields that no measure needs are empty.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        Top, scheme, options, step and output that the runs share.
+    n : ndarray of int64, shape (m,)
+        Recorded step numbers.
+    initial, last : ndarray, shape (runs, d)
+        States at step 0 and at step N.
+    endings : Endings
+        Outcome, last step and counters of each run.
+    seconds : ndarray, shape (runs,)
+        Wall time of the steps, the run's share of its batch.
+    columns : mapping of str to ndarray, shape (runs, m)
+        Recorded columns by name; nan after the end of a run that failed.
+    states : ndarray, shape (runs, m, d)
+        Recorded states; nan after the end of a run that failed.
+    probes : ndarray, shape (runs, k, d)
+        At most 16 recorded states, evenly spread along the run.
+    deviations, drifts : mapping of str to ndarray, shape (runs,)
+        Largest deviation from the first value and fitted slope per unit time, by name of the integral.
+    max_error, end_error : ndarray, shape (runs,)
+        Euclidean distance from the reference solution: largest over the recorded rows, and at step N.
+    faults : mapping of str to sequence of str
+        Why ``error`` or ``end_error`` of each run could not be computed; empty if it could.
+    one_step : callable
+        ``one_step(states, h)`` returns the states (k, d) after one step of ``h`` from ``states`` (k, d); nan where the
+        step fails.
+    """
+
+    experiment: Experiment
+    n: NDArray[np.int64]
+    initial: Array
+    last: Array
+    endings: Endings
+    seconds: Array
+    columns: Mapping[str, Array]
+    states: Array
+    probes: Array
+    deviations: Mapping[str, Array]
+    drifts: Mapping[str, Array]
+    max_error: Array
+    end_error: Array
+    faults: Mapping[str, Sequence[str]]
+    one_step: Callable[[Array, float], Array]
+
+    def __len__(self) -> int:
+        return len(self.initial)
+
+    @cached_property
+    def t(self) -> Array:
+        """Times ``n * h`` of the recorded rows, shape (m,)."""
+        return self.n * self.experiment.h
+
+    @property
+    def whole(self) -> NDArray[np.bool_]:
+        """True for each run that took all its steps."""
+        completed, left = WHOLE
+        return (self.endings.outcome == completed) | (self.endings.outcome == left)
+
+    def of(self, which: NDArray[np.int64]) -> Batch:
+        """Batch of the runs numbered ``which`` (k,) alone."""
+
+        def cut(arrays: Mapping[str, Array]) -> dict[str, Array]:
+            return {name: array[which] for name, array in arrays.items()}
+
+        each = ("initial", "last", "seconds", "states", "probes", "max_error", "end_error")
+        return replace(
+            self,
+            endings=self.endings.of(which),
+            columns=cut(self.columns),
+            deviations=cut(self.deviations),
+            drifts=cut(self.drifts),
+            faults={name: [found[i] for i in which.tolist()] for name, found in self.faults.items()},
+            **{name: getattr(self, name)[which] for name in each},
+        )
+
+
+def bytes_per_run(experiment: Experiment, measures: Sequence[Measure]) -> int:
+    """Memory that recording one run for ``measures`` takes, references included."""
+    needs = {need for one in measures for need in one.needs}
+    d, rows = len(experiment.top.components), experiment.N // experiment.output.every + 1
+    numbers = 1 + len(_columns(needs)) + d * (STATES in needs) + (d + 1) * (ERROR in needs)
+    return 8 * (rows * numbers + d * PROBE_STATES + 2 * BLOCKS * len(_named(needs, DRIFT)))
+
+
+def rows_fault(experiment: Experiment, measures: Sequence[Measure]) -> str:
+    """Reason why a run has more rows than its measures can hold in memory; empty if it has not."""
+    size = bytes_per_run(experiment, measures)
+    if size <= MAX_BYTES:
+        return ""
+    rows, every = experiment.N // experiment.output.every + 1, experiment.output.every
+    return (
+        f"output.every: {rows} recorded rows do not fit in memory for {', '.join(one.name for one in measures)}; "
+        f"record fewer with output.every: {every * math.ceil(size / MAX_BYTES)} or more"
+    )
+
+
+class BatchRecorder:
+    """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
+
+    Pieces of different runs may be added from different threads, those of a run in the order of time. Errors are
+    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_kind`` chooses. It is
+    computed for each run within a context ``limited()``, which may end it by a RunError.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        measures: Sequence[Measure],
+        initial: Array,
+        limited: Callable[[], AbstractContextManager[None]] = nullcontext,
+        reference: str | None = None,
+    ) -> None:
+        if fault := rows_fault(experiment, measures):
+            raise UsageError(fault)
+        self.experiment, self.initial, self._limited = experiment, initial, limited
+        self._kind = reference or reference_kind(experiment.top, experiment.scheme)
+        top, every = experiment.top, experiment.output.every
+        needs = {need for one in measures for need in one.needs}
+        self._n = np.arange(0, experiment.N + 1, every, dtype=np.int64)
+        count, m, d = len(initial), len(self._n), len(top.components)
+        self._integrals = {
+            one.name: one for one in integrals_of(top, experiment.scheme, experiment.h, experiment.options)
+        }
+        self._summed = {what: _named(needs, what) for what in (DEVIATION, DRIFT)}
+        tallied = {name for names in self._summed.values() for name in names}
+        energy = energy_of(top)
+        watched = tallied | ({energy.name} if energy else set())
+        last = int(self._n[-1]) if self._summed[DRIFT] else None
+        self._tally = EnsembleTally([one for one in self._integrals.values() if one.name in watched], count, top, last)
+        self._columns = {name: np.full((count, m), np.nan) for name in _columns(needs)}
+        self._states = np.full((count, m if STATES in needs else 0, d), np.nan)
+        self._probe_rows = np.arange(m)[probe_rows(m)] if PROBES in needs else np.empty(0, dtype=np.int64)
+        self._probes = np.full((count, len(self._probe_rows), d), np.nan)
+        self._needs = needs & {ERROR, END_ERROR}
+        self.max_error, self.end_error = np.full(count, np.nan), np.full(count, np.nan)
+        self._faults = {need: [""] * count for need in self._needs}
+        self._references: list[Array | None] = [self._reference(ERROR, i, self._n) for i in range(count)]
+        if ERROR in needs:
+            self.max_error[:] = 0.0
+
+    def _reference(self, need: str, i: int, n: NDArray[np.int64]) -> Array | None:
+        """Reference of run ``i`` at the steps ``n``; None if it is not needed or, with the fault noted, not known."""
+        if need not in self._needs:
+            return None
+        one = self.experiment
+        try:
+            with self._limited():
+                return REFERENCES.states(one.top, self._kind, self.initial[i], one.h, n)
+        except RunError as error:
+            self._faults[need][i] = str(error)
+            return None
+
+    def add(self, piece: Piece) -> None:
+        """Add a piece of recorded rows."""
+        first, n, states, kept = piece.first, piece.n, piece.states, piece.kept
+        count, m, d = states.shape
+        if not m:
+            return
+        flat = states.reshape(count * m, d)
+        row = int(n[0]) // self.experiment.output.every
+        runs, rows = slice(first, first + count), slice(row, row + m)
+        with np.errstate(all="ignore"):
+            values = {one.name: one.value(flat) for one in self._tally.invariants}
+        self._tally.add(first, n, states, kept, values)
+        reached = None if (kept == m).all() else np.arange(m) < kept[:, None]
+        for name, column in self._columns.items():
+            found = self._column(name, states, flat, values)
+            column[runs, rows] = found if reached is None else np.where(reached, found, np.nan)
+        if self._states.size:
+            self._states[runs, rows] = states if reached is None else np.where(reached[..., None], states, np.nan)
+        if len(self._probe_rows):
+            here = (self._probe_rows >= row) & (self._probe_rows < row + m)
+            self._probes[runs, here] = states[:, self._probe_rows[here] - row]
+        for i, reference in enumerate(self._references[runs]):
+            if reference is not None and kept[i]:
+                error = distances(states[i, : kept[i]], reference[row : row + kept[i]])
+                self.max_error[first + i] = np.maximum(self.max_error[first + i], error.max())
+
+    def _column(self, name: str, states: Array, flat: Array, values: Mapping[str, Array]) -> Array:
+        """Column (runs, m) of a piece."""
+        components = self.experiment.top.components
+        if name in components:
+            return states[..., components.index(name)]
+        if name in values:
+            return values[name].reshape(states.shape[:2])
+        with np.errstate(all="ignore"):
+            return self._integrals[name].value(flat).reshape(states.shape[:2])
+
+    def finish(self, endings: Endings, last: Array, seconds: Array, one_step: Callable[[Array, float], Array]) -> Batch:
+        """Return the batch; ``endings`` of runs that left their energy surface get the outcome ``left_motion``."""
+        endings.mark_left(self._tally.left)
+        one = self.experiment
+        for i in range(len(self.initial)):
+            whole = endings.outcome[i] in WHOLE
+            end = self._reference(END_ERROR, i, np.array([one.N])) if whole else None
+            if end is not None:
+                self.end_error[i] = distances(last[i], end[0])
+            if whole and ERROR in self._needs and self._references[i] is None:
+                self.max_error[i] = np.nan
+        index = {invariant.name: i for i, invariant in enumerate(self._tally.invariants)}
+        slopes = self._tally.slopes(one.output.every, one.h)
+        return Batch(
+            experiment=one,
+            n=self._n,
+            initial=self.initial,
+            last=last,
+            endings=endings,
+            seconds=seconds,
+            columns=self._columns,
+            states=self._states,
+            probes=self._probes,
+            deviations={name: self._tally.max_deviation[index[name]] for name in self._summed[DEVIATION]},
+            drifts={name: slopes[index[name]] for name in self._summed[DRIFT]},
+            max_error=self.max_error,
+            end_error=self.end_error,
+            faults=self._faults,
+            one_step=one_step,
+        )
+
+
+def _columns(needs: set[str]) -> list[str]:
+    """Names of the columns among ``needs``."""
+    return sorted(need for need in needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT))
+
+
+def _named(needs: set[str], what: str) -> list[str]:
+    """Names of the integrals that ``needs`` holds as ``what.NAME``."""
+    return sorted(need.removeprefix(f"{what}.") for need in needs if need.startswith(f"{what}."))

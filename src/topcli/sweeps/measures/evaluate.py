@@ -1,0 +1,258 @@
+"""From finished runs to numbers: run a batch, recording what its measures need, and evaluate them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.order import PROBES
+from topcli.config.models import Experiment
+from topcli.contracts import Array, StopAsked, heed_stop
+from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
+from topcli.engine.fingerprint import same_method
+from topcli.engine.tile import Piece
+from topcli.errors import TopcliError, UsageError
+from topcli.schemes.user_code import users_error
+from topcli.sweeps.measures.batch import Batch, BatchRecorder, bytes_per_run
+from topcli.sweeps.measures.registry import END_ERROR, ERROR, Measure
+
+OnFault = Callable[[int, str, str], None]
+"""Called with the number of a run in its batch, the name of a measure and the reason why it has no value."""
+SIDE_BY_SIDE = 4
+"""Smallest batch whose runs advance side by side; fewer are faster one by one."""
+BATCH_BYTES = 1 << 26
+"""Memory of the records of a batch."""
+MAX_RUNS = 4096
+
+
+def _ignore(run: int, name: str, reason: str) -> None:
+    """Leave a missing value unexplained."""
+
+
+def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ignore) -> dict[str, Array]:
+    """Return the values (runs,) of ``measures`` for a batch of finished runs, by name.
+
+    Parameters
+    ----------
+    measures : sequence of Measure
+        Measures, as ``resolve_measures`` returns them, for which the batch has been recorded.
+    batch : Batch
+        Finished runs, which may have failed.
+    on_fault : callable, optional
+        ``on_fault(run, name, reason)`` is called for every value that could not be computed although the run took all
+        its steps.
+
+    Returns
+    -------
+    dict of str to ndarray of float, shape (runs,)
+        nan for a run that failed, unless the measure is declared ``of_failed``, and where ``on_fault`` was called.
+    """
+    everything = np.arange(len(batch))
+    whole = np.flatnonzero(batch.whole)
+    complete = batch if len(whole) == len(batch) else batch.of(whole)
+    found = {}
+    for one in measures:
+        which, rows = (everything, batch) if one.of_failed else (whole, complete)
+        found[one.name] = np.full(len(batch), np.nan)
+        if len(which):
+            found[one.name][which] = _values(
+                one, rows, lambda i, reason, one=one, which=which: on_fault(int(which[i]), one.name, reason)
+            )
+        for need in (ERROR, END_ERROR):
+            if need in one.needs:
+                for i in whole.tolist():
+                    if batch.faults[need][i]:
+                        found[one.name][i] = np.nan
+                        on_fault(i, one.name, batch.faults[need][i])
+    return found
+
+
+def _values(one: Measure, batch: Batch, on_fault: Callable[[int, str], None]) -> Array:
+    """Values of a measure; if it fails, run by run, so that only the runs that make it fail have none."""
+    heed_stop()
+    try:
+        return _checked(one, one.evaluate(batch), len(batch))
+    except StopAsked:
+        raise
+    except Exception as error:
+        if len(batch) > 1:
+            return np.concatenate(
+                [
+                    _values(one, batch.of(np.array([i])), lambda _, reason, i=i: on_fault(i, reason))
+                    for i in range(len(batch))
+                ]
+            )
+        known = error if isinstance(error, TopcliError) else users_error(error)
+        if known is None:
+            raise
+        on_fault(0, str(known))
+        return np.full(1, np.nan)
+
+
+def _checked(one: Measure, values: Any, count: int) -> Array:
+    """``values`` of a measure as an array (count,). Raises UsageError for anything else."""
+    try:
+        made = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        made = np.empty(0)
+    if made.shape != (count,):
+        raise UsageError(f"measure {one.name!r}: its function must return an array of one number for each run")
+    return made
+
+
+def batch_size(experiment: Experiment, measures: Sequence[Measure], budget: int = BATCH_BYTES) -> int:
+    """Number of runs whose records fit into ``budget`` bytes, at least 1."""
+    return max(1, min(MAX_RUNS, budget // bytes_per_run(experiment, measures)))
+
+
+MAX_CODES = 256
+_codes: dict[tuple[Any, ...], EnsembleCode] = {}
+_latest: dict[tuple[Any, ...], EnsembleCode] = {}
+"""The latest code by everything but the parameters of the top."""
+
+
+def _code(experiment: Experiment, tile: int, side_by_side: bool) -> EnsembleCode:
+    """Code of the experiment's method, kept for other experiments with the same scheme, options and class of top.
+
+    Tops whose methods are equal share the machine code; constants of the top are its arguments.
+    """
+    one = experiment
+    kind = (one.scheme.build, type(one.top), one.options.model_dump_json(), tile, side_by_side)
+    key = (*kind, one.top.model_dump_json())
+    found = _codes.get(key)
+    if found is None:
+        if len(_codes) >= MAX_CODES:
+            _codes.clear()
+            _latest.clear()
+        method, known = one.method(), _latest.get(kind)
+        if known is not None and same_method(method, known.method):
+            found = known.with_constants(one.top)
+        else:
+            found = _latest[kind] = EnsembleCode(one.top, method, tile, side_by_side)
+            found.single_loop()  # so that no run has to wait for it
+        found = _codes.setdefault(key, found)
+    return found
+
+
+class BatchRun:
+    """Runs of ``experiment`` from several initial states, recorded for ``measures``; the code is made ready once.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Everything but the initial state, which is ignored.
+    measures : sequence of Measure
+        Measures of the runs, as ``resolve_measures`` returns them.
+    count : int, optional
+        Usual number of initial states at a time; from ``SIDE_BY_SIDE`` on, the runs advance side by side. It does not
+        change the values.
+    threads : int, optional
+        Number of threads, which does not change the values; all CPUs by default.
+    stop : callable, optional
+        ``stop()`` is called between chunks; once it returns true, the unfinished runs are ``interrupted``.
+    reference : str, optional
+        Reference of the errors, ``"taylor"`` or ``"exact"``; by default the closed form if it is as accurate.
+    limited : callable, optional
+        Context in which the reference of each run is computed, see ``BatchRecorder``.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        measures: Sequence[Measure],
+        *,
+        count: int = 1,
+        threads: int | None = None,
+        stop: Callable[[], bool] = lambda: False,
+        limited: Callable[[], AbstractContextManager[None]] = nullcontext,
+        reference: str | None = None,
+    ) -> None:
+        self.experiment, self.measures = experiment, tuple(measures)
+        self._stop, self._limited, self._reference = stop, limited, reference
+        self._recorder: BatchRecorder | None = None
+        self._recording = 0.0
+        self._initial: Piece | None = None
+        self._code = _code(experiment, tile_of(count), count >= SIDE_BY_SIDE)
+        self._stepping: dict[float, EnsembleRun[None]] = {}
+        self._run = EnsembleRun(
+            experiment.top,
+            self._code.method,
+            np.empty((0, len(experiment.top.components))),
+            experiment.h,
+            experiment.N,
+            experiment.output.every,
+            made=self._record,
+            execution=Execution(stop=stop, threads=threads, code=self._code),
+        )
+
+    def _record(self, piece: Piece) -> None:
+        assert self._recorder is not None
+        began = time.thread_time()
+        if self._run.side_by_side:
+            self._recorder.add(piece)
+        elif len(piece.n) == 1 and piece.n[0] == 0 and self.experiment.N:
+            self._flush()
+            self._initial = replace(piece, states=piece.states.copy())
+        else:
+            self._recorder.add(self._joined(piece))
+        self._recording += time.thread_time() - began
+
+    def _joined(self, piece: Piece) -> Piece:
+        """``piece`` after the initial state of its run, which is held back: one row costs as much as hundreds."""
+        initial, self._initial = self._initial, None
+        if initial is None:
+            return piece
+        n, states = np.concatenate([initial.n, piece.n]), np.concatenate([initial.states, piece.states], axis=1)
+        return Piece(initial.first, n, states, initial.kept + piece.kept)
+
+    def _flush(self) -> None:
+        """Record an initial state that no other row followed."""
+        if self._initial is not None and self._recorder is not None:
+            self._recorder.add(self._initial)
+        self._initial = None
+
+    def finished(self, initial: Array) -> Batch:
+        """Run from the states ``initial`` (runs, d) and return what was recorded."""
+        self._run.begin(initial)
+        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self._limited, self._reference)
+        self._initial = None
+        before, self._recording = self._run.run_seconds, 0.0
+        began = time.perf_counter()
+        for _ in self._run:
+            pass
+        self._flush()
+        seconds = self._run.run_seconds - before
+        if self._run.side_by_side:  # these include what ``_record`` does
+            seconds = max(0.0, seconds - self._recording / self._run.threads)
+        seconds = min(seconds, time.perf_counter() - began)
+        share = np.full(len(initial), seconds / len(initial))
+        return self._recorder.finish(self._run.endings, self._run.last, share, self.one_step)
+
+    @property
+    def side_by_side(self) -> bool:
+        """True if the runs advance side by side."""
+        return self._run.side_by_side
+
+    def one_step(self, states: Array, h: float) -> Array:
+        """States (k, d) after one step of ``h`` from ``states`` (k, d); nan where the step fails."""
+        after = np.full_like(states, np.nan)
+        usable = np.flatnonzero(np.isfinite(states).all(axis=1))
+        if h not in self._stepping:
+            top, y0 = self.experiment.top, np.empty((0, states.shape[1]))
+            code = _code(self.experiment, tile_of(PROBES), True)
+            self._stepping[h] = EnsembleRun(
+                top, code.method, y0, h, 1, made=lambda piece: None, execution=Execution(self._stop, 1, code=code)
+            )
+        run = self._stepping[h]
+        run.begin(states[usable])
+        for _ in run:
+            pass
+        heed_stop()
+        stepped = run.last_n == 1
+        after[usable[stepped]] = run.last[stepped]
+        return after

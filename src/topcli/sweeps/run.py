@@ -1,0 +1,375 @@
+"""Run a sweep: what is new in its plan, batch by batch, into the folder ``<out>/<name>``.
+
+The folder holds ``sweep.yaml`` (the resolved sweep file), the journal of finished rows, ``rows.parquet`` (the tidy
+table of finished rows), ``manifest.json`` (written last) and, with ``store: series``, a run folder for each row in
+``series/``.
+"""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from topcli.config.load import experiment_from
+from topcli.config.sweep.document import Sweep, load_sweep
+from topcli.config.sweep.rows import Row, RowReader
+from topcli.engine.ensemble import default_threads
+from topcli.errors import TopcliError, UsageError
+from topcli.store.checkpoint import sync
+from topcli.store.manifest import MANIFEST, stored_run
+from topcli.store.parts import LOCK, lock_folder, owner
+from topcli.store.provenance import Commit, now
+from topcli.store.run_folder import io_failure, require_real, require_writable, write_whole
+from topcli.sweeps.batches import batches
+from topcli.sweeps.evaluate import Results, Work, unfinished
+from topcli.sweeps.journal import COMPLETED, JOURNAL, Block, Journal
+from topcli.sweeps.plan import REASONS, Plan, Survey, changes, plan_sweep, survey
+from topcli.sweeps.results import manifest_text, write_rows
+from topcli.sweeps.rows import ROWS
+
+SWEEP_FILE = "sweep.yaml"
+SERIES = "series"
+MANY_ROWS = 10**5
+"""Rows above which a sweep runs only if it is confirmed."""
+SHOWN_WARNINGS = 3
+IN_FLIGHT = 2
+"""Batches in flight for each worker."""
+TABLE_SECONDS = 60.0
+"""Shortest time between two tables written during a sweep."""
+
+_TEMPORARY = re.compile(r"\.(sweep|rows|manifest)\.\d+\.(yaml|parquet|json)")
+"""Names of files that are being written."""
+
+Backend = Callable[[Iterable[list[Row]], Work, Callable[[], bool]], Iterator[tuple[list[Row], Results]]]
+"""``backend(batches, work, stop)`` yields each batch and the results of ``work(batch)``, in any order, with a bounded
+number in flight; the ``unfinished`` rows of a batch are another one. ``stop()`` turns true when no further batch is to
+begin; rows that are not done are left out."""
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """Options of a sweep that do not change what it computes."""
+
+    confirmed: bool = False
+    """True if it may have more than ``MANY_ROWS`` rows."""
+    retry_failed: bool = False
+    fail_fast: bool = False
+    time_limit: float = 0.0
+    threads: int | None = None
+    """Batches that are evaluated at the same time."""
+    batch_scale: int = 1
+    """Size of a batch in units of about a second of work."""
+
+
+@dataclass
+class Watcher:
+    """Functions that a sweep calls: ``progress(done, total, failed)`` and ``failure(row, outcome, message)``."""
+
+    progress: Callable[[int, int, int], None] = lambda done, total, failed: None
+    failure: Callable[[Row, str, str], None] = lambda row, outcome, message: None
+    message: Callable[[str], None] = lambda line: None
+    stop: Callable[[], bool] = lambda: False
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """A sweep after a call: rows of the plan, those that ran and those that failed, and the seconds of the call."""
+
+    folder: Path
+    plan: Plan
+    outcomes: dict[str, int]
+    ran: int
+    interrupted: bool
+    seconds: float
+
+    @property
+    def finished(self) -> int:
+        """Number of finished rows."""
+        return sum(self.outcomes.values())
+
+    @property
+    def failed(self) -> int:
+        """Number of finished rows that did not complete."""
+        return self.finished - self.outcomes.get(COMPLETED, 0)
+
+
+@dataclass
+class _Tally:
+    """Counts of a sweep that runs."""
+
+    done: int = 0
+    failed: int = 0
+    ran: int = 0
+    broken: bool = field(default=False)
+    """True after a failure, with ``fail_fast``."""
+
+
+def require_sweep_folder(folder: Path) -> None:
+    """Raise UsageError if ``folder`` holds anything but a sweep."""
+    try:
+        require_real(folder)
+        if folder.exists() and not (folder.is_dir() and (is_sweep(folder) or not _others(folder))):
+            raise UsageError(
+                f"{folder}: exists and is not a sweep; nothing was written",
+                "move it away, or choose another folder with --out, or another name with --set name=...",
+            )
+    except OSError as error:
+        raise UsageError(f"{folder}: {(error.strerror or str(error)).lower()}; choose another with --out") from None
+
+
+def _others(folder: Path) -> list[Path]:
+    """Paths in ``folder`` that no sweep that was killed at its start can have left."""
+    return [path for path in folder.iterdir() if path.name != LOCK and not _TEMPORARY.fullmatch(path.name)]
+
+
+def _remove_temporary(folder: Path) -> None:
+    """Remove what a killed process has left half-written."""
+    for path in folder.iterdir():
+        if _TEMPORARY.fullmatch(path.name):
+            path.unlink(missing_ok=True)
+
+
+def is_sweep(folder: Path) -> bool:
+    """True if ``folder`` is that of a sweep."""
+    return any((folder / name).exists() for name in (JOURNAL, SWEEP_FILE))
+
+
+def require_confirmed(sweep: Sweep, options: SweepOptions) -> None:
+    """Raise UsageError for a sweep of very many rows that is not confirmed."""
+    if sweep.count > MANY_ROWS and not options.confirmed:
+        place = sweep.document.place(("grid",)) or sweep.document.place(())
+        raise UsageError(
+            f"{place + ': ' if place else ''}{sweep.count} rows; a sweep of more than {MANY_ROWS} needs --yes",
+            "--dry-run prints the plan",
+        )
+
+
+def earlier_file(folder: Path) -> dict[str, Any] | None:
+    """Sweep file of the previous call in ``folder``, as plain data; None if there is none that can be read."""
+    try:
+        return load_sweep(folder / SWEEP_FILE).resolved()
+    except TopcliError:
+        return None
+
+
+def planned(sweep: Sweep, out: Path, options: SweepOptions) -> tuple[Plan, list[str]]:
+    """Plan of a sweep, and the changes of its file since the previous call; nothing is written."""
+    surveyed = survey(sweep)
+    folder = out / sweep.name
+    require_sweep_folder(folder)
+    with Journal(folder) as journal:
+        plan = plan_sweep(surveyed, journal.index(), options.retry_failed)
+    return plan, changes(earlier_file(folder), sweep.resolved())
+
+
+def rows_to_run(plan: Plan) -> Iterator[tuple[Row, int]]:
+    """Yield the rows that have to run, each with the reason."""
+    for row in RowReader(plan.survey.sweep).rows():
+        if (reason := int(plan.status[row.number])) in REASONS:
+            yield row, reason
+
+
+def in_threads(threads: int) -> Backend:
+    """Back end that evaluates batches in threads of this process."""
+
+    def results(made: Iterable[list[Row]], work: Work, stop: Callable[[], bool]) -> Iterator[tuple[list[Row], Results]]:
+        source = iter(made)
+        flying: dict[Future[Results], list[Row]] = {}
+        with ThreadPoolExecutor(threads) as pool:
+            while True:
+                free = 0 if stop() else IN_FLIGHT * threads - len(flying)
+                for batch in itertools.islice(source, max(0, free)):
+                    flying[pool.submit(work, batch, stop)] = batch
+                if not flying:
+                    return
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                    batch, found = flying.pop(future), future.result()
+                    if (rest := unfinished(batch, found)) and not stop():
+                        flying[pool.submit(work, rest, stop)] = rest
+                    yield batch, found
+
+    return results
+
+
+def run_sweep(
+    sweep: Sweep,
+    out: Path,
+    options: SweepOptions = SweepOptions(),
+    watcher: Watcher = Watcher(),  # noqa: B008 (never changed)
+    backend: Backend | None = None,
+) -> SweepResult:
+    """Run what is new in ``sweep`` into ``out/<name>``; finished rows never run again.
+
+    Raises ConfigError for a wrong sweep file and UsageError for a folder that is in use or holds something else, both
+    before anything runs, and RunError if writing fails; finished rows are kept.
+    """
+    began = time.perf_counter()
+    require_confirmed(sweep, options)
+    surveyed = survey(sweep)
+    for line in surveyed.warnings[:SHOWN_WARNINGS]:
+        watcher.message(f"warning: {sweep.name}: {line}")
+    folder = out / sweep.name
+    require_sweep_folder(folder)
+    require_writable(out)
+    with ExitStack() as stack:
+        try:
+            folder.mkdir(exist_ok=True)
+            sync(out)
+            lock = lock_folder(folder, {"sweep": sweep.name})
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+                raise io_failure(error, folder, "finished rows are kept") from None
+            raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another with --out") from None
+        if lock is None:
+            pid = owner(folder).get("pid")
+            raise UsageError(
+                f"{folder}: another sweep{f' (process {pid})' if pid else ''} is running in this folder; "
+                "wait for its end, or choose another folder with --out"
+            )
+        stack.callback(lock.release)
+        commit = stack.enter_context(Commit())
+        _remove_temporary(folder)
+        journal = stack.enter_context(Journal(folder, write=True))
+        if journal.damaged:
+            watcher.message(f"warning: {journal.path}: {journal.damaged} damaged lines; their rows run again")
+        runner = _Runner(surveyed, folder, journal, options, watcher)
+        return runner.run(backend, began, commit)
+
+
+class _Runner:
+    """A sweep that runs in its locked folder."""
+
+    def __init__(
+        self, surveyed: Survey, folder: Path, journal: Journal, options: SweepOptions, watcher: Watcher
+    ) -> None:
+        self.survey, self.sweep, self.folder = surveyed, surveyed.sweep, folder
+        self.journal, self.options, self.watcher = journal, options, watcher
+        self.plan = plan_sweep(surveyed, journal.index(), options.retry_failed)
+        self.tally = _Tally(done=self.plan.done, failed=self.plan.failed)
+        self.started = now()
+        self._written, self._table_seconds = time.monotonic(), 0.0
+
+    def _stop(self) -> bool:
+        return self.tally.broken or self.watcher.stop()
+
+    def run(self, backend: Backend | None, began: float, commit: Commit) -> SweepResult:
+        """Run the rows of the plan, and write the table and the manifest."""
+        threads = self.options.threads or default_threads()
+        (self.folder / MANIFEST).unlink(missing_ok=True)  # it vouches for the files that now change
+        self._write(SWEEP_FILE, self.sweep.to_yaml())
+        if self.plan.to_run:
+            rows = (row for row, _ in rows_to_run(self.plan))
+            made = batches(rows, threads, self.options.batch_scale)
+            work = Work(self.sweep.measures, self.options.time_limit)
+            for batch, results in (backend or in_threads(threads))(made, work, self._stop):
+                self._keep(batch, results)
+        outcomes = self._table()
+        complete = sum(outcomes.values()) == self.survey.count and (self.sweep.store != SERIES or self._store_all())
+        interrupted = self.watcher.stop() and not complete
+        seconds = time.perf_counter() - began
+        if complete:
+            text = manifest_text(self.folder, self.sweep, outcomes, self.started, seconds, commit)
+            self._write(MANIFEST, text)
+        return SweepResult(self.folder, self.plan, outcomes, self.tally.ran, interrupted, seconds)
+
+    def _keep(self, batch: Sequence[Row], results: Results) -> None:
+        """Store the results of a batch in the journal, report failures and progress."""
+        which = [i for i, done in enumerate(results.done) if done]
+        if not which:
+            return
+        names = self.survey.code_names
+        self.journal.append(
+            Block(
+                digest=[batch[i].digest for i in which],
+                outcome=[results.outcome[i] for i in which],
+                message=[results.message[i] for i in which],
+                code=[names[self.survey.codes[batch[i].number]] for i in which],
+                keys={key: [batch[i].keys[at] for i in which] for at, key in enumerate(self.sweep.keys)},
+                values={name: [values[i] for i in which] for name, values in results.values.items()},
+                cpu=results.cpu,
+            )
+        )
+        for i in which:
+            if results.outcome[i] != COMPLETED:
+                self.tally.failed += 1
+                self.tally.broken |= self.options.fail_fast
+                self.watcher.failure(batch[i], results.outcome[i], results.message[i])
+        self.tally.done += len(which)
+        self.tally.ran += len(which)
+        self.watcher.progress(self.tally.done, self.survey.count - self.plan.repeated, self.tally.failed)
+        if time.monotonic() - self._written > max(TABLE_SECONDS, 20.0 * self._table_seconds):
+            self._table()
+
+    def _store_all(self) -> bool:
+        """Store the series of all rows that ran in this call or have none; False if the sweep is stopped before."""
+        for row in RowReader(self.sweep).rows():
+            if self.watcher.stop():
+                return False
+            stored = stored_run(self.folder / SERIES / row.digest[:16])
+            if self.plan.status[row.number] in REASONS or stored is None or stored.interrupted:
+                self._store_series(row)
+        return not self.watcher.stop()
+
+    def _store_series(self, row: Row) -> None:
+        """Run a row again into a run folder of its own."""
+        from topcli.runs.run import run_experiment
+
+        try:
+            experiment = experiment_from(row.config(row.digest[:16]))
+            run_experiment(experiment, self.folder / SERIES, stop=self.watcher.stop)
+        except TopcliError as error:
+            self.watcher.message(f"warning: row {row.number}: its series cannot be stored: {error}")
+
+    def _table(self) -> dict[str, int]:
+        """Write ``rows.parquet``; the numbers of its current rows by outcome."""
+        began = time.monotonic()
+        current = plan_sweep(self.survey, self.journal.index())
+        path = self.folder / ROWS
+        outcomes: dict[str, int] = {}
+
+        def write(temporary: Path) -> None:
+            outcomes.clear()
+            outcomes.update(write_rows(temporary, current, self.journal))
+
+        try:
+            write_whole(path, write)
+        except OSError as error:
+            raise io_failure(error, path, "the finished rows are kept in the journal") from None
+        self._written = time.monotonic()
+        self._table_seconds = self._written - began
+        return outcomes
+
+    def _write(self, name: str, text: str) -> None:
+        path = self.folder / name
+        try:
+            write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        except OSError as error:
+            raise io_failure(error, path, "finished rows are kept") from None
+
+
+def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
+    """Return the sweep in ``folder``. Raises UsageError for a folder without one."""
+    if not is_sweep(folder):
+        raise UsageError(f"{folder}: holds no sweep; give the folder that topcli sweep wrote, such as results/NAME")
+    return load_sweep(folder / SWEEP_FILE, overrides)
+
+
+def find_row(folder: Path, number: int) -> tuple[Sweep, Row]:
+    """Return the sweep in ``folder`` and row ``number`` of its plan.
+
+    Raises UsageError for a folder without a sweep and for a number that no row has.
+    """
+    sweep = stored_sweep_file(folder)
+    row = RowReader(sweep).row(number) if number >= 0 else None
+    if row is None:
+        count = sum(1 for _ in sweep.assignments())
+        raise UsageError(f"{folder}: has no row {number}; its rows are 0 to {count - 1}")
+    return sweep, row

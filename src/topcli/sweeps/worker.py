@@ -1,0 +1,177 @@
+"""Work on the workers of a Dask cluster: preparation, the check of versions, and the evaluation of batches."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import sys
+import tempfile
+import threading
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from distributed import WorkerPlugin, get_worker
+
+import topcli
+from topcli.engine.ensemble import limit_threads
+from topcli.errors import TopcliError, UsageError
+from topcli.schemes.registry import SchemeFile, load_scheme_file, unload_scheme_files
+from topcli.store.provenance import cpu_name, installed
+from topcli.sweeps.evaluate import Results, Work, forget
+
+Versions = dict[str, str]
+
+
+@cache
+def source_digest() -> str:
+    """Digest of the Python files of topcli, which differs between two states of one version."""
+    root = Path(topcli.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def versions() -> Versions:
+    """Versions in this process on which the bits of a result depend."""
+    packages = {name: installed(name) or "missing" for name in ("numba", "llvmlite", "numpy")}
+    return {
+        "topcli": topcli.__version__,
+        "python": sys.version.split()[0],
+        **packages,
+        "the source of topcli": source_digest(),
+    }
+
+
+def difference(here: Versions, there: Versions) -> str:
+    """First difference of two sets of versions, in words; empty if they are equal."""
+    for name, version in here.items():
+        if there.get(name) != version:
+            return f"{name} is {there.get(name, 'missing')} there and {version} here"
+    return ""
+
+
+def describe() -> dict[str, Any]:
+    """Versions and processor of this worker."""
+    return {"versions": versions(), "cpu": cpu_name()}
+
+
+@dataclass(frozen=True)
+class Job:
+    """Data that a worker needs before it evaluates rows of a sweep; ``token`` identifies the job."""
+
+    token: str
+    versions: Versions
+    files: tuple[SchemeFile, ...]
+
+    @property
+    def content(self) -> str:
+        """Digest of the scheme files; empty if there are none."""
+        return hashlib.sha256(pickle.dumps([sorted(file.content.items()) for file in self.files])).hexdigest()
+
+
+@dataclass
+class _State:
+    """State of a worker process."""
+
+    lock: threading.RLock = field(default_factory=threading.RLock)
+    faults: dict[str, str] = field(default_factory=dict)
+    """By the token of each job that has been prepared: why this worker cannot do it; empty if it can."""
+    jobs: dict[str, Job] = field(default_factory=dict)
+    loaded: str = ""
+    """Digest of the scheme files that are loaded."""
+    folder: Path | None = None
+    """Folder of the scheme files that are loaded."""
+    stopped: set[str] = field(default_factory=set)
+
+
+_state = _State()
+
+
+class Preparation(WorkerPlugin):
+    """Prepares each worker for a job, also workers that join later."""
+
+    def __init__(self, job: Job) -> None:
+        self.job, self.name = job, f"topcli-{job.token}"
+
+    def setup(self, worker: Any) -> None:
+        """Compare the versions, load the scheme files and limit the threads."""
+        fault = difference(self.job.versions, versions())
+        with _state.lock, suppress(TopcliError):
+            if not fault:
+                try:
+                    _set_threads(worker.state.nthreads)
+                    _load(self.job, worker.local_directory)
+                except TopcliError as error:
+                    fault = str(error)
+            _state.jobs[self.job.token], _state.faults[self.job.token] = self.job, fault
+
+    def teardown(self, worker: Any) -> None:
+        """Forget the job; its scheme files stay until other ones come."""
+        _state.jobs.pop(self.job.token, None)
+        _state.faults.pop(self.job.token, None)
+
+
+def _set_threads(count: int) -> None:
+    """Let everything in this process that divides its work use ``count`` threads: the threads of the worker."""
+    import numba
+
+    limit_threads(count)
+    with suppress(ValueError):  # at most as many as numba has begun with
+        numba.set_num_threads(min(count, numba.get_num_threads()))
+
+
+def _load(job: Job, place: str) -> None:
+    """Load the scheme files of a job unless they are loaded; others are unloaded."""
+    if not job.files or _state.loaded == job.content:
+        return
+    import topcli.sweeps.measures  # noqa: F401 (its table is among those that scheme files extend)
+
+    unload_scheme_files()
+    forget()
+    _state.loaded, _state.folder = "", Path(tempfile.mkdtemp(prefix="topcli-", dir=place))
+    for number, file in enumerate(job.files):
+        for name, content in file.content.items():
+            path = _state.folder / str(number) / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        load_scheme_file(_state.folder / str(number) / Path(file.path).name)
+    _state.loaded = job.content
+
+
+def _with_places_of_client(text: str, job: Job) -> str:
+    """``text`` with the paths of the scheme files as they are for the client, so that rows have the same messages."""
+    for number, file in enumerate(job.files):
+        folder = f"{_state.folder}/{number}"
+        text = text.replace(f"{folder}/{Path(file.path).name}", file.path).replace(folder, file.folder)
+    return text
+
+
+def _require_ready(token: str) -> Job:
+    """Job ``token``, for which this worker is prepared. Raises UsageError if it is not."""
+    where = f"worker {get_worker().address}"
+    fault = _state.faults.get(token, "has not been prepared")
+    if fault:
+        raise UsageError(f"{where}: {fault}")
+    job = _state.jobs[token]
+    if job.files and _state.loaded != job.content:
+        raise UsageError(f"{where}: another sweep has loaded other scheme files; use other workers")
+    return job
+
+
+def evaluate(token: str, work: Work, rows: bytes) -> Results:
+    """Evaluate pickled rows on a worker that is prepared for the job ``token``. Raises UsageError if it is not."""
+    job = _require_ready(token)
+    results = work(pickle.loads(rows), lambda: token in _state.stopped)
+    _require_ready(token)  # other scheme files may have been loaded in the meantime
+    if job.files:
+        results.message[:] = [_with_places_of_client(text, job) for text in results.message]
+    return results
+
+
+def stop(token: str) -> None:
+    """Give up the rows of a job that are being evaluated."""
+    _state.stopped.add(token)
