@@ -59,17 +59,19 @@ def _unexpected(error: Exception) -> int:
     """Report an unexpected error, of a user's scheme or top or a bug, and return the exit code."""
     import traceback
 
-    from topcli.cli.talk import say, say_error, say_text
+    from topcli.cli.output import print_error, print_message, print_message_text
     from topcli.schemes.user_code import users_error
 
     if found := users_error(error):
-        say_error(found)
+        print_error(found)
         return found.exit_code
     if isinstance(error, ImportError) and not (error.name or "").startswith("topcli"):
-        say(f"error: a package cannot be loaded: {error}; is it installed, and is there enough memory (ulimit -v)?")
+        print_message(
+            f"error: a package cannot be loaded: {error}; is it installed, and is there enough memory (ulimit -v)?"
+        )
         return 1
-    say_text("".join(traceback.format_exception(error)))
-    say("error: internal error; this is a bug in topcli, please report it with the lines above")
+    print_message_text("".join(traceback.format_exception(error)))
+    print_message("error: internal error; this is a bug in topcli, please report it with the lines above")
     return 70
 
 
@@ -99,9 +101,9 @@ def main() -> None:
             _drop_output()
             print(f"error: cannot write to standard output ({error.strerror})", file=sys.stderr)
         else:
-            from topcli.cli.talk import say
+            from topcli.cli.output import print_message
 
-            say(f"error: {error.filename}: {(error.strerror or '').lower()}")
+            print_message(f"error: {error.filename}: {(error.strerror or '').lower()}")
         code = 1
     except MemoryError:
         print("error: not enough memory", file=sys.stderr)

@@ -14,7 +14,7 @@ import pytest
 from conftest import ROOT
 from injected import Operations, command_in_fork, signal_to_self
 from test_cli import process
-from topcli.cli.talk import ProgressDisplay, spell_seconds
+from topcli.cli.output import ProgressDisplay, spell_seconds
 from topcli.store.manifest import stored_runs
 from topcli.store.series import read_series
 
@@ -152,7 +152,7 @@ def test_progress_survives_a_terminal_that_is_gone(monkeypatch: pytest.MonkeyPat
         raise OSError(5, "Input/output error")
 
     clock = Clock()
-    monkeypatch.setattr("topcli.cli.talk.say", gone)
+    monkeypatch.setattr("topcli.cli.output.print_message", gone)
     teller = ProgressDisplay(1, False, clock)
     teller.begin("long")
     clock.now += 100.0

@@ -216,7 +216,7 @@ def test_a_time_limit_below_zero_is_refused(cli: Cli, study: Path) -> None:
 
 
 def test_progress_in_a_log_has_rows_rate_time_left_and_failures(capsys: pytest.CaptureFixture[str]) -> None:
-    from topcli.cli.talk import ProgressDisplay
+    from topcli.cli.output import ProgressDisplay
 
     times = iter([0.0, 100.0, 100.0, 110.0, 120.0])
     display = ProgressDisplay(1, False, lambda: next(times), unit="rows")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import ROOT
-from topcli.cli import talk
+from topcli.cli import output
 from topcli.cli.tables import table_lines
 
 COMMANDS = [
@@ -46,16 +46,16 @@ def test_tables_fit_the_terminal(cli, monkeypatch: pytest.MonkeyPatch, command: 
     if command.startswith("analyse"):
         assert cli("run", "euler_hk", "--set", "N=4000", "--name", "euler_hk", "--quiet").code == 0
     tables = []
-    monkeypatch.setattr(talk, "screen_width", lambda: width)
-    original = talk.table_lines
+    monkeypatch.setattr(output, "screen_width", lambda: width)
+    original = output.table_lines
 
     def record(header, rows, right, limit, **options):
         lines = original(header, rows, right, limit, **options)
         tables.append(([header, *rows], limit, lines))
         return lines
 
-    monkeypatch.setattr(talk, "table_lines", record)
-    monkeypatch.setattr(talk, "_terminal", lambda stream: stream is sys.stdout)
+    monkeypatch.setattr(output, "table_lines", record)
+    monkeypatch.setattr(output, "_terminal", lambda stream: stream is sys.stdout)
     monkeypatch.setenv("TERM", "xterm")
     said = cli(*command.split())
     assert said.code == 0, said.err

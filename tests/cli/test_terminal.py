@@ -62,7 +62,7 @@ def calls(path: Path) -> list[ast.Call]:
 def test_only_one_module_prints() -> None:
     """Whoever prints past ``talk`` prints raw characters. Pipes to other processes are no terminal."""
     for path in sorted((ROOT / "src" / "topcli").rglob("*.py")):
-        if path.name == "talk.py":
+        if path.name == "output.py":
             continue
         for call in calls(path):
             where = f"{path}:{call.lineno}"
@@ -200,7 +200,7 @@ def test_control_characters_in_file_names_are_escaped(cli, in_tmp: Path) -> None
 @pytest.mark.skipif(os.name == "nt", reason="such names are not possible")
 @pytest.mark.parametrize("terminal", [False, True])
 def test_foreign_runs_are_listed_as_data(cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
-    from topcli.cli import talk
+    from topcli.cli import output
 
     cli("run", HK, "--name", "kowalevski_hk", "--set", "N=20", "--quiet")
     folder = in_tmp / "results" / "kowalevski_hk"
@@ -208,7 +208,7 @@ def test_foreign_runs_are_listed_as_data(cli, in_tmp: Path, monkeypatch: pytest.
     hostile = manifest | {"outcome": EVIL + LONG, "ended": EVIL, "config": manifest["config"] | {"h": EVIL}}
     (folder / "manifest.json").write_text(json.dumps(hostile))
     folder.rename(folder.with_name(NAME))
-    monkeypatch.setattr(talk, "_terminal", lambda stream: terminal)
+    monkeypatch.setattr(output, "_terminal", lambda stream: terminal)
     said = cli("list", "runs")
     assert said.code == 0
     assert_safe(said.out, said.err)
@@ -221,12 +221,12 @@ def test_foreign_runs_are_listed_as_data(cli, in_tmp: Path, monkeypatch: pytest.
 
 
 def test_markup_is_data_in_the_progress_bar(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    from topcli.cli import talk
+    from topcli.cli import output
 
-    monkeypatch.setattr(talk, "_terminal", lambda stream: True)
+    monkeypatch.setattr(output, "_terminal", lambda stream: True)
     monkeypatch.setenv("TERM", "xterm")
     times = iter([0.0, 0.0, 10.0, 11.0, 12.0, 13.0])
-    teller = talk.ProgressDisplay(1, False, lambda: next(times))
+    teller = output.ProgressDisplay(1, False, lambda: next(times))
     teller.begin("[link=http://evil]a[/link]:boom:\x1b[31m\x9b")
     teller(5, 10)
     shown = teller._bar.get_renderable()

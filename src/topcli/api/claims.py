@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from topcli.api.progress import Progress
-from topcli.api.report import Report, painted
+from topcli.api.report import Report, draw_panel
 from topcli.paper.decide import decide_claims
 from topcli.paper.result import Claims
 
@@ -76,7 +76,7 @@ class ClaimsReport(Claims, Report):
         """
         from topcli.figures.claims import verdict_panel
 
-        return painted(*verdict_panel(self.as_dict()["claims"]), ax)
+        return draw_panel(*verdict_panel(self.as_dict()["claims"]), ax)
 
 
 def claims(ids: str | Sequence[str] = (), *, fast: bool = False, progress: bool = True) -> ClaimsReport:

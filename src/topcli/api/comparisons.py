@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from topcli.api.progress import Progress
-from topcli.api.report import Report, painted
+from topcli.api.report import Report, draw_panel
 from topcli.config.duration import changed
 from topcli.config.load import any_from, load_any
 from topcli.config.models import Experiment
@@ -109,7 +109,7 @@ class ComparisonReport(Report):
         else:
             raise UsageError(f"plot: what={what!r} must be 'error' or 'swing'")
         errors = {name: np.where(one > 0.0, one, np.nan) for name, one in self.arrays.items() if "error:" in name}
-        return painted(panel, {**self.arrays, **errors}, ax)
+        return draw_panel(panel, {**self.arrays, **errors}, ax)
 
 
 def _row(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from topcli.analysis.motion.of_top import closed_form_top, motion_of
 from topcli.analysis.motion.result import Motion
-from topcli.api.report import Report, painted
+from topcli.api.report import Report, draw_panel
 from topcli.config.duration import changed
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
@@ -74,7 +74,7 @@ class MotionReport(Motion, Report):
         """
         from topcli.figures.motion import motion_drawn
 
-        return painted(*motion_drawn(closed_form_top(self.experiment.top), self, self.experiment.name), ax)
+        return draw_panel(*motion_drawn(closed_form_top(self.experiment.top), self, self.experiment.name), ax)
 
 
 def motion(

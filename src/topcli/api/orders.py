@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.api.progress import Progress
-from topcli.api.report import Report, painted
+from topcli.api.report import Report, draw_panel
 from topcli.studies.order import STEPS, ladders, order_study
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class OrderReport(Report):
         from topcli.figures.order import loaded_order
 
         loaded = loaded_order(self.study, "")
-        return painted(loaded.panels[0], loaded.data(), ax)
+        return draw_panel(loaded.panels[0], loaded.data(), ax)
 
 
 def order(

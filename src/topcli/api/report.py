@@ -127,7 +127,7 @@ class Report(ABC):
         return fragment(self.chapter(None))
 
 
-def painted(panel: Drawable, data: Mapping[str, np.ndarray], ax: Axes | None) -> Axes:
+def draw_panel(panel: Drawable, data: Mapping[str, np.ndarray], ax: Axes | None) -> Axes:
     """Draw ``panel`` into ``ax`` in the style of its owner; into new axes in the style of topcli's figures."""
     import matplotlib as mpl
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.api.progress import Progress
-from topcli.api.report import Report, painted
+from topcli.api.report import Report, draw_panel
 from topcli.config.duration import changed
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import any_from, load_changed
@@ -147,9 +147,9 @@ class RunReport(Report):
         data = envelope(path, list(dict.fromkeys([time, *chosen])))
         data.setdefault("t", data[time] * config["h"])
         if not deviation:
-            return painted(pictures.motion_panel(chosen, experiment), data, ax)
+            return draw_panel(pictures.motion_panel(chosen, experiment), data, ax)
         moved = pictures.deviations(data, chosen)
-        return painted(pictures.deviation_panel(list(moved), experiment), data | moved, ax)
+        return draw_panel(pictures.deviation_panel(list(moved), experiment), data | moved, ax)
 
     def _plot_ensemble(self, ax: Axes | None, columns: Sequence[str]) -> Axes:
         from topcli.pages.ensembles import stored_quantiles
@@ -157,7 +157,7 @@ class RunReport(Report):
         if columns:
             raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
         panel, data = stored_quantiles(self.folder, self.result.report)
-        return painted(panel, data, ax)
+        return draw_panel(panel, data, ax)
 
 
 def run(

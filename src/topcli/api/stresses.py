@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from topcli.api.progress import Progress
-from topcli.api.report import Report, painted
+from topcli.api.report import Report, draw_panel
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.studies.stress.record import stress_data
 from topcli.studies.stress.suite import chosen, require_options
@@ -107,7 +107,7 @@ class StressReport(Report):
         data, names = figure_data(self.study)
         grid = self.grid(wanted)
         panel = StressPanel(wanted, tuple(grid.index), tuple(grid.columns), names)
-        return painted(panel, data, ax)
+        return draw_panel(panel, data, ax)
 
 
 def stress(

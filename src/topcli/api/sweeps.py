@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.api.progress import Progress
-from topcli.api.report import Report, painted
+from topcli.api.report import Report, draw_panel
 from topcli.config.sweep.document import load_sweep, sweep_from
 from topcli.errors import UsageError
 from topcli.sweeps.rows import ROWS, SweepRows, read_rows
@@ -121,7 +121,7 @@ class SweepReport(Report):
         if x or by or aggregate:
             choice = Choice(x or choice.x, y or choice.y, by, aggregate=aggregate)
         choice.require(rows)
-        return painted(*curves(rows, choice), ax)
+        return draw_panel(*curves(rows, choice), ax)
 
 
 def sweep(

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, config_option, load_scheme_files
-from topcli.cli.talk import emit, print_json, print_table, say, say_warnings
+from topcli.cli.output import emit, print_json, print_message, print_table, print_warnings
 
 SHOWN = 5
 """Times of swings in the table; --json has them all."""
@@ -64,11 +64,13 @@ def _print_report(report: dict[str, Any]) -> None:
 def _say_notes(report: dict[str, Any]) -> None:
     """Print what the tables leave out: a missing reference, a motion that was left, components that were not read."""
     if report["reference"]["message"]:
-        say(f"warning: no error: {report['reference']['message']}")
+        print_message(f"warning: no error: {report['reference']['message']}")
     if left := report["left_motion"]:
-        say(f"warning: {report['file']}: far off its energy surface at row {left['row']} (t = {left['t']:.6g})")
+        print_message(
+            f"warning: {report['file']}: far off its energy surface at row {left['row']} (t = {left['t']:.6g})"
+        )
     if report["unread"]:
-        say(f"not read: {', '.join(report['unread'])}; the config's initial state has no such components")
+        print_message(f"not read: {', '.join(report['unread'])}; the config's initial state has no such components")
 
 
 def analyse(
@@ -94,7 +96,7 @@ def analyse(
 
     load_scheme_files(scheme_files)
     experiment = load_experiment(config, sets or [])
-    say_warnings(experiment)
+    print_warnings(experiment)
     if plot:
         require_writable(out)
     analysis = analyse_series(experiment, ForeignSeries(path), column_map(columns or [], experiment.top), steps)
@@ -110,5 +112,5 @@ def analyse(
     else:
         _print_report(analysis.report)
         for file in files:
-            say(f"wrote {file}")
+            print_message(f"wrote {file}")
     _say_notes(analysis.report)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from topcli.cli.options import Json
-from topcli.cli.talk import ProgressDisplay, emit, print_json, say
+from topcli.cli.output import ProgressDisplay, emit, print_json, print_message
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, such as results/NAME.")]
 Out = Annotated[Path, typer.Option("--out", metavar="FILE", help="Write this file, a .gif or an .mp4.")]
@@ -48,11 +48,11 @@ def animate(
     encoder_for(out, fps, seconds)  # before anything is read or drawn
     motion = stored_body_motion(run)
     for note in motion.notes:
-        say(note)
+        print_message(note)
     film = planned(motion, fps, seconds, size, start, stop)
     begin, end, last = float(film.times[0]), float(film.times[-1]), float(motion.t[-1])
     if stop is None and end != last:
-        say(
+        print_message(
             f"{motion.experiment.name}: shows t = {begin:g} to {end:.4g} of {last:g}; --stop {last:g} shows all, faster"
         )
     display = ProgressDisplay(1, as_json, unit="frames")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.command import LazyGroup
-from topcli.cli.talk import emit, say, say_error, say_text
+from topcli.cli.output import emit, print_error, print_message, print_message_text
 from topcli.errors import TopcliError, clipped
 
 
@@ -59,7 +59,7 @@ def call() -> int | str | None:
     try:
         return app(prog_name="topcli", standalone_mode=False)
     except TopcliError as error:
-        say_error(error)
+        print_error(error)
         return error.exit_code
     except Exception as error:
         # typer exports no common base class of its errors
@@ -74,13 +74,13 @@ def _say_usage(error: Any) -> None:
     """Report an error found by typer in the style of all other errors."""
     message = error.format_message().strip()
     if "\n" in message:  # the help, of a command without arguments
-        say_text(message)
+        print_message_text(message)
         return
     message = clipped(message, 240).removesuffix(".").replace(". Did you mean", "; did you mean")
     message = re.sub(r" \(Possible options: (.*)\)$", r"; did you mean \1?", message)
     ctx = getattr(error, "ctx", None)
     hint = f" (see {ctx.command_path} --help)" if ctx is not None else ""
-    say(f"error: {message[:1].lower()}{message[1:]}{hint}")
+    print_message(f"error: {message[:1].lower()}{message[1:]}{hint}")
 
 
 def _print_version(asked: bool) -> None:

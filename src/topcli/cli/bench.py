@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, config_option, load_scheme_files
-from topcli.cli.talk import ProgressDisplay, emit, emit_prose, print_json, print_table, say, say_warnings
+from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_json, print_message, print_table, print_warnings
 
 if TYPE_CHECKING:
     from topcli.studies.bench.line_up import LineUp
@@ -140,24 +140,26 @@ def bench(
     effort = Effort(budget, repetitions)
     results = []
     for problem, field in zip(problems, fields, strict=True):
-        say_warnings(problem.experiment)
+        print_warnings(problem.experiment)
         for name, reason in field.left_out if schemes else ():
-            say(f"{problem.name}: {name} is left out: {reason}")
+            print_message(f"{problem.name}: {name} is left out: {reason}")
         if not (field.schemes or field.exact or peers):
             continue
         display.begin(problem.name)
         started = now()
         try:
-            result = measure(problem, field, peers, effort, processes=processes, on_progress=display, on_message=say)
+            result = measure(
+                problem, field, peers, effort, processes=processes, on_progress=display, on_message=print_message
+            )
         finally:
             display.close()
         stored, aside = store_bench(result, code_of(field, problem), started, now(), out)
         if aside is not None:
-            say(f"{problem.name}: renamed the earlier, different result to {aside}")
+            print_message(f"{problem.name}: renamed the earlier, different result to {aside}")
         results.append({**result, "folder": str(stored.folder)})
         if not as_json:
             _print_result(result, all_points)
-            say(f"wrote {stored.folder}")
+            print_message(f"wrote {stored.folder}")
     if as_json:
         print_json("bench", {"scenes": results})
     if any(one["failed_peers"] or any(row["broken"] for row in one["competitors"]) for one in results):

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from topcli.cli.options import Json, SchemeFiles, complete_scheme, complete_top, load_scheme_files
-from topcli.cli.talk import emit_text, print_json
+from topcli.cli.output import emit_text, print_json
 
 
 def complete_cited(incomplete: str) -> list[str]:

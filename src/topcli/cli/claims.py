@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from topcli.cli.options import Json
-from topcli.cli.talk import ProgressDisplay, emit, emit_prose, emit_text, print_json, print_table, say
+from topcli.cli.output import ProgressDisplay, emit, emit_prose, emit_text, print_json, print_message, print_table
 
 if TYPE_CHECKING:
     from topcli.paper.decided import Decided
@@ -73,13 +73,17 @@ def _judge(found: Claims) -> None:
     """Report what differs from the record, and exit with 4 if anything does, with 1 if a run failed."""
     for row in found.rows:
         if row.finding is None:
-            say(f"{'error: ' if row.failed else ''}{row.claim.id}: {row.reason}")
+            print_message(f"{'error: ' if row.failed else ''}{row.claim.id}: {row.reason}")
     for row in found.rows:
         if row.changed:
-            say(f"error: {row.claim.id}: the verdict is {row.verdict!r}; recorded: {row.recorded or 'none'!r}")
+            print_message(
+                f"error: {row.claim.id}: the verdict is {row.verdict!r}; recorded: {row.recorded or 'none'!r}"
+            )
     for control in found.controls:
         if not control.caught:
-            say(f"error: check {control.kind.name!r}: did not find its positive control: {control.kind.defect}")
+            print_message(
+                f"error: check {control.kind.name!r}: did not find its positive control: {control.kind.defect}"
+            )
     if found.changed or found.blunt:
         raise typer.Exit(4)
     if found.failed:
@@ -125,5 +129,5 @@ def claims(
     else:
         _print_table(found)
     if not as_markdown:
-        say(found.summary)
+        print_message(found.summary)
     _judge(found)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.files import Overwrite, require_new
-from topcli.cli.hints import compare_hint, hinting
+from topcli.cli.hints import compare_hint, hint_instead
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_config, complete_scheme, load_scheme_files
-from topcli.cli.talk import ProgressDisplay, emit_prose, print_json, print_table, say, say_warnings
+from topcli.cli.output import ProgressDisplay, emit_prose, print_json, print_message, print_table, print_warnings
 from topcli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def _show(figures: dict[str, Any], files: list[str], as_json: bool) -> None:
         if note := reference_note(figures):
             emit_prose(note)
         for file in files:
-            say(f"wrote {file}")
+            print_message(f"wrote {file}")
     if figures["few_rows"]:
-        say(
+        print_message(
             f"warning: the steps share {figures['rows']} times, at which the errors are compared; "
             "steps whose ratio is simple, such as 2 or 5, share more"
         )
@@ -88,7 +88,7 @@ def _compare_one(
     _show(comparison.figures, files, outputs.as_json)
     failed = [scheme for scheme in compared if scheme["outcome"] != "completed"]
     for scheme in failed:
-        say(f"error: {scheme['label']}: {scheme['message']}")
+        print_message(f"error: {scheme['label']}: {scheme['message']}")
     return _say_code_failures(comparison.figures) or (1 if failed else 0)
 
 
@@ -115,7 +115,7 @@ def _compare_ensemble(
 def _say_code_failures(figures: Mapping[str, Any]) -> int:
     """Report entries whose code fails; the exit code if there are any, beside others that were compared, else 0."""
     for one in figures["failed"]:
-        say(f"error: {one['label']}: {one['reason']}")
+        print_message(f"error: {one['label']}: {one['reason']}")
     return 3 if figures["failed"] else 0
 
 
@@ -176,17 +176,17 @@ def compare(
     load_scheme_files(scheme_files)
     options, others = _scheme_options(sets or [])
     experiment = load_any(config, others)
-    say_warnings(experiment)
+    print_warnings(experiment)
     if not isinstance(experiment, Experiment):
         if plot:
             raise UsageError(f"--plot draws one trajectory, and {experiment.name} is an ensemble of {experiment.count}")
-        with hinting(entries, compare_hint):
+        with hint_instead(entries, compare_hint):
             code = _compare_ensemble(experiment, entries, options, _Outputs(None, save, as_json), reference)
     else:
         if plot:
             require_writable(out)
         outputs = _Outputs(out if plot else None, save, as_json)
-        with hinting(entries, compare_hint):
+        with hint_instead(entries, compare_hint):
             code = _compare_one(experiment, entries, options, outputs, reference)
     if code:
         raise typer.Exit(code)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from topcli.cli.talk import say
+from topcli.cli.output import print_message
 
 
 def say_ensemble_failures(figures: dict[str, Any]) -> int:
@@ -12,10 +12,12 @@ def say_ensemble_failures(figures: dict[str, Any]) -> int:
     schemes = figures["schemes"]
     for one in schemes:
         if set(one["outcomes"]) != {"completed"}:
-            say(f"error: {one['label']}: {one['message']}")
+            print_message(f"error: {one['label']}: {one['message']}")
         for name, fault in one["faults"].items():
             missing = f"no value for {fault['count']} of {figures['trajectories']} trajectories"
-            say(f"warning: {one['label']}: {name}: {missing}; trajectory {fault['trajectory']}: {fault['reason']}")
+            print_message(
+                f"warning: {one['label']}: {name}: {missing}; trajectory {fault['trajectory']}: {fault['reason']}"
+            )
     if all(set(one["outcomes"]) == {"completed"} for one in schemes):
         return 0
     return 3 if any("completed" in one["outcomes"] for one in schemes) else 1

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def hinting(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[None]:
+def hint_instead(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[None]:
     """Replace an error about one of ``names`` by its hint; an error about another name remains."""
     try:
         yield

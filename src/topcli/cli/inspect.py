@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from topcli.cli.hints import hinting, show_hint
+from topcli.cli.hints import hint_instead, show_hint
 from topcli.cli.options import (
     Json,
     SchemeFiles,
@@ -18,7 +18,7 @@ from topcli.cli.options import (
     load_scheme_files,
     top_option,
 )
-from topcli.cli.talk import emit, emit_text, print_document, print_json, print_table, prose_width, say
+from topcli.cli.output import emit, emit_text, print_document, print_json, print_message, print_table, prose_width
 
 
 def _show_scheme(name: str, as_json: bool) -> bool:
@@ -74,7 +74,7 @@ def show(
         return show_sweep(folder, row, sets or [], as_json)
     if not sets and not Path(config).suffix and _show_scheme(config, as_json):
         return
-    with hinting([config], show_hint):
+    with hint_instead([config], show_hint):
         experiment = load_named(config, sets or [])
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
@@ -137,8 +137,8 @@ def init(
     except OSError as error:
         raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
     emit(str(path))
-    say(f"wrote {path} and {schema_path}")
-    say(f"next: topcli run {path}")
+    print_message(f"wrote {path} and {schema_path}")
+    print_message(f"next: topcli run {path}")
 
 
 def schema() -> None:

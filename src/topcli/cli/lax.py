@@ -15,7 +15,7 @@ from topcli.cli.options import (
     config_option,
     load_scheme_files,
 )
-from topcli.cli.talk import emit, print_json, print_table, say
+from topcli.cli.output import emit, print_json, print_message, print_table
 
 
 def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
@@ -60,11 +60,11 @@ def _report(found: dict[str, Any], title: str) -> None:
         header.append("L'U - UL")
         for line, run in zip(lines, runs, strict=True):
             line.append(number(run["discrete_lax_defect"]))
-        say("L'U - UL: defect of the discrete Lax pair of backlund, over the first steps of a run")
+        print_message("L'U - UL: defect of the discrete Lax pair of backlund, over the first steps of a run")
     print_table(header, lines, "largest relative drift of the spectrum of L")
     for form in forms:
         if form["why_not"]:
-            say(f"{form['form']}: no Lax pair: {form['why_not']}")
+            print_message(f"{form['form']}: no Lax pair: {form['why_not']}")
 
 
 def lax(
@@ -101,6 +101,6 @@ def lax(
         _report(found, f"{experiment.name}: {experiment.top.title}, h = {experiment.h:g}, N = {experiment.N}")
     failed = [run for run in found["runs"] if run["outcome"] != "completed"]
     for run in failed:
-        say(f"error: {run['scheme']}: {run['message']}")
+        print_message(f"error: {run['scheme']}: {run['message']}")
     if failed:
         raise typer.Exit(1)

@@ -11,7 +11,7 @@ import typer
 
 from topcli.cli.command import Command
 from topcli.cli.options import Json, SchemeFiles, load_scheme_files, top_option
-from topcli.cli.talk import emit_text, print_json, print_table, say
+from topcli.cli.output import emit_text, print_json, print_message, print_table
 from topcli.errors import shortened
 
 list_app = typer.Typer(
@@ -36,7 +36,7 @@ def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_j
         numbers = [i for i, kind in enumerate(kinds) if kind and kind <= {int, float}]
         print_table(header, [[_cell(item[column]) for column in columns] for item in items], numbers=numbers)
     else:
-        say(nothing or f"no {kind}")
+        print_message(nothing or f"no {kind}")
 
 
 def _origins(items: list[dict[str, Any]]) -> list[str]:
@@ -108,7 +108,7 @@ def list_schemes(
     for item in items:
         item["options"] = {name: str(option["default"]) for name, option in item["options"].items()}
     for failure in plugin_failures():
-        say(f"plugin {failure.name} failed: {failure.reason}")
+        print_message(f"plugin {failure.name} failed: {failure.reason}")
     _print_list("schemes", items, ["name", "top", "order", "self_adjoint", "conserves", *_origins(items)], as_json)
 
 
@@ -196,7 +196,7 @@ def list_measures(top: OnlyTop = None, as_json: Json = False, scheme_files: Sche
         for one in found
     ]
     for failure in plugin_failures():
-        say(f"plugin {failure.name} failed: {failure.reason}")
+        print_message(f"plugin {failure.name} failed: {failure.reason}")
     _print_list("measures", items, ["name", "unit", "summary", *_origins(items)], as_json)
 
 

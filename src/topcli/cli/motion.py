@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from topcli.cli.talk import emit, emit_prose, print_json, print_table
+from topcli.cli.output import emit, emit_prose, print_json, print_table
 from topcli.errors import UsageError
 
 

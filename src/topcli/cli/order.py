@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, Schemes, Sets, complete_config, complete_top, load_scheme_files
-from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say, say_warnings
+from topcli.cli.output import ProgressDisplay, emit, print_json, print_message, print_table, print_warnings
 from topcli.errors import UsageError, quoted, shortened
 
 
@@ -28,20 +28,20 @@ def _say_failures(study: dict[str, Any]) -> int:
     from topcli.studies.order import FALSE
 
     for one in study["left_out"]:
-        say(f"{one['scheme']} is left out: {one['reason']}")
+        print_message(f"{one['scheme']} is left out: {one['reason']}")
     rows = study["schemes"]
     for row in rows:
         if row["broken"]:
-            say(f"error: {row['scheme']}: {row['broken']}")
+            print_message(f"error: {row['scheme']}: {row['broken']}")
             continue
         if row["failed"]:
             first = row["failed"][0]
             failed = f"{len(row['failed'])} of its step sizes gave no result"
-            say(f"{row['scheme']}: {failed}; h = {first['h']:.2g} {first['reason']}")
+            print_message(f"{row['scheme']}: {failed}; h = {first['h']:.2g} {first['reason']}")
         if row["verdict"] in FALSE:
-            say(f"error: {row['scheme']}: {row['why']}")
+            print_message(f"error: {row['scheme']}: {row['why']}")
         elif row["why"] and len(row["points"]) > 2:
-            say(f"{row['scheme']}: order undecided: {row['why']}")
+            print_message(f"{row['scheme']}: order undecided: {row['why']}")
     broken = [row for row in rows if row["broken"]]
     if broken:
         return 3 if len(broken) < len(rows) else 2
@@ -103,7 +103,7 @@ def order(
         duration=duration,
         steps=steps,
     )
-    say_warnings(what.problem.experiment)
+    print_warnings(what.problem.experiment)
     default = what == ladders(())
     if plot or default:
         require_writable(out)
@@ -126,7 +126,7 @@ def order(
     else:
         _print_study(study)
         for file in files:
-            say(f"wrote {file}")
+            print_message(f"wrote {file}")
     if code := _say_failures(study):
         raise typer.Exit(code)
 
@@ -150,4 +150,4 @@ def _say_sizes(asked: tuple[float, ...], used: list[float]) -> None:
     for size in asked:
         near = min(used, key=lambda one: abs(one - size))
         if abs(near - size) > 1e-9 * size:
-            say(f"h = {size:g} becomes {near:.6g}, which divides the time between comparisons")
+            print_message(f"h = {size:g} becomes {near:.6g}, which divides the time between comparisons")

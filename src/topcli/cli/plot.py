@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from topcli.cli.hints import hinting, plot_hint
+from topcli.cli.hints import hint_instead, plot_hint
 from topcli.cli.options import FigureOut, Force, Json, Sets, complete_figure
+from topcli.cli.output import ProgressDisplay, emit, print_json, print_message
 from topcli.cli.table import Aggregate, Where
-from topcli.cli.talk import ProgressDisplay, emit, print_json, say
 
 if TYPE_CHECKING:
     from topcli.figures.contract import Figure
@@ -155,12 +155,20 @@ def plot(
     chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
     looks = read_style(style) if style else {}
     options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
-    with hinting(names or [], lambda name: plot_hint(name, results)):
+    with hint_instead(names or [], lambda name: plot_hint(name, results)):
         figures = _chosen(names or [], options, where or [])
     _require(figures, bool(sets), overlay is not None)
     display = ProgressDisplay(len(figures), as_json)
     request = Request(
-        results, configs or Path("configs"), force, every, display, say, tuple(sets or ()), overlay is not None, looks
+        results,
+        configs or Path("configs"),
+        force,
+        every,
+        display,
+        print_message,
+        tuple(sets or ()),
+        overlay is not None,
+        looks,
     )
     made = []
     for figure in figures:
@@ -170,7 +178,7 @@ def plot(
         except NothingMeasuredError as nothing:
             if not every:
                 raise
-            say(f"{figure.name}: skipped: {nothing}")
+            print_message(f"{figure.name}: skipped: {nothing}")
             continue
         finally:
             display.close()

@@ -9,7 +9,7 @@ import typer
 
 from topcli.cli.files import Overwrite, require_new, write_text
 from topcli.cli.options import Json, SchemeFiles, load_scheme_files
-from topcli.cli.talk import print_json, say
+from topcli.cli.output import print_json, print_message
 
 
 def complete_result(incomplete: str) -> list[str]:
@@ -65,7 +65,7 @@ def report(
         ]
         print_json("report", {"file": str(out), "results": parts})
         return
-    say(f"wrote {out}")
+    print_message(f"wrote {out}")
     for one in page.chapters:
         for line in one.missing:
-            say(f"warning: {one.title}: {line}")
+            print_message(f"warning: {one.title}: {line}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import FigureOut, Json, SchemeFiles, Sets, complete_scheme, config_option, load_scheme_files
-from topcli.cli.talk import print_json, print_table, say, say_warnings
+from topcli.cli.output import print_json, print_message, print_table, print_warnings
 
 if TYPE_CHECKING:
     from topcli.config.models import Experiment
@@ -66,12 +66,12 @@ def _print_study(study: dict[str, Any], experiment: Experiment, files: list[str]
     )
     print_table(HEADER, sorted(rows, key=lambda row: order.index(row[0])), title, numbers=(2, 3, 4, 6, 7, 8), keys=2)
     if not study["claimed"]:
-        say(
+        print_message(
             f"{experiment.scheme.name} claims no invariant exactly; the drifts are of means over long windows, "
             "relative to the motion common to all copies"
         )
     for file in files:
-        say(f"wrote {file}")
+        print_message(f"wrote {file}")
 
 
 Config = Annotated[
@@ -120,7 +120,7 @@ def roundoff(
     if not 1.0 <= steps <= 1e12 or steps != int(steps):
         raise UsageError(f"--steps {steps:g}: must be a whole number from 1 to 1e12")
     experiment = roundoff_experiment(scheme, config, sets or [])
-    say_warnings(experiment)
+    print_warnings(experiment)
     if plot:
         require_writable(out)
     study = roundoff_study(experiment, int(steps), copies)
@@ -138,8 +138,8 @@ def roundoff(
     else:
         _print_study(study, experiment, files)
     for form in failed:
-        say(f"error: {form['scheme']} with {form['form']} sums: {form['message']}")
+        print_message(f"error: {form['scheme']} with {form['form']} sums: {form['message']}")
     for line in violations:
-        say(f"error: {line}")
+        print_message(f"error: {line}")
     if failed or violations:
         raise typer.Exit(1 if failed else 4)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
-from topcli.cli.talk import ProgressDisplay, emit, print_json, print_table, say, say_error, say_warnings
+from topcli.cli.output import ProgressDisplay, emit, print_error, print_json, print_message, print_table, print_warnings
 from topcli.errors import TopcliError, UsageError, quoted
 
 if TYPE_CHECKING:
@@ -85,15 +85,15 @@ def _print_result(result: RunResult, labelled: bool) -> None:
 
         warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
     if result.set_aside:
-        say(result.set_aside_message)
+        print_message(result.set_aside_message)
     status = result.status
     if status == "up to date" and result.outcome.value != "completed":
         status = f"not run again: it ended as {result.outcome.value} before; --retry-failed runs it again"
-    say(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
+    print_message(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
     for note in filter(None, notes):
-        say(f"{report['name']}: {note}")
+        print_message(f"{report['name']}: {note}")
     if warning:
-        say(f"warning: {report['name']}: {warning}")
+        print_message(f"warning: {report['name']}: {warning}")
     header, *lines = invariant_table(report)
     print_table(header, lines, report["name"] if labelled else "")
 
@@ -153,7 +153,7 @@ def _run(
             retry_failed=options.retry_failed,
             checkpoint_every=options.checkpoint_every,
             stop=interruption,
-            feedback=Feedback(display) if options.quiet else Feedback(display, say),
+            feedback=Feedback(display) if options.quiet else Feedback(display, print_message),
         )
     from topcli.runs.ensemble import run_ensemble
 
@@ -166,7 +166,7 @@ def _run(
         threads=options.threads,
         progress=display,
         stop=interruption,
-        **({} if options.quiet else {"on_message": say}),
+        **({} if options.quiet else {"on_message": print_message}),
     )
 
 
@@ -189,7 +189,7 @@ def _say_failure(name: str, result: RunResult, code: int) -> None:
     failure = "some trajectories failed" if code == 3 else result.outcome.value
     kept = "all rows" if result.outcome.value == "left_motion" else "the rows before"
     more = "; --resume continues it" if code == 130 and "kind" not in result.report else ""
-    say(f"error: {name}: {failure}; {kept} are kept{more}")
+    print_message(f"error: {name}: {failure}; {kept} are kept{more}")
 
 
 def _experiment(config: str, options: RunOptions) -> Experiment | EnsembleExperiment:
@@ -213,7 +213,7 @@ def _carry_out(
     try:
         experiment = _experiment(config, options)
         if not options.quiet:
-            say_warnings(experiment)
+            print_warnings(experiment)
         if options.dry_run:
             plan = _dry_run(experiment, options)
             if not (options.as_json or options.quiet):
@@ -230,7 +230,7 @@ def _carry_out(
         found = error if isinstance(error, TopcliError) else users_error(error)
         if found is None:
             raise
-        say_error(found)
+        print_error(found)
         return found.exit_code, {"config": config, "error": str(found), "exit_code": found.exit_code}
     if not (options.quiet or options.as_json):
         _print_result(result, labelled)
@@ -319,6 +319,6 @@ def run(
     elif len(configs) > 1 and not quiet:
         succeeded, skipped = codes.count(0), len(configs) - len(codes)
         more = f"; {skipped} not run" if skipped else ""
-        say(f"{succeeded} of {len(configs)} runs succeeded; {len(codes) - succeeded} failed{more}")
+        print_message(f"{succeeded} of {len(configs)} runs succeeded; {len(codes) - succeeded} failed{more}")
     if code := _exit_code(codes):
         raise typer.Exit(code)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, Schemes, load_scheme_files, top_option
-from topcli.cli.talk import ProgressDisplay, emit, emit_prose, on_terminal, print_json, print_table, say
+from topcli.cli.output import ProgressDisplay, emit, emit_prose, on_terminal, print_json, print_message, print_table
 
 MARKS = {"held": "·", "degraded": "o", "broke": "X", "not tried": " "}
 SHOWN = 40
@@ -80,9 +80,9 @@ def _print_study(data: dict[str, Any], files: list[str], verbose: bool) -> None:
     _list([one for one in trials if every or one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"])
     if on_terminal():
         emit()
-    say(_summary(data))
+    print_message(_summary(data))
     for file in files:
-        say(f"wrote {file}; draw it with: topcli plot stress")
+        print_message(f"wrote {file}; draw it with: topcli plot stress")
 
 
 Cases = Annotated[
@@ -151,12 +151,12 @@ def _say_faults(trials: list[dict[str, Any]]) -> int:
     """Report code that failed and trials that contradict a declaration; the exit code."""
     failed = [one for one in trials if one["verdict"] == "code failed"]
     for scheme, top, why in dict.fromkeys((one["scheme"], one["top"], one["why"]) for one in failed):
-        say(f"error: {scheme} ({top}): {why}")
+        print_message(f"error: {scheme} ({top}): {why}")
     wrong = [one for one in trials if one["verdict"] in ("unexplained", "outlived limit")]
     for one in wrong:
         unexplained = one["verdict"] == "unexplained"
         defect = "breaks without a declared limit" if unexplained else "holds in a case declared as its limit"
-        say(f"error: {one['scheme']} ({one['top']}), case {one['case']}: {defect}: {one['why']}")
+        print_message(f"error: {one['scheme']} ({one['top']}), case {one['case']}: {defect}: {one['why']}")
     if failed:
         return 3 if len(failed) < len(trials) else 2
     return 4 if wrong else 0

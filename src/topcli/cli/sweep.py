@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from topcli.cli.options import Json, Out, SchemeFiles, load_scheme_files
+from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table
 from topcli.cli.run import Interruption
-from topcli.cli.talk import ProgressDisplay, emit, emit_text, print_json, print_table, say
 from topcli.errors import UsageError, shortened
 
 if TYPE_CHECKING:
@@ -70,9 +70,9 @@ class _Failures:
     def __call__(self, row: Row, outcome: str, message: str) -> None:
         self._count += 1
         if self._count <= SHOWN_FAILURES:
-            say(f"error: row {row.number} ({shortened(_values(self._sweep, row), 200)}): {message}")
+            print_message(f"error: row {row.number} ({shortened(_values(self._sweep, row), 200)}): {message}")
         elif self._count == SHOWN_FAILURES + 1:
-            say("further failures are only counted; the messages of all are in the table")
+            print_message("further failures are only counted; the messages of all are in the table")
 
 
 def _varied(sweep: Sweep) -> list[str]:
@@ -151,9 +151,11 @@ def _report(sweep: Sweep, result: SweepResult) -> None:
     state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
     failed = f"; {result.failed} failed" if result.failed else ""
     place = result.folder / "rows.parquet"
-    say(f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {place} ({state})")
+    print_message(f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {place} ({state})")
     if result.plan.left:
-        say(f"{sweep.name}: {result.plan.left} earlier rows no longer belong to the sweep; they are not current")
+        print_message(
+            f"{sweep.name}: {result.plan.left} earlier rows no longer belong to the sweep; they are not current"
+        )
     rows = [[outcome, str(count)] for outcome, count in sorted(result.outcomes.items())]
     print_table(["outcome", "rows"], rows)
 
@@ -197,7 +199,7 @@ def sweep(
         watcher = Watcher(
             progress=lambda done, total, failed: display(done, total, f"{failed} failed" if failed else ""),
             failure=_Failures(loaded),
-            message=(lambda line: None) if quiet else say,
+            message=(lambda line: None) if quiet else print_message,
             stop=interruption,
         )
         try:

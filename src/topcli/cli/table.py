@@ -9,8 +9,8 @@ import typer
 
 from topcli.cli.files import Overwrite, require_new, write_text
 from topcli.cli.options import Json
+from topcli.cli.output import emit_text, print_json, print_message, print_table
 from topcli.cli.tables import table_lines
-from topcli.cli.talk import emit_text, print_json, print_table, say
 
 if TYPE_CHECKING:
     from topcli.sweeps.table import SweepTable
@@ -84,7 +84,7 @@ def table(
     if out is not None:
         require_new(out, force)
         write_text(_text(found, form), out)
-        say(f"wrote {out}")
+        print_message(f"wrote {out}")
     elif as_json:
         print_json("table", found.as_dict())
     elif form == "text":
@@ -93,4 +93,4 @@ def table(
     else:
         emit_text(_text(found, form))
     for note in notes(found):
-        say(note)
+        print_message(note)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from topcli.cli.options import Json, Out
-from topcli.cli.talk import emit, print_json, say
+from topcli.cli.output import emit, print_json, print_message
 
 
 def verify(
@@ -31,7 +31,7 @@ def verify(
     for one in checked:
         for file in one.files:
             if file.damaged:
-                say(f"error: {one.folder / file.name}: damaged: {file.reason}")
+                print_message(f"error: {one.folder / file.name}: damaged: {file.reason}")
         if not (as_json or one.damaged):
             kind = "finished" if one.finished else "unfinished"
             notes = "".join(f"; {file.name}: {file.reason}" for file in one.files if file.reason)

@@ -52,7 +52,7 @@ def print_document(document: dict[str, Any]) -> None:
         print(safe)
 
 
-def say(line: str) -> None:
+def print_message(line: str) -> None:
     """Print a message on stderr, wrapped at words on a terminal; behind the data printed before it, also in one log."""
     with contextlib.suppress(OSError):  # reported at the end, when it is flushed again
         sys.stdout.flush()
@@ -61,18 +61,18 @@ def say(line: str) -> None:
     sys.stderr.flush()
 
 
-def say_text(text: str) -> None:
+def print_message_text(text: str) -> None:
     """Print a text of several lines on stderr without wrapping."""
     for line in text.splitlines():
         print(printable(line), file=sys.stderr)
 
 
-def say_error(error: TopcliError) -> None:
+def print_error(error: TopcliError) -> None:
     """Print the lines of an error, the first one after the prefix ``error:``."""
     first, *others = error.lines or ("",)
-    say(f"error: {first}")
+    print_message(f"error: {first}")
     for line in others:
-        say(line)
+        print_message(line)
 
 
 def _terminal(stream: TextIO) -> bool:
@@ -92,12 +92,12 @@ def _wrapped(line: str, stream: TextIO, indent: str = "") -> list[str]:
     )
 
 
-def say_warnings(experiment: Experiment | EnsembleExperiment) -> None:
+def print_warnings(experiment: Experiment | EnsembleExperiment) -> None:
     """Print warnings about unusual parameters of the experiment's top."""
     for line in experiment.top.warnings():
-        say(f"warning: {experiment.name}: {line}")
+        print_message(f"warning: {experiment.name}: {line}")
     if line := _slow_precision(experiment.resolved()):
-        say(f"warning: {experiment.name}: {line}")
+        print_message(f"warning: {experiment.name}: {line}")
 
 
 MANY_STEPS = 1_000_000
@@ -198,7 +198,9 @@ class ProgressDisplay:
         elif now - self._reported > min(max(15.0, 0.2 * (now - self._began)), 600.0):
             self._reported = now
             pace = self._pace.text(now, done, total)
-            say(f"{label}: {percent(done, total)}, {done} of {total} {self._unit}{', ' * bool(pace)}{pace}{self._note}")
+            print_message(
+                f"{label}: {percent(done, total)}, {done} of {total} {self._unit}{', ' * bool(pace)}{pace}{self._note}"
+            )
 
     def _show_bar(self, label: str, now: float, done: int, total: int) -> None:
         if self._bar is None:
