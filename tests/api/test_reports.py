@@ -175,7 +175,7 @@ def test_changes_name_the_run_by_its_digest(out: Path) -> None:
     assert topcli.run("kowalevski_hk", out, N=50, name="short").folder.name == "short"
     with pytest.raises(ConfigError, match="M: unknown key"):
         topcli.run("kowalevski_hk", out, M=50)
-    with pytest.raises(UsageError, match="resume=True"):
+    with pytest.raises(UsageError, match="--resume works"):
         topcli.run({**CONFIG, "ensemble": {"random": {"count": 2, "gamma": "sphere"}}}, out, resume=True)
 
 

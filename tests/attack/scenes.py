@@ -23,7 +23,8 @@ from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
 from topcli.engine import loop
 from topcli.runs.ensemble import run_ensemble
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.store import series
 from topcli.sweeps import batches, journal
 from topcli.sweeps import run as sweep_run
@@ -92,7 +93,7 @@ def killed_run(out: Path, suffix: str, steps: int) -> None:
         if done >= steps:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    run_experiment(experiment(suffix), out, checkpoint_every=0.0, feedback=Feedback(progress))
+    run_experiment(experiment(suffix), out, RunOptions(checkpoint_every=0.0, on_progress=progress))
 
 
 @dataclass
@@ -179,7 +180,7 @@ def prepare(base: Path) -> Scenes:
         scene(
             "interrupted",
             suffix,
-            lambda out, one=one, asked=asked: run_experiment(one, out, stop=lambda: next(asked) == 12),
+            lambda out, one=one, asked=asked: run_experiment(one, out, RunOptions(stop=lambda: next(asked) == 12)),
         )
     scene("finished", "ensemble", lambda out: run_ensemble(many, out))  # pyright: ignore[reportArgumentType]
     for kind, keys in PRECISE.items():

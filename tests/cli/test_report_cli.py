@@ -112,6 +112,7 @@ def test_a_page_has_the_suffix_of_one(cli: Cli, stored: Path) -> None:
 def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
     """A killed process leaves a part folder with a checkpoint."""
     from stored_results import experiment
+    from topcli.runs.plan import RunOptions
     from topcli.runs.run import run_experiment
 
     class Killed(BaseException):
@@ -127,7 +128,7 @@ def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_c
         return False
 
     with pytest.raises(Killed):
-        run_experiment(experiment("long", N=5000), in_tmp / "results", checkpoint_every=0.0, stop=stop)
+        run_experiment(experiment("long", N=5000), in_tmp / "results", RunOptions(checkpoint_every=0.0, stop=stop))
     said = cli("report", "long", "--out", "page.html")
     assert said.code == 0
     page = read_html((in_tmp / "page.html").read_text())
@@ -143,10 +144,11 @@ def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_c
 @pytest.mark.slow
 def test_an_interrupted_run_says_which_rows_are_missing(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
     from stored_results import experiment
+    from topcli.runs.plan import RunOptions
     from topcli.runs.run import run_experiment
 
     calls = iter([False, False, True])
-    run_experiment(experiment("long", N=5000), in_tmp / "results", stop=lambda: next(calls, True))
+    run_experiment(experiment("long", N=5000), in_tmp / "results", RunOptions(stop=lambda: next(calls, True)))
     step = json.loads((in_tmp / "results" / "long" / "manifest.json").read_text())["step"]
     assert cli("report", "long", "--out", "page.html").code == 0
     page = read_html((in_tmp / "page.html").read_text())

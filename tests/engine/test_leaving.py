@@ -22,6 +22,7 @@ from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load_any, load_experiment
 from topcli.contracts import Invariant, Outcome, Top
 from topcli.runs.ensemble import run_ensemble
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.runs.simulate import simulate
 from topcli.runs.simulate_ensemble import simulate_ensemble
@@ -206,14 +207,14 @@ def test_leaving_survives_an_interruption(tmp_path: Path, suffix: str, chunks: i
     whole = run_experiment(experiment, tmp_path / "whole")
     assert whole.outcome is Outcome.LEFT_MOTION
     step = whole.report["left_motion"]["step"]
-    cut = run_experiment(experiment, tmp_path / "cut", stop=after(chunks))
+    cut = run_experiment(experiment, tmp_path / "cut", RunOptions(stop=after(chunks)))
     assert cut.outcome is Outcome.INTERRUPTED
     assert (cut.report["left_motion"] is None) == (cut.report["step"] < step)
-    resumed = run_experiment(experiment, tmp_path / "cut", resume=True)
+    resumed = run_experiment(experiment, tmp_path / "cut", RunOptions(resume=True))
     assert resumed.status == "resumed"
     assert content(resumed.stored.folder) == content(whole.stored.folder)
     killed(tmp_path / "killed", experiment, chunks)
-    resumed = run_experiment(experiment, tmp_path / "killed", resume=True)
+    resumed = run_experiment(experiment, tmp_path / "killed", RunOptions(resume=True))
     assert content(resumed.stored.folder) == content(whole.stored.folder)
 
 

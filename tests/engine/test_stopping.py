@@ -14,6 +14,7 @@ from topcli.contracts import Outcome, Stepper
 from topcli.engine import ensemble, loop, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
 from topcli.engine.loop import Run
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.schemes.any_top import dop853
 from topcli.tops.kowalevski import Kowalevski
@@ -130,10 +131,10 @@ def test_a_run_stopped_within_a_chunk_resumes_to_the_same_bytes(
         cut.setattr(loop, "CALL_SECONDS", 0.0)
         cut.setattr(loop, "FIRST_CALL", 700)
         asked = iter([False, False])
-        stopped = run_experiment(experiment, tmp_path / "cut", stop=lambda: next(asked, True))
+        stopped = run_experiment(experiment, tmp_path / "cut", RunOptions(stop=lambda: next(asked, True)))
     assert stopped.report["step"] == 701
     sizes.clear()
-    result = run_experiment(experiment, tmp_path / "cut", resume=True)
+    result = run_experiment(experiment, tmp_path / "cut", RunOptions(resume=True))
     assert result.status == "resumed"
     assert sizes == expected
     series = [(folder.stored.folder / "series.parquet").read_bytes() for folder in (result, whole)]

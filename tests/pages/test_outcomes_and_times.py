@@ -14,6 +14,7 @@ from reading_html import Element, read_html, section_of
 from resuming import after
 from stored_results import experiment, store_comparison, store_run, store_sweep
 from topcli.pages.report import report_page
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 
 
@@ -91,7 +92,7 @@ def test_a_damaged_run_is_damaged_everywhere_on_a_page_of_several(
 
 @pytest.mark.slow
 def test_an_interrupted_run_and_one_that_blew_up_keep_their_outcomes(results: Path) -> None:
-    run_experiment(experiment("stopped"), results, stop=after(0))
+    run_experiment(experiment("stopped"), results, RunOptions(stop=after(0)))
     store_run(results, "wild", "rk4", h=5.0)
     places = [str(results / name) for name in ("one", "stopped", "wild")]
     headings, compared = outcomes(read_html(report_page(places).text), "Comparison")

@@ -18,7 +18,8 @@ from resuming import NAME, after, content, killed, small
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
 from topcli.runs import run as run_study
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import MANIFEST, DamagedRun, look, stored_run, stored_runs
@@ -144,7 +145,7 @@ def test_damaged_lock_is_ignored(tmp_path: Path, kind: str) -> None:
     left = killed(tmp_path, small(), 9)
     (left / LOCK).write_bytes(LOCKS[kind].encode("utf-8", "surrogateescape"))
     assert owner(left) == {}
-    assert content(run_experiment(small(), tmp_path, resume=True).stored.folder) == expected
+    assert content(run_experiment(small(), tmp_path, RunOptions(resume=True)).stored.folder) == expected
 
 
 def test_damaged_checkpoint_is_not_read(tmp_path: Path) -> None:
@@ -168,7 +169,7 @@ def test_foreign_files_in_a_part_are_kept_and_do_no_harm(tmp_path: Path) -> None
     (left / ".ipynb_checkpoints").mkdir()
     (left / ".ipynb_checkpoints" / "notes").write_text("remember")
     (left / ".secret").write_text("mine")
-    folder = run_experiment(small(), out, resume=True).stored.folder
+    folder = run_experiment(small(), out, RunOptions(resume=True)).stored.folder
     assert content(folder) == expected
     assert (folder / ".ipynb_checkpoints" / "notes").read_text() == "remember"
     assert (folder / ".secret").read_text() == "mine"
@@ -184,10 +185,10 @@ def test_a_resume_that_fails_at_the_start_keeps_the_checkpoint(tmp_path: Path, m
     with monkeypatch.context() as patched:
         patched.setattr("topcli.store.run_folder.stored_run", fails)
         with pytest.raises(RunError, match="last checkpoint holds is kept"):
-            run_experiment(small(), tmp_path, resume=True)
+            run_experiment(small(), tmp_path, RunOptions(resume=True))
     (kept,) = tmp_path.glob(f".{NAME}.part-*/{CHECKPOINT}")
     assert kept.read_bytes() == before
-    assert run_experiment(small(), tmp_path, resume=True).status == "resumed"
+    assert run_experiment(small(), tmp_path, RunOptions(resume=True)).status == "resumed"
 
 
 def test_dead_parts_are_swept_of_our_own_files_alone(tmp_path: Path) -> None:
@@ -212,7 +213,7 @@ def test_linked_parts_are_ignored(tmp_path: Path) -> None:
     link = out / f".{NAME}.part-999999999-00000000"
     link.symlink_to(elsewhere)
     messages: list[str] = []
-    assert run_experiment(small(), out, resume=True, feedback=Feedback(on_message=messages.append)).status == "ran"
+    assert run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append)).status == "ran"
     assert "nothing to resume" in messages[0]
     assert link.is_symlink()
     assert sorted(path.name for path in elsewhere.iterdir()) == before
@@ -226,7 +227,9 @@ def test_a_linked_file_in_a_part_is_not_written_through(tmp_path: Path, name: st
     (left / name).unlink(missing_ok=True)
     (left / name).symlink_to(precious)
     with contextlib.nullcontext() if name == LOCK else pytest.raises(UsageError, match="is not a regular file"):
-        run_experiment(small(), tmp_path, resume=True)  # nobody knows who holds a lock that is a link: left alone
+        run_experiment(
+            small(), tmp_path, RunOptions(resume=True)
+        )  # nobody knows who holds a lock that is a link: left alone
     assert precious.read_text() == "years of work"
 
 
@@ -244,7 +247,7 @@ def test_a_link_in_the_place_of_the_run_is_refused_before_computing(
         assert run_experiment(small(), out).status == "up to date"
     monkeypatch.setattr(run_study, "Run", None)
     with pytest.raises(UsageError, match=f"{NAME}: is a symbolic link.*nothing was written"):
-        run_experiment(small(), out, force=True)
+        run_experiment(small(), out, RunOptions(force=True))
     assert [path.name for path in out.iterdir()] == [NAME]
 
 
@@ -264,7 +267,7 @@ def test_a_finished_run_that_cannot_be_put_in_its_place_says_where_it_is(
     assert str(left) in str(caught.value)
     left.rename(new_part(tmp_path, NAME).with_name(f".{NAME}.part-999999999-00000000"))
     monkeypatch.setattr(run_study, "Run", None)
-    assert run_experiment(small(), tmp_path, resume=True).outcome is Outcome.COMPLETED
+    assert run_experiment(small(), tmp_path, RunOptions(resume=True)).outcome is Outcome.COMPLETED
 
 
 def test_an_output_folder_deleted_meanwhile_is_not_said_to_hold_a_checkpoint(tmp_path: Path) -> None:
@@ -275,7 +278,7 @@ def test_an_output_folder_deleted_meanwhile_is_not_said_to_hold_a_checkpoint(tmp
             shutil.rmtree(out)
 
     with pytest.raises(RunError) as caught:
-        run_experiment(small(), out, checkpoint_every=0.0, feedback=Feedback(progress))
+        run_experiment(small(), out, RunOptions(checkpoint_every=0.0, on_progress=progress))
     assert "nothing was kept of this run" in str(caught.value)
     assert "checkpoint" not in str(caught.value)
 
@@ -300,8 +303,8 @@ def test_a_run_looks_at_its_own_name_alone(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(os, "stat", look_at)
     monkeypatch.setattr(Path, "iterdir", None)
     monkeypatch.setattr(Path, "glob", None)
-    run_experiment(small(), tmp_path, stop=after(5))
-    run_experiment(small(), tmp_path, resume=True)
+    run_experiment(small(), tmp_path, RunOptions(stop=after(5)))
+    run_experiment(small(), tmp_path, RunOptions(resume=True))
     monkeypatch.undo()
     assert any(NAME in path for path in touched)
     assert not [path for path in touched if "other" in path]

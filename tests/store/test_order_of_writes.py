@@ -15,6 +15,7 @@ from resuming import small
 from stored_results import store_comparison, store_ensemble, store_sweep
 from sweeping import sweep, with_grid
 from topcli.errors import RunError
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store.checkpoint import read_checkpoint
 from topcli.store.manifest import stored_run
@@ -88,7 +89,7 @@ def files_put_in_place(calls: Calls, folder: Path) -> list[str]:
 def test_a_checkpoint_is_flushed_before_it_replaces_the_earlier_one(
     tmp_path: Path, calls: Calls, small_chunks: None
 ) -> None:
-    result = run_experiment(small(), tmp_path / "out", checkpoint_every=0.0)
+    result = run_experiment(small(), tmp_path / "out", RunOptions(checkpoint_every=0.0))
     part = placed(calls, result.stored.folder)
     del calls[part]
     names = files_put_in_place(calls, tmp_path)
@@ -190,7 +191,7 @@ def test_a_checkpoint_vouches_for_rows_that_are_on_the_disk(
 
     monkeypatch.setattr(os, "fsync", flush)
     monkeypatch.setattr(os, "replace", put)
-    run_experiment(small(), tmp_path, checkpoint_every=0.0)
+    run_experiment(small(), tmp_path, RunOptions(checkpoint_every=0.0))
     assert len(set(claimed)) > 3
 
 
@@ -199,7 +200,7 @@ def test_a_failed_flush_keeps_the_earlier_run(tmp_path: Path, monkeypatch: pytes
     earlier = run_experiment(small(), tmp_path).stored
     content = {path.name: path.read_bytes() for path in earlier.folder.iterdir()}
     with flush_failing(name, monkeypatch) as failed, pytest.raises(RunError, match="no space left"):
-        run_experiment(small("h=0.002"), tmp_path, force=True)
+        run_experiment(small("h=0.002"), tmp_path, RunOptions(force=True))
     assert failed
     assert {path.name: path.read_bytes() for path in earlier.folder.iterdir()} == content
     found = stored_run(earlier.folder)
@@ -208,7 +209,7 @@ def test_a_failed_flush_keeps_the_earlier_run(tmp_path: Path, monkeypatch: pytes
 
 
 def test_three_different_runs_keep_three(tmp_path: Path) -> None:
-    folders = [run_experiment(small(f"h={h}"), tmp_path, force=True).stored for h in (0.001, 0.002, 0.003)]
+    folders = [run_experiment(small(f"h={h}"), tmp_path, RunOptions(force=True)).stored for h in (0.001, 0.002, 0.003)]
     digests = {run.manifest["digest"] for run in folders}
     kept = [stored_run(path) for path in tmp_path.iterdir() if path.is_dir()]
     assert {run.manifest["digest"] for run in kept if run} == digests

@@ -20,7 +20,8 @@ from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.runs import resume
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.schemes.registry import all_schemes
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint, write_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
@@ -83,25 +84,23 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene:
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
     out, messages = tmp_path / "out", []
     chunks = 2
-    result = run_experiment(experiment, out, stop=after(chunks))
+    result = run_experiment(experiment, out, RunOptions(stop=after(chunks)))
     for _ in range(3):  # three times on, and stopped again
         assert result.outcome is Outcome.INTERRUPTED
         assert (result.stored.folder / CHECKPOINT).exists()
         rows = len(next(iter(read_series(result.stored.series).values())))
         assert rows == result.report["step"] + 1
-        result = run_experiment(
-            experiment, out, resume=True, stop=after(1), feedback=Feedback(on_message=messages.append)
-        )
+        result = run_experiment(experiment, out, RunOptions(resume=True, stop=after(1), on_message=messages.append))
         assert result.status == "resumed"
         if result.outcome is Outcome.COMPLETED:
             break
-    result = run_experiment(experiment, out, resume=True, feedback=Feedback(on_message=messages.append))
+    result = run_experiment(experiment, out, RunOptions(resume=True, on_message=messages.append))
     assert content(result.stored.folder) == expected
     assert f"continues from step {chunks * 16 if N > 70 else 32} of {N}" in messages[0]
     assert [path.name for path in out.iterdir()] == [experiment.name]
     assert result.report["seconds"]["run"] > 0.0
     assert result.stored.manifest["resumed"][0]["step"] > 0
-    assert run_experiment(experiment, out, resume=True).status == "up to date"
+    assert run_experiment(experiment, out, RunOptions(resume=True)).status == "up to date"
 
 
 def test_a_killed_run_is_resumed_and_nothing_of_it_is_left(tmp_path: Path) -> None:
@@ -116,7 +115,7 @@ def test_a_killed_run_is_resumed_and_nothing_of_it_is_left(tmp_path: Path) -> No
     (left / ".checkpoint.npz").write_bytes(b"half a checkpoint")
     with (left / "series.parquet").open("ab") as file:
         file.write(b"half a row group")
-    result = run_experiment(experiment, out, resume=True)
+    result = run_experiment(experiment, out, RunOptions(resume=True))
     assert content(result.stored.folder) == expected
     assert [path.name for path in out.iterdir()] == [NAME]
 
@@ -139,14 +138,14 @@ def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
     assert sorted(path.name for path in left.iterdir()) == sorted([*FILES, "series.parquet"])
     left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that has ended
     monkeypatch.setattr("topcli.runs.run.Run", None)  # nothing is integrated
-    assert run_experiment(small(), tmp_path, resume=True).outcome is Outcome.COMPLETED
+    assert run_experiment(small(), tmp_path, RunOptions(resume=True)).outcome is Outcome.COMPLETED
     assert [path.name for path in tmp_path.iterdir()] == [NAME]
 
 
 def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> None:
     messages: list[str] = []
     killed(tmp_path, small(), 5)
-    result = run_experiment(small(), tmp_path, feedback=Feedback(on_message=messages.append))
+    result = run_experiment(small(), tmp_path, RunOptions(on_message=messages.append))
     assert (result.status, result.outcome) == ("ran", Outcome.COMPLETED)
     assert "--resume would continue" in messages[0]
     assert [path.name for path in tmp_path.iterdir()] == [NAME], "superseded, and swept away"
@@ -154,7 +153,7 @@ def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> 
 
 def test_resume_without_a_checkpoint_starts_from_step_0(tmp_path: Path) -> None:
     messages: list[str] = []
-    assert run_experiment(small(), tmp_path, resume=True, feedback=Feedback(on_message=messages.append)).status == "ran"
+    assert run_experiment(small(), tmp_path, RunOptions(resume=True, on_message=messages.append)).status == "ran"
     assert messages == [f"{NAME}: nothing to resume; starting from step 0"]
 
 
@@ -166,35 +165,35 @@ def test_another_experiment_or_code_is_refused_and_nothing_is_lost(
     if how == "killed":
         left = killed(tmp_path, small(), 5)
     else:
-        left = run_experiment(small(), tmp_path, stop=after(5)).stored.folder
+        left = run_experiment(small(), tmp_path, RunOptions(stop=after(5))).stored.folder
     before = {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"}
     with pytest.raises(UsageError, match=r"different experiment \(h: 0.001 there, 0.002 here\).*\n.*without --resume"):
-        run_experiment(small("h=0.002"), tmp_path, resume=True)
+        run_experiment(small("h=0.002"), tmp_path, RunOptions(resume=True))
     monkeypatch.setattr("topcli.runs.identity.method_fingerprint", lambda method: "0" * 64)
     with pytest.raises(UsageError, match="other code of the scheme hk"):
-        run_experiment(small(), tmp_path, resume=True)
+        run_experiment(small(), tmp_path, RunOptions(resume=True))
     assert {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"} == before
     monkeypatch.undo()
 
 
 def test_an_interrupted_run_never_takes_the_place_of_more(tmp_path: Path) -> None:
     complete = content(run_experiment(small(), tmp_path).stored.folder)
-    result = run_experiment(small(), tmp_path, force=True, stop=after(3))
+    result = run_experiment(small(), tmp_path, RunOptions(force=True, stop=after(3)))
     assert result.set_aside is not None
     assert content(result.set_aside) == complete
-    further = run_experiment(small(), tmp_path / "b", stop=after(8))
-    less = run_experiment(small(), tmp_path / "b", stop=after(2))
+    further = run_experiment(small(), tmp_path / "b", RunOptions(stop=after(8)))
+    less = run_experiment(small(), tmp_path / "b", RunOptions(stop=after(2)))
     assert less.set_aside is not None
     assert stored_run(less.set_aside).manifest["step"] == further.report["step"]
     messages: list[str] = []
-    run_experiment(small(), tmp_path / "b", resume=True, feedback=Feedback(on_message=messages.append))
+    run_experiment(small(), tmp_path / "b", RunOptions(resume=True, on_message=messages.append))
     assert f"step {further.report['step']} of" in messages[0], "the one that got further goes on"
 
 
 def test_a_forced_run_beside_a_different_one_is_resumed(tmp_path: Path) -> None:
     first = content(run_experiment(small("h=0.002"), tmp_path).stored.folder)
     killed(tmp_path, small(), 5)
-    result = run_experiment(small(), tmp_path, resume=True)
+    result = run_experiment(small(), tmp_path, RunOptions(resume=True))
     assert (result.status, result.outcome) == ("resumed", Outcome.COMPLETED)
     assert result.set_aside is not None
     assert content(result.set_aside) == first
@@ -217,23 +216,23 @@ def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(
         other_code = left("code", small(), 4)
     other = left("experiment", small("h=0.002"), 4)
     less, more = left("less", small(), 2), left("more", small(), 8)
-    run_experiment(small(), out, stop=after(5))
+    run_experiment(small(), out, RunOptions(stop=after(5)))
     assert {path.name for path in out.iterdir()} == {NAME, other, other_code, more}
     assert not (out / less).exists()
-    assert run_experiment(small(), out, force=True).outcome is Outcome.COMPLETED
+    assert run_experiment(small(), out, RunOptions(force=True)).outcome is Outcome.COMPLETED
     assert {path.name for path in out.iterdir()} == {NAME, other, other_code}
     expected = content(run_experiment(small("h=0.002"), tmp_path / "whole").stored.folder)
-    resumed = run_experiment(small("h=0.002"), out, resume=True)
+    resumed = run_experiment(small("h=0.002"), out, RunOptions(resume=True))
     assert resumed.status == "resumed"
     assert content(resumed.stored.folder) == expected
 
 
 def test_a_run_that_fails_has_no_checkpoint(tmp_path: Path) -> None:
     overrides = ["scheme=rk4", "h=40", "initial.omega=[1e6, 1e6, 1e6]"]
-    result = run_experiment(small(*overrides), tmp_path, checkpoint_every=0.0)
+    result = run_experiment(small(*overrides), tmp_path, RunOptions(checkpoint_every=0.0))
     assert result.outcome is Outcome.BLEW_UP
     assert not (result.stored.folder / CHECKPOINT).exists()
-    assert run_experiment(small(*overrides), tmp_path, resume=True).status == "up to date"
+    assert run_experiment(small(*overrides), tmp_path, RunOptions(resume=True)).status == "up to date"
 
 
 def test_two_resumes_accumulate_history_seconds_and_start(tmp_path: Path) -> None:
@@ -242,9 +241,9 @@ def test_two_resumes_accumulate_history_seconds_and_start(tmp_path: Path) -> Non
     assert first is not None
     began = "2001-02-03T04:05:06+00:00"
     write_checkpoint(left, replace(first, about={**first.about, "run_seconds": 1000.0, "started": began}))
-    second = run_experiment(small(), tmp_path, resume=True, stop=after(2))
+    second = run_experiment(small(), tmp_path, RunOptions(resume=True, stop=after(2)))
     assert second.outcome is Outcome.INTERRUPTED
-    third = run_experiment(small(), tmp_path, resume=True)
+    third = run_experiment(small(), tmp_path, RunOptions(resume=True))
     assert third.outcome is Outcome.COMPLETED
     steps = [first.done, second.report["step"]]
     assert 0 < steps[0] < steps[1] < 300
@@ -264,7 +263,7 @@ def test_space_is_reserved_from_the_first_checkpoint_on(tmp_path: Path) -> None:
         sizes = [path.stat().st_size for path in tmp_path.glob(".*/reserve")]
         seen.append((bool(list(tmp_path.glob(".*/checkpoint.npz"))), sizes))
 
-    folder = run_experiment(small(), tmp_path, checkpoint_every=0.0, feedback=Feedback(progress)).stored.folder
+    folder = run_experiment(small(), tmp_path, RunOptions(checkpoint_every=0.0, on_progress=progress)).stored.folder
     assert any(checkpoint for checkpoint, _ in seen)
     assert all(sizes == [262144] for checkpoint, sizes in seen if checkpoint)
     assert not (folder / "reserve").exists()

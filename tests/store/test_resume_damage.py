@@ -18,7 +18,8 @@ import pytest
 
 from resuming import HK, NAME, content, killed, small
 from topcli.errors import RunError, UsageError
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.growing import GrowingFile
@@ -64,7 +65,7 @@ def test_a_full_disk_leaves_what_was_written_readable(
     kept = read_series(stored.series)
     assert 0 < len(kept["t"]) == stored.manifest["step"] + 1 < 301
     assert all((kept[name] == data[name][: len(kept[name])]).all() for name in data)
-    assert content(run_experiment(experiment, tmp_path / "out", resume=True).stored.folder) == expected
+    assert content(run_experiment(experiment, tmp_path / "out", RunOptions(resume=True)).stored.folder) == expected
 
 
 def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
@@ -75,9 +76,9 @@ def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
     with monkeypatch.context() as patched:
         full_after(patched, 16_000)
         with pytest.raises(RunError, match=r"no space left .* last checkpoint holds is kept.*\(up to step \d+\)"):
-            run_experiment(small(), out, checkpoint_every=0.0)
+            run_experiment(small(), out, RunOptions(checkpoint_every=0.0))
     assert stored_runs(out) == []
-    assert content(run_experiment(small(), out, resume=True).stored.folder) == expected
+    assert content(run_experiment(small(), out, RunOptions(resume=True)).stored.folder) == expected
     assert [path.name for path in out.iterdir()] == [NAME]
 
 
@@ -124,7 +125,7 @@ class Disk:
 def failure(out: Path) -> str:
     """Message of a run that fails; empty if it does not."""
     try:
-        run_experiment(small(), out, checkpoint_every=0.0)
+        run_experiment(small(), out, RunOptions(checkpoint_every=0.0))
     except RunError as error:
         return str(error)
     return ""
@@ -135,7 +136,7 @@ def resumed_from(out: Path, expected: dict[str, object]) -> int:
     messages: list[str] = []
     for part in out.glob(".*"):  # as after the end of this process
         part.rename(out / f".{NAME}.part-999999999-00000000")
-    run = run_experiment(small(), out, resume=True, feedback=Feedback(on_message=messages.append))
+    run = run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append))
     assert content(run.stored.folder) == expected
     assert [path.name for path in out.iterdir()] == [NAME]
     (step,) = [int(found[1]) for line in messages if (found := re.search(r"continues from step (\d+)", line))] or [
@@ -157,7 +158,7 @@ def test_a_disk_that_is_full_at_any_byte_takes_back_no_checkpoint(
         with monkeypatch.context() as patch:
             disk = Disk(patch, room)
             with pytest.raises(RunError, match="no space left"):
-                run_experiment(small(), tmp_path / f"{room}", checkpoint_every=every)
+                run_experiment(small(), tmp_path / f"{room}", RunOptions(checkpoint_every=every))
         steps.append(resumed_from(tmp_path / f"{room}", expected))
         claims.append(disk.claimed)
         assert steps[-1] >= claims[-1], f"with room for {room} bytes it went back to step {steps[-1]}"
@@ -204,9 +205,9 @@ def test_a_failed_checkpoint_names_its_file(tmp_path: Path, monkeypatch: pytest.
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", full)
         with pytest.raises(RunError, match="no space left"):
-            run_experiment(small("output.every=50"), tmp_path, checkpoint_every=0.0)
+            run_experiment(small("output.every=50"), tmp_path, RunOptions(checkpoint_every=0.0))
     messages: list[str] = []
-    run_experiment(small("output.every=50"), tmp_path, resume=True, feedback=Feedback(on_message=messages.append))
+    run_experiment(small("output.every=50"), tmp_path, RunOptions(resume=True, on_message=messages.append))
     assert "continues from step" in messages[0]
 
 
@@ -215,12 +216,13 @@ def test_living_process_excludes_others(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
         "import sys; from pathlib import Path; from topcli.config.load import load_experiment\n"
-        "from topcli.runs.run import Feedback, run_experiment\n"
+        "from topcli.runs.plan import RunOptions\n"
+        "from topcli.runs.run import run_experiment\n"
         f"experiment = load_experiment({str(HK)!r}, ['N=300'])\n"
         "def wait(done, total):\n"
         "    if done > 200000 or done == total:\n"
         "        print('running', flush=True); sys.stdin.read()\n"
-        "run_experiment(experiment, Path(sys.argv[1]), checkpoint_every=0.0, feedback=Feedback(wait))\n"
+        "run_experiment(experiment, Path(sys.argv[1]), RunOptions(checkpoint_every=0.0, on_progress=wait))\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
     other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -230,9 +232,9 @@ def test_living_process_excludes_others(tmp_path: Path) -> None:
         (part,) = parts_of(tmp_path, NAME)
         assert (part.alive, part.owner["pid"]) == (True, other.pid)
         with pytest.raises(UsageError, match=f"process {other.pid} is running this experiment"):
-            run_experiment(small(), tmp_path, resume=True)
+            run_experiment(small(), tmp_path, RunOptions(resume=True))
         messages: list[str] = []
-        assert run_experiment(small(), tmp_path, feedback=Feedback(on_message=messages.append)).status == "ran"
+        assert run_experiment(small(), tmp_path, RunOptions(on_message=messages.append)).status == "ran"
         assert messages == [f"{NAME}: process {other.pid} is running this experiment too"]
         assert part.folder.is_dir(), "the other one's folder is left alone"
     finally:
@@ -240,7 +242,7 @@ def test_living_process_excludes_others(tmp_path: Path) -> None:
         other.communicate()
     (part,) = parts_of(tmp_path, NAME)
     assert not part.alive, "a stale lock does not block"
-    assert run_experiment(small(), tmp_path, force=True, resume=True).status in ("resumed", "ran")
+    assert run_experiment(small(), tmp_path, RunOptions(force=True, resume=True)).status in ("resumed", "ran")
     assert parts_of(tmp_path, NAME) == []
 
 
@@ -273,7 +275,7 @@ def test_damaged_checkpoint_is_not_resumed(tmp_path: Path) -> None:
     path.write_bytes(bytes(data))
     assert read_checkpoint(left) is None
     with pytest.raises(RunError, match=rf"{CHECKPOINT}: damaged .*; nothing was deleted; run without --resume"):
-        run_experiment(small(), tmp_path, resume=True)
+        run_experiment(small(), tmp_path, RunOptions(resume=True))
     assert path.read_bytes() == data
 
 

@@ -15,7 +15,8 @@ from topcli.config.load import load_any, load_experiment
 from topcli.errors import RunError, UsageError
 from topcli.runs import ensemble, run
 from topcli.runs.ensemble import run_ensemble
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.store import run_folder
 from topcli.store.manifest import sealed, stored_run
 from topcli.store.series import copy_series, read_series, write_parquet
@@ -184,7 +185,7 @@ def test_damaged_tables_are_computed_again_whatever_their_size(tmp_path: Path, m
     text = series.read_bytes()
     series.write_bytes(text[:-3] + bytes([text[-3] ^ 1]) + text[-2:])
     said: list[str] = []
-    made = run_experiment(experiment(), tmp_path, feedback=Feedback(on_message=said.append))
+    made = run_experiment(experiment(), tmp_path, RunOptions(on_message=said.append))
     assert made.status == "ran"
     assert "series.csv is damaged" in said[0]
     assert made.stored.damage() == {}
@@ -197,7 +198,7 @@ def test_a_failed_run_is_rewritten_and_repeated_only_on_request(tmp_path: Path) 
     csv = load_experiment("kowalevski_hk", [*BASE[1:], *fails, CSV])
     made = run_experiment(csv, tmp_path)
     assert (made.status, made.outcome.value) == ("rewritten as csv", "blew_up")
-    assert run_experiment(blown, tmp_path, retry_failed=True).status == "ran"
+    assert run_experiment(blown, tmp_path, RunOptions(retry_failed=True)).status == "ran"
 
 
 def test_a_users_files_are_kept(tmp_path: Path) -> None:
@@ -210,20 +211,20 @@ def test_a_users_files_are_kept(tmp_path: Path) -> None:
     assert (made.set_aside / "series.parquet").exists()
     kept = f"kept the earlier folder of this run, with files that are not topcli's, as {made.set_aside}"
     assert made.set_aside_message == kept
-    other = run_experiment(experiment("scheme=rk4"), tmp_path, force=True)
+    other = run_experiment(experiment("scheme=rk4"), tmp_path, RunOptions(force=True))
     assert other.set_aside_message == f"renamed the earlier, different run to {other.set_aside}"
     assert run_experiment(experiment("name=new"), tmp_path).set_aside_message == ""
 
 
 def test_an_unfinished_run_is_continued_in_its_own_format(tmp_path: Path, small_chunks: None) -> None:
     asked = iter([False, False, True, True, True])
-    stopped = run_experiment(experiment(), tmp_path, stop=lambda: next(asked, True))
+    stopped = run_experiment(experiment(), tmp_path, RunOptions(stop=lambda: next(asked, True)))
     assert stopped.outcome.value == "interrupted"
     with pytest.raises(UsageError, match="is written as parquet, not csv") as refused:
-        run_experiment(experiment(CSV), tmp_path, resume=True)
+        run_experiment(experiment(CSV), tmp_path, RunOptions(resume=True))
     assert "--format parquet" in str(refused.value)
-    assert run_experiment(experiment(), tmp_path, resume=True).status == "resumed"
-    assert run_experiment(experiment(CSV), tmp_path, resume=True).status == "rewritten as csv"
+    assert run_experiment(experiment(), tmp_path, RunOptions(resume=True)).status == "resumed"
+    assert run_experiment(experiment(CSV), tmp_path, RunOptions(resume=True)).status == "rewritten as csv"
 
 
 def test_a_run_with_a_digest_of_an_earlier_version_is_refused_by_name(tmp_path: Path) -> None:
@@ -234,7 +235,7 @@ def test_a_run_with_a_digest_of_an_earlier_version_is_refused_by_name(tmp_path: 
         run_experiment(experiment(), tmp_path)
     with pytest.raises(UsageError, match="a different experiment"):
         run_experiment(load_experiment("kowalevski_hk", ["N=300", "h=0.02"]), tmp_path)
-    made = run_experiment(experiment(), tmp_path, force=True)
+    made = run_experiment(experiment(), tmp_path, RunOptions(force=True))
     assert made.set_aside == tmp_path / "kowalevski_hk.00000000"
 
 

@@ -21,6 +21,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError
 from topcli.runs import run as run_study
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import run_folder, series
 from topcli.store.manifest import stored_run, stored_runs
@@ -106,7 +107,7 @@ def test_a_finished_run_is_not_repeated_unless_forced(tmp_path: Path) -> None:
     again = run_experiment(small(), tmp_path)
     assert (again.status, again.report) == ("up to date", first.report)
     assert (first.stored.folder / "manifest.json").stat().st_mtime_ns == stamp
-    assert run_experiment(small(), tmp_path, force=True).status == "ran"
+    assert run_experiment(small(), tmp_path, RunOptions(force=True)).status == "ran"
     assert [p.name for p in tmp_path.iterdir()] == ["kowalevski_hk"]
 
 
@@ -116,7 +117,7 @@ def test_a_different_experiment_is_refused_and_forced_aside(tmp_path: Path) -> N
     with pytest.raises(UsageError, match=r"holds a different experiment.*\n.*--force"):
         run_experiment(small("h=0.002"), tmp_path)
     assert (first.stored.folder / "series.parquet").read_bytes() == before
-    result = run_experiment(small("h=0.002"), tmp_path, force=True)
+    result = run_experiment(small("h=0.002"), tmp_path, RunOptions(force=True))
     assert result.set_aside is not None
     assert (result.set_aside / "series.parquet").read_bytes() == before
     assert result.set_aside.name == f"kowalevski_hk.{first.stored.manifest['digest'][:8]}"
@@ -137,7 +138,7 @@ def test_a_folder_that_is_no_run_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "kowalevski_hk").mkdir()
     (tmp_path / "kowalevski_hk" / "thesis.tex").write_text("years of work")
     with pytest.raises(UsageError, match="is not a finished run"):
-        run_experiment(small(), tmp_path, force=True)
+        run_experiment(small(), tmp_path, RunOptions(force=True))
     assert (tmp_path / "kowalevski_hk" / "thesis.tex").read_text() == "years of work"
     assert stored_run(tmp_path / "kowalevski_hk") is None
 
@@ -154,7 +155,7 @@ def test_a_full_disk_leaves_nothing_and_loses_nothing(
 
     monkeypatch.setattr(SeriesWriter, "_append", full)
     with pytest.raises(RunError, match="no space left") as caught:
-        run_experiment(small("h=0.002", f"output.format={suffix}"), tmp_path, force=True)
+        run_experiment(small("h=0.002", f"output.format={suffix}"), tmp_path, RunOptions(force=True))
     assert caught.value.exit_code == 1
     assert [p.name for p in tmp_path.iterdir()] == ["kowalevski_hk"]
     assert (earlier.stored.folder / "series.parquet").read_bytes() == before
@@ -187,7 +188,7 @@ def test_an_unwritable_output_folder_is_a_usage_error(tmp_path: Path) -> None:
 def test_interrupted_runs_are_kept_marked_and_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("topcli.engine.loop.CHUNK_STEPS", 100)
     asked = iter([False, True])
-    result = run_experiment(small(), tmp_path, stop=lambda: next(asked))
+    result = run_experiment(small(), tmp_path, RunOptions(stop=lambda: next(asked)))
     assert result.outcome is Outcome.INTERRUPTED
     assert len(read_series(result.stored.series)["t"]) == 101
     assert pq.read_metadata(result.stored.series).metadata[b"topcli.outcome"] == b"interrupted"
@@ -240,7 +241,7 @@ def test_renaming_is_the_last_step(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(run_folder, "sync", fail)
     with pytest.raises(RunError, match="Input/output error"):
-        run_experiment(small(), tmp_path, force=True)
+        run_experiment(small(), tmp_path, RunOptions(force=True))
     assert stored_run(first.stored.folder) is not None
     assert [p.name for p in tmp_path.iterdir()] == ["kowalevski_hk"]
 
@@ -286,7 +287,7 @@ def test_a_different_run_that_came_meanwhile_stays_and_copies_are_dropped(
 
     def late(job, *rest: object) -> object:
         if job.experiment.h == 0.002:
-            run_experiment(small(), tmp_path, force=True)
+            run_experiment(small(), tmp_path, RunOptions(force=True))
         return carry_out(job, *rest)
 
     monkeypatch.setattr(run_study, "_carry_out", late)
@@ -302,7 +303,7 @@ def test_a_different_run_that_came_meanwhile_stays_and_copies_are_dropped(
 
 def test_forced_runs_in_turn_leave_one_copy_of_each(tmp_path: Path) -> None:
     for h in (1e-3, 2e-3, 1e-3, 2e-3, 1e-3):
-        run_experiment(small(f"h={h}"), tmp_path, force=True)
+        run_experiment(small(f"h={h}"), tmp_path, RunOptions(force=True))
     names = [f"kowalevski_hk.{small(f'h={h}').digest[:8]}" for h in (1e-3, 2e-3)]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["kowalevski_hk", *names])
     assert all(not stored_run(tmp_path / name).damage() for name in names)
@@ -320,7 +321,7 @@ def test_result_written_meanwhile_is_set_aside(tmp_path: Path) -> None:
 def test_files_of_the_users_in_a_run_folder_are_not_lost(tmp_path: Path) -> None:
     first = run_experiment(small(), tmp_path)
     (first.stored.folder / "notes.txt").write_text("remember")
-    again = run_experiment(small(), tmp_path, force=True)
+    again = run_experiment(small(), tmp_path, RunOptions(force=True))
     assert again.set_aside is not None
     assert (again.set_aside / "notes.txt").read_text() == "remember"
 

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from resuming import after, content, killed, small
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.runs.run_list import listed_runs
 
 KEYS = ("name", "outcome", "step", "resumable")
@@ -23,11 +24,11 @@ def rows(out: Path) -> list[tuple[Any, ...]]:
 def test_unfinished_runs_are_listed_beside_finished_ones(cli: Callable[..., Any], in_tmp: Path) -> None:
     out = in_tmp / "results"
     run_experiment(small("name=done"), out)
-    run_experiment(small("name=stopped"), out, stop=after(4))
+    run_experiment(small("name=stopped"), out, RunOptions(stop=after(4)))
     killed(out, small("name=dead"), 5)
     (out / ".empty.part-999999999-0123abcd").mkdir()
     seen: list[list[tuple[Any, ...]]] = []
-    run_experiment(small("name=busy"), out, feedback=Feedback(lambda done, total: seen.append(rows(out))))
+    run_experiment(small("name=busy"), out, RunOptions(on_progress=lambda done, total: seen.append(rows(out))))
     assert ("busy", "running", None, False) in seen[1]
     before = sorted(path.relative_to(out) for path in out.rglob("*"))
     found = rows(out)
@@ -62,7 +63,7 @@ def test_a_run_continues_by_its_name(cli: Callable[..., Any], in_tmp: Path, how:
     if how == "killed":
         killed(out, small("name=mine"), 5)
     else:
-        run_experiment(small("name=mine"), out, stop=after(4))
+        run_experiment(small("name=mine"), out, RunOptions(stop=after(4)))
     said = cli("run", given, "--resume")
     assert said.code == 0
     assert "mine: continues from step" in said.err
@@ -79,7 +80,7 @@ def test_a_run_that_is_computed_now_is_not_resumed_by_name(cli: Callable[..., An
         if not said:
             said.append(cli("run", "mine", "--resume"))
 
-    run_experiment(small("name=mine"), in_tmp / "results", feedback=Feedback(once))
+    run_experiment(small("name=mine"), in_tmp / "results", RunOptions(on_progress=once))
     assert said[0].code == 2
     assert "is computing this run now; there is nothing to resume" in said[0].err
 

@@ -10,7 +10,8 @@ import pytest
 
 from resuming import NAME, after, content, killed, small
 from topcli.errors import RunError
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.footer import UNFINISHED
@@ -61,7 +62,7 @@ def test_a_damaged_finished_run_is_not_up_to_date(tmp_path: Path, suffix: str, n
     path = run.series if name == "series" else run.folder / name
     flip(path, path.stat().st_size // 2)
     messages: list[str] = []
-    again = run_experiment(experiment, tmp_path, feedback=Feedback(on_message=messages.append))
+    again = run_experiment(experiment, tmp_path, RunOptions(on_message=messages.append))
     assert again.status == "ran"
     assert f"{path.name} is damaged: its SHA-256 differs" in messages[0]
     assert not again.stored.damage()
@@ -92,7 +93,7 @@ def test_damaged_rows_are_not_resumed_and_nothing_is_deleted(tmp_path: Path, suf
         flip(series, place)
         before = files_of(series.parent)
         with pytest.raises(RunError, match=r"its SHA-256 differs.*nothing was deleted.*without --resume") as caught:
-            run_experiment(experiment, out, resume=True)
+            run_experiment(experiment, out, RunOptions(resume=True))
         (left,) = out.glob(f".{NAME}.part-*")  # taken over, under a new name
         assert str(caught.value).startswith(f"{left / series.name}: damaged")
         assert len(str(caught.value).splitlines()) == 1
@@ -101,7 +102,7 @@ def test_damaged_rows_are_not_resumed_and_nothing_is_deleted(tmp_path: Path, suf
         flip(series, place)
     with series.open("ab") as file:
         file.write(b"half a row group")
-    assert content(run_experiment(experiment, out, resume=True).stored.folder) == expected
+    assert content(run_experiment(experiment, out, RunOptions(resume=True)).stored.folder) == expected
 
 
 @pytest.mark.parametrize("how", ["cut", "gone"])
@@ -110,7 +111,7 @@ def test_missing_rows_are_not_resumed(tmp_path: Path, how: str) -> None:
     series = left / "series.parquet"
     series.unlink() if how == "gone" else series.write_bytes(series.read_bytes()[:500])
     with pytest.raises(RunError, match="ends at byte 500 of" if how == "cut" else "missing"):
-        run_experiment(small(), tmp_path, resume=True)
+        run_experiment(small(), tmp_path, RunOptions(resume=True))
     assert len(list(tmp_path.glob(f".{NAME}.part-*/{CHECKPOINT}"))) == 1
     assert run_experiment(small(), tmp_path).status == "ran"
 
@@ -119,12 +120,12 @@ def test_missing_rows_are_not_resumed(tmp_path: Path, how: str) -> None:
 @pytest.mark.parametrize("name", ["series.parquet", "series.csv", CHECKPOINT])
 def test_a_damaged_interrupted_run_is_not_resumed(tmp_path: Path, name: str) -> None:
     experiment = small("output.format=csv" if name.endswith("csv") else "output.format=parquet")
-    folder = run_experiment(experiment, tmp_path, stop=after(7)).stored.folder
+    folder = run_experiment(experiment, tmp_path, RunOptions(stop=after(7))).stored.folder
     path = folder / name
     flip(path, 40 if name == CHECKPOINT else path.stat().st_size // 2)
     before = files_of(folder)
     with pytest.raises(RunError, match=f"{NAME}/{name}: damaged .*nothing was deleted.*without --resume"):
-        run_experiment(experiment, tmp_path, resume=True)
+        run_experiment(experiment, tmp_path, RunOptions(resume=True))
     assert files_of(folder) == before
     assert [path.name for path in tmp_path.iterdir()] == [NAME]
     assert run_experiment(experiment, tmp_path).status == "ran"
@@ -164,7 +165,7 @@ def test_verify_finished_and_unfinished_runs(cli, in_tmp: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["manifest", "missing", "longer", "checkpoint"])
 def test_verify_names_every_damaged_file(cli, in_tmp: Path, kind: str) -> None:
-    folder = run_experiment(small(), in_tmp, stop=after(7)).stored.folder
+    folder = run_experiment(small(), in_tmp, RunOptions(stop=after(7))).stored.folder
     name = {"manifest": MANIFEST, "missing": "report.md", "longer": "config.yaml", "checkpoint": CHECKPOINT}[kind]
     if kind == "missing":
         (folder / name).unlink()

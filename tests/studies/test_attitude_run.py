@@ -19,6 +19,7 @@ from topcli.config.sweep.rows import RowReader
 from topcli.contracts import Outcome
 from topcli.errors import UsageError
 from topcli.runs.identity import Identity
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.schemes import registry
 from topcli.schemes.registry import scheme
@@ -102,18 +103,18 @@ def test_a_change_of_the_turns_is_a_change_of_the_code(monkeypatch: pytest.Monke
 def test_an_interrupted_run_resumes_bit_for_bit(tmp_path: Path, small_chunks: None, suffix: str, name: str) -> None:
     one = small(QUATERNION, f"scheme={name}", "output.every=3", f"output.format={suffix}")
     whole = run_experiment(one, tmp_path / "whole")
-    first = run_experiment(one, tmp_path / "parts", stop=after(2))
+    first = run_experiment(one, tmp_path / "parts", RunOptions(stop=after(2)))
     assert first.outcome is Outcome.INTERRUPTED
     assert first.report["step"] < 300
-    second = run_experiment(one, tmp_path / "parts", resume=True)
+    second = run_experiment(one, tmp_path / "parts", RunOptions(resume=True))
     assert second.status == "resumed"
     assert content(second.stored.folder) == content(whole.stored.folder)
 
 
 def test_a_run_without_attitude_is_not_resumed_with_it(tmp_path: Path, small_chunks: None) -> None:
-    run_experiment(small(), tmp_path, stop=after(2))
+    run_experiment(small(), tmp_path, RunOptions(stop=after(2)))
     with pytest.raises(UsageError, match=r"output\.attitude: nothing there, quaternion here"):
-        run_experiment(small(QUATERNION), tmp_path, resume=True)
+        run_experiment(small(QUATERNION), tmp_path, RunOptions(resume=True))
 
 
 def test_values_of_another_kind_are_refused(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from conftest import Said
 from resuming import after, killed, small
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from topcli.studies.body_motion import BodyMotion, stored_body_motion
@@ -119,7 +120,7 @@ def test_a_damaged_run_is_refused(tmp_path: Path) -> None:
 
 def test_an_interrupted_run_is_announced(tmp_path: Path, small_chunks: None) -> None:
     one = load_experiment("kowalevski_hk", ["N=300", TURNED])
-    done = run_experiment(one, tmp_path, stop=after(3))
+    done = run_experiment(one, tmp_path, RunOptions(stop=after(3)))
     found = stored_body_motion(done.stored.folder)
     assert len(found.notes) == 1
     assert found.notes[0].startswith("kowalevski_hk: interrupted at step ")

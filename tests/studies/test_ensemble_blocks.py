@@ -18,6 +18,7 @@ from topcli.engine.endings import CODES, Endings
 from topcli.runs import ensemble as study
 from topcli.runs.ensemble import run_ensemble
 from topcli.runs.ensemble_report import SHOWN, EndingTally
+from topcli.runs.plan import RunOptions
 from topcli.tops.kowalevski import Kowalevski
 
 START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
@@ -29,7 +30,7 @@ def peak(folder: Path, count: int, **changes: Any) -> int:
     ensemble = {"random": {**RANDOM, "count": count}, "store": changes.pop("store")}
     tracemalloc.start()
     try:
-        run_ensemble(experiment(N=2, output={"every": 1}, ensemble=ensemble, **changes), folder, threads=1)
+        run_ensemble(experiment(N=2, output={"every": 1}, ensemble=ensemble, **changes), folder, RunOptions(threads=1))
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -201,7 +202,7 @@ def test_verdicts_do_not_depend_on_every() -> None:
 def test_members_never_begun_are_not_zeros(scheme: str, begun: int, tmp_path: Path) -> None:
     """Stopped at once: side by side they are at their initial states, one by one most have not even that."""
     store = {"ensemble": {"random": RANDOM, "store": "final"}}
-    result = run_ensemble(experiment(scheme=scheme, N=100, **store), tmp_path, stop=lambda: True)
+    result = run_ensemble(experiment(scheme=scheme, N=100, **store), tmp_path, RunOptions(stop=lambda: True))
     report, table = result.report, columns(result.stored.folder / "trajectories.parquet")
     begun = begun or 1  # the first one was begun before it was asked
     assert report["outcomes"] == {"interrupted": 70}

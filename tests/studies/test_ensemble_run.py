@@ -22,6 +22,7 @@ from topcli.contracts import Outcome
 from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
 from topcli.runs.ensemble import run_ensemble
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import RunResult
 from topcli.store.manifest import stored_run
 from topcli.store.series import read_series
@@ -140,7 +141,7 @@ def test_a_drift_needs_all_rows_and_eight_of_them(tmp_path: Path, monkeypatch: p
         assert np.isfinite(found).all() == known
         assert np.isnan(found).all() != known
     monkeypatch.setattr(engine, "CHUNK_ROWS", 2)
-    stopped = run_ensemble(experiment(N=400, output={"every": 10}), tmp_path / "stopped", stop=after(12))
+    stopped = run_ensemble(experiment(N=400, output={"every": 10}), tmp_path / "stopped", RunOptions(stop=after(12)))
     table = columns(stopped.stored.folder / "trajectories.parquet")
     assert 80 < table["n"].min() <= table["n"].max() < 400, "more than eight rows"
     assert np.isnan(table["energy_drift"]).all()
@@ -214,8 +215,8 @@ def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
 def test_threads_change_no_byte_of_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
     found = experiment(ensemble={"random": {**RANDOM, "count": 200}})
-    one = run_ensemble(found, tmp_path / "1", threads=1).stored
-    two = run_ensemble(found, tmp_path / "2", threads=2).stored
+    one = run_ensemble(found, tmp_path / "1", RunOptions(threads=1)).stored
+    two = run_ensemble(found, tmp_path / "2", RunOptions(threads=2)).stored
     for name in ("series.parquet", "trajectories.parquet"):
         assert pq.read_table(one.folder / name).equals(pq.read_table(two.folder / name))
 
@@ -244,7 +245,7 @@ def test_an_interrupted_ensemble_is_kept_and_marked(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(engine, "GROUP", 1)
     monkeypatch.setattr(engine, "CHUNK_STEPS", 100)
     answers = iter([False, False, False, True, True])
-    result = run_ensemble(experiment(), tmp_path, stop=lambda: next(answers))
+    result = run_ensemble(experiment(), tmp_path, RunOptions(stop=lambda: next(answers)))
     assert result.outcome is Outcome.INTERRUPTED
     assert result.report["outcomes"] == {"completed": 64, "interrupted": 6}
     rows = np.bincount(columns(result.stored.series)["trajectory"])

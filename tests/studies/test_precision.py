@@ -19,6 +19,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
+from topcli.runs.plan import RunOptions
 from topcli.runs.precise import PreciseTally, precise_run
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
@@ -66,10 +67,10 @@ def test_conserved_by_the_algebra_or_by_luck() -> None:
 def test_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, overrides: tuple[str, ...]) -> None:
     experiment = precise("euler_hk", *overrides, "h=1/10", "N=24")
     whole = run_experiment(experiment, tmp_path / "whole")
-    stopped = run_experiment(experiment, tmp_path / "parts", stop=after(1), checkpoint_every=0.0)
+    stopped = run_experiment(experiment, tmp_path / "parts", RunOptions(stop=after(1), checkpoint_every=0.0))
     assert stopped.outcome is Outcome.INTERRUPTED
     assert 0 < stopped.report["step"] < 24
-    resumed = run_experiment(experiment, tmp_path / "parts", resume=True)
+    resumed = run_experiment(experiment, tmp_path / "parts", RunOptions(resume=True))
     assert resumed.status == "resumed"
     assert content(resumed.stored.folder) == content(whole.stored.folder)
 

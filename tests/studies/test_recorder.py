@@ -15,6 +15,7 @@ from topcli.config.load import load_any
 from topcli.config.models import Experiment
 from topcli.contracts import Invariant
 from topcli.runs.ensemble import run_ensemble
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import RunResult, run_experiment
 from topcli.store.series import read_series
 from topcli.tops.kowalevski import Kowalevski
@@ -23,8 +24,8 @@ from topcli.tops.kowalevski import Kowalevski
 def run(config: str, *overrides: str, out: Path) -> RunResult:
     experiment = load_any(ROOT / "configs" / f"{config}.yaml", list(overrides))
     if isinstance(experiment, EnsembleExperiment):
-        return run_ensemble(experiment, out, threads=1)
-    return run_experiment(experiment, out, checkpoint_every=0.0)
+        return run_ensemble(experiment, out, RunOptions(threads=1))
+    return run_experiment(experiment, out, RunOptions(checkpoint_every=0.0))
 
 
 @pytest.fixture

@@ -11,7 +11,8 @@ import pytest
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.runs.run import Feedback, run_experiment
+from topcli.runs.plan import RunOptions
+from topcli.runs.run import run_experiment
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 NAME = "kowalevski_hk"
@@ -58,6 +59,6 @@ def killed(out: Path, experiment: Experiment, chunks: int) -> Path:
             raise Killed
 
     with pytest.raises(Killed):
-        run_experiment(experiment, out, force=True, checkpoint_every=0.0, feedback=Feedback(progress))
+        run_experiment(experiment, out, RunOptions(force=True, checkpoint_every=0.0, on_progress=progress))
     (folder,) = out.glob(f".{experiment.name}.part-*")
     return folder

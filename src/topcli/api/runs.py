@@ -12,13 +12,13 @@ import numpy as np
 from topcli.api.progress import Progress
 from topcli.api.report import Report, draw_panel
 from topcli.config.duration import changed
-from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import any_from, load_changed
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
+from topcli.runs.plan import RunOptions
 from topcli.runs.resume import CHECKPOINT_SECONDS
-from topcli.runs.run import Feedback, RunResult, run_experiment
+from topcli.runs.run import RunResult, run_into
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -232,20 +232,5 @@ def run(
     else:
         found = load_changed(config, overrides, changes)
     with Progress(found.name, progress) as bar:
-        if isinstance(found, EnsembleExperiment):
-            from topcli.runs.ensemble import run_ensemble
-
-            if resume:
-                raise UsageError("resume=True works for runs of one trajectory; run the ensemble again without it")
-            made = run_ensemble(found, Path(out), force=force, retry_failed=retry_failed, threads=threads, progress=bar)
-            return RunReport(made)
-        made = run_experiment(
-            found,
-            Path(out),
-            force=force,
-            resume=resume,
-            retry_failed=retry_failed,
-            checkpoint_every=checkpoint_every,
-            feedback=Feedback(bar),
-        )
-        return RunReport(made)
+        options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, on_progress=bar)
+        return RunReport(run_into(found, Path(out), options))

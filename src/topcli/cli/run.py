@@ -17,6 +17,7 @@ from topcli.errors import TopcliError, UsageError, quoted
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
+    from topcli.runs.plan import RunOptions
     from topcli.runs.run import RunResult
 
 
@@ -52,26 +53,16 @@ class Interruption:
 
 
 @dataclass(frozen=True)
-class RunOptions:
-    """Options of ``topcli run``, checked."""
+class _Request:
+    """Options of ``topcli run`` besides those of each run."""
 
     out: Path
-    sets: tuple[str, ...]
+    overrides: tuple[str, ...]
     name: str | None
-    force: bool
-    resume: bool
-    retry_failed: bool
-    checkpoint_every: float
-    threads: int | None
     dry_run: bool
     quiet: bool
     as_json: bool
-
-    def __post_init__(self) -> None:
-        if self.resume and self.force:
-            raise UsageError("--resume continues a run and --force repeats it; use one of them")
-        if not self.checkpoint_every >= 0.0:
-            raise UsageError(f"--checkpoint-every {self.checkpoint_every:g}: must be a number of seconds, at least 0")
+    labelled: bool
 
 
 def _print_result(result: RunResult, labelled: bool) -> None:
@@ -98,76 +89,18 @@ def _print_result(result: RunResult, labelled: bool) -> None:
     print_table(header, lines, report["name"] if labelled else "")
 
 
-def _dry_run(experiment: Experiment | EnsembleExperiment, options: RunOptions) -> dict[str, Any]:
+def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
-    from topcli.config.models import Experiment
-    from topcli.runs.identity import Identity
-    from topcli.runs.plan import plan_run
+    from topcli.runs.run import plan_of
 
-    out, source = options.out, None
-    if isinstance(experiment, Experiment):
-        from topcli.runs.resume import find_source
-        from topcli.runs.run import prepared_precision
-
-        prepared_precision(experiment)
-        identity, rows = Identity.of(experiment, [experiment.method()]), experiment.N // experiment.output.every + 1
-        source = find_source(identity, out) if options.resume else None
-    else:
-        from topcli.runs.ensemble import ensemble_identity
-
-        _refuse_to_resume(options.resume)
-        identity, rows = ensemble_identity(experiment), experiment.rows
-    plan = plan_run(identity, out, force=options.force, retry_failed=options.retry_failed, source=source)
+    identity, plan = plan_of(experiment, out, options)
     return {
         "config": identity.config,
         "digest": identity.digest,
         "folder": str(out / identity.name),
         "action": plan.action,
-        "rows": rows,
+        "rows": experiment.rows,
     }
-
-
-def _refuse_to_resume(resume: bool) -> None:
-    """Raise UsageError if ``resume``, because ensembles have no checkpoints."""
-    if resume:
-        raise UsageError("--resume works for runs of one trajectory; run the ensemble again without it")
-
-
-def _run(
-    experiment: Experiment | EnsembleExperiment,
-    options: RunOptions,
-    display: ProgressDisplay,
-    interruption: Interruption,
-) -> RunResult:
-    """Run one experiment or ensemble into its folder."""
-    from topcli.config.models import Experiment
-
-    if isinstance(experiment, Experiment):
-        from topcli.runs.run import Feedback, run_experiment
-
-        return run_experiment(
-            experiment,
-            options.out,
-            force=options.force,
-            resume=options.resume,
-            retry_failed=options.retry_failed,
-            checkpoint_every=options.checkpoint_every,
-            stop=interruption,
-            feedback=Feedback(display) if options.quiet else Feedback(display, print_message),
-        )
-    from topcli.runs.ensemble import run_ensemble
-
-    _refuse_to_resume(options.resume)
-    return run_ensemble(
-        experiment,
-        options.out,
-        force=options.force,
-        retry_failed=options.retry_failed,
-        threads=options.threads,
-        progress=display,
-        stop=interruption,
-        **({} if options.quiet else {"on_message": print_message}),
-    )
 
 
 def _code(result: RunResult) -> int:
@@ -192,48 +125,50 @@ def _say_failure(name: str, result: RunResult, code: int) -> None:
     print_message(f"error: {name}: {failure}; {kept} are kept{more}")
 
 
-def _experiment(config: str, options: RunOptions) -> Experiment | EnsembleExperiment:
-    """Experiment of a config or scene; with ``--resume`` also that of a run in the folder of results."""
+def _experiment(config: str, request: _Request, resume: bool) -> Experiment | EnsembleExperiment:
+    """Experiment of a config or scene; to resume, also that of a run in the folder of results."""
     from topcli.cli.hints import is_config
     from topcli.config.load import any_from, load_named
 
-    if options.resume and not is_config(config):
+    if resume and not is_config(config):
         from topcli.runs.resume import config_to_resume
 
-        name = config.removeprefix(f"{options.out}{os.sep}").removesuffix(os.sep)
-        if data := config_to_resume(options.out, name):
-            return any_from({**data, "name": options.name or name}, options.sets)
-    return load_named(config, options.sets, options.name)
+        name = config.removeprefix(f"{request.out}{os.sep}").removesuffix(os.sep)
+        if data := config_to_resume(request.out, name):
+            return any_from({**data, "name": request.name or name}, request.overrides)
+    return load_named(config, request.overrides, request.name)
 
 
-def _carry_out(
-    config: str, options: RunOptions, display: ProgressDisplay, interruption: Interruption, labelled: bool
+def _run_config(
+    config: str, request: _Request, options: RunOptions, display: ProgressDisplay
 ) -> tuple[int, dict[str, Any]]:
     """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
+    from topcli.runs.run import run_into
+
     try:
-        experiment = _experiment(config, options)
-        if not options.quiet:
+        experiment = _experiment(config, request, options.resume)
+        if not request.quiet:
             print_warnings(experiment)
-        if options.dry_run:
-            plan = _dry_run(experiment, options)
-            if not (options.as_json or options.quiet):
+        if request.dry_run:
+            plan = _plan_data(experiment, request.out, options)
+            if not (request.as_json or request.quiet):
                 emit(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
             return 0, plan
         display.begin(experiment.name)
         try:
-            result = _run(experiment, options, display, interruption)
+            result = run_into(experiment, request.out, options)
         finally:
             display.close()
     except Exception as error:
         from topcli.schemes.user_code import users_error
 
-        found = error if isinstance(error, TopcliError) else users_error(error)
-        if found is None:
+        failure = error if isinstance(error, TopcliError) else users_error(error)
+        if failure is None:
             raise
-        print_error(found)
-        return found.exit_code, {"config": config, "error": str(found), "exit_code": found.exit_code}
-    if not (options.quiet or options.as_json):
-        _print_result(result, labelled)
+        print_error(failure)
+        return failure.exit_code, {"config": config, "error": str(failure), "exit_code": failure.exit_code}
+    if not (request.quiet or request.as_json):
+        _print_result(result, request.labelled)
     if code := _code(result):
         _say_failure(experiment.name, result, code)
     return code, {"folder": str(result.stored.folder), "status": result.status, **result.report}
@@ -299,17 +234,23 @@ def run(
         raise UsageError(f"unknown format {quoted(output_format)}; use parquet or csv")
     if name is not None and len(configs) > 1:
         raise UsageError(f"--name {quoted(name)}: names one run, and {len(configs)} configs are given")
+    if resume and force:
+        raise UsageError("--resume continues a run and --force repeats it; use one of them")
+    if not checkpoint_every >= 0.0:
+        raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds, at least 0")
+    from topcli.runs.plan import RunOptions
+
     overrides = (*(sets or ()), *([f"output.format={output_format}"] if output_format else ()))
-    options = RunOptions(
-        out, overrides, name, force, resume, retry_failed, checkpoint_every, threads, dry_run, quiet, as_json
-    )
+    request = _Request(out, overrides, name, dry_run, quiet, as_json, len(configs) > 1)
     load_scheme_files(scheme_files)
     reports: list[dict[str, Any]] = []
     codes: list[int] = []
     display = ProgressDisplay(len(configs), quiet)
+    on_message = (lambda line: None) if quiet else print_message
     with Interruption() as interruption:
+        options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, interruption, display, on_message)
         for config in configs:
-            code, report = _carry_out(config, options, display, interruption, len(configs) > 1)
+            code, report = _run_config(config, request, options, display)
             codes.append(code)
             reports.append(report)
             if code == 130 or (code and fail_fast):

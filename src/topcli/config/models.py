@@ -237,6 +237,11 @@ class Experiment(BaseModel):
         return self.N * self.h
 
     @property
+    def rows(self) -> int:
+        """Number of rows of the series if the run completes."""
+        return self.N // self.output.every + 1
+
+    @property
     def recorded(self) -> list[str]:
         """Names of the recorded columns; those of the attitude come last unless ``output.columns`` names them."""
         named = list(self.output.columns or column_names(self.top))

@@ -100,7 +100,8 @@ class SceneFigure(Figure):
     def _run(self, scene: str, columns: list[str], request: Request) -> tuple[RunResult, DrawnRun]:
         """Completed run of ``scene`` with the ``columns``. Raises UsageError and RunError."""
         from topcli.config.load import load_experiment, load_named
-        from topcli.runs.run import Feedback, run_experiment
+        from topcli.runs.plan import RunOptions
+        from topcli.runs.run import run_experiment
 
         config = scene_config(scene, request.configs)
         experiment = load_experiment(config, request.overrides)
@@ -110,7 +111,8 @@ class SceneFigure(Figure):
         missing = [name for name in columns if name not in experiment.recorded]
         if missing:
             raise UsageError(f"{self.name}: the config of {scene} does not record {', '.join(missing)}")
-        run = run_experiment(experiment, request.results, force=request.force, feedback=Feedback(request.on_progress))
+        options = RunOptions(force=request.force, on_progress=request.on_progress)
+        run = run_experiment(experiment, request.results, options)
         if run.set_aside:
             request.on_message(run.set_aside_message)
         if run.outcome is not Outcome.COMPLETED:

@@ -17,11 +17,12 @@ from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
+from topcli.errors import UsageError
 from topcli.runs.accuracy import setup_message
 from topcli.runs.ensemble_report import EndingTally, ensemble_markdown, ensemble_report
 from topcli.runs.identity import Identity, Origin, store_run
-from topcli.runs.plan import plan_run
-from topcli.runs.run import Progress, RunResult, existing_result
+from topcli.runs.plan import Plan, RunOptions, plan_run
+from topcli.runs.run import RunResult, existing_result
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter
@@ -163,15 +164,15 @@ class _Record:
         self.summary = EnsembleSummary(spool)
         self.seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
 
-    def run(self, progress: Progress, stop: Callable[[], bool], threads: int | None) -> None:
+    def run(self, options: RunOptions) -> None:
         """Run each group, block by block."""
         N, total = self.experiment.first.N, self.experiment.first.N * self.experiment.count
         keep = _all_rows if self.experiment.store == "trajectories" else _no_rows
         offset = 0
         for group in self.experiment.members.groups:
-            one = GroupRun(self.experiment, group, offset, keep, stop, threads)
+            one = GroupRun(self.experiment, group, offset, keep, options.stop, options.threads)
             for y0 in group.source.blocks(BLOCK):
-                self._write_block(one, y0, lambda done, one=one: progress(one.offset * N + done, total))
+                self._write_block(one, y0, lambda done, one=one: options.on_progress(one.offset * N + done, total))
             self._add_seconds(one.run)
             offset += group.count
 
@@ -224,9 +225,7 @@ def _carry_out(
     experiment: EnsembleExperiment,
     writer: RunWriter,
     origin: Origin,
-    progress: Progress,
-    stop: Callable[[], bool],
-    threads: int | None,
+    options: RunOptions,
 ) -> RunResult:
     """Run into the tables of the run folder and put it in its place. Raises OSError."""
     path, table = _tables(experiment, writer.folder)
@@ -242,7 +241,7 @@ def _carry_out(
 
         spool = stack.enter_context(tempfile.TemporaryFile(dir=writer.folder))
         record = _Record(experiment, series, table_of, cast(Spool, spool))
-        record.run(progress, stop, threads)
+        record.run(options)
         report = record.finish(origin.identity.digest)
         for name, written in ((path.name, series), (table.name, record.trajectories)):
             if written is not None:
@@ -257,34 +256,31 @@ def _carry_out(
     return RunResult(stored, report, "ran", writer.set_aside)
 
 
-def run_ensemble(
-    experiment: EnsembleExperiment,
-    out: Path,
-    *,
-    force: bool = False,
-    retry_failed: bool = False,
-    threads: int | None = None,
-    progress: Progress = lambda done, total: None,
-    stop: Callable[[], bool] = lambda: False,
-    on_message: Callable[[str], None] = lambda line: None,
-) -> RunResult:
+def plan_ensemble(experiment: EnsembleExperiment, out: Path, options: RunOptions) -> tuple[Identity, Plan]:
+    """Identity and plan of an ensemble. Raises UsageError for one that would be refused."""
+    if options.resume:
+        raise UsageError("--resume works for runs of one trajectory; run the ensemble again without it")
+    identity = ensemble_identity(experiment)
+    return identity, plan_run(identity, out, options)
+
+
+def run_ensemble(experiment: EnsembleExperiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
     """Run an ensemble into the folder ``out/<name>``, unless it has been run before; see ``run_experiment``.
 
     ``series.parquet`` has a column ``trajectory`` and the rows selected by ``store``, one row group per block of
     trajectories, or per stretch of a block in a long run. ``trajectories.parquet`` has one row per trajectory; with
-    ``store: statistics`` it is the only table. The results do not depend on ``threads`` (default: all CPUs).
+    ``store: statistics`` it is the only table. The results do not depend on the threads.
 
     Raises UsageError before anything is written, and RunError if writing fails; then nothing is left behind.
     """
-    identity = ensemble_identity(experiment)
-    plan = plan_run(identity, out, force=force, retry_failed=retry_failed)
+    identity, plan = plan_ensemble(experiment, out, options)
     if plan.up_to_date and plan.existing is not None:
         return existing_result(plan.existing, identity, out, plan.rewrite)
-    if message := setup_message(experiment, threads):
-        on_message(f"{identity.name}: {message}")
-    with Commit() as commit, RunWriter(out, identity.name, displace=force or retry_failed) as writer:
+    if message := setup_message(experiment, options.threads):
+        options.on_message(f"{identity.name}: {message}")
+    with Commit() as commit, RunWriter(out, identity.name, displace=options.force or options.retry_failed) as writer:
         origin = Origin(identity, experiment.first.scheme, type(experiment.top), now(), environment(), commit)
         try:
-            return _carry_out(experiment, writer, origin, progress, stop, threads)
+            return _carry_out(experiment, writer, origin, options)
         except OSError as error:
             raise writer.failure(error) from error

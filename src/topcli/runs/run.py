@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.models import Experiment
 from topcli.contracts import Method, Outcome
 from topcli.engine.loop import Run
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.runs.accuracy import accuracy_data, seconds_of
 from topcli.runs.identity import Identity, Origin, store_run
-from topcli.runs.plan import plan_run
+from topcli.runs.plan import Plan, Progress, RunOptions, plan_run
 from topcli.runs.prepare import run_of
 from topcli.runs.recorder import Recorder
 from topcli.runs.report import heading, left_motion, precision_data, report_data, report_markdown
 from topcli.runs.resume import (
-    CHECKPOINT_SECONDS,
     Checkpoints,
     checked_start,
     checkpoint_data,
@@ -34,17 +34,6 @@ from topcli.store.run_folder import RunWriter, io_failure
 
 if TYPE_CHECKING:
     from topcli.engine.precise.loop import PreciseRun
-
-Progress = Callable[[int, int], None]
-"""Called with (steps done, N) between chunks."""
-
-
-@dataclass(frozen=True)
-class Feedback:
-    """Callbacks of a run: ``on_progress(steps done, N)`` between chunks, and ``on_message(line)``."""
-
-    on_progress: Progress = lambda done, total: None
-    on_message: Callable[[str], None] = lambda line: None
 
 
 @dataclass(frozen=True)
@@ -179,51 +168,59 @@ def prepared_precision(experiment: Experiment) -> PreciseRun | None:
     return precise_run(experiment)
 
 
-def run_experiment(
-    experiment: Experiment,
-    out: Path,
-    *,
-    force: bool = False,
-    resume: bool = False,
-    retry_failed: bool = False,
-    checkpoint_every: float = CHECKPOINT_SECONDS,
-    stop: Callable[[], bool] = lambda: False,
-    feedback: Feedback = Feedback(),
-) -> RunResult:
+def plan_of(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> tuple[Identity, Plan]:
+    """Identity and plan of an experiment or ensemble. Raises UsageError for one that would be refused."""
+    if isinstance(experiment, EnsembleExperiment):
+        from topcli.runs.ensemble import plan_ensemble
+
+        return plan_ensemble(experiment, out, options)
+    prepared_precision(experiment)
+    identity = Identity.of(experiment, [experiment.method()])
+    source = find_source(identity, out) if options.resume else None
+    return identity, plan_run(identity, out, options, source)
+
+
+def run_into(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
+    """Run an experiment or ensemble into the folder ``out/<name>``; see ``run_experiment`` and ``run_ensemble``."""
+    if isinstance(experiment, EnsembleExperiment):
+        from topcli.runs.ensemble import run_ensemble
+
+        return run_ensemble(experiment, out, options)
+    return run_experiment(experiment, out, options)
+
+
+def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
     """Run ``experiment`` into the folder ``out/<name>``, unless it has been run before.
 
     A finished run of the same experiment and code is not repeated unless ``force``, or if it failed ``retry_failed``;
     one in another format is rewritten from its stored tables.
     A different experiment of that name is refused; with ``force`` it is renamed.
-    ``stop`` is called between chunks; if it returns True, the run ends as ``interrupted`` and keeps its rows.
-    With ``resume`` an interrupted or killed run continues from its last checkpoint and ends, bit for bit, as if it had
-    never been stopped. Checkpoints are written every ``checkpoint_every`` seconds.
 
     Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
     """
-    method, precise, tell = experiment.method(), prepared_precision(experiment), feedback.on_message
+    method, precise, tell = experiment.method(), prepared_precision(experiment), options.on_message
     identity = Identity.of(experiment, [method])
-    source = find_source(identity, out) if resume else None
-    plan = plan_run(identity, out, force=force, retry_failed=retry_failed, source=source)
+    source = find_source(identity, out) if options.resume else None
+    plan = plan_run(identity, out, options, source)
     if plan.up_to_date and plan.existing is not None:
         return existing_result(plan.existing, identity, out, plan.rewrite)
-    if not resume:
+    if not options.resume:
         report_unfinished(identity, out, tell)
     if plan.damaged:
         tell(f"{identity.name}: {plan.action}")
-    where, displace = source and source.where, force or retry_failed
+    where, displace = source and source.where, options.force or options.retry_failed
     with Commit() as commit, RunWriter(out, identity.name, identity.digests, where, displace) as writer:
         if writer.complete is not None:
             return _put_in_place(writer, writer.complete, tell)
-        start = checked_start(identity, writer, source, tell) if resume else None
+        start = checked_start(identity, writer, source, tell) if options.resume else None
         about = checkpoint_data(identity, start)
-        checkpoints = Checkpoints(writer, about, checkpoint_every, last=start)
+        checkpoints = Checkpoints(writer, about, options.checkpoint_every, last=start)
         origin = Origin(
             identity, experiment.scheme, type(experiment.top), about["started"], about["environment"], commit
         )
         job = _Job(experiment, method, writer, checkpoints, origin, precise)
         try:
-            stored, report = _carry_out(job, start, feedback.on_progress, stop)
+            stored, report = _carry_out(job, start, options.on_progress, options.stop)
         except OSError as error:
             raise _saved(job, error) from error
     return RunResult(stored, report, "ran" if start is None else "resumed", writer.set_aside)

@@ -320,11 +320,12 @@ class _Runner:
 
     def _store_series(self, row: Row) -> None:
         """Run a row again into a run folder of its own."""
+        from topcli.runs.plan import RunOptions
         from topcli.runs.run import run_experiment
 
         try:
             experiment = experiment_from(row.config(row.digest[:16]))
-            run_experiment(experiment, self.folder / SERIES, stop=self.watcher.stop)
+            run_experiment(experiment, self.folder / SERIES, RunOptions(stop=self.watcher.stop))
         except TopcliError as error:
             self.watcher.message(f"warning: row {row.number}: its series cannot be stored: {error}")
 
