@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -38,6 +39,10 @@ Overlay = Annotated[
 ]
 StyleFile = Annotated[
     Path | None, typer.Option("--style", metavar="FILE", help="Apply a style file of matplotlib (.mplstyle).")
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", metavar="N", min=1, help="Draw N figures at once; with --all one per core."),
 ]
 Results = Annotated[Path, typer.Option("--results", metavar="DIR", help="Read and write run folders in this folder.")]
 Configs = Annotated[
@@ -110,6 +115,39 @@ def _require(figures: list[Figure], sets: bool, overlay: bool) -> None:
             raise UsageError(f"{name}: {unable[0]} is not drawn from runs of one config; use it with {known}")
 
 
+class _Watch:
+    """Progress of figures: of each one after the other, or of all that are drawn at the same time."""
+
+    def __init__(self, figures: list[Figure], jobs: int, quiet: bool) -> None:
+        self.together, self.count = min(jobs, len(figures)) > 1, len(figures)
+        self.display = ProgressDisplay(
+            1 if self.together else len(figures), quiet, unit="figures" if self.together else "steps"
+        )
+        self.parts: dict[str, float] = {}
+        self.ended = 0
+        if self.together:
+            self.display.begin("figures")
+
+    def __call__(self, name: str, done: int, total: int) -> None:
+        """Show that ``done`` of ``total`` parts of the data of the figure ``name`` are done."""
+        if not self.together:
+            if name not in self.parts:
+                self.display.begin(name)
+            else:
+                self.display(done, total)
+        self.parts[name] = done / total
+        if self.together:
+            drawn = ", ".join(f"{each} {100.0 * part:.0f}%" if part else each for each, part in self.parts.items())
+            self.display(self.ended, self.count, f"drawing {drawn}")
+
+    def end(self, name: str) -> None:
+        """The figure ``name`` is drawn, or has failed."""
+        self.parts.pop(name, None)
+        self.ended += 1
+        if not self.together:
+            self.display.close()
+
+
 def plot(
     names: Names = None,
     every: Every = False,
@@ -126,6 +164,7 @@ def plot(
     sets: Sets = None,
     overlay: Overlay = None,
     style: StyleFile = None,
+    jobs: Jobs = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -136,10 +175,11 @@ def plot(
     --set changes the runs that a figure draws, and its file has digits of
     the changed experiment in its name.
     """
-    from topcli.errors import UsageError, shortened
+    from topcli.engine.ensemble import default_threads
+    from topcli.errors import TopcliError, UsageError, shortened
     from topcli.figures.catalogue import FIGURES
     from topcli.figures.contract import NothingMeasuredError, Request
-    from topcli.figures.make import make_figure
+    from topcli.figures.make import make_figures
     from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
     from topcli.figures.style import read_style
 
@@ -158,33 +198,42 @@ def plot(
     with hint_instead(names or [], lambda name: plot_hint(name, results)):
         figures = _chosen(names or [], options, where or [])
     _require(figures, bool(sets), overlay is not None)
-    display = ProgressDisplay(len(figures), as_json)
+    count = jobs or (default_threads() if every else 1)
+    watch = _Watch(figures, count, as_json)
     request = Request(
-        results,
-        configs or Path("configs"),
-        force,
-        every,
-        display,
-        print_message,
-        tuple(sets or ()),
-        overlay is not None,
-        looks,
+        results=results,
+        configs=configs or Path("configs"),
+        force=force,
+        stored_only=every,
+        on_message=print_message,
+        overrides=tuple(sets or ()),
+        overlay=overlay is not None,
+        style=looks,
     )
-    made = []
-    for figure in figures:
-        display.begin(figure.name)
-        try:
-            one = make_figure(figure, request, out, chosen)
-        except NothingMeasuredError as nothing:
-            if not every:
-                raise
-            print_message(f"{figure.name}: skipped: {nothing}")
-            continue
-        finally:
-            display.close()
-        made.append(one)
-        if not as_json:
-            emit(f"{one.name}: {one.status}: {', '.join(str(path) for path in one.files)}")
+    made, failed = {}, []
+    with contextlib.ExitStack() as stack:
+        stack.callback(watch.display.close)
+        outcomes = stack.enter_context(contextlib.closing(make_figures(figures, request, out, chosen, count, watch)))
+        for figure, outcome in outcomes:
+            watch.end(figure.name)
+            if isinstance(outcome, NothingMeasuredError) and every:
+                print_message(f"{figure.name}: skipped: {outcome}")
+            elif isinstance(outcome, TopcliError):
+                if len(figures) == 1:
+                    raise outcome
+                failed.append(outcome)
+                first, *others = outcome.lines
+                print_message(f"error: {first}" if first.startswith(figure.name) else f"error: {figure.name}: {first}")
+                for line in others:
+                    print_message(line)
+            else:
+                made[figure.name] = outcome
+                if not as_json:
+                    emit(f"{outcome.name}: {outcome.status}: {', '.join(str(path) for path in outcome.files)}")
     if as_json:
-        items = [{"name": one.name, "status": one.status, "files": [str(path) for path in one.files]} for one in made]
+        drawn = [made[figure.name] for figure in figures if figure.name in made]
+        items = [{"name": one.name, "status": one.status, "files": [str(path) for path in one.files]} for one in drawn]
         print_json("plot", {"figures": items})
+    if failed:
+        print_message(f"{len(failed)} of {len(figures)} figures failed")
+        raise typer.Exit(3 if made else failed[0].exit_code)

@@ -18,7 +18,7 @@ from topcli.figures.period import LAW, PeriodFigure
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.roundoff import GrowthFigure
-from topcli.figures.scenes import SceneFigure
+from topcli.figures.scenes import PaperFigure, SceneFigure
 from topcli.figures.sphere import Sphere
 from topcli.figures.stress import StressFigure
 from topcli.figures.sweep import Choice
@@ -45,7 +45,7 @@ def _motion_figure(name: str, method: str, scene: str) -> SceneFigure:
         Panel(lines("gamma"), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
         Panel(lines("omega"), r"$\boldsymbol{\omega}$", title="(b)"),
     )
-    return SceneFigure(name, f"Kowalevski top, {method}: gamma and omega", scene, panels, _headed((7.0, 2.9)))
+    return PaperFigure(name, f"Kowalevski top, {method}: gamma and omega", scene, panels, _headed((7.0, 2.9)))
 
 
 _TO_100 = "$0 \\leq t \\leq 100$"
@@ -64,7 +64,7 @@ FIGURES: dict[str, Figure] = {
     for figure in (
         _motion_figure("fig1", "HK scheme", "kowalevski_hk"),
         _motion_figure("fig2", "Bohlin A", "kowalevski_bohlin_a"),
-        SceneFigure(
+        PaperFigure(
             "fig3",
             "Kowalevski top, Bohlin A: E and 2l, and their changes",
             "kowalevski_bohlin_a",

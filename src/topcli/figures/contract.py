@@ -18,6 +18,10 @@ class NothingMeasuredError(UsageError):
     """A figure of measurements that have not been taken yet (exit code 2)."""
 
 
+def ignored(*news: object) -> None:
+    """Ignore progress or a message."""
+
+
 @dataclass(frozen=True)
 class Request:
     """Folders of results and configs, and permissions to produce missing results.
@@ -32,8 +36,8 @@ class Request:
     configs: Path = Path("configs")
     force: bool = False
     stored_only: bool = False
-    on_progress: Callable[[int, int], None] = lambda done, total: None
-    on_message: Callable[[str], None] = lambda line: None
+    on_progress: Callable[[int, int], None] = ignored
+    on_message: Callable[[str], None] = ignored
     overrides: tuple[str, ...] = ()
     overlay: bool = False
     style: Mapping[str, Any] = field(default_factory=dict)
@@ -61,13 +65,20 @@ class Figure(ABC):
     """A figure of the catalogue.
 
     ``name`` is that on the command line and of the files, ``title`` a description in one line, ``scene`` the scene or
-    command that the results come from. ``takes_overrides`` and ``takes_overlay`` say which requests it can fulfil.
+    command that the results come from. ``takes_overrides`` and ``takes_overlay`` say which requests it can fulfil, and
+    ``rank`` when it begins among several: 0 for the paper's figures, 1 for those that take longest.
     """
 
     takes_overrides: ClassVar[bool] = False
+    rank: ClassVar[int] = 2
     name: str
     title: str
     scene: str
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Stored results that it reads or makes, which no other process may make at the same time."""
+        return frozenset()
 
     @property
     def takes_overlay(self) -> bool:

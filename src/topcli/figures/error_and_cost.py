@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -79,6 +79,8 @@ class ErrorPanel:
 
 class ErrorAndCostFigure(Figure):
     """The study of errors and times, measured if it is missing, out of date or forced."""
+
+    rank: ClassVar[int] = 1
 
     def load(self, request: Request) -> Loaded:
         """Return panels and data of the stored study. Raises RunError."""

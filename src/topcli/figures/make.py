@@ -1,11 +1,17 @@
-"""Make figures: load them, draw those that are not up to date, write data and pictures."""
+"""Make figures: load them, draw those that are not up to date, write data and pictures; several at the same time."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import multiprocessing as mp
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +19,20 @@ import numpy as np
 
 from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
-from topcli.errors import TopcliError, UsageError, clipped
+from topcli.errors import RunError, TopcliError, UsageError, clipped
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import DEFAULT_FORMATS, STYLE, draw, save
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, write_parquet
 
 SOURCE = "topcli.figure.source"
+STOP_SECONDS = 10.0
+"""Time that an interrupted process has to leave its run in order."""
+PROGRESS_SECONDS = 0.2
+"""Shortest time between two reports of progress from a process."""
+
+OnProgress = Callable[[str, int, int], None]
+"""Function called with the name of a figure, and the parts of its data that are done and all of them."""
 
 
 @dataclass(frozen=True)
@@ -104,3 +117,115 @@ def make_figure(figure: Figure, request: Request, out: Path, formats: Sequence[s
     if existing and not request.force and read_metadata(files[-1]).get(SOURCE) == _source(loaded, request.style):
         return MadeFigure(name, files, "up to date")
     return MadeFigure(name, write_figure(name, loaded, out, formats, request.style), "drawn")
+
+
+def make_figures(
+    figures: Sequence[Figure],
+    request: Request,
+    out: Path,
+    formats: Sequence[str] = DEFAULT_FORMATS,
+    jobs: int = 1,
+    on_progress: OnProgress = lambda name, done, total: None,
+) -> Iterator[tuple[Figure, MadeFigure | TopcliError]]:
+    """Make figures as ``make_figure``, and yield each with its files, or with the error that it ended with.
+
+    Several ``jobs`` are processes that draw one figure each; figures that need the same stored results are drawn one
+    after the other. They begin in the order of their ``rank``. The processes end with the generator.
+    """
+    if jobs == 1 or len(figures) == 1:
+        for figure in figures:
+            on_progress(figure.name, 0, 1)
+            alone = replace(request, on_progress=partial(on_progress, figure.name))
+            try:
+                yield figure, make_figure(figure, alone, out, formats)
+            except TopcliError as error:
+                yield figure, error
+        return
+    drawn = _Processes(request, out, tuple(formats), on_progress)
+    waiting = sorted(figures, key=lambda figure: figure.rank)
+    try:
+        while waiting or drawn.running:
+            for figure in list(waiting):
+                if len(drawn.running) < jobs and drawn.are_free(figure.needs):
+                    waiting.remove(figure)
+                    drawn.start(figure)
+            yield from drawn.ended()
+    finally:
+        drawn.stop()
+
+
+class _Processes:
+    """Processes that draw one figure each."""
+
+    def __init__(self, request: Request, out: Path, formats: tuple[str, ...], on_progress: OnProgress) -> None:
+        self.context = mp.get_context("forkserver")  # a thread of this process must not be forked
+        self.context.set_forkserver_preload(["topcli.figures.catalogue", "topcli.runs.run", "matplotlib.figure"])
+        self.on_message, self.on_progress = request.on_message, on_progress
+        silent = replace(request, on_progress=Request.on_progress, on_message=Request.on_message)
+        self.arguments = (silent, out, formats)
+        self.running: dict[Connection, tuple[Figure, Any]] = {}
+
+    def are_free(self, needs: frozenset[str]) -> bool:
+        """True if no running process uses one of the stored results ``needs``."""
+        return all(needs.isdisjoint(figure.needs) for figure, _ in self.running.values())
+
+    def start(self, figure: Figure) -> None:
+        """Start the process of a figure."""
+        ours, theirs = self.context.Pipe(duplex=False)
+        process = self.context.Process(target=_make_apart, args=(theirs, figure, *self.arguments), name=figure.name)
+        process.start()
+        theirs.close()
+        self.running[ours] = figure, process
+        self.on_progress(figure.name, 0, 1)
+
+    def ended(self) -> Iterator[tuple[Figure, MadeFigure | TopcliError]]:
+        """Wait for news, pass on progress and messages, and yield the figures whose processes have ended."""
+        for pipe in wait(list(self.running)):
+            assert isinstance(pipe, Connection)
+            figure, process = self.running[pipe]
+            try:
+                news = pipe.recv()
+            except EOFError:
+                process.join()
+                news = RunError(f"{figure.name}: its process ended with exit code {process.exitcode}")
+            if isinstance(news, str):
+                self.on_message(news)
+            elif isinstance(news, tuple):
+                self.on_progress(figure.name, *news)
+            else:
+                del self.running[pipe]
+                process.join()
+                yield figure, news
+
+    def stop(self) -> None:
+        """Interrupt the processes, and kill those that do not end."""
+        processes = [process for _, process in self.running.values()]
+        for process in processes:
+            if process.is_alive():
+                os.kill(process.pid, signal.SIGINT)
+        for process in processes:
+            process.join(STOP_SECONDS)
+            process.kill()
+            process.join()
+
+
+def _make_apart(pipe: Connection, figure: Figure, request: Request, out: Path, formats: Sequence[str]) -> None:
+    """Make a figure in this process, and send messages, progress and the result, or the error, through ``pipe``."""
+    parent = mp.parent_process()
+    assert parent is not None
+    sentinel = parent.sentinel
+    threading.Thread(target=lambda: (wait([sentinel]), os._exit(1)), daemon=True).start()
+    sent = time.monotonic()
+
+    def progress(done: int, total: int) -> None:
+        nonlocal sent
+        if time.monotonic() - sent > PROGRESS_SECONDS:
+            sent = time.monotonic()
+            pipe.send((done, total))
+
+    try:
+        pipe.send(make_figure(figure, replace(request, on_progress=progress, on_message=pipe.send), out, formats))
+    except TopcliError as error:
+        pipe.send(error)
+    except KeyboardInterrupt:
+        os._exit(130)

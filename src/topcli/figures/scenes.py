@@ -55,6 +55,11 @@ class SceneFigure(Figure):
     takes_overrides: ClassVar[bool] = True
 
     @property
+    def needs(self) -> frozenset[str]:
+        """Scenes whose runs it draws."""
+        return frozenset(self.sources)
+
+    @property
     def takes_overlay(self) -> bool:
         """True if a panel shows components or integrals themselves."""
         return any(isinstance(panel, Overlaid) for panel in self.panels)
@@ -135,3 +140,9 @@ class SceneFigure(Figure):
                 found = exact_columns(drawn[next(iter(wanted.values()))].experiment, list(wanted))
                 data |= {exact_column(wanted[column]): values for column, values in found.items()}
         return data
+
+
+class PaperFigure(SceneFigure):
+    """One of the paper's figures, which are drawn first."""
+
+    rank: ClassVar[int] = 0

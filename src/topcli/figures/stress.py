@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -167,6 +167,8 @@ def _missing(found: str, results: Path) -> str:
 
 class StressFigure(Figure):
     """The whole stress study."""
+
+    rank: ClassVar[int] = 1
 
     def load(self, request: Request) -> Loaded:
         """Return the stored study, or run it. Raises UsageError and RunError."""

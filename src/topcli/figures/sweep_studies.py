@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class View:
 class SweepStudyFigure(Figure):
     """Views of the packaged sweep ``scene``, whose missing rows are run; finished rows are never run again."""
 
+    rank: ClassVar[int] = 1
     views: tuple[View, ...]
     layout: Grid = field(default_factory=Grid)
 

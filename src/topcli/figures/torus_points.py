@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -94,6 +94,8 @@ class TorusSection:
 
 class TorusPointsFigure(Figure):
     """The study ``torus_points``."""
+
+    rank: ClassVar[int] = 1
 
     def load(self, request: Request) -> Loaded:
         """Return panels and the study that makes their columns."""
