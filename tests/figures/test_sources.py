@@ -14,13 +14,12 @@ from figure_studies import PREPARE
 from sweep_rows import write_rows
 from topcli.analysis import order as analysis_of_orders
 from topcli.analysis import pareto, reference, roundoff, swings
-from topcli.figures import comparison, curves, order, picture, stress, sweep, work_precision
+from topcli.figures import comparison, curves, order, period, picture, stress, sweep, work_precision
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.contract import Loaded, Request
 from topcli.figures.heat import HeatPanel
 from topcli.figures.make import _source
 from topcli.figures.sweep import Choice, sweep_figure
-from topcli.paper import swing_period
 from topcli.schemes.kowalevski import hk
 from topcli.studies import error_and_cost, growth, long_energy, torus_points
 from topcli.studies import order as study_of_orders
@@ -71,7 +70,7 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
         ],
     ),
     "integrable": (long_energy.energy_code, [HK_STEP, long_energy._energy_errors, long_energy.largest_by_octave]),
-    "period": (swing_period.period_code, [HK_STEP, swing_period._gamma1, swings.swing_spacing, swings.minima_times]),
+    "period": (period.period_code, [HK_STEP, period._gamma1, swings.swing_spacing, swings.minima_times]),
     "torus-points": (torus_points.torus_code, [HK_STEP, torus_points.orbit, torus_points.crossings]),
 }
 """Digest of what each study depends on, and functions whose results are in its data."""

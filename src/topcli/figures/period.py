@@ -8,7 +8,7 @@ the hybrid are not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -186,10 +186,10 @@ def motion_column(name: str, h: float) -> str:
     return f"gamma1:{name}:{h:.0e}"
 
 
-def _steps() -> list[tuple[str, int]]:
+def _steps(schemes: Sequence[Scheme], shown: Sequence[tuple[str, float]]) -> list[tuple[str, int]]:
     """Every run: name of the scheme and number of steps."""
-    pairs = [(scheme.name, 10.0**k) for scheme in SCHEMES for k in scheme.exponents]
-    return list(dict.fromkeys((name, round(TIME / h)) for name, h in (*SHOWN, *pairs)))
+    pairs = [(scheme.name, 10.0**k) for scheme in schemes for k in scheme.exponents]
+    return list(dict.fromkeys((name, round(TIME / h)) for name, h in (*shown, *pairs)))
 
 
 def _experiment(name: str) -> Experiment:
@@ -209,13 +209,17 @@ def _gamma1(experiment: Experiment, N: int) -> tuple[Array, Array]:
     return np.concatenate(numbers) * h, np.concatenate(values)
 
 
-def period_columns(on_progress: Callable[[int, int], None] = lambda done, total: None) -> Mapping[str, Array]:
+def period_columns(
+    on_progress: Callable[[int, int], None],
+    schemes: Sequence[Scheme] = SCHEMES,
+    shown: Sequence[tuple[str, float]] = SHOWN,
+) -> Mapping[str, Array]:
     """Columns of the figure.
 
     ``t`` and ``gamma1:<scheme>:<h>`` of the motions shown, ``swings``, the times of the minima of the first of them,
     and for each scheme ``h:<scheme>`` and ``spacing:<scheme>``.
     """
-    todo = _steps()
+    todo = _steps(schemes, shown)
     total = sum(N for _, N in todo)
     done, found = 0, {}
     for name, N in todo:
@@ -223,10 +227,10 @@ def period_columns(on_progress: Callable[[int, int], None] = lambda done, total:
         done += N
         on_progress(done, total)
     columns: dict[str, Array] = {"t": SAMPLING * np.arange(round(TIME / SAMPLING) + 1)}
-    for name, h in SHOWN:
+    for name, h in shown:
         columns[motion_column(name, h)] = np.interp(columns["t"], *found[name, round(TIME / h)])
     columns["swings"] = minima_times(*found[EXACT, round(TIME / PAPER_STEP)])
-    for scheme in SCHEMES:
+    for scheme in schemes:
         runs = {N: run for (name, N), run in found.items() if name == scheme.name}
         spacings = {N: swing_spacing(*run) for N, run in sorted(runs.items())}
         columns[f"h:{scheme.name}"] = np.array([TIME / N for N in spacings])
@@ -239,6 +243,7 @@ def period_code() -> str:
     from topcli.engine.fingerprint import fingerprint
     from topcli.runs.identity import method_fingerprint
 
-    names = dict.fromkeys(name for name, _ in _steps())
+    steps = _steps(SCHEMES, SHOWN)
+    names = dict.fromkeys(name for name, _ in steps)
     digests = [method_fingerprint(one.method()) + one.digest for one in map(_experiment, names)]
-    return fingerprint(_gamma1, swing_spacing, compiled=False) + "".join(digests) + repr(_steps())
+    return fingerprint(_gamma1, swing_spacing, compiled=False) + "".join(digests) + repr(steps)

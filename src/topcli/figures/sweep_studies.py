@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from math import isclose
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -17,6 +18,10 @@ from topcli.figures.picture import Grid
 from topcli.figures.sweep import Choice, curves
 from topcli.store.manifest import sha256_of
 from topcli.sweeps.rows import read_rows
+
+if TYPE_CHECKING:
+    from topcli.config.sweep.rows import Row
+    from topcli.sweeps.evaluate import Results, Work
 
 
 @dataclass(frozen=True)
@@ -38,8 +43,54 @@ class View:
 
 
 @dataclass(frozen=True)
+class _Shown:
+    """Back end of a sweep that evaluates the rows that a view shows; others stay unfinished.
+
+    ``keys`` are those of the sweep, ``views`` the conditions of each view.
+    """
+
+    keys: tuple[str, ...]
+    views: tuple[tuple[str, ...], ...]
+    on_progress: Callable[[int, int], None]
+
+    def __call__(
+        self, made: Iterable[list[Row]], work: Work, stop: Callable[[], bool]
+    ) -> Iterator[tuple[list[Row], Results]]:
+        """Yield batches with their results."""
+        from topcli.sweeps.run import default_threads, in_threads
+
+        wanted = [shown for batch in made if (shown := [row for row in batch if self._is_shown(row)])]
+        done, total = 0, sum(map(len, wanted))
+        for batch, results in in_threads(default_threads())(wanted, work, stop):
+            yield batch, results
+            done += sum(results.done)
+            self.on_progress(done, total)
+
+    def _is_shown(self, row: Row) -> bool:
+        values = dict(zip(self.keys, row.keys, strict=True))
+        return any(satisfies(values, conditions) for conditions in self.views)
+
+
+def satisfies(values: Mapping[str, Any], conditions: Sequence[str]) -> bool:
+    """True if the values of a row's keys satisfy the ``conditions``, as ``SweepRows.where`` reads them."""
+    wanted: dict[str, list[str]] = {}
+    for name, _, value in (condition.partition("=") for condition in conditions):
+        wanted.setdefault(name, []).append(value)
+    return all(
+        any(
+            text == values[name] if isinstance(values[name], str) else isclose(float(text), values[name])
+            for text in texts
+        )
+        for name, texts in wanted.items()
+    )
+
+
+@dataclass(frozen=True)
 class SweepStudyFigure(Figure):
-    """Views of the packaged sweep ``scene``, whose missing rows are run; finished rows are never run again."""
+    """Views of the packaged sweep ``scene``, of which missing rows that they show are run; finished ones never again.
+
+    ``topcli sweep`` runs the others.
+    """
 
     rank: ClassVar[int] = 1
     views: tuple[View, ...]
@@ -50,12 +101,9 @@ class SweepStudyFigure(Figure):
         from topcli.config.sweep.document import load_sweep
         from topcli.sweeps.run import Watcher, run_sweep
 
-        def progress(done: int, total: int, failed: int) -> None:
-            request.on_progress(done, total)
-
-        result = run_sweep(
-            load_sweep(self.scene), request.results, watcher=Watcher(progress, message=request.on_message)
-        )
+        sweep = load_sweep(self.scene)
+        shown = _Shown(sweep.keys, tuple(view.where for view in self.views), request.on_progress)
+        result = run_sweep(sweep, request.results, watcher=Watcher(message=request.on_message), backend=shown)
         rows = read_rows(result.folder)
         if not result.outcomes.get("completed"):
             raise RunError(f"{self.name}: no run of the sweep {result.folder} was completed")

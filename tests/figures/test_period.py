@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.paper import swing_period
+from topcli.figures import period
+from topcli.paper.swing_period import spacing_law
 
 
 def test_the_law_is_that_of_the_homoclinic_orbit() -> None:
     """28.1716 at eps = 1e-3, and 2 sqrt 2 ln 10 more for each decade."""
-    law = swing_period.spacing_law(np.array([1e-3, 1e-4]))
+    law = spacing_law(np.array([1e-3, 1e-4]))
     assert law[0] == pytest.approx(28.1716, abs=1e-4)
     assert law[1] - law[0] == pytest.approx(2.0 * math.sqrt(2.0) * math.log(10.0), rel=1e-12)
 
 
 @pytest.mark.slow
-def test_columns_are_those_of_the_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_columns_are_those_of_the_runs() -> None:
     """With few steps: gamma_1 of the rows, the swings of the motion, spacings with the right limits and slope."""
-    short = [replace(scheme, exponents=(-2.0, -3.0)) for scheme in swing_period.SCHEMES]
-    monkeypatch.setattr(swing_period, "SCHEMES", tuple(short))
-    monkeypatch.setattr(swing_period, "SHOWN", (("exact", 1e-3), ("bohlin-a", 1e-3)))
+    short = [replace(scheme, exponents=(-2.0, -3.0)) for scheme in period.SCHEMES]
+    shown = (("exact", 1e-3), ("bohlin-a", 1e-3))
     progress: list[tuple[int, int]] = []
-    columns = swing_period.period_columns(lambda done, total: progress.append((done, total)))
+    columns = period.period_columns(lambda done, total: progress.append((done, total)), short, shown)
     assert progress[-1] == (50_000 + 5 * 55_000, 50_000 + 5 * 55_000)
     assert columns["swings"] == pytest.approx([14.0858, 42.2571], abs=1e-3)
     run = topcli.simulate("kowalevski_bohlin_a")
@@ -37,12 +37,3 @@ def test_columns_are_those_of_the_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     coarse, fine = columns["spacing:bohlin-a"]
     assert fine == pytest.approx(15.2967, abs=1e-3)
     assert fine - coarse == pytest.approx(math.sqrt(2.0) * math.log(10.0), rel=0.01)
-
-
-@pytest.mark.slow
-def test_code_of_the_figure_names_what_it_depends_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = swing_period.period_code()
-    assert swing_period.period_code() == before
-    monkeypatch.setattr(swing_period, "SHOWN", swing_period.SHOWN[:-1])
-    monkeypatch.setattr(swing_period, "SCHEMES", swing_period.SCHEMES[:-1])
-    assert swing_period.period_code() != before
