@@ -24,8 +24,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
 
-from topcli.analysis.drift import InvariantTally  # noqa: E402
 from topcli.analysis.reference import reference_states  # noqa: E402
+from topcli.analysis.tally import InvariantTally  # noqa: E402
 from topcli.engine.loop import Run, nanoseconds_per_step  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402
@@ -94,7 +94,7 @@ def drifts(h: float = 0.01, t: float = 1e5) -> list[dict[str, Any]]:
                 tally.add(chunk.n, chunk.states)
             keys = ("name", "drift", "drift_error", "max_deviation", "verdict")
             rows += [
-                {"state": scene, "scheme": name} | {key: getattr(row, key) for key in keys} for row in tally.rows()
+                {"state": scene, "scheme": name} | {key: getattr(row, key) for key in keys} for row in tally.report()
             ]
     return rows
 

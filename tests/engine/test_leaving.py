@@ -15,9 +15,8 @@ import pytest
 
 from conftest import GEN, ROOT, Said
 from resuming import after, content, killed
-from topcli.analysis.drift import InvariantTally
 from topcli.analysis.leaving import EnergyWatch
-from topcli.analysis.many import EnsembleTally
+from topcli.analysis.tally import InvariantTally
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load_any, load_experiment
 from topcli.contracts import Invariant, Outcome, Top
@@ -79,14 +78,14 @@ def left_by_each(top: Top, states: np.ndarray) -> set[int | None]:
     found: list[int | None] = []
     for pieces in (1, 7, 400):
         tally, watch = InvariantTally(top.invariants(), 0.1, top), EnergyWatch(top, states[0])
-        many = EnsembleTally(top.invariants(), 2, top)
+        many = InvariantTally(top.invariants(), 0.1, top, count=2)
         for part in np.array_split(np.arange(len(states)), pieces):
             tally.add(n[part], states[part])
             watch.add(n[part], states[part])
             both = np.stack([np.tile(states[0], (len(part), 1)), states[part]])
-            many.add(0, n[part], both, np.full(2, len(part)))
+            many.add(n[part], both)
         assert many.left[0] == -1
-        found += [tally.left, watch.left, None if many.left[1] < 0 else int(many.left[1])]
+        found += [tally.left_step, watch.left, None if many.left[1] < 0 else int(many.left[1])]
     return set(found)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from conftest import GEN, ROOT
-from topcli.analysis.drift import InvariantTally
+from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Stepper
 from topcli.engine import ensemble, loop, tile

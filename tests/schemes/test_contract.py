@@ -13,9 +13,9 @@ import pytest
 from conftest import GEN, random_states
 from declared import SCHEMES, TRIALS, by_name, gen
 from steppers import EULER, RK2, rk2
-from topcli.analysis.drift import invariant_report
 from topcli.analysis.order import observed_order, one_step_back_and_forth, reversal
 from topcli.analysis.reference import reference_states
+from topcli.analysis.tally import invariant_report
 from topcli.contracts import Method, Scheme, Top
 from topcli.engine.loop import Run
 from topcli.errors import UsageError

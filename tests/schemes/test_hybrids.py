@@ -12,7 +12,7 @@ from mpmath import findroot, mp, mpf
 from conftest import GEN, PAPER, random_states
 from steppers import physical
 from test_beyond import DELONE, deviations, error_at, ran, stepper
-from topcli.analysis.drift import trend
+from topcli.analysis.trend import trend
 from topcli.contracts import Floats, Outcome, Stepper
 from topcli.schemes.kowalevski.carried_xi import enter_carried
 from topcli.schemes.kowalevski.hybrid_sym import hybrid_sym_step

@@ -6,7 +6,7 @@ import pytest
 
 from conftest import GEN, random_states
 from test_beyond import stepper
-from topcli.analysis.drift import InvariantRow, InvariantTally
+from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.contracts import Floats
 from topcli.engine.loop import Run
 from topcli.tops.kowalevski import Kowalevski
@@ -19,7 +19,7 @@ def drifts(name: str, y0: Floats, h: float = 0.05, t: float = 1e5) -> dict[str, 
     tally = InvariantTally(Kowalevski().invariants(), h)
     for chunk in Run(Kowalevski(), stepper(name), y0, h, round(t / h), 20):
         tally.add(chunk.n, chunk.states)
-    return {row.name: row for row in tally.rows()}
+    return {row.name: row for row in tally.report()}
 
 
 def in_errors(row: InvariantRow) -> float:

@@ -13,7 +13,7 @@ import pytest
 from conftest import GEN, ROOT
 from declared import TRIALS, by_name
 from resuming import FILES, KINDS, NAME, after, content, killed, small
-from topcli.analysis.drift import InvariantTally
+from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Scheme, Stepper
@@ -59,7 +59,7 @@ def test_every_scheme_resumes_bit_for_bit(scheme: Scheme) -> None:
     assert b"".join(before + pieces(second, resumed)) == b"".join(expected)
     assert second.ending == whole.ending
     assert second.position().work.tobytes() == whole.position().work.tobytes()
-    assert resumed.rows() == whole_tally.rows()
+    assert resumed.report() == whole_tally.report()
 
 
 def test_physical_states_alone_do_not_resume_bit_for_bit() -> None:

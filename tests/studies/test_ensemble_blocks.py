@@ -11,7 +11,7 @@ import pytest
 
 import topcli
 from test_ensemble_run import RANDOM, columns, experiment, failing
-from topcli.analysis.many import MEASURES, EnsembleTally
+from topcli.analysis.tally import MEASURES, InvariantTally
 from topcli.contracts import Ending, Invariant, Outcome
 from topcli.engine import ensemble as engine
 from topcli.engine.endings import CODES, Endings
@@ -59,10 +59,10 @@ def test_memory_does_not_grow_with_the_members(
 
 def test_the_drifts_of_any_number_of_steps_are_fitted_in_little_memory() -> None:
     """A run may have 1e12 steps; its recorded step numbers alone would take terabytes."""
-    tally = EnsembleTally(Kowalevski().invariants(), 2, last=10**12)
+    tally = InvariantTally(Kowalevski().invariants(), 0.01, count=2, last=10**12)
     tracemalloc.start()
     try:
-        tally.slopes(1, 0.01)
+        tally.slopes(10**12 + 1, 10**12)
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
         tracemalloc.stop()
@@ -181,10 +181,10 @@ def test_the_round_off_bound_counts_steps_not_rows(every: int, ulps: int, exact:
     states = np.zeros((1, len(n), 2))
     states[0, :, 0] = 1.0
     states[0, 1, 1] = ulps * EPS
-    tally = EnsembleTally([SUM], 1)
-    tally.add(0, n, states, np.array([len(n)]))
+    tally = InvariantTally([SUM], 0.1)
+    tally.add(n, states)
     tally.finish(states[:, -1])
-    assert tally.judged.tolist() == [True]
+    assert tally.steps.tolist() == [400]
     assert tally.within_round_off.tolist() == [[exact]]
 
 
@@ -219,11 +219,12 @@ def test_members_never_begun_are_not_zeros(scheme: str, begun: int, tmp_path: Pa
 
 
 def test_members_never_begun_have_no_quantiles_and_counted_nothing() -> None:
-    tally = EnsembleTally([SUM], 3)
+    tally = InvariantTally([SUM], 0.1, count=3)
     states = np.array([[[1.0, 0.0], [1.0, 0.5]]])
-    tally.add(1, np.array([0, 1]), states, np.array([2]))
+    tally.add(np.array([0, 1]), states, first=1)
     tally.finish(np.ones((3, 2)))
-    assert tally.begun.tolist() == tally.judged.tolist() == [False, True, False]
+    assert tally.rows.tolist() == [0, 2, 0]
+    assert tally.steps.tolist() == [0, 1, 0]
     assert np.isnan(tally.max_deviation[0, [0, 2]]).all()
     assert np.isnan(tally.rms_deviation[0, [0, 2]]).all()
     assert tally.max_deviation[0, 1] == 0.5

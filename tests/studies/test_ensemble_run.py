@@ -14,8 +14,7 @@ import pytest
 import topcli
 from conftest import ROOT, random_states
 from resuming import after
-from topcli.analysis.drift import invariant_report
-from topcli.analysis.many import MEASURES, quantiles
+from topcli.analysis.tally import MEASURES, invariant_report, quantiles
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import any_from
 from topcli.contracts import Outcome

@@ -99,10 +99,10 @@ def test_tally_restored_between_rows_equals_a_whole_one() -> None:
     first.add(n[:7], states[:7])
     second.restore(first.state())
     second.add(n[7:], states[7:])
-    assert second.rows() == whole.rows()
+    assert second.report() == whole.report()
     assert second.growth == whole.growth
-    assert {row.reason for row in second.rows()[2:]} == {"equal at all 13 rows"}
-    assert "equal" not in second.rows()[0].reason
+    assert {row.reason for row in second.report()[2:]} == {"equal at all 13 rows"}
+    assert "equal" not in second.report()[0].reason
 
 
 def test_run_stops_at_max_digits(cli: Callable[..., Said]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from topcli.analysis.drift import InvariantRow
+from topcli.analysis.tally import InvariantRow
 from topcli.runs import report as study
 from topcli.runs.report import (
     REPORT_COLUMNS,
@@ -140,7 +140,7 @@ def test_a_new_column_is_a_field_and_an_entry(
         def __post_init__(self) -> None:
             object.__setattr__(self, "width", self.max - self.min)
 
-    monkeypatch.setattr("topcli.analysis.drift.InvariantRow", Wider)
+    monkeypatch.setattr("topcli.analysis.tally.InvariantRow", Wider)
     entry = ReportColumn("width", "max - min", compared="{} max - min")
     monkeypatch.setattr(study, "REPORT_COLUMNS", (*REPORT_COLUMNS, entry))
     short = ("--set", "N=200", "--set", "h=0.05")

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from topcli.analysis.drift import invariant_report
+from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Ending, Invariant, Outcome
 from topcli.studies.stress.case import Trial, claim_violated

@@ -15,9 +15,10 @@ from conftest import GEN
 from topcli.analysis import columns as columns_module
 from topcli.analysis import ensemble, order, trajectory
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.drift import InvariantTally, _sizes_in_all
 from topcli.analysis.order import convergence, observed_order
 from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.tally import InvariantTally
+from topcli.analysis.trend import sizes_in_all
 from topcli.contracts import Invariant
 from topcli.errors import UsageError
 from topcli.tops.kowalevski import Kowalevski, field
@@ -43,7 +44,7 @@ def report(values: np.ndarray, h: float = 0.01, pieces: int = 1):
         states = np.zeros((len(n), 6))
         states[:, 0] = values[n]
         tally.add(n, states)
-    return tally.rows()[0]
+    return tally.report()[0]
 
 
 N = 20_000
@@ -68,7 +69,7 @@ def test_all_components_of_a_residual_are_weighed_as_by_their_covariance(m: int)
     residual = np.random.default_rng(m).normal(size=m)
     z = basis.T @ residual
     expected = z @ z, z @ np.linalg.solve(covariance, z), 0.5 * np.linalg.slogdet(covariance)[1]
-    assert _sizes_in_all(residual) == pytest.approx(expected, rel=1e-12)  # 4e-15 typically
+    assert sizes_in_all(residual) == pytest.approx(expected, rel=1e-12)  # 4e-15 typically
 
 
 def test_a_walk_with_a_drift_of_its_own_is_drifting() -> None:

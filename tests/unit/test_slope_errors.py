@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from topcli.analysis.drift import Trend, trend
+from topcli.analysis.trend import Trend, trend
 
 
 def fitted(t: np.ndarray, values: np.ndarray) -> Trend:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topcli.analysis.drift import InvariantRow, InvariantTally, trend
 from topcli.analysis.order import observed_order
 from topcli.analysis.roundoff import growth
 from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.tally import InvariantRow, InvariantTally
+from topcli.analysis.trend import trend
 from topcli.cli.roundoff import _violations
 from topcli.contracts import Invariant
 from topcli.schemes.counting import ambiguous_root, small_determinant
@@ -29,7 +30,7 @@ def report(values: np.ndarray, terms: float = 2.0) -> InvariantRow:
     series = Invariant("x", "x", "x", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), terms))
     tally = InvariantTally((series,), H)
     tally.add(np.arange(len(values)), values[:, None])
-    return tally.rows()[0]
+    return tally.report()[0]
 
 
 @BELOW_AND_ABOVE

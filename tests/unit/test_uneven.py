@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from topcli.analysis.drift import InvariantRow, InvariantTally, trend
+from topcli.analysis.tally import InvariantRow, InvariantTally
+from topcli.analysis.trend import trend
 from topcli.analysis.uneven import represented_times, uneven_report
 from topcli.contracts import Invariant
 
@@ -22,7 +23,7 @@ def uneven(t: np.ndarray, values: np.ndarray, steps: int = 100) -> InvariantRow:
 def even(h: float, values: np.ndarray) -> InvariantRow:
     tally = InvariantTally([SERIES], h)
     tally.add(np.arange(len(values)), values[:, None])
-    return tally.rows()[0]
+    return tally.report()[0]
 
 
 TIMES: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.many import EnsembleSummary, EnsembleTally
+from topcli.analysis.tally import EnsembleSummary, InvariantTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Invariant, Outcome, Top
 from topcli.engine.endings import Endings
@@ -47,7 +47,7 @@ class Ensemble:
         Step numbers of ``last``.
     endings : Endings
         Ending of each trajectory.
-    tallies : tuple of EnsembleTally
+    tallies : tuple of InvariantTally
         Deviations of the invariants, one tally for each top.
     table : dict of str to ndarray
         Columns of ``trajectories()``.
@@ -78,7 +78,7 @@ class Ensemble:
     last: Array
     last_n: NDArray[np.int64]
     endings: Endings
-    tallies: tuple[EnsembleTally, ...]
+    tallies: tuple[InvariantTally, ...]
     table: dict[str, NDArray[Any]]
     modified: tuple[tuple[Invariant, ...], ...]
     compile_seconds: float

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from topcli.analysis.attitude import ATTITUDES, attitude_columns
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.drift import InvariantRow, invariant_report
 from topcli.analysis.leaving import step_of_leaving
+from topcli.analysis.tally import InvariantRow, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
 from topcli.engine.loop import Run
 
@@ -129,7 +129,7 @@ class Trajectory:
         return pd.DataFrame({name: self[name] for name in names})
 
     def invariants(self) -> pd.DataFrame:
-        """Return the report on invariants and modified integrals, one row each (see ``analysis.drift``)."""
+        """Return the report on invariants and modified integrals, one row each (see ``analysis.tally``)."""
         import pandas as pd
 
         return pd.DataFrame([row.as_dict() for row in self.invariant_rows()]).set_index("name")

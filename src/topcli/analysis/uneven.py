@@ -17,7 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from topcli.analysis.columns import invariant_values
-from topcli.analysis.drift import BLOCKS, InvariantRow, sums_from, trend
+from topcli.analysis.tally import BLOCKS, ULP, InvariantRow, InvariantTally
+from topcli.analysis.trend import trend
 from topcli.contracts import Array, Invariant, Top
 
 BINS = 2 * BLOCKS
@@ -56,7 +57,7 @@ def uneven_report(
     """
     lengths = represented_times(t)
     bins = np.minimum(np.abs(t - t[0]) / abs(t[-1] - t[0]) * BINS, BINS - 1).astype(np.int64)
-    numbers, values = np.arange(len(t)), invariant_values(invariants, states)
+    values = invariant_values(invariants, states)
     by_bin = np.bincount(bins, weights=lengths, minlength=BINS).astype(np.float64)
     filled = by_bin > 0.0
     total = by_bin[filled]
@@ -64,17 +65,10 @@ def uneven_report(
     def means(of_rows: Array) -> Array:
         return np.bincount(bins, weights=lengths * of_rows, minlength=BINS)[filled] / total
 
-    all_sums = sums_from(invariants, states, top)
+    tally = InvariantTally(invariants, 1.0, top, drifts=False)
+    tally.add(np.arange(len(t)), states, values)
     with np.errstate(all="ignore"):  # huge states: the verdict covers values that are not finite
-        centres = means(t - t[0])
-        rows = [
-            sums.row(
-                trend(centres, means(sums.add(numbers, states, values[sums.invariant.name])), total),
-                len(t),
-                steps,
-                float(t[-1] - t[0]),
-            )
-            for sums in all_sums
-        ]
-    left = next((int(sums.left) for sums in all_sums if not np.isnan(sums.left)), None)
-    return rows, left
+        centres, span = means(t - t[0]), float(t[-1] - t[0])
+        deviations = (values[invariant.name] - tally.first[i] for i, invariant in enumerate(invariants))
+        fits = [trend(centres, means(deviation), total) for deviation in deviations]
+        return [tally.row(i, fit, steps, span, ULP) for i, fit in enumerate(fits)], tally.left_step

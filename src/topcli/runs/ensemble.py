@@ -7,12 +7,12 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from topcli.analysis.columns import column_names, columns, invariant_values
-from topcli.analysis.many import EnsembleSummary, EnsembleTally, Spool, measure_columns
+from topcli.analysis.tally import EnsembleSummary, InvariantTally, measure_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
@@ -65,7 +65,7 @@ class GroupRun(Generic[Made]):
 
         def made(piece: Piece) -> Made:
             values = invariant_values(self.invariants, piece.states.reshape(-1, piece.states.shape[-1]))
-            self.tally.add(piece.first, piece.n, piece.states, piece.kept, values)
+            self.tally.add(piece.n, piece.states, values, piece.first, piece.kept)
             return keep(self, piece, values)
 
         self.run = EnsembleRun(
@@ -80,8 +80,8 @@ class GroupRun(Generic[Made]):
             execution=Execution(stop, threads, tile_of(group.count), wide=experiment.store != "trajectories"),
         )
 
-    def _tally(self, count: int) -> EnsembleTally:
-        return EnsembleTally(self.invariants, count, self.group.top, self._last)
+    def _tally(self, count: int) -> InvariantTally:
+        return InvariantTally(self.invariants, self.experiment.first.h, self.group.top, count, self._last)
 
     def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
         """Run the next trajectories of the group, from ``y0`` (m, d): results of ``keep`` and trajectory-steps done."""
@@ -102,7 +102,7 @@ class GroupRun(Generic[Made]):
 
     def last_rows(self) -> Columns:
         """Row of the last state of each trajectory in the block that has been started."""
-        begun = np.flatnonzero(self.tally.begun)
+        begun = np.flatnonzero(self.tally.rows)
         return self.rows(begun, self.run.last_n[begun], self.run.last[begun])
 
     def trajectories(self, varied: Sequence[str]) -> Columns:
@@ -116,7 +116,7 @@ class GroupRun(Generic[Made]):
         made["n"] = run.endings.step
         made["left_motion"] = run.endings.left
         one = self.experiment.first
-        return made | measure_columns(self.tally, one.N, one.output.every, one.h)
+        return made | measure_columns(self.tally, one.N, one.output.every)
 
 
 _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)
@@ -154,7 +154,7 @@ class _Record:
         experiment: EnsembleExperiment,
         series: SeriesWriter | None,
         table_of: Callable[[list[str]], SeriesWriter],
-        spool: Spool,
+        spool: Any,
     ) -> None:
         self.experiment, self.series, self._table_of = experiment, series, table_of
         self.trajectories: SeriesWriter | None = None
@@ -240,7 +240,7 @@ def _carry_out(
             return stack.enter_context(SeriesWriter(table, names, metadata))
 
         spool = stack.enter_context(tempfile.TemporaryFile(dir=writer.folder))
-        record = _Record(experiment, series, table_of, cast(Spool, spool))
+        record = _Record(experiment, series, table_of, spool)
         record.run(options)
         report = record.finish(origin.identity.digest)
         for name, written in ((path.name, series), (table.name, record.trajectories)):

@@ -6,8 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from topcli.analysis.drift import ROUND_OFF_ULPS
-from topcli.analysis.many import QUANTILES
+from topcli.analysis.tally import QUANTILES, ROUND_OFF_ULPS
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.contracts import Ending, Outcome
 from topcli.engine.endings import NO_FAILURE, Endings

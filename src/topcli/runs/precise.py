@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.columns import columns
 from topcli.analysis.digit_growth import DigitGrowth, digit_growth
-from topcli.analysis.drift import InvariantRow, InvariantTally
+from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
@@ -53,7 +53,8 @@ class PreciseTally:
         self._firsts = {name: values[0] for name, values in first.items()}
         origins = {name: _double(value) for name, value in self._firsts.items()}
         in_doubles = (*experiment.top.invariants(), *experiment.modified)
-        self.tally = InvariantTally(in_doubles, experiment.h, experiment.top, run.arithmetic.eps, origins)
+        self.tally = InvariantTally(in_doubles, experiment.h, experiment.top)
+        self._origins = origins
         self._unequal = dict.fromkeys(origins, 0)
         self._count = 0
         self._growth: list[tuple[int, int]] = []
@@ -79,9 +80,9 @@ class PreciseTally:
         self.tally.add(n, states.astype(np.float64), deviations)
         return values
 
-    def rows(self) -> list[InvariantRow]:
+    def report(self) -> list[InvariantRow]:
         """Report with one row for each invariant; equality in rational numbers is stated as such."""
-        rows = self.tally.rows()
+        rows = self.tally.report(eps=self._run.arithmetic.eps, origins=self._origins)
         if not self._rational:
             return rows
         equal = f"equal at all {self._count} rows"
@@ -109,9 +110,9 @@ class PreciseTally:
         self._unequal = dict(zip(self._unequal, unequal, strict=True))
 
     @property
-    def left(self) -> int | None:
+    def left_step(self) -> int | None:
         """First recorded step at which the energy was beyond its limit; None for never."""
-        return self.tally.left
+        return self.tally.left_step
 
 
 def _double(value: Any) -> float:
@@ -186,8 +187,8 @@ def precise_trajectory(experiment: Experiment, run: PreciseRun) -> Trajectory:
     n, states, ending = loop.collect()
     tally = PreciseTally(experiment, run)
     tally.add(n, states)
-    ending = ending.having_left(tally.left, loop.h)
-    doubles, rows = states.astype(np.float64), tuple(tally.rows())
+    ending = ending.having_left(tally.left_step, loop.h)
+    doubles, rows = states.astype(np.float64), tuple(tally.report())
     return Trajectory(
         experiment.top,
         experiment.scheme.name,

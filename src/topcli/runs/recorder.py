@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.attitude import attitude_columns
 from topcli.analysis.columns import columns, invariant_values
-from topcli.analysis.drift import InvariantTally
+from topcli.analysis.tally import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending
 from topcli.engine.loop import Chunk
@@ -138,7 +138,7 @@ class Recorder:
         """
         if len(self._batch.rows()[0]):
             self._pass_on()
-        ending = ending.having_left(self.tally.left, self._experiment.h)
+        ending = ending.having_left(self.tally.left_step, self._experiment.h)
         left = {} if ending.left is None else {"topcli.left_motion": json.dumps(left_motion(ending))}
         self.series.finish({"topcli.outcome": ending.outcome.value, "topcli.message": ending.message, **left})
         return ending

@@ -152,7 +152,7 @@ def _carry_out(
     run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
     _record(job, run, recorder, progress)
     writer.sha256[job.series.name] = recorder.series.sha256
-    report = report_data(_summary(job, run, precision()), recorder.tally.rows())
+    report = report_data(_summary(job, run, precision()), recorder.tally.report())
     manifest = {"step": report["step"], "left_motion": report["left_motion"], "series": job.series.name}
     if resumed := job.checkpoints.about["resumed"]:
         manifest["resumed"] = resumed

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.drift import InvariantRow, InvariantTally
 from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.uneven import uneven_report
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
@@ -191,8 +191,8 @@ def _judged(experiment: Experiment, rows: Rows, steps: int) -> tuple[list[Invari
     invariants = (*top.invariants(), *(experiment.modified if own else ()))
     tally = InvariantTally(invariants, spacing, top)
     tally.add(numbers, rows.states)
-    left = None if tally.left is None else int(np.searchsorted(numbers, tally.left))
-    return tally.rows(steps), left, "steps of the config's h" if own else "even"
+    left = None if tally.left_step is None else int(np.searchsorted(numbers, tally.left_step))
+    return tally.report(steps), left, "steps of the config's h" if own else "even"
 
 
 def _reference(experiment: Experiment, rows: Rows) -> tuple[dict[str, Any], Array | None]:

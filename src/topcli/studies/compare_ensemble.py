@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.many import quantiles
 from topcli.analysis.reference import reference_obstacle
+from topcli.analysis.tally import quantiles
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from topcli.analysis.drift import invariant_report
 from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order, observed_order
 from topcli.analysis.swings import minima_times
+from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Sampler
 from topcli.schemes.registry import find_scheme

@@ -15,12 +15,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.drift import BLOCKS
 from topcli.analysis.leaving import energy_of
-from topcli.analysis.many import EnsembleTally
 from topcli.analysis.order import PROBES as PROBE_STATES
 from topcli.analysis.order import probe_rows
 from topcli.analysis.reference import distances
+from topcli.analysis.tally import BLOCKS, InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome
 from topcli.engine.endings import CODES, Endings
@@ -179,8 +178,9 @@ class BatchRecorder:
         tallied = {name for names in self._summed.values() for name in names}
         energy = energy_of(top)
         watched = tallied | ({energy.name} if energy else set())
-        last = int(self._n[-1]) if self._summed[DRIFT] else None
-        self._tally = EnsembleTally([one for one in self._integrals.values() if one.name in watched], count, top, last)
+        summed = [one for one in self._integrals.values() if one.name in watched]
+        last, drifts = int(self._n[-1]), bool(self._summed[DRIFT])
+        self._tally = InvariantTally(summed, experiment.h, top, count, last, drifts)
         self._columns = {name: np.full((count, m), np.nan) for name in _columns(needs)}
         self._states = np.full((count, m if STATES in needs else 0, d), np.nan)
         self._probe_rows = np.arange(m)[probe_rows(m)] if PROBES in needs else np.empty(0, dtype=np.int64)
@@ -215,7 +215,7 @@ class BatchRecorder:
         runs, rows = slice(first, first + count), slice(row, row + m)
         with np.errstate(all="ignore"):
             values = {one.name: one.value(flat) for one in self._tally.invariants}
-        self._tally.add(first, n, states, kept, values)
+        self._tally.add(n, states, values, first, kept)
         reached = None if (kept == m).all() else np.arange(m) < kept[:, None]
         for name, column in self._columns.items():
             found = self._column(name, states, flat, values)
@@ -252,7 +252,7 @@ class BatchRecorder:
             if whole and ERROR in self._needs and self._references[i] is None:
                 self.max_error[i] = np.nan
         index = {invariant.name: i for i, invariant in enumerate(self._tally.invariants)}
-        slopes = self._tally.slopes(one.output.every, one.h)
+        slopes = self._tally.slopes(len(self._n), int(self._n[-1]))
         return Batch(
             experiment=one,
             n=self._n,

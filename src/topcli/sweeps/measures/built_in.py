@@ -63,7 +63,7 @@ def first_spacing(batch: Batch) -> Array:
     noun=INTEGRAL,
 )
 def drift(batch: Batch, name: str) -> Array:
-    """Slope of the line that ``analysis.drift`` fits; nan for fewer than eight recorded rows."""
+    """Slope of the line that ``analysis.tally`` fits; nan for fewer than eight recorded rows."""
     return batch.drifts[name]
 
 

@@ -1,0 +1,410 @@
+"""The invariant report: deviations of trajectories from what the exact flow conserves.
+
+One tally serves single runs, ensembles and rows of sweeps: all sums are arrays over invariants and trajectories, fed
+with pieces of rows in fixed memory. Sums over blocks add their rows one after the other, so that a slope depends
+neither on the pieces in which the rows come nor on the trajectories beside them.
+
+The verdicts on a single run:
+
+*exact*     no deviation beyond the round-off bound ``ROUND_OFF_ULPS * eps * sqrt(steps) * scale``, where scale is
+            the largest sum of magnitudes of the terms that make up the invariant (Brouwer's law: independent
+            rounding errors add up as sqrt(steps)).
+*lost*      the deviation is of the order of the invariant itself: more than ``LOST`` times the first value, or times
+            ``TERMS`` of the scale where the first value is a smaller difference of large terms.
+*drifting*  the slope of the deviation in time (``analysis.trend``) stands out from its noise by more than
+            ``SIGNIFICANCE`` standard errors, and over the run it carries the deviation further than twice the scatter
+            about it.
+*bounded*   deviations beyond round-off, but no significant slope over this run.
+
+*unjudged*  deviations beyond round-off but too few rows for a slope, numbers that are not finite, or no step at all.
+
+The slope is fitted to block means, ``BLOCKS`` or up to twice as many.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.analysis.columns import invariant_values
+from topcli.analysis.leaving import energy_limits, first_beyond
+from topcli.analysis.trend import Trend, hann_line, trend
+from topcli.contracts import Array, Invariant, Top
+
+ROUND_OFF_ULPS = 20.0
+SIGNIFICANCE = 5.0
+LOST = 0.25
+TERMS = 0.1
+BLOCKS = 64
+QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
+MEASURES = ("max_deviation", "rms_deviation", "final_deviation")
+
+ULP = float(np.finfo(np.float64).eps)
+_SUMS = ("first", "low", "high", "scale", "squares", "limit", "left", "rows", "steps", "width", "sums")
+"""Arrays of a tally that change with its rows."""
+
+
+@dataclass(frozen=True)
+class InvariantRow:
+    """Report on one invariant: dimensionless deviations from the first value.
+
+    ``relative`` figures are None if the first value is 0, ``drift`` figures if there are too few rows.
+    """
+
+    name: str
+    symbol: str
+    first: float
+    min: float
+    max: float
+    max_deviation: float
+    max_deviation_relative: float | None
+    rms_deviation: float
+    rms_deviation_relative: float | None
+    drift: float | None
+    """Linear drift per unit time."""
+    drift_error: float | None
+    """One standard error of ``drift``."""
+    drift_over_run: float | None
+    """``drift`` times the length of the run."""
+    model: str | None
+    """Model of the deviation beside the drift, which determines its error: "linear trend" or "random walk"."""
+    scatter: float | None
+    """Root mean square of the block means about the fitted line."""
+    round_off_bound: float
+    verdict: str
+    reason: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, ready for JSON."""
+        return asdict(self)
+
+
+def round_off_bound(steps: Any, scale: Any, eps: float = ULP) -> Any:
+    """Largest deviation that rounding explains after ``steps`` steps; numbers or arrays."""
+    return ROUND_OFF_ULPS * eps * np.sqrt(np.maximum(steps, 1)) * scale
+
+
+class InvariantTally:
+    """Deviations of ``invariants`` along ``count`` trajectories of step h, fed with pieces in the order of time.
+
+    Rows are those of every k-th step, from step 0 on, whose state is the reference. With the ``top``, ``left``
+    (count,) are the first recorded steps at which each state has left its energy surface, -1 for never. Blocks that
+    fill up are joined in pairs, unless they are wide enough for the ``last`` recorded step from the beginning; without
+    ``drifts`` there are none. Different trajectories may be added from different threads if ``last`` is known.
+    """
+
+    def __init__(
+        self,
+        invariants: Sequence[Invariant],
+        h: float,
+        top: Top | None = None,
+        count: int = 1,
+        last: int = 0,
+        drifts: bool = True,
+    ) -> None:
+        self.invariants, self._h, self._top, self._drifts = tuple(invariants), h, top, drifts
+        shape = (len(self.invariants), count)
+        self.first, self.low, self.high, self.final_deviation = (np.full(shape, np.nan) for _ in range(4))
+        self.scale, self.squares = np.zeros(shape), np.zeros(shape)
+        self.limit, self.left = np.full(count, np.inf), np.full(count, -1, dtype=np.int64)
+        self.rows, self.steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        self.width = np.ones(1, dtype=np.int64)
+        while last // self.width[0] >= 2 * BLOCKS:
+            self.width *= 2
+        self.sums = np.zeros((*shape, 2 * BLOCKS if drifts else 0))
+
+    def add(
+        self,
+        n: NDArray[np.int64],
+        states: Array,
+        values: Mapping[str, Array] | None = None,
+        first: int = 0,
+        kept: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Add rows of the trajectories from ``first`` on: step numbers (m,), states (trajectories, m, d) or (m, d).
+
+        Only the first ``kept[i]`` rows of each count, by default all. ``values`` (trajectories * m,) are those of the
+        invariants by name, if they have been evaluated before; a run in another precision, whose deviations a
+        difference of doubles would not show, gives these instead.
+        """
+        m = len(n)
+        if not m:
+            return
+        flat = np.ascontiguousarray(states).reshape(-1, states.shape[-1])
+        count = len(flat) // m
+        if values is None:
+            values = invariant_values(self.invariants, flat)
+        kept = np.full(count, m) if kept is None else kept
+        here = slice(first, first + count)
+        beyond = None if (kept == m).all() else np.arange(m) >= kept[:, None]
+        fresh = (self.rows[here] == 0) & (kept > 0)
+        places = self._places(n, count) if self._drifts else n
+        with np.errstate(all="ignore"):  # huge states give figures that are not finite
+            for i, invariant in enumerate(self.invariants):
+                of_rows = values[invariant.name].reshape(count, m)
+                for sums in (self.first, self.low, self.high):
+                    sums[i, here] = np.where(fresh, of_rows[:, 0], sums[i, here])
+                start = self.first[i, here, None]
+                deviation, scale = of_rows - start, invariant.scale(flat).reshape(count, m)
+                if beyond is not None:
+                    of_rows = np.where(beyond, start, of_rows)
+                    deviation[beyond] = scale[beyond] = 0.0
+                self.low[i, here] = np.minimum(self.low[i, here], of_rows.min(axis=1))  # unlike min() it keeps a nan
+                self.high[i, here] = np.maximum(self.high[i, here], of_rows.max(axis=1))
+                if self._top is not None and invariant.name == self._top.energy:
+                    if fresh.any():
+                        limits = energy_limits(self._top, flat[::m])
+                        self.limit[here] = np.where(fresh, limits, self.limit[here])
+                    largest = np.maximum(self.high[i, here] - start[:, 0], start[:, 0] - self.low[i, here])
+                    over = ~(largest <= self.limit[here]) & (self.left[here] < 0)
+                    for j in np.flatnonzero(over).tolist():
+                        at = first_beyond(deviation[j], float(self.limit[first + j]))
+                        self.left[first + j] = -1 if at is None else n[at]
+                if self._drifts:
+                    sums = self.sums[i, here]
+                    weights = np.concatenate([sums.ravel(), deviation.ravel()])
+                    sums[:] = np.bincount(places, weights=weights).reshape(sums.shape)
+                self.scale[i, here] = np.maximum(self.scale[i, here], scale.max(axis=1))
+                self.squares[i, here] += np.einsum("ij,ij->i", deviation, deviation)
+        self.rows[here] += kept
+        self.steps[here] = np.where(kept > 0, n[np.maximum(kept, 1) - 1], self.steps[here])
+
+    def _places(self, n: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """Places of the sums of ``count`` trajectories, then those to which their rows at the steps ``n`` belong."""
+        size = 2 * BLOCKS
+        while n[-1] // self.width[0] >= size:
+            self.width *= 2
+            joined = self.sums[..., 0::2] + self.sums[..., 1::2]
+            self.sums = np.concatenate([joined, np.zeros_like(joined)], axis=-1)
+        rows = np.arange(count)[:, None] * size + n // self.width[0]
+        return np.concatenate([np.arange(count * size), rows.ravel()])
+
+    def finish(self, states: Array) -> None:
+        """Compute the final deviations from the last states (trajectories, d)."""
+        values = invariant_values(self.invariants, states)
+        with np.errstate(all="ignore"):
+            for i, invariant in enumerate(self.invariants):
+                self.final_deviation[i] = values[invariant.name] - self.first[i]
+
+    @property
+    def left_step(self) -> int | None:
+        """First recorded step at which the only trajectory has left its energy surface; None for never."""
+        return None if self.left[0] < 0 else int(self.left[0])
+
+    @property
+    def max_deviation(self) -> Array:
+        """Largest deviations (invariants, trajectories); nan for a trajectory without a row."""
+        with np.errstate(all="ignore"):
+            return np.maximum(self.high - self.first, self.first - self.low)
+
+    @property
+    def rms_deviation(self) -> Array:
+        """Root mean square deviations (invariants, trajectories); nan for a trajectory without a row."""
+        with np.errstate(all="ignore"):
+            return np.sqrt(self.squares / self.rows)
+
+    @property
+    def within_round_off(self) -> NDArray[np.bool_]:
+        """True where the largest deviation is within the round-off bound (invariants, trajectories).
+
+        False for a trajectory without a step, which is not judged.
+        """
+        bound = round_off_bound(self.steps, self.scale)
+        return (self.max_deviation <= bound) & np.isfinite(bound) & (self.steps > 0)
+
+    def _blocks(self, rows: int, last: int) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
+        """Blocks that ``rows`` rows up to the step ``last`` fill, their numbers of rows and mean times."""
+        every = last // max(rows - 1, 1) or 1
+        edges = np.minimum(-(-np.arange(2 * BLOCKS + 1) * self.width // every), rows)  # first row of each block
+        counts = np.diff(edges)
+        filled = counts > 0
+        return filled, counts[filled], 0.5 * (every * (edges[:-1] + edges[1:] - 1))[filled] * self._h
+
+    def slopes(self, rows: int, last: int) -> Array:
+        """Drifts per unit time (invariants, trajectories) of trajectories with all ``rows`` rows up to step ``last``.
+
+        They are nan for the others, and for fewer than 8 blocks.
+        """
+        made = np.full(self.first.shape, np.nan)
+        filled, counts, t = self._blocks(rows, last)
+        line = hann_line(t) if self._drifts else None
+        if line is not None:
+            # one by one, because a product of matrices rounds differently from one of vectors
+            for i, j in np.ndindex(*made.shape):
+                if self.rows[j] == rows:
+                    made[i, j] = line[1] @ (self.sums[i, j, filled] / counts)
+        return made
+
+    def row(self, i: int, fit: Trend | None, steps: int, span: float, eps: float, origin: float = 0.0) -> InvariantRow:
+        """Report on invariant ``i`` of the only trajectory, with the line ``fit`` through its deviations.
+
+        ``steps`` of the method take the time ``span``; ``eps`` is the rounding error of the arithmetic, and ``origin``
+        is added to the values.
+        """
+        deviation, rms = float(self.max_deviation[i, 0]), float(self.rms_deviation[i, 0])
+        scale = float(self.scale[i, 0])
+        bound = float(round_off_bound(steps, scale, eps))
+        first = origin + float(self.first[i, 0])
+        size = abs(first)
+        verdict, reason = _verdict(deviation, bound, max(size, TERMS * scale), fit, span)
+        return InvariantRow(
+            name=self.invariants[i].name,
+            symbol=self.invariants[i].symbol,
+            first=first,
+            min=origin + float(self.low[i, 0]),
+            max=origin + float(self.high[i, 0]),
+            max_deviation=deviation,
+            max_deviation_relative=deviation / size if size else None,
+            rms_deviation=rms,
+            rms_deviation_relative=rms / size if size else None,
+            drift=fit.slope if fit else None,
+            drift_error=fit.error if fit else None,
+            drift_over_run=fit.slope * span if fit else None,
+            model=fit.model if fit else None,
+            scatter=fit.scatter if fit else None,
+            round_off_bound=bound,
+            verdict=verdict,
+            reason=reason,
+        )
+
+    def report(
+        self, steps: int | None = None, eps: float = ULP, origins: Mapping[str, float] | None = None
+    ) -> list[InvariantRow]:
+        """Report on the only trajectory, one row per invariant; ``steps`` of the method, if not the last step number.
+
+        ``origins`` are the first values by name, if deviations were added.
+        """
+        rows, last = int(self.rows[0]), int(self.steps[0])
+        if not rows:
+            return []
+        with np.errstate(all="ignore"):
+            filled, counts, t = self._blocks(rows, last)
+            fits = [trend(t, sums[0, filled] / counts) for sums in self.sums]
+            taken, span = last if steps is None else steps, last * self._h
+            return [
+                self.row(i, fit, taken, span, eps, (origins or {}).get(self.invariants[i].name, 0.0))
+                for i, fit in enumerate(fits)
+            ]
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Current sums in arrays of a fixed size, from which ``restore`` continues bit for bit."""
+        return {name: getattr(self, name).copy() for name in _SUMS}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from a ``state()``. Raises KeyError or ValueError if it has another form."""
+        for name in _SUMS:
+            if state[name].shape != getattr(self, name).shape:
+                raise ValueError("the sums of the invariant report have another form")
+            setattr(self, name, np.array(state[name]))
+
+
+def _verdict(deviation: float, bound: float, size: float, fit: Trend | None, span: float) -> tuple[str, str]:
+    """Verdict on a deviation from an invariant of this ``size``, and its reason."""
+    if not (math.isfinite(deviation) and math.isfinite(bound)):
+        return "unjudged", "the invariant or its terms are not finite"
+    if deviation > LOST * size:
+        return "lost", f"max deviation {deviation:.1e} exceeds {LOST:g} times the invariant's size {size:.1e}"
+    if deviation <= bound:
+        if span == 0.0:
+            return "unjudged", "the run has no recorded step"
+        return "exact", f"max deviation {deviation:.1e} is within the round-off bound {bound:.1e}"
+    beyond = f"max deviation {deviation:.1e} exceeds the round-off bound {bound:.1e}"
+    if fit is None:
+        return "unjudged", f"{beyond}; too few rows for a slope"
+    moved = fit.slope * span
+    ratio = abs(fit.slope) / fit.error if fit.error else math.inf
+    fitted = (
+        f"slope {fit.slope:.1e} ± {fit.error:.1e} ({ratio:.1f} standard errors, {fit.model}), {moved:.1e} over the run"
+    )
+    drifting = ratio > SIGNIFICANCE and abs(moved) > 2.0 * fit.scatter
+    return "drifting" if drifting else "bounded", f"{beyond}; {fitted}, scatter {fit.scatter:.1e}"
+
+
+def invariant_report(
+    invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array
+) -> list[InvariantRow]:
+    """Report on rows held in memory: step numbers (m,), states (m, d)."""
+    tally = InvariantTally(invariants, h)
+    tally.add(n, states)
+    return tally.report()
+
+
+def measure_columns(tally: InvariantTally, N: int, every: int) -> dict[str, Array]:
+    """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation``, ``_final_deviation``, ``_drift`` (trajectories,).
+
+    A whole trajectory has ``N`` steps and a row for every ``every``-th. One that lacks some has no drift, but nan.
+    """
+    figures = {name: getattr(tally, name) for name in ("first", *MEASURES)}
+    figures["drift"] = tally.slopes(N // every + 1, N // every * every)
+    return {
+        f"{invariant.name}_{name}": values[i]
+        for i, invariant in enumerate(tally.invariants)
+        for name, values in figures.items()
+    }
+
+
+class EnsembleSummary:
+    """Summary of the invariants of an ensemble, gathered tally by tally.
+
+    Quantiles need all values: these are stored in ``spool``, an empty binary file that the caller opens and closes.
+    ``rows`` reads them back one measure at a time, with nine bytes per trajectory in memory.
+    """
+
+    def __init__(self, spool: io.BufferedRandom | io.BytesIO) -> None:
+        self._spool = spool
+        self._counts: list[int] = []
+        self._invariants: tuple[Invariant, ...] = ()
+        self._judged, self._within = 0, np.zeros(1, dtype=np.int64)
+
+    def add(self, tally: InvariantTally) -> None:
+        """Add a finished tally; all have the same invariants, of different tops. Raises OSError."""
+        self._invariants = tally.invariants
+        self._within = self._within + tally.within_round_off.sum(axis=1)
+        self._judged += int((tally.steps > 0).sum())
+        self._counts.append(len(tally.steps))
+        self._spool.write(np.stack([getattr(tally, name) for name in MEASURES]).tobytes())
+
+    def _quantiles(self, measure: int, invariant: int) -> dict[str, float | None]:
+        """Quantiles of the magnitudes of a measure of an invariant over all trajectories."""
+        values = np.empty(sum(self._counts))
+        rows, filled, start = len(self._invariants), 0, 0
+        for count in self._counts:
+            self._spool.seek(start + 8 * count * (measure * rows + invariant))
+            if self._spool.readinto(values[filled : filled + count].data) < 8 * count:
+                raise OSError(errno.EIO, "the stored deviations cannot be read back")
+            filled += count
+            start += 8 * count * len(MEASURES) * rows
+        return quantiles(np.abs(values, out=values), QUANTILES)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Quantiles of the measures of each invariant over the trajectories, and the number within round-off."""
+        return [
+            {
+                "name": invariant.name,
+                "symbol": invariant.symbol,
+                "judged": self._judged,
+                "within_round_off": int(self._within[i]),
+                **{measure: self._quantiles(k, i) for k, measure in enumerate(MEASURES)},
+            }
+            for i, invariant in enumerate(self._invariants)
+        ]
+
+
+def quantiles(values: Array, levels: Mapping[str, float]) -> dict[str, float | None]:
+    """Quantiles of ``values`` (m,) without nan at named ``levels`` from 0 to 1; None if nothing else is there.
+
+    ``values`` is overwritten.
+    """
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return dict.fromkeys(levels)
+    # observed values instead of means of two, which would be useless beside an infinity
+    at_levels = np.quantile(known, list(levels.values()), method="inverted_cdf", overwrite_input=True)
+    return dict(zip(levels, at_levels.tolist(), strict=True))

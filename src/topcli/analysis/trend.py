@@ -1,0 +1,187 @@
+"""Line through the deviations of a run: its slope, the error of the slope, and the model that decides the error.
+
+The line is fitted with Hann weights: an oscillation of period P in a run of length T leaks into the slope only as
+(P/T)^3. The standard error of the slope depends on the rest of the deviation, for which two models are compared:
+
+*linear trend*  noise or an oscillation that does not grow; its error allows for correlation (Newey, West 1987);
+*random walk*   independent increments, as from rounding errors: every single walk shows some slope, without meaning.
+
+The linear trend is chosen only if it is ``EVIDENCE`` times as likely. The test uses the ``LOW`` slowest components of
+the residuals, then all of them: in white noise all are equally large, in a random walk the slower ones are larger
+(Müller, Watson, Econometrica 76 (2008) 979). In 4,000 simulations each with 64 to 128 blocks, random walks without
+drift were taken for linear trends in 4 of 100 cases and exceeded ``tally.SIGNIFICANCE`` standard errors in 2 of 100 (in
+22 to 30 of 100 by the error of a linear trend); white noise was never taken for a random walk and exceeded them in 1 of
+4,000.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from topcli.contracts import Array
+
+LAGS = 8
+WALK_LAGS = 2
+"""Correlated lags of the increments of a random walk: means over neighbouring blocks share half a block each."""
+LOW = 8
+EVIDENCE = 5.0
+LINEAR, WALK = "linear trend", "random walk"
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A line through block means: ``slope`` with its standard ``error`` by ``model``, and rms ``scatter`` about it."""
+
+    slope: float
+    error: float
+    scatter: float
+    model: str
+
+
+def hann_line(t: Array) -> tuple[Array, Array] | None:
+    """Hann weights of points at evenly spaced ``t`` (m,), and the influence of each on the slope of the fitted line.
+
+    None for fewer than 8 points.
+    """
+    m = len(t)
+    if m < 8 or t[-1] == t[0]:
+        return None
+    return _line(t, np.sin(np.pi * (np.arange(m) + 0.5) / m) ** 2)
+
+
+def _line(t: Array, weight: Array) -> tuple[Array, Array]:
+    """Normalized weights, and the influence of each point on the slope of the line fitted with them."""
+    weight = weight / weight.sum()
+    s = t - weight @ t
+    return weight, weight * s / (weight @ s**2)
+
+
+def trend(t: Array, values: Array, lengths: Array | None = None) -> Trend | None:
+    """Hann-weighted line through ``values`` (m,) at times ``t`` (m,), rising or falling; None for too few points.
+
+    Points are evenly spaced, unless the ``lengths`` (m,) of time that they represent are given: the weights are then
+    proportional to them, and the increments of a random walk have variances proportional to the spacing. Fewer than
+    eight points, or weights that are worth fewer, are too few.
+    """
+    m = len(t)
+    line, gaps, count = hann_line(t), None, float(m)
+    if line is None:
+        return None
+    if lengths is not None:
+        weight, gaps = _uneven_weights(t, lengths)
+        line = _line(t, weight)
+        count = min(1.5 / float(line[0] @ line[0]), count)  # of m Hann weights the squares add up to 1.5 / m
+        if not count >= 8:  # nan included
+            return None
+    weight, influence = line
+    s = t - weight @ t
+    slope = float(influence @ values)
+    residual = values - (weight @ values) - slope * s
+    scatter = math.sqrt(float(weight @ residual**2))
+    if _walks(residual, gaps):
+        reach = np.cumsum(influence[::-1])[-2::-1]  # of each increment into the slope
+        increments = np.diff(residual)
+        if gaps is not None:
+            reach, increments = reach * np.sqrt(gaps), increments / np.sqrt(gaps)
+        variance = _long_run(increments, WALK_LAGS) / (m - 2.0 - WALK_LAGS) * float(reach @ reach)
+        return Trend(slope, math.sqrt(max(variance, 0.0)), scatter, WALK)
+    lags = min(LAGS, int(count) // 4)
+    variance = _long_run(influence * residual, lags)
+    variance *= count / (count - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
+    return Trend(slope, math.sqrt(max(variance, 0.0)), scatter, LINEAR)
+
+
+def _uneven_weights(t: Array, lengths: Array) -> tuple[Array, Array]:
+    """Weights (m,) of points at times ``t`` (m,) that represent ``lengths`` of time (m,), by a Hann window in time.
+
+    Also their spacings (m - 1,) in units of the mean.
+    """
+    since = np.abs(t - t[0])
+    before, after = 0.5 * lengths[0], 0.5 * lengths[-1]
+    weight = lengths * np.sin(np.pi * (since + before) / (since[-1] + before + after)) ** 2
+    return weight, np.diff(since) * ((len(t) - 1) / since[-1])
+
+
+def _long_run(values: Array, lags: int) -> float:
+    """Variance of the sum of ``values`` (m,), correlated over up to ``lags`` places."""
+    variance = float(values @ values)
+    for lag in range(1, lags + 1):
+        variance += 2.0 * (1.0 - lag / (lags + 1)) * float(values[lag:] @ values[:-lag])
+    return variance
+
+
+def _slow_components(m: int, q: int, gaps: Array | None = None) -> tuple[Array, Array, float]:
+    """The q slowest polynomials (m, q) orthonormal to each other and to all lines, and a random walk's weights of them.
+
+    The weights are the inverse of the covariance of the walk's components (q, q), and half the logarithm of the
+    determinant of the covariance. The points are evenly spaced and the increments of unit variance, unless spacings are
+    given, ``gaps`` (m - 1,), which are also the variances.
+    """
+    x = np.linspace(-1.0, 1.0, m)
+    if gaps is not None:
+        since = np.append(0.0, np.cumsum(gaps))
+        x = 2.0 * since / since[-1] - 1.0
+    legendre = [np.ones(m), x]  # by their recurrence, without importing numpy.polynomial
+    for k in range(1, q + 1):
+        legendre.append(((2 * k + 1) * x * legendre[k] - k * legendre[k - 1]) / (k + 1))
+    slow = np.linalg.qr(np.stack(legendre, axis=1))[0][:, 2:]
+    tails = np.cumsum(slow[::-1], axis=0)[::-1]
+    if gaps is not None:
+        tails[1:] *= np.sqrt(gaps)[:, None]  # tails[0] is zero: the columns are orthogonal to a constant
+    covariance = tails.T @ tails
+    return slow, np.linalg.inv(covariance), 0.5 * float(np.linalg.slogdet(covariance)[1])
+
+
+@cache
+def _even_components(m: int, q: int) -> tuple[Array, Array, float]:
+    """The slow components of m evenly spaced points."""
+    return _slow_components(m, q)
+
+
+def _sizes_in_slow(residual: Array, q: int, gaps: Array | None) -> tuple[float, float, float]:
+    """Squared sizes of the q slowest components of the residual (m,) as white noise and as a walk, and half the log."""
+    m = len(residual)
+    slow, inverse, half_log = _even_components(m, q) if gaps is None else _slow_components(m, q, gaps)
+    z = slow.T @ residual
+    return float(z @ z), float(z @ inverse @ z), half_log
+
+
+def sizes_in_all(residual: Array) -> tuple[float, float, float]:
+    """As ``_sizes_in_slow`` for all m - 2 components of the residual (m,), in closed form.
+
+    White noise is measured by the distance from the nearest line. A walk with increments of unit variance is measured
+    by its increments about their mean, the generalized least squares fit of a line: with D the differences and X the
+    lines, the inverse of the covariance of the m values is D'D, its determinant is 1, and that of the m - 2 components
+    is det(X'D'DX) / det(X'X) = 12 / (m²(m + 1)).
+    """
+    m = len(residual)
+    level = residual - residual.mean()
+    x = np.arange(m) - 0.5 * (m - 1)
+    off_line = level - (x @ level) / (x @ x) * x
+    increments = np.diff(off_line)
+    increments -= increments.mean()
+    return float(off_line @ off_line), float(increments @ increments), 0.5 * math.log(12.0 / (m * m * (m + 1.0)))
+
+
+def _walks(residual: Array, gaps: Array | None) -> bool:
+    """True unless the residual (m,) of a line is ``EVIDENCE`` times as likely from white noise as from a random walk.
+
+    The test uses the slow components, then all of them. Both likelihoods are those of the components' direction,
+    without their common size.
+    """
+    m, size = len(residual), float(np.abs(residual).max())
+    if not 0.0 < size < math.inf:
+        return False
+    few = min(LOW, m // 3)
+    for q in (few, m - 2):
+        closed = q != few and gaps is None
+        white, walk, half_log = sizes_in_all(residual / size) if closed else _sizes_in_slow(residual / size, q, gaps)
+        if not (white > 0.0 and walk > 0.0):
+            return False
+        if half_log + 0.5 * q * math.log(walk / white) > math.log(EVIDENCE):
+            return False
+    return True
