@@ -14,13 +14,13 @@ from topcli.arithmetic.complex_plane import root_nearest
 from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Run
 from topcli.runs.report import warning_of
-from topcli.schemes.counting import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.euler.hk import euler_determinant, hk_increment
 from topcli.schemes.heavy.hk import heavy_determinant
 from topcli.schemes.kowalevski.bohlin import bohlin_step, method_c
 from topcli.schemes.kowalevski.hk import hk_kowalevski, kowalevski_determinant
 from topcli.schemes.kowalevski.hybrid import hybrid_step
 from topcli.schemes.lagrange.hk import hk_lagrange, lagrange_determinant
+from topcli.schemes.layout import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress.general import singular_step
 from topcli.studies.stress.kowalevski import TORUS_E4

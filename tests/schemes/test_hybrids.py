@@ -14,8 +14,7 @@ from steppers import physical
 from test_beyond import DELONE, deviations, error_at, ran, stepper
 from topcli.analysis.trend import trend
 from topcli.contracts import Floats, Outcome, Stepper
-from topcli.schemes.kowalevski.carried_xi import enter_carried
-from topcli.schemes.kowalevski.hybrid_sym import hybrid_sym_step
+from topcli.schemes.kowalevski.hybrid import enter_carried
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
@@ -151,19 +150,6 @@ def test_a_step_that_does_not_converge_ends_the_run() -> None:
     """A step of no use, far beyond what the motion allows."""
     outcomes = {ran(stepper("hybrid-sym"), tuple(3.0 * y), 5.0, 200)[1].outcome for y in random_states(20, seed=35)}
     assert Outcome.NO_CONVERGENCE in outcomes
-
-
-def test_compiled_and_interpreted_agree() -> None:
-    s, x = enter_carried(GEN, 0.05, (1.0,)), find_scheme("hybrid-xi", "kowalevski")
-    scheme = x.build(Kowalevski(), x.options())
-    assert isinstance(scheme, Stepper)
-    step = scheme.step
-    assert scheme.enter is not None
-    plain, sym = scheme.enter(GEN, 0.05, (1.0,)), (*s, 0.0, 0.0)
-    for _ in range(100):
-        plain, sym = step(plain, 0.05, (1.0,)), hybrid_sym_step(sym, 0.05, (1.0,))
-    assert tuple(ran(scheme, GEN, 0.05, 100)[0][-1]) == plain[:6]
-    assert tuple(ran(stepper("hybrid-sym"), GEN, 0.05, 100)[0][-1]) == sym[:6]
 
 
 def test_hybrids_have_order_two_like_hk() -> None:

@@ -12,11 +12,12 @@ from steppers import RK2
 from topcli.contracts import Floats, Outcome, Stepper, Top
 from topcli.engine.driver import plain_loop
 from topcli.engine.loop import Run
-from topcli.schemes.any_top.midpoint import enter_inertial, leave_inertial, midpoint, midpoint_step
+from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import find_scheme
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import LagrangeInertial
 from twins_heavy import cross, midpoint_defect, random_heavy_tops
 
 EPS = 2.0**-52
@@ -143,12 +144,14 @@ def test_iterations_are_counted() -> None:
 
 def test_inertial_form_of_lagranges_top_is_the_same_rule() -> None:
     """The midpoint rule of m' = p x a, a' = m x a, with its quadratic integrals m.p, m.a, a², m²/2 + a.p."""
-    h, up = 0.1, [0.0, 0.0, 1.0]
+    h, up, made = 0.1, [0.0, 0.0, 1.0], stepper(LagrangeInertial())
+    assert made.enter is not None
+    assert made.leave is not None
     for y in random_states(20, seed=12):
         y = tuple(map(float, y))
-        working = enter_inertial(y, h, ())
-        assert leave_inertial(working, h, ()) == y
-        new = leave_inertial(midpoint_step(working, h, ()), h, ())
+        working = made.enter(y, h, ())
+        assert made.leave(working, h, ()) == y
+        new = made.leave(made.step(working, h, ()), h, ())
         m, a = [[(u + v) / 2 for u, v in zip(y[k : k + 3], new[k : k + 3], strict=True)] for k in (0, 3)]
         assert [v - u for u, v in zip(y[:3], new[:3], strict=True)] == pytest.approx(
             [h * x for x in cross(up, a)], rel=1e-14, abs=1e-15

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from topcli.arithmetic.increments import plain6
 from topcli.schemes.heavy.hk import hk_heavy_change
+from topcli.schemes.layout import summed
 from topcli.tops.heavy import Heavy
 from twins import solve
 
 Vector = Sequence[Any]
-hk_heavy = plain6(hk_heavy_change)
+hk_heavy = summed(hk_heavy_change, 6)
 """The packaged HK step on (omega, gamma), without its counter."""
 
 

@@ -18,7 +18,7 @@ from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trend import trend
 from topcli.cli.roundoff import _violations
 from topcli.contracts import Invariant
-from topcli.schemes.counting import ambiguous_root, small_determinant
+from topcli.schemes.layout import ambiguous_root, small_determinant
 
 EPS = 2.0**-52
 H, N = 0.01, 16_384

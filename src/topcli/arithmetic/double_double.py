@@ -24,6 +24,20 @@ def quick_two_sum(a: float, b: float) -> tuple[float, float]:
     return s, b - (s - a)
 
 
+def compensated_sum(y: float, e: float, d: float) -> tuple[float, float]:
+    """Return ``(s, r)``: the rounded sum s of y + (e + d) and its rounding error r, so that s + r = y + (e + d).
+
+    It carries the rounding error of an addition state + change to the next step (Kahan, Comm. ACM 8 (1965) 40). Only
+    the errors of the changes remain, and round-off grows as h sqrt(N) instead of sqrt(N). The change is still evaluated
+    at the rounded state; the resulting error is smaller by a factor of h and as random as the rounding.
+
+    Exact for |y| >= |e + d| (Dekker). In the one or two steps in which a component passes zero, r itself may be
+    rounded, with an error of at most the last bit of d, no larger than the error of d. Compensation adds one addition
+    to the critical path of a step.
+    """
+    return quick_two_sum(y, d + e)
+
+
 def two_prod(a: float, b: float) -> tuple[float, float]:
     """Return ``(p, e)`` with p = fl(a b) and p + e = a b exactly, for |a b| > 2^-968 or a b = 0, without overflow."""
     p = a * b

@@ -261,7 +261,7 @@ def _likely_first(name: str, top: str) -> list[str]:
 
     def rank(module: str) -> tuple[bool, bool]:
         folder, stem = module.split(".")[-2:]
-        return file not in (folder, stem), folder != family
+        return file not in (folder, stem) and not file.startswith(f"{stem}_"), folder != family
 
     return sorted(_modules(), key=rank)
 

@@ -11,14 +11,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from topcli.analysis.roundoff import doubling_lags, structure
-from topcli.arithmetic.increments import compensated6, first6
 from topcli.arithmetic.rotations import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.fingerprint import fingerprint
 from topcli.runs.identity import method_fingerprint
-from topcli.schemes.compensated import enter_compensated
+from topcli.schemes.layout import stepper
 from topcli.studies.roundoff import copies_followed, sampling_of
 
 STEPS = 1 << 19
@@ -52,7 +51,7 @@ def _under(experiment: Experiment, method: Stepper) -> Experiment:
 def _variants() -> dict[str, tuple[Experiment, str]]:
     """Experiment and invariant of each curve, by the name of its column."""
     lagrange = load_experiment("lagrange_bs", [f"h={H}"])
-    compensated = Stepper(compensated6(bs_change), 12, enter_compensated, first6, checked=6)
+    compensated = stepper(bs_change, 6, lost=range(6), checked=6)
     found = {
         "a_sq:matrix": (_under(lagrange, Stepper(turned_step, 6)), "a_sq"),
         "a_sq:plain": (lagrange, "a_sq"),

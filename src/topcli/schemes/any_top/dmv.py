@@ -28,7 +28,6 @@ from pydantic import Field
 
 from topcli.arithmetic.branches import unlikely
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import compensated_sum, compensated_sums
 from topcli.arithmetic.linear import Matrix, solve3
 from topcli.arithmetic.rotations import VECTOR_VARIANTS, Vector, cayley_increment
 from topcli.arithmetic.tolerances import follow_precision
@@ -36,7 +35,7 @@ from topcli.contracts import EulerPoisson, Floats, Integrability, Stepper, Top, 
 from topcli.errors import UsageError
 from topcli.schemes.any_top.momentum import KEPT, entering, inverse_moments, kick, leaving, state_length
 from topcli.schemes.any_top.preprocessed import ORDERS, SERIES, modified_inverse_moments
-from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.layout import Change, CompensatedOption, stepper
 from topcli.schemes.limits import NO_LONG_STEP
 from topcli.schemes.registry import scheme
 
@@ -189,11 +188,6 @@ def preprocessed_rotation(order: int) -> Rotation:
     return rotation
 
 
-def rotation_with(options: DmvOptions) -> Rotation:
-    """Return the rotation that the options choose."""
-    return plain_rotation if options.moments == "plain" else preprocessed_rotation(options.order)
-
-
 def coefficients(equations: EulerPoisson, options: DmvOptions) -> Floats:
     """Coefficients of the rotation after the inverse moments."""
     i1, i2, i3 = inverse_moments(equations)
@@ -235,43 +229,21 @@ def advice_with(rotation: Rotation, d: int) -> Callable[[Sequence[float], float]
     return advice
 
 
-def free_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
-    """Stepper of m alone."""
-    rotation = rotation_with(options)
+def free_change(rotation: Rotation) -> Change:
+    """Return the change of m; the coefficients of the top follow m."""
 
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        c = s[3:9]
-        c1, c2, c3, status, more = rotation((s[0], s[1], s[2]), c, h)
-        x1, x2, x3 = momentum_change((c1, c2, c3), (s[0], s[1], s[2]), (c[3], c[4], c[5]))
-        return (s[0] + x1, s[1] + x2, s[2] + x3, *c, status, s[-1] + more)
+    def change(s: Floats, h: float, p: Floats) -> Floats:
+        m, c = (s[0], s[1], s[2]), s[3:9]
+        c1, c2, c3, status, more = rotation(m, c, h)
+        return (*momentum_change((c1, c2, c3), m, (c[3], c[4], c[5])), status, more)
 
-    def compensated(s: Floats, h: float, p: Floats) -> Floats:
-        c = s[3:9]
-        c1, c2, c3, status, more = rotation((s[0], s[1], s[2]), c, h)
-        x1, x2, x3 = momentum_change((c1, c2, c3), (s[0], s[1], s[2]), (c[3], c[4], c[5]))
-        e1, e2, e3 = s[9:12]
-        m1, e1 = compensated_sum(s[0], e1, x1)
-        m2, e2 = compensated_sum(s[1], e2, x2)
-        m3, e3 = compensated_sum(s[2], e3, x3)
-        return (m1, m2, m3, *c, e1, e2, e3, status, s[-1] + more)
-
-    lost = (0.0,) * (3 * options.compensated)
-    return Stepper(
-        compensated if options.compensated else step,
-        11 + len(lost),
-        entering(equations, 3, (*coefficients(equations, options), *lost, 0.0, 0.0)),
-        leaving(equations, 3),
-        ("iterations",),
-        iterative=True,
-        advice=advice_with(rotation, 3),
-    )
+    return change
 
 
-def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
-    """Stepper of m and gamma: half a kick, the rotation, half a kick."""
-    rotation = rotation_with(options)
+def heavy_change(rotation: Rotation) -> Change:
+    """Return the change of m and gamma, half a kick, the rotation, half a kick; coefficients and weight follow."""
 
-    def change(s: Floats, h: float) -> Floats:
+    def change(s: Floats, h: float, p: Floats) -> Floats:
         g1, g2, g3, c = s[3], s[4], s[5], s[6:12]
         x, y, z = s[12:15]
         d = 0.5 * h
@@ -283,26 +255,7 @@ def heavy_stepper(equations: EulerPoisson, options: DmvOptions) -> Stepper:
         v1, v2, v3 = kick(d, g1 + b1, g2 + b2, g3 + b3, x, y, z)
         return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, b1, b2, b3, status, more)
 
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        x1, x2, x3, y1, y2, y3, status, more = change(s, h)
-        new = (s[0] + x1, s[1] + x2, s[2] + x3, s[3] + y1, s[4] + y2, s[5] + y3)
-        return (*new, *s[6:15], status, s[-1] + more)
-
-    def compensated(s: Floats, h: float, p: Floats) -> Floats:
-        x1, x2, x3, y1, y2, y3, status, more = change(s, h)
-        new, lost = compensated_sums(s[:6], s[15:21], (x1, x2, x3, y1, y2, y3))
-        return (*new, *s[6:15], *lost, status, s[-1] + more)
-
-    lost = (0.0,) * (6 * options.compensated)
-    return Stepper(
-        compensated if options.compensated else step,
-        17 + len(lost),
-        entering(equations, 6, (*coefficients(equations, options), *equations.gravity, *lost, 0.0, 0.0)),
-        leaving(equations, 6),
-        ("iterations",),
-        iterative=True,
-        advice=advice_with(rotation, 6),
-    )
+    return change
 
 
 FREE_MAP = Integrability(
@@ -354,4 +307,16 @@ def build(top: Top, options: DmvOptions) -> Stepper:
         )
     if options.moments == "plain" and options.order != ORDERS[0]:
         raise UsageError(f"order: {options.order} needs moments: preprocessed; with plain moments the order is 2")
-    return free_stepper(equations, options) if d == 3 else heavy_stepper(equations, options)
+    rotation = plain_rotation if options.moments == "plain" else preprocessed_rotation(options.order)
+    c = coefficients(equations, options)
+    return stepper(
+        free_change(rotation) if d == 3 else heavy_change(rotation),
+        d,
+        6 if d == 3 else 9,
+        lost=range(d * options.compensated),
+        counters=("iterations",),
+        iterative=True,
+        enter=entering(equations, d, c if d == 3 else (*c, *equations.gravity)),
+        leave=leaving(equations, d),
+        advice=advice_with(rotation, d),
+    )

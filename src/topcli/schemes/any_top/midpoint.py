@@ -16,13 +16,12 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.double_double import two_sum
-from topcli.arithmetic.increments import compensated_sums, first6
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment
 from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, Stepper, Top, checked_equations
-from topcli.schemes.compensated import CompensatedOption, is_compensated
 from topcli.schemes.heavy.linear_system import implicit_matrix
+from topcli.schemes.layout import CompensatedOption, is_compensated, stepper
 from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
@@ -99,28 +98,14 @@ def midpoint(state: Floats, h: float, p: Floats) -> tuple[float, float, float, f
     return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, status, iterations)
 
 
-WIDTH = 14
-"""Length of the working state: omega, gamma; A, B, C, mg(x0, y0, z0); status; iterations so far."""
-
-
-def midpoint_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step on the working state."""
-    w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, _, iterations = s
-    x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
-    return (w1 + x1, w2 + x2, w3 + x3, g1 + y1, g2 + y2, g3 + y3, A, B, C, x, y, z, status, iterations + more)
-
-
-def compensated_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One compensated step; the rounding errors of the sums are in the slots before the status."""
-    w1, w2, w3, g1, g2, g3, A, B, C, x, y, z, e1, e2, e3, e4, e5, e6, _, iterations = s
-    x1, x2, x3, y1, y2, y3, status, more = midpoint_change((w1, w2, w3, g1, g2, g3), h, (A, B, C, x, y, z))
-    new, lost = compensated_sums((w1, w2, w3, g1, g2, g3), (e1, e2, e3, e4, e5, e6), (x1, x2, x3, y1, y2, y3))
-    return (*new, A, B, C, x, y, z, *lost, status, iterations + more)
+def midpoint_stage(s: Floats, h: float, p: Floats) -> Floats:
+    """``midpoint_change`` of a state followed by the coefficients A, B, C, mg(x0, y0, z0) of its top."""
+    return midpoint_change(s[:6], h, s[6:])
 
 
 def enter_inertial(y: Floats, h: float, p: Floats) -> Floats:
-    """Working state from m and a of the inertial frame."""
-    return (-y[0], -y[1], -y[2], y[3], y[4], y[5], 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+    """State and coefficients from m and a of the inertial frame."""
+    return (-y[0], -y[1], -y[2], y[3], y[4], y[5], 1.0, 1.0, 1.0, 0.0, 0.0, 1.0)
 
 
 def leave_inertial(s: Floats, h: float, p: Floats) -> Floats:
@@ -152,15 +137,8 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     coefficients = (*equations.moments, *equations.gravity)
 
     def enter_body(y: Floats, h: float, p: Floats) -> Floats:
-        return (*y, *coefficients, 0.0, 0.0)
+        return (*y, *coefficients)
 
-    inertial = top.form == INERTIAL
-    enter, leave = (enter_inertial, leave_inertial) if inertial else (enter_body, first6)
-    if not is_compensated(options):
-        return Stepper(midpoint_step, WIDTH, enter, leave, ("iterations",), iterative=True)
-
-    def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
-        s = enter(y, h, p)
-        return (*s[:12], *(0.0,) * 6, *s[12:])
-
-    return Stepper(compensated_step, WIDTH + 6, enter_compensated, leave, ("iterations",), iterative=True)
+    enter, leave = (enter_inertial, leave_inertial) if top.form == INERTIAL else (enter_body, None)
+    lost = range(6 * is_compensated(options))
+    return stepper(midpoint_stage, 6, 6, lost=lost, counters=("iterations",), iterative=True, enter=enter, leave=leave)

@@ -10,16 +10,12 @@ the angle, and one addition per component remains.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import compensated_sum, compensated_sums
 from topcli.arithmetic.rotations import Vector
 from topcli.contracts import EulerPoisson, Floats, StepFunction, Stepper, Top
 from topcli.errors import UsageError
+from topcli.schemes.layout import Change, stepper
 
-Change = Callable[[Floats, Floats, float], Floats]
-"""``change(y, c, h)``: change of y = (m, gamma) or m in a step, for a top with the coefficients c."""
 KEPT = {
     "euler": ("m_sq",),
     "euler+gamma": ("m_sq", "gamma_sq", "m_gamma"),
@@ -99,61 +95,7 @@ def leaving(equations: EulerPoisson, d: int) -> StepFunction:
     return leave3 if d == 3 else leave6
 
 
-def plain3(change: Change) -> StepFunction:
-    """Step m + change of a free body; three inverse moments follow m."""
-
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, i1, i2, i3 = s
-        x1, x2, x3 = change((m1, m2, m3), (i1, i2, i3), h)
-        return (m1 + x1, m2 + x2, m3 + x3, i1, i2, i3)
-
-    return step
-
-
-def compensated3(change: Change) -> StepFunction:
-    """``plain3`` with compensated sums, whose rounding errors are at the end."""
-
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, i1, i2, i3, e1, e2, e3 = s
-        x1, x2, x3 = change((m1, m2, m3), (i1, i2, i3), h)
-        m1, e1 = compensated_sum(m1, e1, x1)
-        m2, e2 = compensated_sum(m2, e2, x2)
-        m3, e3 = compensated_sum(m3, e3, x3)
-        return (m1, m2, m3, i1, i2, i3, e1, e2, e3)
-
-    return step
-
-
-def plain6(change: Change) -> StepFunction:
-    """Step (m, gamma) + change; inverse moments and weight follow."""
-
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, g1, g2, g3, i1, i2, i3, x, y, z = s
-        x1, x2, x3, x4, x5, x6 = change((m1, m2, m3, g1, g2, g3), (i1, i2, i3, x, y, z), h)
-        return (m1 + x1, m2 + x2, m3 + x3, g1 + x4, g2 + x5, g3 + x6, i1, i2, i3, x, y, z)
-
-    return step
-
-
-def compensated6(change: Change) -> StepFunction:
-    """``plain6`` with compensated sums, whose rounding errors are at the end."""
-
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, g1, g2, g3, i1, i2, i3, x, y, z, e1, e2, e3, e4, e5, e6 = s
-        old = (m1, m2, m3, g1, g2, g3)
-        new, lost = compensated_sums(old, (e1, e2, e3, e4, e5, e6), change(old, (i1, i2, i3, x, y, z), h))
-        return (*new, i1, i2, i3, x, y, z, *lost)
-
-    return step
-
-
 def momentum_stepper(equations: EulerPoisson, d: int, change: Change, compensated: bool) -> Stepper:
     """Stepper of a method without iterations, from its change."""
-    weight = () if d == 3 else equations.gravity
-    leave = leaving(equations, d)
-    if compensated:
-        make = compensated3 if d == 3 else compensated6
-        enter = entering(equations, d, (*weight, *(0.0,) * d))
-        return Stepper(make(change), 3 * d, enter, leave, checked=d)
-    make = plain3 if d == 3 else plain6
-    return Stepper(make(change), 2 * d, entering(equations, d, weight), leave, checked=d)
+    enter = entering(equations, d, () if d == 3 else equations.gravity)
+    return stepper(change, d, d, lost=range(d * compensated), checked=d, enter=enter, leave=leaving(equations, d))

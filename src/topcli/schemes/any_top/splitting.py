@@ -16,22 +16,21 @@ different scheme.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 from pydantic import Field
 
 from topcli.arithmetic.complex_plane import rotation_coefficients, turned, turned_increment
-from topcli.arithmetic.rotations import orthogonal_rodrigues_increment
+from topcli.arithmetic.rotations import Vector, orthogonal_rodrigues_increment
 from topcli.contracts import Floats, Stepper, Top, checked_equations
 from topcli.errors import UsageError
 from topcli.schemes.any_top.momentum import KEPT, kick, momentum_stepper, state_length
-from topcli.schemes.compensated import CompensatedOption
+from topcli.schemes.layout import Change, CompensatedOption
 from topcli.schemes.limits import LONG_SPLITTING
 from topcli.schemes.registry import scheme
 
 NEEDED_BY = "scheme 'splitting'"
-
-
 LONG = {"singular-step": LONG_SPLITTING}
 """Limits of the tops with weight."""
 
@@ -46,95 +45,70 @@ class SplittingOptions(CompensatedOption):
     )
 
 
-def axes_change3(m: Floats, c: Floats, h: float) -> Floats:
-    """Change of m in a step of rotations about the axes 1, 2, 3, 2, 1; ``c`` are the inverse moments."""
+Free = Callable[[Vector, Vector, Floats, float], tuple[Vector, Vector, Vector]]
+"""``free(m, gamma, c, h)``: changes of m and gamma in a step of the free body, and the new gamma."""
+
+
+def turn(chi: float, m1: float, m2: float, g1: float, g2: float) -> Floats:
+    """Rotation about an axis: changes of the other two components of m and of gamma, and the new ones of m."""
+    s, k, s_low, k_low = rotation_coefficients(chi)
+    a1, a2 = turned_increment(s, k, s_low, k_low, m1, m2)
+    p1, p2 = turned_increment(s, k, s_low, k_low, g1, g2)
+    n1, n2 = turned(s, k, m1, m2)  # the next angle waits for it
+    return (a1, a2, p1, p2, n1, n2)
+
+
+def axes(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vector]:
+    """Rotations about the axes 1, 2, 3, 2, 1; ``c`` are the inverse moments."""
     m1, m2, m3 = m
+    g1, g2, g3 = g
     d = 0.5 * h
     d1, d2 = d * c[0], d * c[1]
-    s, k, s_low, k_low = rotation_coefficients(d1 * m1)
-    a2, a3 = turned_increment(s, k, s_low, k_low, m2, m3)
-    m2, m3 = turned(s, k, m2, m3)
-    s, k, s_low, k_low = rotation_coefficients(d2 * m2)
-    b3, b1 = turned_increment(s, k, s_low, k_low, m3, m1)
-    m3, m1 = turned(s, k, m3, m1)
-    s, k, s_low, k_low = rotation_coefficients((h * c[2]) * m3)
-    c1, c2 = turned_increment(s, k, s_low, k_low, m1, m2)
-    m1, m2 = turned(s, k, m1, m2)
-    s, k, s_low, k_low = rotation_coefficients(d2 * m2)
-    e3, e1 = turned_increment(s, k, s_low, k_low, m3, m1)
-    m3, m1 = turned(s, k, m3, m1)
-    s, k, s_low, k_low = rotation_coefficients(d1 * m1)
-    f2, f3 = turned_increment(s, k, s_low, k_low, m2, m3)
-    return (b1 + (c1 + e1), a2 + (c2 + f2), (a3 + b3) + (e3 + f3))
-
-
-def axes_change6(y: Floats, c: Floats, h: float) -> Floats:
-    """Change of m and gamma in a step: half a kick, rotations about the axes 1, 2, 3, 2, 1, half a kick.
-
-    ``c`` are the inverse moments and mg(x0, y0, z0). The rotated m comes first, because the next angle waits for it.
-    """
-    m1, m2, m3, g1, g2, g3 = y
-    i1, i2, i3, x, y0, z = c
-    d = 0.5 * h
-    d1, d2 = d * i1, d * i2
-    u1, u2, u3 = kick(d, g1, g2, g3, x, y0, z)
-    m1, m2, m3 = m1 + u1, m2 + u2, m3 + u3
-    s, k, s_low, k_low = rotation_coefficients(d1 * m1)
-    a2, a3 = turned_increment(s, k, s_low, k_low, m2, m3)
-    p2, p3 = turned_increment(s, k, s_low, k_low, g2, g3)
-    m2, m3 = turned(s, k, m2, m3)
+    a2, a3, p2, p3, m2, m3 = turn(d1 * m1, m2, m3, g2, g3)
     g2, g3 = g2 + p2, g3 + p3
-    s, k, s_low, k_low = rotation_coefficients(d2 * m2)
-    b3, b1 = turned_increment(s, k, s_low, k_low, m3, m1)
-    q3, q1 = turned_increment(s, k, s_low, k_low, g3, g1)
-    m3, m1 = turned(s, k, m3, m1)
+    b3, b1, q3, q1, m3, m1 = turn(d2 * m2, m3, m1, g3, g1)
     g3, g1 = g3 + q3, g1 + q1
-    s, k, s_low, k_low = rotation_coefficients((h * i3) * m3)
-    c1, c2 = turned_increment(s, k, s_low, k_low, m1, m2)
-    r1, r2 = turned_increment(s, k, s_low, k_low, g1, g2)
-    m1, m2 = turned(s, k, m1, m2)
+    c1, c2, r1, r2, m1, m2 = turn((h * c[2]) * m3, m1, m2, g1, g2)
     g1, g2 = g1 + r1, g2 + r2
-    s, k, s_low, k_low = rotation_coefficients(d2 * m2)
-    e3, e1 = turned_increment(s, k, s_low, k_low, m3, m1)
-    t3, t1 = turned_increment(s, k, s_low, k_low, g3, g1)
-    m3, m1 = turned(s, k, m3, m1)
+    e3, e1, t3, t1, m3, m1 = turn(d2 * m2, m3, m1, g3, g1)
     g3, g1 = g3 + t3, g1 + t1
-    s, k, s_low, k_low = rotation_coefficients(d1 * m1)
-    f2, f3 = turned_increment(s, k, s_low, k_low, m2, m3)
-    w2, w3 = turned_increment(s, k, s_low, k_low, g2, g3)
-    v1, v2, v3 = kick(d, g1, g2 + w2, g3 + w3, x, y0, z)
-    return (
-        (u1 + v1) + (b1 + (c1 + e1)),
-        (u2 + v2) + (a2 + (c2 + f2)),
-        (u3 + v3) + ((a3 + b3) + (e3 + f3)),
-        q1 + (r1 + t1),
-        p2 + (r2 + w2),
-        (p3 + q3) + (t3 + w3),
-    )
+    f2, f3, w2, w3, _, _ = turn(d1 * m1, m2, m3, g2, g3)
+    of_m = (b1 + (c1 + e1), a2 + (c2 + f2), (a3 + b3) + (e3 + f3))
+    return of_m, (q1 + (r1 + t1), p2 + (r2 + w2), (p3 + q3) + (t3 + w3)), (g1, g2 + w2, g3 + w3)
 
 
-def closed_change3(m: Floats, c: Floats, h: float) -> Floats:
-    """Change of m in the exact free motion for A = B; ``c`` are the inverse moments."""
+def closed(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vector]:
+    """Exact free motion for A = B; ``c`` are the inverse moments."""
     m1, m2, m3 = m
-    s, k, s_low, k_low = rotation_coefficients((h * (c[2] - c[0])) * m3)
-    x1, x2 = turned_increment(s, k, s_low, k_low, m1, m2)
-    return (x1, x2, 0.0)
-
-
-def closed_change6(y: Floats, c: Floats, h: float) -> Floats:
-    """Change of m and gamma in a step for A = B: half a kick, the exact free motion, half a kick."""
-    m1, m2, m3, g1, g2, g3 = y
-    i1, _, i3, x, y0, z = c
-    d, f = 0.5 * h, h * i1
-    u1, u2, u3 = kick(d, g1, g2, g3, x, y0, z)
-    m1, m2, m3 = m1 + u1, m2 + u2, m3 + u3
+    g1, g2, g3 = g
+    f = h * c[0]
     p1, p2, p3 = orthogonal_rodrigues_increment(f * m1, f * m2, f * m3, g1, g2, g3)
     g1, g2, g3 = g1 + p1, g2 + p2, g3 + p3
-    s, k, s_low, k_low = rotation_coefficients((h * (i3 - i1)) * m3)
-    a1, a2 = turned_increment(s, k, s_low, k_low, m1, m2)
-    q1, q2 = turned_increment(s, k, s_low, k_low, g1, g2)
-    v1, v2, v3 = kick(d, g1 + q1, g2 + q2, g3, x, y0, z)
-    return ((u1 + v1) + a1, (u2 + v2) + a2, u3 + v3, p1 + q1, p2 + q2, p3)
+    a1, a2, q1, q2, _, _ = turn((h * (c[2] - c[0])) * m3, m1, m2, g1, g2)
+    return (a1, a2, -0.0), (p1 + q1, p2 + q2, p3), (g1 + q1, g2 + q2, g3)  # x + -0.0 is x, for x = -0.0 too
+
+
+def free_change(free: Free) -> Change:
+    """Return the change of m in a step without gamma; the inverse moments follow m."""
+
+    def change(s: Floats, h: float, p: Floats) -> Floats:
+        return free(s[:3], (0.0, 0.0, 0.0), s[3:], h)[0]
+
+    return change
+
+
+def kicked_change(free: Free) -> Change:
+    """Return the change of m and gamma, half a kick, the free body, half a kick; inverse moments and weight follow."""
+
+    def change(s: Floats, h: float, p: Floats) -> Floats:
+        m1, m2, m3, g1, g2, g3, _, _, _, x, y, z = s
+        d = 0.5 * h
+        u1, u2, u3 = kick(d, g1, g2, g3, x, y, z)
+        (a1, a2, a3), by_turns, (g1, g2, g3) = free((m1 + u1, m2 + u2, m3 + u3), (g1, g2, g3), s[6:9], h)
+        v1, v2, v3 = kick(d, g1, g2, g3, x, y, z)
+        return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, *by_turns)
+
+    return change
 
 
 @scheme(
@@ -175,8 +149,5 @@ def build(top: Top, options: SplittingOptions) -> Stepper:
         raise UsageError(
             f"free: closed needs two equal moments, A = B, not A = {A!r} and B = {B!r}; use free: axes or omit it"
         )
-    if symmetric and options.free != "axes":
-        change = closed_change3 if d == 3 else closed_change6
-    else:
-        change = axes_change3 if d == 3 else axes_change6
-    return momentum_stepper(equations, d, change, options.compensated)
+    free = closed if symmetric and options.free != "axes" else axes
+    return momentum_stepper(equations, d, (free_change if d == 3 else kicked_change)(free), options.compensated)

@@ -16,10 +16,16 @@ from __future__ import annotations
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import Vector
 from topcli.contracts import UNKNOWN, Floats, Integrability, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, increment_stepper, is_compensated
-from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.euler.hk_integrals import hk_integrals
 from topcli.schemes.euler.omega_gamma import CITATION, FORMS, omega_change
+from topcli.schemes.layout import (
+    NEAR_SINGULAR,
+    CompensatedOption,
+    increment_stepper,
+    is_compensated,
+    small_determinant,
+    with_counter,
+)
 from topcli.schemes.limits import SINGULAR
 from topcli.schemes.registry import scheme
 

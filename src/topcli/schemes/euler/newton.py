@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from topcli.arithmetic.increments import first3, first6
 from topcli.arithmetic.rotations import Vector
 from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, Stepper
+from topcli.schemes.layout import first
 
 Residual = Callable[[Vector, Floats, Vector], Vector]
 Correction = Callable[[Vector, Floats, Vector, Vector], Vector]
@@ -79,6 +79,6 @@ def with_status(stepper: Stepper, d: int) -> Stepper:
         step=stepped,
         width=stepper.width + 1,
         enter=enter,
-        leave=first3 if d == 3 else first6,
+        leave=first(d),
         iterative=True,
     )

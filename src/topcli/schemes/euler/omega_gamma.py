@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from topcli.arithmetic.increments import Change
 from topcli.arithmetic.rotations import Vector, cayley_increment
 from topcli.contracts import Floats, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, increment_stepper
+from topcli.schemes.layout import Change, CompensatedOption, increment_stepper
 
 FORMS = ("euler", "euler+gamma")
 CITATION = "Sogo, Discrete Spinning Tops, section 1.2"

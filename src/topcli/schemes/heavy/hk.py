@@ -13,10 +13,9 @@ from __future__ import annotations
 from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import cayley_increment, resolvent
 from topcli.contracts import Floats, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, increment_stepper
-from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.formulas import HIROTA_KIMURA
 from topcli.schemes.heavy.linear_system import implicit_matrix
+from topcli.schemes.layout import NEAR_SINGULAR, CompensatedOption, increment_stepper, small_determinant, with_counter
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from topcli.arithmetic.increments import first6
 from topcli.contracts import Floats, Stepper
 from topcli.errors import UsageError
 from topcli.schemes.kowalevski.backlund_constants import frozen_constants, tau_of
@@ -23,6 +22,7 @@ from topcli.schemes.kowalevski.backlund_lengths import FEWEST, MOST, Floats4, le
 from topcli.schemes.kowalevski.backlund_step import length_step, scales_of
 from topcli.schemes.kowalevski.four_integrals import first_three, sizes, xi_of
 from topcli.schemes.kowalevski.integer_series import motion
+from topcli.schemes.layout import first
 
 ACCURACY = 1e-12
 """Largest error of the first step, relative to |omega| + sqrt|c gamma| and to |gamma|."""
@@ -30,6 +30,7 @@ WATCHED = 1e-11
 """Largest deviation of E and k² from their initial values, relative to the sizes of their terms."""
 MAX_SUBSTEPS = 1e6
 FAULT = 18
+LEAVE = first(6)
 """Slot of the fault."""
 
 
@@ -95,7 +96,7 @@ def begin(y: Floats, H: float, p: Floats, longest: float, constants: Floats4) ->
     s = (*y, *slots, *watched, 0.0, longest, 0.0)
     if a != a:
         return (*s[:-1], math.nan)
-    error = error_of(first6(nodes_step(s, H, p), H, p), motion(y, H, p[0]), y, p[0])
+    error = error_of(nodes_step(s, H, p)[:6], motion(y, H, p[0]), y, p[0])
     if error <= ACCURACY:
         return s
     return (*y, *slots[:3], math.nan, *slots[4:], *watched, error, longest, math.nan)
@@ -129,5 +130,5 @@ def advice(work: Sequence[float], h: float) -> str:
     return f"with nodes: exact, |h| must be at most {work[FAULT + 1]:.4g} from this state"
 
 
-NODES = Stepper(nodes_step, 21, enter_nodes, first6, iterative=True, checked=6, advice=advice)
-PARTS = Stepper(nodes_step, 21, enter_parts, first6, iterative=True, checked=6, advice=advice)
+NODES = Stepper(nodes_step, 21, enter_nodes, LEAVE, iterative=True, checked=6, advice=advice)
+PARTS = Stepper(nodes_step, 21, enter_parts, LEAVE, iterative=True, checked=6, advice=advice)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 
-from topcli.arithmetic.increments import first6
 from topcli.arithmetic.linear import Matrix, solve3
 from topcli.arithmetic.rotations import resolvent
 from topcli.arithmetic.six_vectors import Floats6, add, axpy, dot, scaled, subtract
@@ -32,17 +31,18 @@ from topcli.schemes.kowalevski.four_integrals import (
     Floats4,
     combination,
     directional_derivatives,
+    enter_with_targets,
     factorize,
     first_three,
     gram,
     mean_column,
     solve,
-    target_values,
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.kowalevski.projected import MAX_CORRECTION, VANISHING
 from topcli.schemes.kowalevski.projection import TRIPLE_ROOT, project_unless_worse
+from topcli.schemes.layout import stepper
 from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.kowalevski import field
@@ -96,8 +96,9 @@ def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r:
 
 
 def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step on omega, gamma; the four target values; the status of the iteration; the counters."""
-    w1, w2, w3, g1, g2, g3, i1, i2, i3, k, _, iterations, midpoint_steps, short_corrections, unmet = s
+    """New omega, gamma, from these and the four target values; the status of the iteration; what the counters add."""
+    w1, w2, w3, g1, g2, g3, i1, i2, i3, k = s
+    iterations, midpoint_steps, unmet = 0.0, 0.0, 0.0
     c = p[0]
     d = 0.5 * h
     y = (w1, w2, w3, g1, g2, g3)
@@ -138,14 +139,8 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
         midpoint_steps += 0.0 if four else 1.0
         new, missed = project_unless_worse(new, (reach * reach) * dot(z, z), c, (i1, i2, i3, k))
         unmet += missed
-    if short > 0.0:
-        short_corrections += 1.0
-    return (*new, i1, i2, i3, k, status, iterations, midpoint_steps, short_corrections, unmet)
-
-
-def enter(y: Floats, h: float, p: Floats) -> Floats:
-    """Physical state, target values of the integrals, status and counters."""
-    return (y[0], y[1], y[2], y[3], y[4], y[5], *target_values(y, p), 0.0, 0.0, 0.0, 0.0, 0.0)
+    short = 1.0 if short > 0.0 else 0.0
+    return (*new, status, iterations, midpoint_steps, short, unmet)
 
 
 @scheme(
@@ -179,4 +174,4 @@ def build(top: Top, options: NoOptions) -> Stepper:
     projected too. The numbers of midpoint steps and of those that did not restore all four values are reported. If the
     midpoint rule does not converge either, the run ends as `no_convergence`.
     """
-    return Stepper(dg4_step, 15, enter, first6, COUNTERS, iterative=True)
+    return stepper(dg4_step, 6, 4, adds=False, counters=COUNTERS, iterative=True, enter=enter_with_targets)

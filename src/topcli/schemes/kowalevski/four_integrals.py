@@ -189,3 +189,8 @@ def target_values(y: Floats, p: Floats) -> Floats4:
     xi, eta = xi_of(y[0], y[1], y[3], y[4], p[0])
     i1, i2, i3 = first_three((y[0], y[1], y[2], y[3], y[4], y[5]), p[0])
     return (i1, i2, i3, math.hypot(xi, eta))
+
+
+def enter_with_targets(y: Floats, h: float, p: Floats) -> Floats:
+    """Physical state and target values of the integrals."""
+    return (*y, *target_values(y, p))

@@ -43,13 +43,19 @@ omega; gamma² then does not drift. Doing it for omega as well would increase th
 
 from __future__ import annotations
 
-from topcli.arithmetic.double_double import quick_two_sum, two_prod, two_sum
+from topcli.arithmetic.double_double import compensated_sum, quick_two_sum, two_prod, two_sum
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import compensated_sum, first6, plain6
 from topcli.contracts import Floats, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, enter_compensated, is_compensated
-from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.formulas import HIROTA_KIMURA
+from topcli.schemes.layout import (
+    NEAR_SINGULAR,
+    CompensatedOption,
+    first,
+    is_compensated,
+    small_determinant,
+    summed,
+    with_counter,
+)
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
@@ -121,7 +127,7 @@ def hk_kowalevski_change(state: Floats, h: float, p: Floats) -> Floats:
     )
 
 
-hk_kowalevski = plain6(hk_kowalevski_change)
+hk_kowalevski = summed(hk_kowalevski_change, 6)
 """HK step of (omega, gamma)."""
 
 
@@ -170,6 +176,11 @@ def hk_kowalevski_compensated(state: Floats, h: float, p: Floats) -> Floats:
     return (w1, w2, w3, g1, g2, g3, e1, e2, e3, e4 + r1, e5 + r2, e6 + r3)
 
 
+def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
+    """Physical state and compensation terms."""
+    return (*y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 @scheme(
     "hk",
     top="kowalevski",
@@ -190,8 +201,7 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     self-adjoint. None of the four integrals is conserved exactly; for small h their deviations stay bounded,
     of size h². With `compensated`, the rounding errors in the change of gamma are compensated as well.
     """
+    made = Stepper(hk_kowalevski, 6)
     if is_compensated(options):
-        stepper = Stepper(hk_kowalevski_compensated, 12, enter_compensated, first6, checked=6)
-    else:
-        stepper = Stepper(hk_kowalevski, 6)
-    return with_counter(stepper, NEAR_SINGULAR, small_determinant(kowalevski_determinant))
+        made = Stepper(hk_kowalevski_compensated, 12, enter_compensated, first(6), checked=6)
+    return with_counter(made, NEAR_SINGULAR, small_determinant(kowalevski_determinant))

@@ -30,7 +30,6 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.complex_plane import rotation_increment
-from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import Floats6, add, axpy, norm1, scaled, subtract
 from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, NoOptions, Stepper, Top
@@ -57,6 +56,7 @@ from topcli.schemes.kowalevski.lie_poisson import (
     xi_fields,
 )
 from topcli.schemes.kowalevski.projection import TRIPLE_ROOT, project_unless_worse
+from topcli.schemes.layout import stepper
 from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.registry import scheme
 
@@ -202,46 +202,44 @@ def solve_with_xi(
 
 
 def midpoint4_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step on the working state.
+    """New state of one step, its status, and what the counters add.
 
-    It consists of omega, gamma; the target values; the size of the terms of xi, and 1.0 if k is small relative to it;
-    the last difference from HK's step, and its extrapolation to the next step; the status; the counters.
+    The state consists of omega, gamma; the last difference from HK's step, and its extrapolation to the next step. The
+    target values follow, the size of the terms of xi, and 1.0 if k is small relative to it.
     """
     y = (s[0], s[1], s[2], s[3], s[4], s[5])
-    t = (s[6], s[7], s[8], s[9])
+    t = (s[18], s[19], s[20], s[21])
     c = p[0]
     z: Floats = hk_kowalevski(y, h, p)
     hk = subtract(z, y)
-    start = add((s[18], s[19], s[20], s[21], s[22], s[23]), hk)
+    start = add((s[12], s[13], s[14], s[15], s[16], s[17]), hk)
     newton = newton_matrix(axpy(y, 0.5, start), 0.5 * h, c)
     b = restoring_change(y, t, c)
-    reach = min(1.0, h * h * s[10]) * norm1(hk)
-    if s[11] > 0.0:
+    reach = min(1.0, h * h * s[22]) * norm1(hk)
+    if s[23] > 0.0:
         e, status, rounds = solve_with_xi(y, b, start, newton, t[3], reach, h, c)
     else:
         e, status, rounds = solve_with_k(y, b, start, newton, t[3], reach, h, c)
-    plain, unmet = s[26], s[27]
+    plain, unmet = 0.0, 0.0
     if status != 0.0:
         v1, v2, v3, v4, v5, v6, status, more = midpoint(y, h, (2.0, 2.0, 1.0, c, 0.0, 0.0))
         v = (v1, v2, v3, v4, v5, v6)
-        w, missed = project_unless_worse(v, reach * reach, c, t)
+        w, unmet = project_unless_worse(v, reach * reach, c, t)
         e = subtract(w, y)
         rounds += more
-        plain += 1.0
-        unmet += missed
+        plain = 1.0
     difference = subtract(e, hk)
-    extrapolated = subtract(scaled(2.0, difference), (s[12], s[13], s[14], s[15], s[16], s[17]))
-    return (*add(y, e), *t, s[10], s[11], *difference, *extrapolated, status, s[25] + rounds, plain, unmet)
+    extrapolated = subtract(scaled(2.0, difference), (s[6], s[7], s[8], s[9], s[10], s[11]))
+    return (*add(y, e), *difference, *extrapolated, status, rounds, plain, unmet)
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:
-    """Working state from the physical state; see ``midpoint4_step``."""
+    """State, target values and sizes from the physical state; see ``midpoint4_step``."""
     c = p[0]
     t = target_values(y, p)
     terms = t[2] + 2.0 * abs(c) * math.sqrt(2.0 * t[0])
     small = 1.0 if t[3] <= min(h * h * terms, SMALL_K) * terms else 0.0
-    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return (y[0], y[1], y[2], y[3], y[4], y[5], *t, terms, small, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0)
+    return (*y, *(0.0,) * 12, *t, terms, small)
 
 
 @scheme(
@@ -276,4 +274,5 @@ def build(top: Top, options: NoOptions) -> Stepper:
     steps that did not restore all four values are reported. If the midpoint rule does not converge either, the run ends
     as `no_convergence`.
     """
-    return Stepper(midpoint4_step, 28, enter, first6, ("iterations", "plain_projections", "unmet"), iterative=True)
+    counters = ("iterations", "plain_projections", "unmet")
+    return stepper(midpoint4_step, 18, 6, adds=False, counters=counters, iterative=True, enter=enter)

@@ -12,7 +12,6 @@ correction that does not reduce the deviations is discarded; the step is then HK
 
 from __future__ import annotations
 
-from topcli.arithmetic.increments import first6
 from topcli.arithmetic.six_vectors import add, axpy, dot, subtract
 from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Floats, NoOptions, Stepper, Top
@@ -22,17 +21,18 @@ from topcli.schemes.kowalevski.four_integrals import (
     Gram,
     combination,
     directional_derivatives,
+    enter_with_targets,
     factorize,
     fourth_column,
     gram,
     mean_column,
     sizes,
     solve,
-    target_values,
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.kowalevski.projection import MET, TRIPLE_ROOT, deviations, largest_deviation, project
+from topcli.schemes.layout import stepper
 from topcli.schemes.registry import scheme
 
 SYMMETRIC_ROUNDS = 12
@@ -60,8 +60,8 @@ four values."""
 
 
 def projected_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step on omega, gamma; the four target values; the counters."""
-    w1, w2, w3, g1, g2, g3, t1, t2, t3, t4, corrections, short, unmet = s
+    """New omega, gamma, from these and the four target values; what the counters add."""
+    w1, w2, w3, g1, g2, g3, t1, t2, t3, t4 = s
     c = p[0]
     old = (w1, w2, w3, g1, g2, g3)
     z: Floats = hk_kowalevski(old, h, p)
@@ -69,12 +69,7 @@ def projected_step(s: Floats, h: float, p: Floats) -> Floats:
     change = subtract(z, old)
     limit = (reach * reach) * dot(change, change)
     y, more, cut, missed = project(z, limit, c, (t1, t2, t3, t4))
-    return (y[0], y[1], y[2], y[3], y[4], y[5], t1, t2, t3, t4, corrections + more, short + cut, unmet + missed)
-
-
-def enter_projected(y: Floats, h: float, p: Floats) -> Floats:
-    """Physical state, target values of the integrals, counters."""
-    return (y[0], y[1], y[2], y[3], y[4], y[5], *target_values(y, p), 0.0, 0.0, 0.0)
+    return (y[0], y[1], y[2], y[3], y[4], y[5], more, cut, missed)
 
 
 @scheme(
@@ -102,7 +97,7 @@ def build(top: Top, options: NoOptions) -> Stepper:
     correction is never longer than HK's step. The numbers of corrections and of steps that did not restore all four
     values are reported.
     """
-    return Stepper(projected_step, 13, enter_projected, first6, COUNTERS)
+    return stepper(projected_step, 6, 4, adds=False, counters=COUNTERS, enter=enter_with_targets)
 
 
 def k_sq_column(y: Floats, c: float) -> Floats4:
@@ -126,12 +121,13 @@ def changes(old: Floats, new: Floats, c: float) -> Floats4:
 
 
 def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step on omega, gamma; the four target values; the counters.
+    """New omega, gamma, from these and the four target values; what the counters add.
 
     The multipliers x are determined by a simplified Newton iteration: with D and D' at the old and the new state, the
     integrals of the new state change by (D^T D + D'^T D') x + O(h³).
     """
-    w1, w2, w3, g1, g2, g3, t1, t2, t3, t4, corrections, short, unmet, plain = s
+    w1, w2, w3, g1, g2, g3, t1, t2, t3, t4 = s
+    corrections, unmet, plain = 0.0, 0.0, 0.0
     c = p[0]
     old = (w1, w2, w3, g1, g2, g3)
     size = sizes(old, c)
@@ -173,12 +169,7 @@ def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
         corrections += more
         unmet += missed
         plain += 1.0
-    return (y[0], y[1], y[2], y[3], y[4], y[5], t1, t2, t3, t4, corrections, short + cut, unmet, plain)
-
-
-def enter_symmetric(y: Floats, h: float, p: Floats) -> Floats:
-    """Physical state, target values of the integrals, counters."""
-    return (*enter_projected(y, h, p), 0.0)
+    return (y[0], y[1], y[2], y[3], y[4], y[5], corrections, cut, unmet, plain)
 
 
 @scheme(
@@ -204,4 +195,5 @@ def build_symmetric(top: Top, options: NoOptions) -> Stepper:
     step is that of hk-projected. The numbers of corrections, of steps that did not restore all four values, and of
     non-symmetric projections are reported.
     """
-    return Stepper(symmetric_step, 14, enter_symmetric, first6, (*COUNTERS, "plain_projections"))
+    counters = (*COUNTERS, "plain_projections")
+    return stepper(symmetric_step, 6, 4, adds=False, counters=counters, enter=enter_with_targets)

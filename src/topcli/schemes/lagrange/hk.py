@@ -27,13 +27,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from topcli.arithmetic.double_double import two_prod, two_sum
+from topcli.arithmetic.double_double import compensated_sum, two_prod, two_sum
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.increments import compensated_sum, first6
 from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, Stepper, Top
-from topcli.schemes.compensated import CompensatedOption, is_compensated
-from topcli.schemes.counting import NEAR_SINGULAR, small_determinant, with_counter
 from topcli.schemes.formulas import HIROTA_KIMURA
+from topcli.schemes.layout import (
+    NEAR_SINGULAR,
+    CompensatedOption,
+    first,
+    is_compensated,
+    small_determinant,
+    with_counter,
+)
 from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
@@ -243,5 +248,5 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     """
     made = Stepper(hk_lagrange, 6)
     if is_compensated(options):
-        made = Stepper(hk_lagrange_compensated, 11, enter_compensated, first6, checked=6)
+        made = Stepper(hk_lagrange_compensated, 11, enter_compensated, first(6), checked=6)
     return with_counter(made, NEAR_SINGULAR, small_determinant(lagrange_determinant))
