@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from topcli.analysis.ensemble import Ensemble as Ensemble
     from topcli.analysis.motion.result import Motion as Motion
     from topcli.analysis.trajectory import Trajectory as Trajectory
-    from topcli.api.claims import claims as claims
-    from topcli.api.comparisons import compare as compare
-    from topcli.api.motions import motion as motion
-    from topcli.api.orders import order as order
-    from topcli.api.runs import run as run
-    from topcli.api.stresses import stress as stress
-    from topcli.api.sweeps import sweep as sweep
     from topcli.runs.simulate import simulate as simulate
     from topcli.runs.simulate_ensemble import simulate_ensemble as simulate_ensemble
     from topcli.schemes.registry import scheme as scheme
+    from topcli.show.claims import claims as claims
+    from topcli.show.comparisons import compare as compare
+    from topcli.show.motions import motion as motion
+    from topcli.show.runs import run as run
+    from topcli.show.stresses import stress as stress
+    from topcli.show.study import order as order
+    from topcli.show.sweeps import sweep as sweep
     from topcli.sweeps.measures import measure as measure
 
 __version__ = "0.1.0"
@@ -52,17 +52,17 @@ _HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
     "Motion": "topcli.analysis.motion.result",
     "Trajectory": "topcli.analysis.trajectory",
-    "claims": "topcli.api.claims",
-    "compare": "topcli.api.comparisons",
+    "claims": "topcli.show.claims",
+    "compare": "topcli.show.comparisons",
     "measure": "topcli.sweeps.measures",
-    "motion": "topcli.api.motions",
-    "order": "topcli.api.orders",
-    "run": "topcli.api.runs",
+    "motion": "topcli.show.motions",
+    "order": "topcli.show.study",
+    "run": "topcli.show.runs",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.runs.simulate",
     "simulate_ensemble": "topcli.runs.simulate_ensemble",
-    "stress": "topcli.api.stresses",
-    "sweep": "topcli.api.sweeps",
+    "stress": "topcli.show.stresses",
+    "sweep": "topcli.show.sweeps",
 }
 
 

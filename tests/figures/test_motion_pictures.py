@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 import topcli
 from topcli.analysis.motion.of_top import closed_form_top
 from topcli.analysis.reference import reference_states
-from topcli.api.motions import MotionReport
 from topcli.figures.motion import AXIS, MOST_NUTATIONS, motion_drawn
 from topcli.figures.picture import Panel
 from topcli.figures.polhodes import Polhodes
 from topcli.figures.sphere import Sphere
+from topcli.show.motions import MotionReport
 from topcli.tops.lagrange import LagrangeInertial
 
 TILTED = [0.6, 0.0, 0.8]

@@ -27,6 +27,7 @@ from topcli.figures.make import make_figure
 from topcli.figures.order import loaded_order
 from topcli.figures.picture import draw
 from topcli.figures.sweep import Choice, scale_of, sweep_figure, sweep_notes
+from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 from topcli.sweeps.run import SWEEP_FILE
 
@@ -418,7 +419,7 @@ def study() -> dict[str, Any]:
 
 
 def test_orders_are_drawn_from_the_study() -> None:
-    loaded = loaded_order(study(), "source")
+    loaded = loaded_order(Result(study(), source=lambda: "source"))
     (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
     assert (axes.get_xscale(), axes.get_yscale(), axes.get_xlabel()) == ("log", "log", "$h$")
     assert axes.get_ylabel() == r"largest error, $0 \leq t \leq 7.5$"

@@ -9,7 +9,7 @@ import pytest
 
 from browser import Browser, running_browser
 from stored_results import store_comparison, store_ensemble, store_order, store_run, store_stress, store_sweep
-from topcli.pages.contents import Chapter, Facts, Notes, Table, Text
+from topcli.pages.contents import Cells, Chapter, Facts, Notes, Text
 from topcli.pages.page import rendered
 from topcli.pages.report import report_page
 
@@ -46,8 +46,8 @@ def extreme(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cells = [["1.234567890e-12"] * 40] * 3
     chapter.blocks += [
         Facts(LONG, [(LONG, LONG), ("h", "0.1")]),
-        Table("wide", [f"column {i}" for i in range(40)], cells),
-        Table("long", ["a", "b"], [[LONG, LONG]], LONG),
+        Cells("wide", [f"column {i}" for i in range(40)], cells),
+        Cells("long", ["a", "b"], [[LONG, LONG]], LONG),
         Text("config", [LONG, *(f"line {i}" for i in range(100))]),
         Notes("notes", [LONG]),
     ]

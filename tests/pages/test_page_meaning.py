@@ -24,9 +24,12 @@ from topcli.pages import ensembles
 from topcli.pages.contents import Chapter
 from topcli.pages.page import rendered
 from topcli.pages.report import report_page
-from topcli.pages.studies import claims_chapter, order_chapter, stress_chapter
+from topcli.pages.studies import claims_chapter, stress_chapter
+from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
 from topcli.store.series import read_series
+from topcli.studies.order import ORDER
+from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 
 GREEN, AMBER, RED = "green", "amber", "red"
@@ -222,7 +225,7 @@ def test_the_table_of_orders_is_that_of_the_study() -> None:
         "points": points,
     }
     made = {"name": "n", "top": "t", "duration": 7.0, "schemes": [row], "left_out": [], "environment": {}}
-    page = shown(order_chapter(made, None))
+    page = shown(study_chapter(ORDER, Result(made), None))
     orders, errors = page.all("table")[:2]
     header, cells = orders.cells()
     values = {

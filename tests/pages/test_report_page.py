@@ -25,7 +25,7 @@ from stored_results import (
 )
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
-from topcli.pages.contents import Chapter, Facts, Notes, Picture, Pictures, Table, Text
+from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
 from topcli.pages.find import all_chapters
 from topcli.pages.page import rendered
 from topcli.pages.report import page_of, report_page
@@ -243,7 +243,7 @@ def _all_blocks(text: str) -> Chapter:
     chapter = Chapter(text, "run", text, text, True, text, [text])
     chapter.blocks += [
         Facts(text, [(text, text)]),
-        Table(text, [text, text], [[text, text]], text, marks={text: "good"}),
+        Cells(text, [text, text], [[text, text]], text, marks={text: "good"}),
         Text(text, [text]),
         Notes(text, [text]),
         Pictures(text, [Picture("<svg></svg>", text)]),

@@ -13,14 +13,8 @@ import pytest
 
 from topcli.analysis.tally import InvariantRow
 from topcli.runs import report as study
-from topcli.runs.report import (
-    REPORT_COLUMNS,
-    ReportColumn,
-    comparison_lines,
-    invariant_table,
-    number,
-    report_markdown,
-)
+from topcli.runs.report import REPORT_COLUMNS, ReportColumn, comparison_lines, invariant_table, report_markdown
+from topcli.table import number
 
 SHOWN = {
     "invariant": ("symbol", "A"),

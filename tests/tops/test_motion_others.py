@@ -14,9 +14,9 @@ from reading_html import read_html
 from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.motion.result import Motion, neighbour_rows, quantity_rows
 from topcli.analysis.reference import reference_states
-from topcli.api.motions import motion
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError
+from topcli.show.motions import motion
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

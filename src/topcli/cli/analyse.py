@@ -28,7 +28,7 @@ Plot = Annotated[bool, typer.Option("--plot", help="Draw errors, swings and devi
 
 def _lines(report: dict[str, Any]) -> list[list[str]]:
     """Lines of the report before the invariants: a label and a cell each."""
-    from topcli.runs.report import exact_number, number
+    from topcli.table import exact_number, number
 
     about, swing = report["reference"], report["swing"]
     start = {"config": "the config's initial state", "first row": "the first row"}[about["start"]]

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from topcli.cli.command import LazyGroup
+from topcli.cli.command import STUDY, LazyGroup
 from topcli.cli.output import emit, print_error, print_message, print_message_text
 from topcli.errors import TopcliError, clipped
 
@@ -23,7 +23,7 @@ class _Topcli(LazyGroup):
         "analyse": "analyse.analyse",
         "bench": "bench.bench",
         "table": "table.table",
-        "order": "order.order",
+        "order": STUDY,
         "plot": "plot.plot",
         "report": "report.report",
         "animate": "animate.animate",

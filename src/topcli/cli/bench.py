@@ -25,8 +25,8 @@ def _complete_scene(incomplete: str) -> list[str]:
 
 def _print_result(result: dict[str, Any], all_points: bool) -> None:
     """Print the result of one scene: the table of decades, the front in words, and with ``all_points`` every point."""
-    from topcli.runs.report import number
     from topcli.studies.bench.stored import decade_lines, ladder_lines, microseconds, point_lines, setup_words
+    from topcli.table import number
 
     span = f"t from 0 to {result['duration']:g}, CPU time per unit of time"
     print_table(*decade_lines(result), numbers=(0, 3, 6, 7, 8), title=f"{result['name']}: {result['title']}, {span}")

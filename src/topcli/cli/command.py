@@ -11,6 +11,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from topcli.studies.study import STUDIES, find_study
+
+STUDY = "study"
+"""Place of a command that follows from a study."""
 _TYPE = re.compile(r" <[^>]*>$")
 
 
@@ -55,10 +59,26 @@ class Commands(MutableMapping[str, Any]):
         return len(self._commands)
 
 
+class StudyCommand(TyperCommand):
+    """Command of a study that is imported when it is used; its place in the help of all commands needs no import."""
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """Context of the command itself."""
+        from topcli.cli.study import command
+
+        return _typer_command(command(find_study(self.name)), self.name).make_context(info_name, args, parent, **extra)
+
+
 def _imported(name: str, place: str) -> Any:
-    """The command called ``name``, from ``module.function`` or ``module.group`` in this package."""
+    """The command called ``name``, from ``module.function`` or ``module.group`` in this package, or that of a study."""
+    if place == STUDY:
+        return StudyCommand(name=name, callback=None, help=STUDIES[name].help)
     module, attribute = place.split(".")
-    found = getattr(import_module(f"topcli.cli.{module}"), attribute)
+    return _typer_command(getattr(import_module(f"topcli.cli.{module}"), attribute), name)
+
+
+def _typer_command(found: Any, name: str) -> Any:
+    """Command of typer from a function or a group of commands."""
     if not isinstance(found, typer.Typer):
         single = typer.Typer(add_completion=False, rich_markup_mode=None)
         single.command(name, cls=Command)(found)

@@ -19,7 +19,7 @@ from topcli.cli.output import emit, print_json, print_message, print_table
 
 
 def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
-    from topcli.runs.report import number
+    from topcli.table import number
 
     def line(label: str, cell: Any) -> list[str]:
         return [label, *(cell(form) for form in forms)]
@@ -44,7 +44,7 @@ def _form_lines(forms: list[dict[str, Any]]) -> list[list[str]]:
 
 
 def _report(found: dict[str, Any], title: str) -> None:
-    from topcli.runs.report import number
+    from topcli.table import number
 
     forms, runs = found["forms"], found["runs"]
     names = [form["form"] for form in forms]

@@ -15,9 +15,10 @@ from collections.abc import Callable, Collection, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, TextIO
 
-from topcli.api.progress import PATIENCE, Bar, Pace, percent, plain_console, spell_seconds
 from topcli.cli.tables import table_lines
 from topcli.errors import TopcliError, clipped, printable
+from topcli.show.progress import PATIENCE, Bar, Pace, percent, plain_console, spell_seconds
+from topcli.table import Cells
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -151,6 +152,13 @@ def print_table(
         emit_prose(title)
     for line in table_lines(table[0], table[1:], right, width, rule=on_terminal(), keys=keys):
         print(line)
+
+
+def print_cells(cells: Cells, title: str = "") -> None:
+    """Print a table, and its caption below."""
+    print_table(cells.header, cells.lines, title, cells.numbers, cells.keys)
+    if cells.caption:
+        emit_prose(cells.caption)
 
 
 class ProgressDisplay:

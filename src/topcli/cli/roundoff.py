@@ -27,7 +27,7 @@ HEADER = (
 
 
 def _cells(form: dict[str, Any], row: dict[str, Any]) -> list[str]:
-    from topcli.runs.report import number
+    from topcli.table import number
 
     exponent = "–" if row["exponent"] is None else f"{row['exponent']:.2f} ± {row['exponent_error']:.2f}"
     return [

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from topcli.errors import TopcliError, shortened
+from topcli.table import Cells
 
 REASON_LENGTH = 160
 """Longest reason for missing content that a page repeats."""
@@ -19,24 +20,6 @@ class Facts:
     kind: ClassVar[str] = "facts"
     title: str
     rows: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells under a header.
-
-    The first ``keys`` columns name a row; ``numbers`` is True if the others are right-aligned. ``marks`` are the
-    classes of cells with certain texts.
-    """
-
-    kind: ClassVar[str] = "table"
-    title: str
-    header: Sequence[str]
-    lines: Sequence[Sequence[str]]
-    caption: str = ""
-    keys: int = 1
-    numbers: bool = True
-    marks: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -74,7 +57,7 @@ class Notes:
     lines: Sequence[str]
 
 
-Block = Facts | Table | Pictures | Text | Notes
+Block = Facts | Cells | Pictures | Text | Notes
 
 
 @dataclass

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from topcli.figures.curves import LINEAR, LOG, CurvePanel, curve_column, plain
-from topcli.pages.contents import Chapter, Notes, Picture, Pictures, Table
+from topcli.pages.contents import Cells, Chapter, Notes, Picture, Pictures
 from topcli.pages.series_pictures import positive
 from topcli.pages.svg import svg_of
 from topcli.runs.ensemble_report import ensemble_table
@@ -27,9 +27,9 @@ def ensemble_blocks(chapter: Chapter, folder: Path, report: dict[str, Any], name
         chapter.attempt("distribution", lambda: _distribution(folder, report, name))
 
 
-def _table(report: dict[str, Any]) -> Table:
+def _table(report: dict[str, Any]) -> Cells:
     header, *lines = ensemble_table(report)
-    return Table("Conservation laws", header, lines, "Quantiles over the trajectories.")
+    return Cells("Conservation laws", header, lines, "Quantiles over the trajectories.")
 
 
 def _outcomes(report: Mapping[str, Any]) -> Notes:

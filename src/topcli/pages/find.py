@@ -10,15 +10,17 @@ from typing import Any
 from topcli.errors import UsageError, nearest, quoted
 from topcli.pages.contents import Chapter
 from topcli.pages.runs import DAMAGED, damaged_chapter, part_chapter, run_chapter
-from topcli.pages.studies import bench_chapter, claims_chapter, comparison_chapter, order_chapter, stress_chapter
+from topcli.pages.studies import bench_chapter, claims_chapter, comparison_chapter, stress_chapter
+from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import sweep_chapter
 from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
 from topcli.store.parts import is_part, linked_file, parts_of
 from topcli.store.study import SEAL, check_study
+from topcli.studies.study import STUDIES, Result, find_study
 from topcli.sweeps.rows import ROWS
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
 
-STUDIES = ("stress.json", "order.json")
+STUDY_FILES = ("stress.json", "order.json")
 """Files of studies, found in a folder of their own."""
 _RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "trajectories.parquet", "trajectories.csv")
 
@@ -54,7 +56,7 @@ def _names(results: Path) -> list[str]:
 
 def _link_in(folder: Path) -> Path | None:
     """A link, or anything but a regular file, in the place of a file of a result; None if there is none."""
-    others = (folder / name for name in (ROWS, SWEEP_FILE, *STUDIES))
+    others = (folder / name for name in (ROWS, SWEEP_FILE, *STUDY_FILES))
     return linked_file(folder) or next((path for path in others if path.is_symlink()), None)
 
 
@@ -75,7 +77,7 @@ def _of_folder(folder: Path, name: str) -> Chapter:
         for part in parts_of(own.parent, own.name[1:].rpartition(".part-")[0]):
             if part.folder.name == own.name:
                 return part_chapter(part, own.name)
-    for file in STUDIES:
+    for file in STUDY_FILES:
         if (folder / file).is_file():
             return _of_file(folder / file, name)
     if any((folder / file).exists() for file in _RUN_FILES):
@@ -118,8 +120,9 @@ def _study(data: dict[str, Any], name: str) -> Chapter | None:
         return claims_chapter(data, name)
     if "trials" in data:
         return stress_chapter(data)
-    if "duration" in data and "schemes" in data:
-        return order_chapter(data, name)
+    for study in map(find_study, STUDIES):
+        if data.get("command") == study.name or study.known(data):
+            return study_chapter(study, Result(data), name)
     return None
 
 

@@ -7,7 +7,7 @@ from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, Motion, neighb
 from topcli.config.models import Experiment
 from topcli.figures.motion import motion_drawn
 from topcli.figures.picture import Grid
-from topcli.pages.contents import Chapter, Notes, Picture, Pictures, Table
+from topcli.pages.contents import Cells, Chapter, Notes, Picture, Pictures
 from topcli.pages.origin import citation_block, config_block
 from topcli.pages.svg import svg_of
 
@@ -22,9 +22,9 @@ def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> 
     from topcli import __version__
 
     chapter = Chapter(experiment.name, "motion", motion.top, motion.kind, message=motion.title)
-    chapter.blocks.append(Table("Quantities", QUANTITIES, quantity_rows(motion), numbers=False))
+    chapter.blocks.append(Cells("Quantities", QUANTITIES, quantity_rows(motion), numbers=False))
     if motion.neighbours:
-        chapter.blocks.append(Table("Nearest critical motions", NEIGHBOURS, neighbour_rows(motion)))
+        chapter.blocks.append(Cells("Nearest critical motions", NEIGHBOURS, neighbour_rows(motion)))
     if motion.notes:
         chapter.blocks.append(Notes("Notes", motion.notes))
     if name:

@@ -10,9 +10,9 @@ from topcli.config.load import any_from
 from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
 from topcli.errors import TopcliError, UsageError, shortened
-from topcli.pages.contents import Facts, Notes, Table, Text
-from topcli.runs.report import number
+from topcli.pages.contents import Cells, Facts, Notes, Text
 from topcli.schemes.registry import find_scheme
+from topcli.table import number
 from topcli.tops import TOPS
 
 LONGEST_TEXT = 400
@@ -66,7 +66,7 @@ def provenance_block(manifest: Mapping[str, Any]) -> Facts:
     return Facts("Provenance", [(name, value_text(value)) for name, value in rows if value is not None])
 
 
-def files_block(folder: Path, files: Mapping[str, Any], damage: Mapping[str, str]) -> Table:
+def files_block(folder: Path, files: Mapping[str, Any], damage: Mapping[str, str]) -> Cells:
     """Files of a folder with the sizes and checksums of the manifest."""
     lines = []
     for name, entry in files.items():
@@ -74,7 +74,7 @@ def files_block(folder: Path, files: Mapping[str, Any], damage: Mapping[str, str
         lines.append([name, str(size), str(digest), damage.get(name, "intact")])
     broken = dict.fromkeys(damage.values(), "bad")
     header = ["file", "bytes", "SHA-256", "state"]
-    return Table("Files", header, lines, f"In {folder}", numbers=False, marks=broken)
+    return Cells("Files", header, lines, f"In {folder}", numbers=False, marks=broken)
 
 
 def experiment_of(config: Mapping[str, Any]) -> Experiment | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from topcli.contracts import Outcome
-from topcli.pages.contents import Block, Chapter, Facts, Notes, Table
+from topcli.pages.contents import Block, Cells, Chapter, Facts, Notes
 from topcli.pages.ensembles import ensemble_blocks
 from topcli.pages.origin import (
     citation_block,
@@ -160,9 +160,9 @@ def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts | None
     return Facts("Setup", [(key, value_text(value)) for key, value in rows if value not in (None, {}, "")])
 
 
-def _invariants(report: dict[str, Any]) -> Table:
+def _invariants(report: dict[str, Any]) -> Cells:
     header, *lines = invariant_table(report)
-    return Table("Conservation laws", header, lines, marks={"lost": "bad", "drifting": "middling", "exact": "good"})
+    return Cells("Conservation laws", header, lines, marks={"lost": "bad", "drifting": "middling", "exact": "good"})
 
 
 def _verdicts(report: dict[str, Any]) -> Notes:

@@ -12,20 +12,17 @@ import numpy as np
 from topcli.contracts import Array
 from topcli.figures.claims import verdict_category, verdict_panel
 from topcli.figures.comparison import loaded_comparison
-from topcli.figures.order import loaded_order
 from topcli.figures.picture import Grid
-from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures, Table
+from topcli.pages.contents import Block, Cells, Chapter, Picture, Pictures
 from topcli.pages.origin import citation_block, config_block, files_block, provenance_block, value_text
 from topcli.pages.svg import svg_of
 from topcli.paper.claim import OURS, PAPER
-from topcli.runs.report import number
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
 from topcli.studies.compare import Comparison
 from topcli.studies.compare_table import comparison_table, reference_note
-from topcli.studies.order_table import HEADER, error_lines, order_line, order_title
-from topcli.sweeps.measures.references import EXACT
-from topcli.tops import top_class
+from topcli.studies.entries import cited_parts
+from topcli.table import number
 
 SIZE = (5.6, 3.2)
 SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
@@ -46,14 +43,6 @@ def _about(
     chapter.attempt("citation", lambda: citation_block(parts(), version))
 
 
-def _compared_parts(study: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Top and scheme of each entry of a comparison or a study of orders, and of its reference."""
-    config, reference = study["config"], study.get("reference") or {}
-    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
-    names = [str(one["scheme"]).partition(":")[0] for one in study["schemes"]]
-    return [(form, name) for name in (*names, *([EXACT] if reference.get("kind") == EXACT else []))]
-
-
 def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], name: str | None) -> Chapter:
     """Chapter on a comparison of schemes.
 
@@ -65,12 +54,12 @@ def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], nam
         chapter.attempt("pictures", lambda: _comparison_pictures(figures, series, name))
     elif name and figures.get("kind") != "ensemble":
         chapter.missing.append("pictures: the series are not in this file; topcli compare with --save stores them")
-    _about(chapter, figures, lambda: _compared_parts(figures))
+    _about(chapter, figures, lambda: cited_parts(figures))
     return chapter
 
 
-def _compared(chapter: Chapter, figures: dict[str, Any]) -> Table:
-    """Table of a comparison, and the state of the chapter."""
+def _compared(chapter: Chapter, figures: dict[str, Any]) -> Cells:
+    """Cells of a comparison, and the state of the chapter."""
     title, header, lines = comparison_table(figures)
     chapter.title, _, chapter.subtitle = title.partition(": ")
     bad = [f"{one['label']}: {one['message']}" for one in figures["schemes"] if not _completed(one)]
@@ -78,7 +67,7 @@ def _compared(chapter: Chapter, figures: dict[str, Any]) -> Table:
     chapter.good = not bad
     chapter.state = "completed" if chapter.good else f"{len(bad)} failed"
     chapter.message = "; ".join(bad)
-    return Table("Comparison", header, lines, reference_note(figures))
+    return Cells("Comparison", header, lines, reference_note(figures))
 
 
 def _completed(scheme: Mapping[str, Any]) -> bool:
@@ -104,43 +93,6 @@ def _comparison_pictures(figures: dict[str, Any], series: Mapping[str, Array], n
     )
 
 
-def order_chapter(study: dict[str, Any], name: str | None) -> Chapter:
-    """Chapter on a study of orders; ``name`` is unique within the page, None leaves out pictures."""
-    chapter = Chapter("Orders of convergence", "order")
-    chapter.attempt("orders", lambda: _orders(chapter, study))
-    if name:
-        chapter.attempt("pictures", lambda: _order_picture(study, name))
-    chapter.attempt("errors", lambda: _errors(study))
-    chapter.attempt("notes", lambda: _order_notes(study))
-    _about(chapter, study, lambda: _compared_parts(study))
-    return chapter
-
-
-def _orders(chapter: Chapter, study: dict[str, Any]) -> Table:
-    chapter.subtitle = order_title(study)
-    broken = [row["scheme"] for row in study["schemes"] if row["broken"]]
-    chapter.state, chapter.good = ("measured", True) if not broken else (f"{len(broken)} failed", False)
-    return Table("Observed orders", HEADER, [order_line(row) for row in study["schemes"]])
-
-
-def _order_picture(study: Mapping[str, Any], name: str) -> Pictures:
-    loaded = loaded_order(study, "")
-    (panel,) = loaded.panels
-    caption = "largest error over the step size h, with observed orders"
-    return Pictures("Pictures", [Picture(svg_of(panel, loaded.data(), name, caption, Grid(figsize=SIZE)), caption)])
-
-
-def _errors(study: Mapping[str, Any]) -> Table:
-    header = ["h", *(row["scheme"] for row in study["schemes"])]
-    return Table("Largest error at each h", header, error_lines(study["schemes"]))
-
-
-def _order_notes(study: Mapping[str, Any]) -> Notes | None:
-    said = [f"{one['scheme']} is left out: {one['reason']}" for one in study["left_out"]]
-    said += [f"{row['scheme']}: {row['broken']}" for row in study["schemes"] if row["broken"]]
-    return Notes("Notes", said) if said else None
-
-
 def stress_chapter(study: dict[str, Any]) -> Chapter:
     """Chapter on a stress study: a table of outcomes for each top, then every trial that did not hold."""
     chapter = Chapter("Stress", "stress", "schemes in the hard cases of their tops")
@@ -162,7 +114,7 @@ def _stress_state(chapter: Chapter, study: Mapping[str, Any]) -> Block | None:
     return None
 
 
-def stress_grid(trials: Sequence[Mapping[str, Any]], top: str) -> Table:
+def stress_grid(trials: Sequence[Mapping[str, Any]], top: str) -> Cells:
     """Outcomes of the schemes of one top, a row for each scheme and a column for each case."""
     mine = [one for one in trials if one["top"] == top]
     cases = list(dict.fromkeys(one["case"] for one in mine))
@@ -172,12 +124,12 @@ def stress_grid(trials: Sequence[Mapping[str, Any]], top: str) -> Table:
     lines = [[scheme, *(SIGNS.get(row.get(case, ""), "") for case in cases)] for scheme, row in found.items()]
     signs = ", ".join(f"{sign} {outcome}" for outcome, sign in SIGNS.items())
     marks = {SIGNS[outcome]: kind for outcome, kind in MARKS.items()}
-    return Table(
+    return Cells(
         f"Outcomes: {top}", ["scheme", *cases], lines, f"{signs}; no sign: not run", numbers=False, marks=marks
     )
 
 
-def _failures(trials: Sequence[Mapping[str, Any]]) -> Table | None:
+def _failures(trials: Sequence[Mapping[str, Any]]) -> Cells | None:
     lines = []
     for one in trials:
         if one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok":
@@ -186,12 +138,12 @@ def _failures(trials: Sequence[Mapping[str, Any]]) -> Table | None:
             lines.append([one["scheme"], one["top"], one["case"], one["outcome"], step, one["why"], meaning])
     header = ["scheme", "top", "case", "outcome", "step", "why", "verdict"]
     bad = dict.fromkeys(UNEXPLAINED, "bad")
-    return Table("Trials that did not hold", header, lines, keys=3, numbers=False, marks=MARKS | bad) if lines else None
+    return Cells("Trials that did not hold", header, lines, keys=3, numbers=False, marks=MARKS | bad) if lines else None
 
 
-def _questions(cases: Sequence[Mapping[str, Any]]) -> Table:
+def _questions(cases: Sequence[Mapping[str, Any]]) -> Cells:
     lines = [[one["case"], one["top"], one["question"]] for one in cases]
-    return Table("Cases", ["case", "top", "question"], lines, keys=2, numbers=False)
+    return Cells("Cases", ["case", "top", "question"], lines, keys=2, numbers=False)
 
 
 def claims_chapter(found: dict[str, Any], name: str | None = None) -> Chapter:
@@ -207,7 +159,7 @@ def claims_chapter(found: dict[str, Any], name: str | None = None) -> Chapter:
     return chapter
 
 
-def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Table:
+def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Cells:
     parts = []
     for origin, title in ((PAPER, ""), (OURS, "findings of ours: ")):
         counted = Counter(verdict_category(str(one["verdict"])) for one in claims if one["origin"] == origin)
@@ -217,7 +169,7 @@ def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Table:
     keys = ("id", "origin", "statement", "verdict", "figure", "bound", "source")
     shown = [{**one, "bound": one.get("bound_text", one["bound"])} for one in claims]
     lines = [[_figure(one[key]) for key in keys] for one in shown]
-    return Table("Claims", keys, lines, numbers=False, marks={"holds": "good", "does not hold as stated": "bad"})
+    return Cells("Claims", keys, lines, numbers=False, marks={"holds": "good", "does not hold as stated": "bad"})
 
 
 def _claims_picture(claims: Sequence[Mapping[str, Any]], name: str) -> Pictures:
@@ -238,8 +190,8 @@ def bench_chapter(run: StoredRun) -> Chapter:
     if damage:
         chapter.state, chapter.good = "damaged", False
         chapter.missing += [f"{file}: {why}" for file, why in damage.items()]
-    chapter.attempt("best by decade", lambda: Table("Fastest in each decade of error", *decade_lines(run.report())))
-    chapter.attempt("all points", lambda: Table("All points", *point_lines(run.report())))
+    chapter.attempt("best by decade", lambda: Cells("Fastest in each decade of error", *decade_lines(run.report())))
+    chapter.attempt("all points", lambda: Cells("All points", *point_lines(run.report())))
     _about(chapter, manifest)
     chapter.attempt("files", lambda: files_block(Path(run.folder), manifest["files"], damage))
     return chapter

@@ -16,7 +16,7 @@ from topcli.config.sweep.rows import RowReader
 from topcli.errors import TopcliError
 from topcli.figures.picture import Grid
 from topcli.figures.sweep import Choice, curves
-from topcli.pages.contents import Chapter, Facts, Notes, Picture, Pictures, Table
+from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures
 from topcli.pages.origin import citation_block, files_block, provenance_block, text_block
 from topcli.pages.svg import svg_of
 from topcli.store.manifest import StoredRun, stored_sweep
@@ -118,7 +118,7 @@ def _parts(sweep: Sweep) -> list[tuple[str, str]]:
     return list(found)
 
 
-def rows_table(rows: SweepRows) -> Table:
+def rows_table(rows: SweepRows) -> Cells:
     """The first rows of a sweep with their keys, outcome and measures."""
     labels = {key: key_labels(rows.columns[key]) for key in rows.keys}
     lines = []
@@ -130,7 +130,7 @@ def rows_table(rows: SweepRows) -> Table:
     caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.path}." if more > 0 else ""
     outcomes = {str(one): "bad" for one in rows.columns["outcome"][~rows.completed]}
     header = ["row", *rows.keys, "outcome", *rows.measures]
-    return Table("Rows", header, lines, caption, keys=1 + len(rows.keys), marks=outcomes)
+    return Cells("Rows", header, lines, caption, keys=1 + len(rows.keys), marks=outcomes)
 
 
 def _plain(value: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from topcli.pages.contents import Chapter, Table
+from topcli.pages.contents import Cells, Chapter
 from topcli.pages.origin import value_text
 from topcli.runs.report import comparison_lines
 from topcli.runs.resume import OUTSIDE_IDENTITY, flattened
@@ -28,8 +28,8 @@ def _chapter(title: str, runs: Sequence[Chapter]) -> Chapter:
     return chapter
 
 
-def runs_table(runs: Sequence[Chapter]) -> Table:
-    """Table with a column for each run: what differs in their configs, outcomes, and the invariants that they share."""
+def runs_table(runs: Sequence[Chapter]) -> Cells:
+    """Cells with a column for each run: what differs in their configs, outcomes, and the invariants that they share."""
     reports = [run.data["report"] for run in runs]
     configs = [flattened(run.data["config"]) for run in runs]
     keys = [key for key in dict.fromkeys(key for one in configs for key in one) if key not in OUTSIDE_IDENTITY]
@@ -41,7 +41,7 @@ def runs_table(runs: Sequence[Chapter]) -> Table:
     lines.append(["run seconds", *(f"{report['seconds']['run']:.3g}" for report in reports)])
     shared = set.intersection(*({row["name"] for row in report["invariants"]} for report in reports))
     common = [{"invariants": [row for row in report["invariants"] if row["name"] in shared]} for report in reports]
-    return Table(
+    return Cells(
         "Comparison",
         ["", *(run.title for run in runs)],
         [*lines, *comparison_lines(common)],

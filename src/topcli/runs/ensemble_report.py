@@ -11,7 +11,8 @@ from topcli.config.ensemble import EnsembleExperiment
 from topcli.contracts import Ending, Outcome
 from topcli.engine.endings import NO_FAILURE, Endings
 from topcli.runs.accuracy import seconds_note
-from topcli.runs.report import SCHEMA_VERSION, finite, heading, markdown_table, number, report_head
+from topcli.runs.report import SCHEMA_VERSION, finite, heading, report_head
+from topcli.table import markdown_table, number
 
 SHOWN = 20
 """Failures listed in the report; the table of trajectories contains all of them."""

@@ -10,32 +10,13 @@ from typing import TYPE_CHECKING, Any
 from topcli.analysis.tally import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 from topcli.contracts import Ending
 from topcli.runs.accuracy import accuracy_note, seconds_note
+from topcli.table import exact_number, markdown_table, number, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.digit_growth import DigitGrowth
     from topcli.config.models import Experiment
 
 SCHEMA_VERSION = 1
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Number for a table: short, with an exponent if it is very large or small; a dash for None."""
-    if value is None:
-        return "–"
-    if value == 0.0:
-        return "0"
-    if not math.isfinite(value):
-        return str(value)
-    return f"{value:.{digits}g}" if 1e-3 <= abs(value) < 1e5 else f"{value:.{max(digits - 2, 1)}e}"
-
-
-def exact_number(value: float | None) -> str:
-    """Number to ten digits, which show how an invariant moves; a dash for None."""
-    return "–" if value is None else f"{value:.10g}"
-
-
-def _two_digits(value: float | None) -> str:
-    return number(value, 2)
 
 
 def _word(value: str | None) -> str:
@@ -69,7 +50,7 @@ REPORT_COLUMNS = (
     ReportColumn("rms_deviation", "rms deviation"),
     ReportColumn("rms_deviation_relative", "relative"),
     ReportColumn("drift", "drift per unit time", compared="{} drift per unit time"),
-    ReportColumn("drift_error", "± standard error", _two_digits, compared="  its standard error"),
+    ReportColumn("drift_error", "± standard error", two_digits, compared="  its standard error"),
     ReportColumn("drift_over_run", "over the run"),
     ReportColumn("model", "model", _word, compared="  model"),
     ReportColumn("scatter", "scatter"),
@@ -178,12 +159,6 @@ def comparison_lines(schemes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
         for column in REPORT_COLUMNS
         if column.compared is not None
     ]
-
-
-def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Markdown table of lines of cells; the first line is the header."""
-    ruled = ["| " + " | ".join(line) + " |" for line in lines]
-    return [ruled[0], "|" + " --- |" * len(lines[0]), *ruled[1:]]
 
 
 def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] = (), where: str = "") -> list[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from topcli.engine.precise.numbers import RATIONAL
-from topcli.runs.report import comparison_lines, number
+from topcli.runs.report import comparison_lines
+from topcli.table import number
 from topcli.tops import TOPS
 
 LOW, MIDDLE, HIGH = "10 %", "median", "90 %"

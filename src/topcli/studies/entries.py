@@ -23,6 +23,8 @@ from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
 from topcli.schemes.registry import find_scheme
 from topcli.schemes.user_code import users_error
+from topcli.sweeps.measures.references import EXACT
+from topcli.tops import top_class
 
 STEP = "h"
 """Key of an entry's own step size; all other keys are options of its scheme."""
@@ -274,3 +276,11 @@ def _at_common_times(entries: Sequence[Entry], wanted: int) -> list[Entry]:
 def _divisors(number: int) -> list[int]:
     low = [divisor for divisor in range(1, math.isqrt(number) + 1) if number % divisor == 0]
     return low + [number // divisor for divisor in low]
+
+
+def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Top and scheme of each entry of a study, and of its reference if that is a scheme."""
+    config, reference = data["config"], data.get("reference") or {}
+    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
+    names = [str(row["scheme"]).partition(":")[0] for row in data["schemes"]]
+    return [(form, name) for name in (*names, *([EXACT] if reference.get("kind") == EXACT else []))]

@@ -9,8 +9,8 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from topcli.runs.report import markdown_table
 from topcli.sweeps.table import ORDER, SPREADS, Cell, Summary, SweepTable
+from topcli.table import markdown_table
 
 FORMATS = ("text", "csv", "markdown", "latex")
 NO_ROW = "–"

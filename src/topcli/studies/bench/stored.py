@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, UsageError
-from topcli.runs.report import markdown_table, number
 from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
 from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter, require_real
 from topcli.store.table import write_table
 from topcli.studies.bench.front import ratio_text, setting
+from topcli.table import markdown_table, number
 
 POINTS = "points.parquet"
 REPORT = "report.json"

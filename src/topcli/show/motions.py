@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from topcli.analysis.motion.of_top import closed_form_top, motion_of
 from topcli.analysis.motion.result import Motion
-from topcli.api.report import Report, draw_panel
 from topcli.config.duration import changed
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
+from topcli.show.report import Report, draw_panel
 
 if TYPE_CHECKING:
     import pandas as pd

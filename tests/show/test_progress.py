@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from topcli.api import progress
+from topcli.show import progress
 
 
 class Terminal(io.StringIO):

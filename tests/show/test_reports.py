@@ -18,14 +18,14 @@ from matplotlib.figure import Figure
 import topcli
 from reading_html import read_html
 from stored_results import BASE, START
-from topcli.api.claims import ClaimsReport
-from topcli.api.comparisons import ComparisonReport
-from topcli.api.orders import OrderReport
-from topcli.api.report import SUFFIXES, Report
-from topcli.api.runs import RunReport
-from topcli.api.stresses import StressReport
-from topcli.api.sweeps import SweepReport
 from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
+from topcli.show.claims import ClaimsReport
+from topcli.show.comparisons import ComparisonReport
+from topcli.show.report import SUFFIXES, Report
+from topcli.show.runs import RunReport
+from topcli.show.stresses import StressReport
+from topcli.show.study import StudyReport
+from topcli.show.sweeps import SweepReport
 from topcli.store.series import read_series
 
 CONFIG = {**BASE, "name": "one", "scheme": "hk"}
@@ -63,7 +63,7 @@ def swept(out: Path) -> SweepReport:
 
 
 @pytest.fixture(scope="module")
-def ordered() -> OrderReport:
+def ordered() -> StudyReport:
     return topcli.order("hk", "rk4", config="euler_hk", duration=2.0, sizes=[0.1, 0.05, 0.025])
 
 
@@ -357,7 +357,7 @@ def test_sweep_of_an_edited_file_shows_its_own_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_orders_and_errors(ordered: OrderReport, axes: Any) -> None:
+def test_orders_and_errors(ordered: StudyReport, axes: Any) -> None:
     assert ordered.table.loc["hk", "order"] == pytest.approx(2.0, abs=0.05)
     assert ordered.table.loc["rk4", "order"] == pytest.approx(4.0, abs=0.1)
     points = {one["h"]: one["error"] for one in ordered.study["schemes"][0]["points"]}

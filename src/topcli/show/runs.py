@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.api.progress import Progress
-from topcli.api.report import Report, draw_panel
 from topcli.config.duration import changed
 from topcli.config.load import any_from, load_changed
 from topcli.config.models import Experiment
@@ -19,6 +17,8 @@ from topcli.errors import UsageError, nearest, quoted
 from topcli.runs.plan import RunOptions
 from topcli.runs.resume import CHECKPOINT_SECONDS
 from topcli.runs.run import RunResult, run_into
+from topcli.show.progress import Progress
+from topcli.show.report import Report, draw_panel
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,9 +8,11 @@ import time
 from collections import deque
 from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from topcli.errors import printable
+from topcli.studies.study import Watch
 
 PATIENCE = 0.5
 """Seconds before a bar appears."""
@@ -101,7 +103,7 @@ def progress_console() -> Any:
     return None
 
 
-class Progress:
+class Progress(Watch):
     """Progress of a function as a context manager, called with (done, total); silent where nobody would see it."""
 
     def __init__(
@@ -115,6 +117,10 @@ class Progress:
 
     def __enter__(self) -> Progress:
         return self
+
+    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
+        """Take the name of what is run."""
+        self._name = printable(name)
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show that ``done`` of ``total`` are done, and a ``note`` behind it."""

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from topcli.api.progress import Progress
-from topcli.api.report import Report, draw_panel
 from topcli.config.duration import changed
 from topcli.config.load import any_from, load_any
 from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.errors import UsageError
+from topcli.show.progress import Progress
+from topcli.show.report import Report, draw_panel
 from topcli.store.envelope import thinned
 from topcli.studies.compare import Comparison, compare_schemes, comparison_document
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from topcli.api.progress import Progress
-from topcli.api.report import Report, draw_panel
 from topcli.errors import UnknownNameError, nearest, quoted
+from topcli.show.progress import Progress
+from topcli.show.report import Report, draw_panel
 from topcli.studies.stress.record import stress_data
 from topcli.studies.stress.suite import chosen, require_options
 from topcli.studies.stress.suite import stress as try_schemes

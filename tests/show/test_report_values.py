@@ -17,10 +17,12 @@ import pytest
 import topcli
 from shown import distinct, named_differently
 from stored_results import BASE
-from topcli.api.comparisons import ComparisonReport
-from topcli.api.orders import OrderReport
-from topcli.api.report import Report
-from topcli.api.stresses import StressReport
+from topcli.show.comparisons import ComparisonReport
+from topcli.show.report import Report
+from topcli.show.stresses import StressReport
+from topcli.show.study import StudyReport
+from topcli.studies.order import ORDER
+from topcli.studies.study import Result
 
 CONFIG = {**BASE, "name": "one", "scheme": "hk"}
 
@@ -65,7 +67,7 @@ ORDERS = {
 
 
 def test_orders_have_their_own_errors_and_steps() -> None:
-    report = OrderReport(ORDERS)
+    report = StudyReport(ORDER, Result(ORDERS))
     best = {"hk": (2e-5, 0.2), "rk4": (None, None), "bs": (4e-3, 0.2)}
     fields = ("declared_order", "order", "verdict", "plateau", "onset", "ended", "broken")
     assert values_of(report.table) == [
@@ -148,7 +150,7 @@ def test_a_table_of_a_sweep_is_its_file(tmp_path: Path) -> None:
 
 
 REPORTS: dict[str, Any] = {
-    "orders": lambda: OrderReport(ORDERS),
+    "orders": lambda: StudyReport(ORDER, Result(ORDERS)),
     "motion": lambda: topcli.motion("kowalevski_generic_hk"),
     "claims": lambda: topcli.claims(["matrix-m", "hk-heavy-equation"]),
 }

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from topcli.api.progress import Progress
-from topcli.api.report import Report, draw_panel
 from topcli.paper.decide import decide_claims
 from topcli.paper.result import Claims
+from topcli.show.progress import Progress
+from topcli.show.report import Report, draw_panel
 
 if TYPE_CHECKING:
     import pandas as pd

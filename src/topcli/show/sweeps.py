@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from topcli.api.progress import Progress
-from topcli.api.report import Report, draw_panel
 from topcli.config.sweep.document import load_sweep, sweep_from
 from topcli.errors import UsageError
+from topcli.show.progress import Progress
+from topcli.show.report import Report, draw_panel
 from topcli.sweeps.rows import ROWS, SweepRows, read_rows
 from topcli.sweeps.run import SweepOptions, SweepResult, Watcher, run_sweep
 

@@ -1,0 +1,210 @@
+"""The command of a study: an option for each parameter of ``measure``, the same output for all."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import typer
+
+from topcli.cli.options import (
+    FigureOut,
+    Json,
+    Out,
+    SchemeFiles,
+    complete_config,
+    complete_scheme,
+    complete_top,
+    load_scheme_files,
+)
+from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
+from topcli.store.run_folder import require_writable
+from topcli.store.study import write_study
+from topcli.studies.study import Flag, Result, Study, Watch, imported
+from topcli.table import Table
+
+COMPLETE = {"SCHEME": complete_scheme, "TOP": complete_top, "CONFIG": complete_config}
+
+
+class _CommandWatch(Watch):
+    """Watch that prints messages and progress; pictures and stored results need a folder that can be written."""
+
+    def __init__(self, study: Study, quiet: bool, folder: Path | None, plot: bool) -> None:
+        self._display = ProgressDisplay(1, quiet, unit=study.unit)
+        self._folder, self._plot = folder, plot
+
+    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
+        """Print warnings about the experiments and require the folder."""
+        for experiment in experiments:
+            print_warnings(experiment)
+        if self._folder is not None and (self._plot or file is not None):
+            require_writable(self._folder)
+        self._display.begin(name)
+
+    def message(self, line: str) -> None:
+        """Print a message."""
+        print_message(line)
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Show the progress."""
+        self._display(done, total, note)
+
+    def close(self) -> None:
+        """Remove the progress."""
+        self._display.close()
+
+
+def command(study: Study) -> Callable[..., None]:
+    """Command of a study: measure, store, draw, print, and exit with the code of its faults."""
+    measured = [p for p in inspect.signature(study.measure, eval_str=True).parameters.values() if p.name != "watch"]
+    flags = []
+    if study.printed:
+        flags = list(inspect.signature(study.printed, eval_str=True).parameters.values())[1:]
+    shared: dict[str, tuple[Any, Any]] = {}
+    if study.figure:
+        folder = (Out, Path("results")) if study.file else (FigureOut, Path("results/figures"))
+        shared |= {"plot": (Annotated[bool, typer.Option("--plot", help=f"Draw {study.draws}.")], False), "out": folder}
+    elif study.file:
+        shared["out"] = (Out, Path("results"))
+    shared |= {"as_json": (Json, False), "scheme_files": (SchemeFiles, None)}
+
+    def call(
+        *, as_json: bool, scheme_files: list[Path] | None, plot: bool = False, out: Path | None = None, **given: Any
+    ) -> None:
+        load_scheme_files(scheme_files)
+        arguments, options = _arguments(measured, given)
+        watch = _CommandWatch(study, as_json, out, plot)
+        try:
+            result = study.measure(*arguments, **options, watch=watch)
+        finally:
+            watch.close()
+        files = _written(study, result, out, plot)
+        if as_json:
+            print_json(study.name, {**result.data, "files": files} if out else result.data)
+        else:
+            _print(study, result, {flag.name: given[flag.name] for flag in flags})
+            for file in files:
+                print_message(f"wrote {file}")
+        for line in study.notes(result.data):
+            print_message(line)
+        code, lines = study.faults(result.data)
+        for line in lines:
+            print_message(f"error: {line}")
+        if code:
+            raise typer.Exit(code)
+
+    helps = _helps(study.measure.__doc__) | (_helps(study.printed.__doc__) if study.printed else {})
+    made = [option for p in (*measured, *flags) if (option := _option(p, helps.get(p.name, ""))) is not None]
+    made += [_parameter(name, annotation, default) for name, (annotation, default) in shared.items()]
+    call.__signature__ = inspect.Signature(made)  # pyright: ignore[reportFunctionMemberAccess]
+    call.__annotations__ = {one.name: one.annotation for one in made}
+    call.__doc__ = (study.measure.__doc__ or "").partition("Parameters\n")[0]
+    return call
+
+
+def _print(study: Study, result: Result, flags: Mapping[str, Any]) -> None:
+    """Print tables and sentences of a result, with an empty line between tables."""
+    data = result.data
+    parts: Iterable[Table | str] = study.printed(data, **flags) if study.printed else study.tables_of(data)
+    after_table = False
+    for part in parts:
+        if isinstance(part, str):
+            emit_prose(part)
+            after_table = False
+            continue
+        if after_table:
+            emit()
+        print_cells(part.cells(data), part.title_of(data))
+        after_table = True
+
+
+def _written(study: Study, result: Result, out: Path | None, plot: bool) -> list[str]:
+    """Store the result of the default options, and draw the figure; the files."""
+    files: list[Path] = []
+    if out is not None and result.file is not None:
+        files.append(write_study(out / result.file, result.data, result.source()))
+    if out is not None and plot:
+        from topcli.figures.make import write_figure
+
+        folder = out / "figures" if study.file else out
+        files += write_figure(f"{study.name}_{study.stem(result.data)}", imported(study.figure)(result), folder)
+    return [str(file) for file in files]
+
+
+def _arguments(parameters: Sequence[inspect.Parameter], given: Mapping[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+    """Arguments of ``measure`` from the values of the command line; what was not given keeps its default."""
+    arguments: list[Any] = []
+    options: dict[str, Any] = {}
+    for parameter in parameters:
+        value = given.get(parameter.name)
+        if value is None:
+            continue
+        read = _flag(parameter)[1].read
+        value = read(value) if read else value
+        if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
+            arguments += value
+        else:
+            options[parameter.name] = value
+    return arguments, options
+
+
+def _flag(parameter: inspect.Parameter) -> tuple[Any, Flag]:
+    """Type of a parameter and its place on the command line."""
+    annotation, flag = parameter.annotation, Flag("--" + parameter.name.replace("_", "-"))
+    if get_origin(annotation) is Annotated:
+        annotation, *notes = get_args(annotation)
+        flag = next((note for note in notes if isinstance(note, Flag)), flag)
+    return annotation, flag
+
+
+def _option(parameter: inspect.Parameter, text: str) -> inspect.Parameter | None:
+    """Parameter of the command for a ``parameter`` of ``measure``; None if the command has none."""
+    annotation, flag = _flag(parameter)
+    if flag.option == "-" or parameter.kind is inspect.Parameter.VAR_KEYWORD:
+        return None
+    several = parameter.kind is inspect.Parameter.VAR_POSITIONAL
+    required = parameter.default is inspect.Parameter.empty and not several
+    default = None if parameter.default in (inspect.Parameter.empty, ()) else parameter.default
+    kind, several = _plain(annotation, several)
+    kind = str if flag.read else kind
+    kind = list[kind] if several else kind
+    shown: dict[str, Any] = {"help": text, "autocompletion": COMPLETE.get(flag.metavar)}
+    if flag.names is not None:
+        shown["autocompletion"] = _completion(flag.names)
+    given = {"metavar": flag.metavar, "show_default": flag.default, "min": flag.least, "max": flag.most}
+    shown |= {key: value for key, value in given.items() if value not in ("", None)}
+    declared = typer.Option(flag.option, **shown) if flag.option else typer.Argument(**shown)
+    annotated = Annotated[kind if required or default is not None else kind | None, declared]
+    return _parameter(parameter.name, annotated, inspect.Parameter.empty if required else default)
+
+
+def _parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _plain(annotation: Any, several: bool) -> tuple[Any, bool]:
+    """Type of a value on the command line, and whether the option may be repeated."""
+    if get_origin(annotation) in (Union, UnionType):
+        annotation = next(one for one in get_args(annotation) if one is not NoneType)
+    if get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (Sequence, list):
+        return _plain(get_args(annotation)[0], True)
+    return annotation, several
+
+
+def _completion(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    return lambda incomplete: [name for name in names() if name.startswith(incomplete.lower())]
+
+
+def _helps(doc: str | None) -> dict[str, str]:
+    """First sentence on each parameter of a NumPy docstring."""
+    section = (doc or "").partition("Parameters\n")[2]
+    section = re.split(r"\n *\n *\w+\n *-{3,}", section)[0]
+    entries = re.split(r"^ {4}\*{0,2}(\w+)(?: : .*)?\n", section, flags=re.MULTILINE)[1:]
+    texts = (" ".join(text.split()) for text in entries[1::2])
+    return dict(zip(entries[::2], (re.match(r".*?\.(?= [A-Z]|$)|.*", text)[0] for text in texts), strict=True))

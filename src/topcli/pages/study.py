@@ -1,0 +1,61 @@
+"""Chapter on the result of a study, from its declaration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from topcli.figures.picture import Grid
+from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures
+from topcli.pages.origin import citation_block, config_block, provenance_block
+from topcli.pages.svg import svg_of
+from topcli.studies.study import Result, Study, imported
+from topcli.table import Table
+
+SIZE = (5.6, 3.2)
+
+
+def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
+    """Chapter on a ``result`` of a study, which may hold anything if it was read from a file.
+
+    ``name`` is unique within the page; None leaves out pictures.
+    """
+    data = result.data
+    chapter = Chapter(study.name.capitalize(), study.name)
+
+    def head() -> Block | None:
+        chapter.title, chapter.subtitle, chapter.state, chapter.good, chapter.message = study.head(data)
+        return None
+
+    chapter.attempt("outcome", head)
+    tables: list[Table] = []
+    chapter.attempt("tables", lambda: tables.extend(study.tables_of(data)))
+    for i, table in enumerate(tables):
+        what = table.heading[:1].lower() + table.heading[1:]
+        chapter.attempt(what, lambda table=table: cells if (cells := table.cells(data)).lines else None)
+        if name and study.figure and i == 0:
+            chapter.attempt("pictures", lambda: _pictures(study, result, name))
+    chapter.attempt("notes", lambda: _notes(study, result))
+    if isinstance(config := data.get("config"), Mapping):
+        chapter.attempt("config", lambda: config_block(config))
+    chapter.attempt("provenance", lambda: provenance_block(data))
+    environment = data.get("environment")
+    version = environment.get("topcli") if isinstance(environment, Mapping) else None
+    chapter.attempt("citation", lambda: citation_block(study.parts(data), version))
+    return chapter
+
+
+def _notes(study: Study, result: Result) -> Notes | None:
+    lines = [*study.notes(result.data), *study.faults(result.data).lines]
+    return Notes("Notes", lines) if lines else None
+
+
+def _pictures(study: Study, result: Result, name: str) -> Pictures | None:
+    """Pictures of the panels of the study's figure."""
+    loaded = imported(study.figure)(result)
+    data = loaded.data()
+    captions = study.captions(result.data) if callable(study.captions) else study.captions
+    pictures = [
+        Picture(svg_of(panel, data, f"{name}-{i}", caption, Grid(figsize=SIZE)), caption)
+        for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
+    ]
+    return Pictures("Pictures", pictures) if pictures else None

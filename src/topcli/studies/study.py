@@ -1,0 +1,223 @@
+"""A study: a question put to experiments, declared once for the command line, Python, pages and files.
+
+The module of a study has a function ``measure`` with a NumPy docstring, its tables, notes and faults, and the ``Study``
+that names them; ``STUDIES`` lists it. Its command has an option for each parameter of ``measure`` and takes the help
+from the docstring; the Python function has the same parameters; ``--json``, the chapter of a page and the DataFrames
+show the same data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from topcli.table import Table
+
+if TYPE_CHECKING:
+    from topcli.contracts import Array
+
+Data = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Flag:
+    """How a parameter of a study is given on the command line.
+
+    Attributes
+    ----------
+    option : str
+        Name of the option, such as ``"--h"``; empty for a positional argument.
+    metavar : str
+        Word for the value in the help. SCHEME, TOP and CONFIG are completed.
+    names : callable, optional
+        The names that complete another value.
+    read : callable, optional
+        Value of the parameter from the texts or numbers of the option. Raises UsageError.
+    default : str
+        Words for the default in the help.
+    least, most : float, optional
+        Bounds of a number.
+    """
+
+    option: str = ""
+    metavar: str = ""
+    names: Callable[[], Iterable[str]] | None = None
+    read: Callable[[Any], Any] | None = None
+    default: str = ""
+    least: float | None = None
+    most: float | None = None
+
+
+PYTHON_ONLY = Flag("-")
+"""Mark of a parameter that the command does not have."""
+SchemeNames = Annotated[str, Flag("", "SCHEME")]
+TopName = Annotated[str | None, Flag("--top", "TOP")]
+ConfigSource = Annotated[str | Path | Mapping[str, Any] | None, Flag("--config", "CONFIG")]
+Overrides = Annotated[Sequence[str], Flag("--set", "KEY=VALUE")]
+
+
+class Watch:
+    """Observer of a study while it runs; this one is silent. It is called with (done, total) as the study proceeds."""
+
+    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
+        """Note that the ``experiments`` are run from now on, and that the result is stored in ``file``.
+
+        Everything that the user gave is checked before.
+        """
+
+    def message(self, line: str) -> None:
+        """Note something that the user should know at once."""
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Note that ``done`` of ``total`` are done."""
+
+
+SILENT = Watch()
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outcome of a study.
+
+    Attributes
+    ----------
+    data : dict
+        Everything that was measured, plain and ready for JSON.
+    arrays : mapping of str to ndarray
+        Columns that a picture needs and ``data`` does not have.
+    source : callable
+        Digest of what the result depends on.
+    file : Path, optional
+        File in the folder of results that keeps this result; that of the default options only.
+    """
+
+    data: Data
+    arrays: Mapping[str, Array] = field(default_factory=dict)
+    source: Callable[[], str] = lambda: ""
+    file: Path | None = None
+
+
+class Head(NamedTuple):
+    """Head of the chapter on a result: its title, what it is about, and its outcome in a word, which is good or not."""
+
+    title: str
+    subtitle: str = ""
+    state: str = "measured"
+    good: bool = True
+    message: str = ""
+
+
+class Faults(NamedTuple):
+    """Messages about what went wrong, and the exit code of the command."""
+
+    code: int = 0
+    lines: Sequence[str] = ()
+
+
+Parts = Sequence[tuple[str, str]]
+"""Form of a top and name of a scheme, for each scheme that took part."""
+
+
+def _no_lines(data: Data) -> Iterable[str]:
+    return ()
+
+
+def _no_faults(data: Data) -> Faults:
+    return Faults()
+
+
+def _no_parts(data: Data) -> Parts:
+    return ()
+
+
+@dataclass(frozen=True)
+class Study:
+    """Declaration of a study.
+
+    Attributes
+    ----------
+    name : str
+        Name of the command and of the Python function.
+    measure : callable
+        Function that takes the options, and ``watch``, and returns a ``Result``.
+    head : callable
+        Head of the chapter on a result.
+    tables : sequence of Table, or callable
+        Tables of a result; the first is ``table`` in Python.
+    printed : callable, optional
+        Tables and sentences on a terminal; by default the tables. Its keyword parameters are flags of the command.
+    notes : callable
+        Sentences that explain a result.
+    faults : callable
+        What went wrong, and the exit code.
+    figure : str
+        Function ``module:function`` of a result that loads the figure.
+    draws : str
+        What ``--plot`` draws, in a few words.
+    captions : sequence of str, or callable
+        A caption for each panel.
+    plotted : str
+        Function ``module:function`` of a result and the options of ``plot`` in Python that returns a panel and its
+        data; by default the first panel of the figure.
+    stem : callable
+        Name of the files of the figure.
+    parts : callable
+        Tops and schemes to cite.
+    unit : str
+        What the progress counts.
+    file : Path, optional
+        File in the folder of results that holds the result of the default options.
+    known : callable
+        True for data of the study that was stored without the name of the command.
+    extras : mapping
+        Further attributes of the Python result, each a function of the ``Result``.
+    """
+
+    name: str
+    measure: Callable[..., Result]
+    head: Callable[[Data], Head]
+    tables: Sequence[Table] | Callable[[Data], Sequence[Table]]
+    printed: Callable[..., Iterable[Table | str]] | None = None
+    notes: Callable[[Data], Iterable[str]] = _no_lines
+    faults: Callable[[Data], Faults] = _no_faults
+    figure: str = ""
+    draws: str = "the result"
+    captions: Sequence[str] | Callable[[Data], Sequence[str]] = ()
+    plotted: str = ""
+    stem: Callable[[Data], str] = lambda data: str(data["name"])
+    parts: Callable[[Data], Parts] = _no_parts
+    unit: str = "steps"
+    file: Path | None = None
+    known: Callable[[Data], bool] = lambda data: False
+    extras: Mapping[str, Callable[[Result], Any]] = field(default_factory=dict)
+
+    def tables_of(self, data: Data) -> Sequence[Table]:
+        """Tables of a result."""
+        return self.tables(data) if callable(self.tables) else self.tables
+
+
+class Place(NamedTuple):
+    """Where a study is declared, and the first line of its help, which needs no import."""
+
+    place: str
+    help: str
+
+
+STUDIES = {
+    "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
+}
+"""All studies by name."""
+
+
+def find_study(name: str) -> Study:
+    """Return the study called ``name``."""
+    return imported(STUDIES[name].place)
+
+
+def imported(place: str) -> Any:
+    """Object called ``module:name``."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
