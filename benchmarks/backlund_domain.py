@@ -17,7 +17,7 @@ import numpy as np
 
 from topcli.contracts import Floats, Outcome
 from topcli.engine.loop import Run
-from topcli.schemes.kowalevski import backlund_constants
+from topcli.schemes.kowalevski import backlund_parameters
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
@@ -58,9 +58,9 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=200)
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--reach", type=float, default=backlund_constants.REACH)
+    parser.add_argument("--reach", type=float, default=backlund_parameters.REACH)
     given = parser.parse_args()
-    declared, backlund_constants.REACH = backlund_constants.REACH, given.reach
+    declared, backlund_parameters.REACH = backlund_parameters.REACH, given.reach
     states = [tuple(map(float, y)) for y in random_states(given.states, given.seed)]
     scheme = find_scheme("backlund", "kowalevski")
     print(

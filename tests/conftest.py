@@ -78,6 +78,18 @@ def pytest_runtest_teardown(item: pytest.Item) -> Generator[None]:
 
 
 @pytest.fixture
+def own_registry() -> Iterator[None]:
+    """Schemes, tops and measures registered by a test are gone after it."""
+    from topcli.schemes.registry import all_schemes, load_scheme_file, registry
+
+    all_schemes()  # so that the built-in ones are among them
+    before = registry.snapshot()
+    yield
+    registry.restore(before)
+    load_scheme_file.cache_clear()
+
+
+@pytest.fixture
 def in_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder."""
     monkeypatch.chdir(tmp_path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -53,15 +52,7 @@ def build(top, options):
 '''
 
 
-@pytest.fixture(autouse=True)
-def schemes_as_they_were() -> Iterator[None]:
-    """Remove the schemes that a test registers."""
-    all_schemes()
-    known = dict(registry._schemes)
-    yield
-    registry._schemes.clear()
-    registry._schemes.update(known)
-    registry.load_scheme_file.cache_clear()
+pytestmark = pytest.mark.usefixtures("own_registry")
 
 
 def test_table_and_json_agree(cli) -> None:
@@ -252,6 +243,7 @@ def test_the_stored_study_is_drawn_and_not_run_again(
 def test_the_source_of_the_study_does_not_depend_on_the_order_of_imports() -> None:
     """Schemes are imported when a config first names them; the stored study stays up to date whichever came first."""
     before = stress_source()
-    entry = next(iter(registry._schemes))
-    registry._schemes[entry] = registry._schemes.pop(entry)
+    schemes = registry.registry.schemes
+    entry = next(iter(schemes))
+    schemes[entry] = schemes.pop(entry)
     assert stress_source() == before

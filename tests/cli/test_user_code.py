@@ -12,8 +12,6 @@ from pathlib import Path
 import pytest
 
 from conftest import ROOT, Said
-from topcli.schemes import registry
-from topcli.tops import TOPS
 
 SCHEME = """
 import topcli
@@ -49,18 +47,6 @@ CASES = {
     "constants": ("constants", "fault", "", STEPPER),
     "invariants": ("invariants", "fault", "", STEPPER),
 }
-
-
-@pytest.fixture
-def own_registry():
-    """Schemes and tops registered by a test are gone after it."""
-    registry.all_schemes()  # so that the built-in ones are among them
-    schemes, tops = dict(registry._schemes), dict(TOPS)
-    yield
-    registry._schemes.clear()
-    registry._schemes.update(schemes)
-    for name in set(TOPS) - set(tops):
-        del TOPS[name]
 
 
 def write(folder: Path, method: str, raising: str, trait: str, built: str) -> Path:

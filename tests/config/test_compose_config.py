@@ -37,10 +37,8 @@ class PaceOptions(BaseModel):
 
 
 @pytest.fixture
-def with_options(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A self-adjoint scheme with an option, and the same registry as before afterwards."""
-    registry.plugin_failures()
-    monkeypatch.setattr(registry, "_schemes", dict(registry._schemes))
+def with_options(own_registry: None) -> None:
+    """A self-adjoint scheme with an option."""
 
     @registry.scheme(
         "kick-turn",

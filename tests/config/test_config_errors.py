@@ -97,10 +97,8 @@ WRONG = [
 
 
 @pytest.fixture
-def euler_scheme(monkeypatch: pytest.MonkeyPatch) -> None:
+def euler_scheme(own_registry: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """A scheme that steps another top only."""
-    registry.plugin_failures()
-    monkeypatch.setattr(registry, "_schemes", dict(registry._schemes))
     monkeypatch.setitem(registry.TOPS, "euler", registry.TOPS["kowalevski"])
 
     @registry.scheme(

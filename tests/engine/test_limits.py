@@ -31,7 +31,7 @@ from topcli.schemes.any_top import dmv, dop853
 from topcli.schemes.kowalevski import exact, oval
 from topcli.schemes.kowalevski.exact import ExactSetup
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.schemes.taylor.time_loop import MAX_EXPANSIONS, SHORTEST_REACH
+from topcli.schemes.taylor.scheme import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 

@@ -16,7 +16,7 @@ from steppers import physical
 from test_beyond import DELONE, deviations, ran
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome, Stepper
-from topcli.schemes.kowalevski.backlund_constants import (
+from topcli.schemes.kowalevski.backlund_parameters import (
     frozen_constants,
     longest_step,
     tau_at,

@@ -16,8 +16,8 @@ from test_backlund import HANGING, dressed, exact_step, integrals, limit, steppe
 from test_beyond import DELONE, deviations, ran
 from topcli.contracts import Floats, Outcome
 from topcli.errors import ConfigError, StepTooLongError
-from topcli.schemes.kowalevski import backlund_constants
-from topcli.schemes.kowalevski.backlund_constants import admits, frozen_constants, rounded_tau, tau_of
+from topcli.schemes.kowalevski import backlund_parameters
+from topcli.schemes.kowalevski.backlund_parameters import admits, frozen_constants, rounded_tau, tau_of
 from topcli.schemes.kowalevski.backlund_step import physical_step
 
 INITIAL = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
@@ -98,7 +98,7 @@ def test_integrals_up_to_the_longest_step(options: dict[str, Any]) -> None:
 def test_integrals_are_lost_beyond_the_longest_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """The control: without the limits the map, exact as it is, loses the integrals of some states to round-off."""
     for limit_name, value in (("REACH", 100.0), ("LEAST_R", 1e-6)):
-        monkeypatch.setattr(backlund_constants, limit_name, value)
+        monkeypatch.setattr(backlund_parameters, limit_name, value)
     lost = completed = 0
     for y in map(tuple, random_states(40, seed=94)):
         _, _, energy, k_sq = integrals(y, 1.0)

@@ -19,10 +19,8 @@ from topcli.contracts import Floats, Outcome, Stepper
 from topcli.errors import StepTooLongError, UsageError
 from topcli.schemes.kowalevski import backlund_nodes
 from topcli.schemes.kowalevski.backlund import BacklundOptions
-from topcli.schemes.kowalevski.backlund_constants import frozen_constants
-from topcli.schemes.kowalevski.backlund_lengths import lengths, longest_back, longest_composition
-from topcli.schemes.kowalevski.backlund_nodes import substeps_of
-from topcli.schemes.kowalevski.integer_series import motion
+from topcli.schemes.kowalevski.backlund_nodes import motion, substeps_of
+from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, lengths, longest_back, longest_composition
 from topcli.schemes.registry import find_scheme
 from topcli.studies.roundoff import forms_of
 from topcli.studies.stress.suite import stress

@@ -13,7 +13,7 @@ from topcli.contracts import Floats, Outcome, Stepper, Top
 from topcli.engine.driver import plain_loop
 from topcli.engine.loop import Run
 from topcli.schemes.any_top.midpoint import midpoint
-from topcli.schemes.preserved import polynomial_invariants
+from topcli.schemes.declarations import polynomial_invariants
 from topcli.schemes.registry import find_scheme
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

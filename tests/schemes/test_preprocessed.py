@@ -15,7 +15,7 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Top
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
-from topcli.schemes.any_top.preprocessed import scale_coefficients, shift_coefficients
+from topcli.schemes.any_top.dmv import scale_coefficients, shift_coefficients
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange

@@ -17,7 +17,7 @@ from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
-from topcli.schemes.taylor import time_loop as loop_text
+from topcli.schemes.taylor import scheme as loop_text
 from topcli.schemes.taylor.scheme import ORDERS, Tolerance, build, extended_precision, order_for, quotients
 from topcli.schemes.taylor.series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of, expand
 from topcli.tops import TOPS

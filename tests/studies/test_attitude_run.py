@@ -21,7 +21,6 @@ from topcli.errors import UsageError
 from topcli.runs.identity import Identity
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.schemes import registry
 from topcli.schemes.registry import scheme
 from topcli.store.series import read_series
 from topcli.studies.entries import read_entries
@@ -141,7 +140,7 @@ def test_other_kinds_of_runs_refuse_it_by_name(tmp_path: Path) -> None:
         list(RowReader(sweep).rows())
 
 
-def test_a_top_that_the_equations_do_not_describe_is_refused() -> None:
+def test_a_top_that_the_equations_do_not_describe_is_refused(own_registry: None) -> None:
     from topcli.tops import TOPS
     from topcli.tops.heavy import Heavy
 
@@ -154,20 +153,16 @@ def test_a_top_that_the_equations_do_not_describe_is_refused() -> None:
             raise NotImplementedError
 
     TOPS["gyrostat"] = Gyrostat
-    try:
-        config = {"top": "gyrostat", "initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "h": 0.1, "N": 5}
-        plain = {"title": "x", "order": 1, "explicit": True, "self_adjoint": False, "citation": "x", "equations": "x"}
+    config = {"top": "gyrostat", "initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "h": 0.1, "N": 5}
+    plain = {"title": "x", "order": 1, "explicit": True, "self_adjoint": False, "citation": "x", "equations": "x"}
 
-        @scheme("still", top="gyrostat", **plain)
-        def still(top: object, options: object) -> topcli.Stepper:
-            """Stands still."""
-            return topcli.Stepper(lambda s, h, p: s, 6)
+    @scheme("still", top="gyrostat", **plain)
+    def still(top: object, options: object) -> topcli.Stepper:
+        """Stands still."""
+        return topcli.Stepper(lambda s, h, p: s, 6)
 
-        with pytest.raises(UsageError, match=r"output\.attitude: top 'gyrostat': the attitude needs"):
-            experiment_from({**config, "scheme": "still", "output": {"attitude": "quaternion"}})
-    finally:
-        del TOPS["gyrostat"]
-        registry._schemes.pop(("still", "gyrostat"), None)
+    with pytest.raises(UsageError, match=r"output\.attitude: top 'gyrostat': the attitude needs"):
+        experiment_from({**config, "scheme": "still", "output": {"attitude": "quaternion"}})
 
 
 def test_the_command_records_it(in_tmp: Path, cli: Callable[..., Said]) -> None:

@@ -156,17 +156,9 @@ def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Sai
     assert ["(2 ran)" in one.out + one.err for one in said] == [True, False, True]
 
 
-def test_a_scheme_of_a_script_names_the_script() -> None:
-    before = dict(registry._schemes)
-    try:
+def test_a_scheme_of_a_script_names_the_script(own_registry: None) -> None:
+    @scheme("scripted", top="euler", title="a", order=1, explicit=True, self_adjoint=True, citation="a", equations="a")
+    def build(top, options):
+        """Test."""
 
-        @scheme(
-            "scripted", top="euler", title="a", order=1, explicit=True, self_adjoint=True, citation="a", equations="a"
-        )
-        def build(top, options):
-            """Test."""
-
-        assert find_scheme("scripted", "euler").origin == __file__
-    finally:
-        registry._schemes.clear()
-        registry._schemes.update(before)
+    assert find_scheme("scripted", "euler").origin == __file__

@@ -10,10 +10,9 @@ import struct
 from collections.abc import Callable, MutableSequence
 from fractions import Fraction
 
-from topcli.schemes.taylor.llvm_vectors import POWER, ROUNDING
+from topcli.schemes.taylor.scheme import EXACT_REACH, FRACTION, LAG, LOG2_TOL, MAX_EXPANSIONS, STEP, TABLES, TIME
 from topcli.schemes.taylor.series import Arrangement, expand, taylor_increment
-from topcli.schemes.taylor.time_loop import EXACT_REACH, FRACTION, LAG, LOG2_TOL, MAX_EXPANSIONS, STEP, TABLES, TIME
-from topcli.schemes.taylor.vectors import two_sum
+from topcli.schemes.taylor.vectors import POWER, ROUNDING, two_sum
 
 Vector = tuple[float, ...]
 

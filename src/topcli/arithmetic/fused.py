@@ -1,4 +1,4 @@
-"""Fused multiply-add: a b + c, rounded once.
+"""Fused multiply-add, a b + c rounded once, and a hint for the prediction of branches.
 
 Compiled code uses the machine instruction, if there is one, for calls of ``fma`` and nowhere else. The source code
 rather than the compiler decides which operations are fused, so the results are the same on every machine.
@@ -34,3 +34,12 @@ def fma(a: float, b: float, c: float) -> float:
         return float(exact)
     except OverflowError:
         return math.inf if exact > 0 else -math.inf
+
+
+def unlikely(condition: bool) -> bool:
+    """Return ``condition`` unchanged; compiled code is laid out as if it were always false.
+
+    A function called in the branch may overwrite every register. With this hint the branch itself saves and restores
+    them, and the common path keeps its values in registers.
+    """
+    return condition

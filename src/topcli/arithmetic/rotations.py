@@ -12,8 +12,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from topcli.arithmetic.branches import unlikely
-from topcli.arithmetic.fused import fma
+from topcli.arithmetic.fused import fma, unlikely
 
 Pair = tuple[float, float]
 Vector = tuple[float, float, float]

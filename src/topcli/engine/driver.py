@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.arithmetic.branches import unlikely
+from topcli.arithmetic.fused import unlikely
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
 from topcli.engine.native import CompileError, native, native_text
 from topcli.engine.setups import SetupTime, prepare

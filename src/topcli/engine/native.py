@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 
 from topcli import __version__
-from topcli.arithmetic.branches import unlikely
-from topcli.arithmetic.fused import fma
+from topcli.arithmetic.fused import fma, unlikely
 from topcli.engine.code_cache import ObjectCode, store_code, stored_code
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.source import compilable_copy, require_no_raise

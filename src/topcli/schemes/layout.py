@@ -26,8 +26,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.arithmetic.branches import unlikely
 from topcli.arithmetic.double_double import compensated_sum
+from topcli.arithmetic.fused import unlikely
 from topcli.contracts import Floats, StepFunction, Stepper
 
 Change = StepFunction

@@ -38,35 +38,6 @@ from topcli.tops import TOPS
 
 Build = Callable[[Any, Any], Method]
 
-_schemes: dict[tuple[str, str], Scheme] = {}
-_for_every_top: dict[str, Callable[[str], None]] = {}
-"""By the name of each scheme declared for every top: what registers it for one form, of a top that comes in later."""
-_origin = "topcli"
-_top_origins: dict[str, str] = {}
-"""Distribution or file of each form of a top that a plugin brought."""
-_other_tables: list[tuple[MutableMapping[Any, Any], dict[Any, Any]]] = []
-"""Tables of other parts that plugins extend, each with its built-in content."""
-
-
-def plugin_table(table: MutableMapping[Any, Any]) -> None:
-    """Let plugins extend ``table``, which holds what is built in; those of a plugin that fails are removed."""
-    _other_tables.append((table, dict(table)))
-
-
-plugin_table(_top_origins)
-
-
-def origin_of(function: Callable[..., Any]) -> str:
-    """Distribution or file that registers ``function`` while it is being imported; else the file of the function."""
-    if is_built_in(function):
-        return "topcli"
-    return file_of(function) if _origin == "topcli" else _origin
-
-
-def top_origin(top: type[Top]) -> str:
-    """Distribution or file of a top."""
-    return "topcli" if is_built_in(top) else _top_origins.get(top.form) or file_of(top)
-
 
 @dataclass(frozen=True)
 class SchemeFile:
@@ -77,9 +48,67 @@ class SchemeFile:
     content: dict[str, bytes]
 
 
-_scheme_files: list[SchemeFile] = []
-_before_files: list[tuple[MutableMapping[Any, Any], dict[Any, Any]]] = []
-"""The tables that plugins extend, each with its content before the first scheme file."""
+Table = MutableMapping[Any, Any]
+Snapshot = dict[int, dict[Any, Any]]
+"""Content of each table of a registry by its ``id``."""
+
+
+class Registry:
+    """Schemes by name and form of a top, and the tables of other parts that plugins extend."""
+
+    def __init__(self) -> None:
+        self.schemes: dict[tuple[str, str], Scheme] = {}
+        self.for_every_top: dict[str, Callable[[str], None]] = {}
+        """What registers each scheme declared for every top, by its name, for one form of a top that comes later."""
+        self.top_origins: dict[str, str] = {}
+        """Distribution or file of each form of a top that a plugin brought."""
+        self.origin = "topcli"
+        """Distribution or file that is being imported."""
+        self.files: list[SchemeFile] = []
+        self.before_files: Snapshot | None = None
+        self.tables: list[tuple[Table, dict[Any, Any]]] = []
+        """Tables that plugins extend, each with its built-in content."""
+        for table in (self.schemes, TOPS, self.for_every_top, self.top_origins):
+            self.extend(table)
+
+    def extend(self, table: Table) -> None:
+        """Let plugins extend ``table``, which holds what is built in."""
+        self.tables.append((table, dict(table)))
+
+    def snapshot(self) -> Snapshot:
+        """Content of all tables."""
+        return {id(table): dict(table) for table, _ in self.tables}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Give all tables the content of ``snapshot``; one that came in later, its built-in content."""
+        for table, built_in in self.tables:
+            content = snapshot.get(id(table), built_in)
+            table.clear()
+            table.update(content)
+
+    def registered(self) -> int:
+        """Number of schemes, and of entries that plugins have added to the tables of other parts."""
+        return len(self.schemes) + sum(len(table) - len(built_in) for table, built_in in self.tables[3:])
+
+
+registry = Registry()
+
+
+def plugin_table(table: Table) -> None:
+    """Let plugins extend ``table``, which holds what is built in; those of a plugin that fails are removed."""
+    registry.extend(table)
+
+
+def origin_of(function: Callable[..., Any]) -> str:
+    """Distribution or file that registers ``function`` while it is being imported; else the file of the function."""
+    if is_built_in(function):
+        return "topcli"
+    return file_of(function) if registry.origin == "topcli" else registry.origin
+
+
+def top_origin(top: type[Top]) -> str:
+    """Distribution or file of a top."""
+    return "topcli" if is_built_in(top) else registry.top_origins.get(top.form) or file_of(top)
 
 
 @dataclass(frozen=True)
@@ -209,7 +238,7 @@ def scheme(
 
         def register_for(form: str) -> None:
             _require_free(name, form)
-            _schemes[name.lower(), form] = declared(
+            registry.schemes[name.lower(), form] = declared(
                 top=form,
                 conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
                 limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
@@ -219,7 +248,7 @@ def scheme(
         for form in forms:
             register_for(form)
         if top is None:
-            _for_every_top[name.lower()] = register_for
+            registry.for_every_top[name.lower()] = register_for
         return build
 
     return register
@@ -237,7 +266,7 @@ def _description(name: str, title: str, build: Build, options: type[BaseModel]) 
 
 def _require_free(name: str, form: str) -> None:
     """Raise ValueError if there is no such top, or if it has a scheme of this name."""
-    if known := _schemes.get((name.lower(), form)):
+    if known := registry.schemes.get((name.lower(), form)):
         raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {known.origin}")
     if form not in TOPS:
         raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
@@ -286,35 +315,26 @@ def _checked(build: Build, name: str) -> Build:
     return checked
 
 
-def _tables() -> list[MutableMapping[Any, Any]]:
-    """Tables that plugins extend."""
-    return [_schemes, TOPS, _for_every_top, *(table for table, _ in _other_tables)]
-
-
 def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import a plugin; if that fails, remove what it had registered and return the failure."""
-    global _origin
-    tables = _tables()
-    before, previous = [dict(table) for table in tables], _origin
-    _origin = origin
+    before, tops, previous = registry.snapshot(), set(TOPS), registry.origin
+    every_top = dict(registry.for_every_top)
+    registry.origin = origin
     try:
         load()
-        for form in TOPS.keys() - before[1].keys():
-            _top_origins[form] = origin
-            for known, register_for in before[2].items():
-                if (known, form) not in _schemes:  # the plugin may bring its own
+        for form in TOPS.keys() - tops:
+            registry.top_origins[form] = origin
+            for known, register_for in every_top.items():
+                if (known, form) not in registry.schemes:  # the plugin may bring its own
                     register_for(form)
     except (KeyboardInterrupt, MemoryError):
         raise
     except BaseException as error:  # including SystemExit: a plugin must not end the program
-        came_in = _other_tables[len(tables) - 3 :]  # with the plugin
-        for table, kept in [*zip(tables, before, strict=True), *came_in]:
-            table.clear()
-            table.update(kept)
+        registry.restore(before)
         place = users_place(error)
         return PluginFailure(name, reason_of(error) + (f" ({place})" if place else ""))
     finally:
-        _origin = previous
+        registry.origin = previous
     return None
 
 
@@ -348,50 +368,45 @@ def load_scheme_file(path: Path) -> None:
         raise UsageError(f"scheme file {path}: not a Python file (expected a name ending in .py)")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    known = _registered()
+    known = registry.registered()
     loader = spec.loader
-    if not _before_files:
-        _before_files.extend((table, dict(table)) for table in _tables())
+    if registry.before_files is None:
+        registry.before_files = registry.snapshot()
     folder = path.resolve().parent
     with modules_beside(folder) as imported:
         failure = _import_plugin(str(path), str(path), lambda: loader.exec_module(module))
     if failure:
         raise UsageError(f"scheme file {path}: {failure.reason}")
-    if _registered() == known:
+    if registry.registered() == known:
         raise UsageError(
             f"scheme file {path}: registers no scheme or measure; decorate a function with @topcli.scheme(...) "
             "or @topcli.measure(...)"
         )
     modules = {found.relative_to(folder).as_posix(): found.read_bytes() for found in imported}
-    _scheme_files.append(SchemeFile(str(path), str(folder), {path.name: path.read_bytes(), **modules}))
+    registry.files.append(SchemeFile(str(path), str(folder), {path.name: path.read_bytes(), **modules}))
 
 
 def loaded_scheme_files() -> tuple[SchemeFile, ...]:
     """Scheme files that have been loaded, in that order."""
-    return tuple(_scheme_files)
+    return tuple(registry.files)
 
 
 def unload_scheme_files() -> None:
     """Forget what scheme files have registered."""
-    for table, content in _before_files:
-        table.clear()
-        table.update(content)
-    _before_files.clear()
-    _scheme_files.clear()
+    if registry.before_files is not None:
+        registry.restore(registry.before_files)
+        registry.before_files = None
+    registry.files.clear()
     load_scheme_file.cache_clear()
-
-
-def _registered() -> int:
-    """Number of schemes, and of entries that plugins have added to the tables of other parts."""
-    return len(_schemes) + sum(len(table) - len(built_in) for table, built_in in _other_tables)
 
 
 def all_schemes() -> tuple[Scheme, ...]:
     """Return all registered schemes, sorted by top and name."""
     plugin_failures()
-    for key in sorted(_schemes, key=lambda key: (key[1], key[0])):
-        _schemes[key] = _schemes.pop(key)  # digests of code that uses the table must not depend on the order of imports
-    return tuple(_schemes.values())
+    schemes = registry.schemes
+    for key in sorted(schemes, key=lambda key: (key[1], key[0])):
+        schemes[key] = schemes.pop(key)  # digests of code that uses the table must not depend on the order of imports
+    return tuple(schemes.values())
 
 
 def find_scheme(name: str, top: str) -> Scheme:
@@ -426,12 +441,12 @@ def find_scheme(name: str, top: str) -> Scheme:
     # names are unique: once a module has registered this one, the others need not be imported
     for module in _likely_first(*key):
         import_module(module)
-        if key in _schemes:
-            return _schemes[key]
+        if key in registry.schemes:
+            return registry.schemes[key]
     plugin_failures()
-    if key in _schemes:
-        return _schemes[key]
-    fits = sorted(kind for known, kind in _schemes if known == name.lower())
+    if key in registry.schemes:
+        return registry.schemes[key]
+    fits = sorted(kind for known, kind in registry.schemes if known == name.lower())
     if fits:
         raise SchemeMisfitError(
             f"scheme {quoted(name)} does not fit top {top!r}; it fits {', '.join(fits)}; "
@@ -459,7 +474,7 @@ def composable_names(form: str) -> list[str]:
 def names_for(top: str) -> list[str]:
     """Return the names of the schemes for the form ``top`` of a top."""
     plugin_failures()
-    return sorted(name for name, kind in _schemes if kind == top)
+    return sorted(name for name, kind in registry.schemes if kind == top)
 
 
 class SchemeMisfitError(UsageError):

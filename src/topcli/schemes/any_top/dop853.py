@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Array, Floats, Stepper, Top, heed_stop
-from topcli.schemes.preserved import polynomial_invariants
+from topcli.schemes.declarations import polynomial_invariants
 from topcli.schemes.registry import scheme
 
 MAX_EVALUATIONS = 1_000_000

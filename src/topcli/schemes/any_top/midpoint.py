@@ -16,14 +16,13 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.double_double import two_sum
-from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment
 from topcli.arithmetic.tolerances import follow_precision
+from topcli.arithmetic.vectors import solve3
 from topcli.contracts import Floats, Stepper, Top, checked_equations
-from topcli.schemes.heavy.linear_system import implicit_matrix
+from topcli.schemes.declarations import LONG_NEWTON, polynomial_invariants
+from topcli.schemes.heavy.hk import implicit_matrix
 from topcli.schemes.layout import CompensatedOption, is_compensated, stepper
-from topcli.schemes.limits import LONG_NEWTON
-from topcli.schemes.preserved import polynomial_invariants
 from topcli.schemes.registry import scheme
 from topcli.tops import TOPS
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from topcli.arithmetic.six_vectors import add, axpy
+from topcli.arithmetic.vectors import add, axpy
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
-from topcli.schemes.limits import explicit_limits, rk2_limits
-from topcli.schemes.preserved import polynomial_invariants
+from topcli.schemes.declarations import explicit_limits, polynomial_invariants, rk2_limits
 from topcli.schemes.registry import scheme
 
 VectorField = Callable[[Floats, Floats], Floats]

@@ -26,8 +26,8 @@ from topcli.arithmetic.rotations import Vector, orthogonal_rodrigues_increment
 from topcli.contracts import Floats, Stepper, Top, checked_equations
 from topcli.errors import UsageError
 from topcli.schemes.any_top.momentum import KEPT, kick, momentum_stepper, state_length
+from topcli.schemes.declarations import LONG_SPLITTING
 from topcli.schemes.layout import Change, CompensatedOption
-from topcli.schemes.limits import LONG_SPLITTING
 from topcli.schemes.registry import scheme
 
 NEEDED_BY = "scheme 'splitting'"

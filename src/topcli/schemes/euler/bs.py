@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from topcli.arithmetic.rotations import Vector
 from topcli.contracts import Floats, Stepper, Top
+from topcli.schemes.declarations import NEWTON_SINGULAR
 from topcli.schemes.euler.hk import hk_increment
 from topcli.schemes.euler.newton import newton, with_status
 from topcli.schemes.euler.omega_gamma import (
@@ -19,7 +20,6 @@ from topcli.schemes.euler.omega_gamma import (
     rotation_invariants,
 )
 from topcli.schemes.layout import CompensatedOption
-from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.registry import scheme
 
 

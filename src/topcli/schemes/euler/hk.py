@@ -16,6 +16,7 @@ from __future__ import annotations
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import Vector
 from topcli.contracts import UNKNOWN, Floats, Integrability, Stepper, Top
+from topcli.schemes.declarations import SINGULAR
 from topcli.schemes.euler.hk_integrals import hk_integrals
 from topcli.schemes.euler.omega_gamma import CITATION, FORMS, omega_change
 from topcli.schemes.layout import (
@@ -26,7 +27,6 @@ from topcli.schemes.layout import (
     small_determinant,
     with_counter,
 )
-from topcli.schemes.limits import SINGULAR
 from topcli.schemes.registry import scheme
 
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from topcli.arithmetic.rotations import Vector
 from topcli.contracts import Floats, Stepper, Top
+from topcli.schemes.declarations import NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.euler.hk import hk_increment
 from topcli.schemes.euler.newton import newton, with_status
 from topcli.schemes.euler.omega_gamma import CITATION, FORMS, mean_omega, omega_gamma_stepper
 from topcli.schemes.layout import CompensatedOption
-from topcli.schemes.limits import NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.registry import scheme
 
 

@@ -2,14 +2,14 @@
 
 The step (``backlund_step``) maps each torus of the continuous top to itself and is a translation on it: it conserves
 gamma², 2l, E and k², is Poisson, commutes with the flow and with steps of other lengths, and has a discrete Lax pair
-(``analysis.backlund_lax``). Its parameter tau depends on h and the four integrals (``backlund_constants``).
+(``analysis.backlund_lax``). Its parameter tau depends on h and the four integrals (``backlund_parameters``).
 
 **Constants.** Frozen, tau is computed once, from the initial state. On the surface tau(y) = tau this is the same map;
 off it, a deviation of the integrals by round-off contracts, because the surface attracts. Recomputed from the current
 state, the map is Poisson everywhere, but nothing contracts, and deviations of the integrals grow linearly.
 
 **Exact nodes.** Steps commute, and each is a flow of E and of k² for times that its length determines. Forward steps
-and one backward step are therefore the motion itself if their lengths satisfy two equations (``backlund_lengths``,
+and one backward step are therefore the motion itself if their lengths satisfy two equations (``backlund_parameters``,
 ``backlund_nodes``).
 
 **Working states.** A run of steps of one length carries tau itself, which costs nothing. Compositions, whose stages
@@ -26,23 +26,22 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from topcli.arithmetic.six_vectors import dot, subtract
+from topcli.arithmetic.vectors import dot, subtract
 from topcli.contracts import Floats, Integrability, StepFunction, Stepper, Top
-from topcli.schemes.kowalevski.backlund_constants import (
+from topcli.schemes.kowalevski.backlund_nodes import NODES, PARTS, substeps_of
+from topcli.schemes.kowalevski.backlund_parameters import (
     SHORTEST,
     admits,
     frozen_constants,
+    longest_composition,
     longest_step,
     rounded_tau,
     tau_at,
     tau_of,
 )
-from topcli.schemes.kowalevski.backlund_lengths import longest_composition
-from topcli.schemes.kowalevski.backlund_nodes import NODES, PARTS, substeps_of
 from topcli.schemes.kowalevski.backlund_step import physical_change, physical_step, scaled_change, scaled_step
 from topcli.schemes.kowalevski.four_integrals import sizes, target_values
-from topcli.schemes.kowalevski.projected import COUNTERS
-from topcli.schemes.kowalevski.projection import project
+from topcli.schemes.kowalevski.projected import COUNTERS, project
 from topcli.schemes.layout import CompensatedOption, stepper
 from topcli.schemes.registry import scheme
 

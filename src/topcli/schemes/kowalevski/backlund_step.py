@@ -31,7 +31,7 @@ when steps of several lengths follow each other.
 from __future__ import annotations
 
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.six_vectors import Floats6
+from topcli.arithmetic.vectors import Floats6
 from topcli.contracts import Floats
 
 

@@ -17,9 +17,8 @@ from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import cayley_rotated, rodrigues_increment
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.schemes.formulas import BOHLIN
+from topcli.schemes.declarations import BOHLIN, OVERFLOW
 from topcli.schemes.layout import AMBIGUOUS, ambiguous_root, with_counter
-from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"

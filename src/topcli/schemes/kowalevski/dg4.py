@@ -20,12 +20,12 @@ from __future__ import annotations
 
 import math
 
-from topcli.arithmetic.linear import Matrix, solve3
 from topcli.arithmetic.rotations import resolvent
-from topcli.arithmetic.six_vectors import Floats6, add, axpy, dot, scaled, subtract
 from topcli.arithmetic.tolerances import follow_precision
+from topcli.arithmetic.vectors import Floats6, Matrix, add, axpy, dot, scaled, solve3, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
-from topcli.schemes.heavy.linear_system import implicit_matrix
+from topcli.schemes.declarations import NEWTON_SINGULAR
+from topcli.schemes.heavy.hk import implicit_matrix
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     Floats4,
@@ -40,10 +40,8 @@ from topcli.schemes.kowalevski.four_integrals import (
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
-from topcli.schemes.kowalevski.projected import MAX_CORRECTION, VANISHING
-from topcli.schemes.kowalevski.projection import TRIPLE_ROOT, project_unless_worse
+from topcli.schemes.kowalevski.projected import MAX_CORRECTION, TRIPLE_ROOT, VANISHING, project_unless_worse
 from topcli.schemes.layout import stepper
-from topcli.schemes.limits import NEWTON_SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.kowalevski import field
 

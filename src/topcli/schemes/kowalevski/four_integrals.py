@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 
-from topcli.arithmetic.six_vectors import Floats6
 from topcli.arithmetic.tolerances import follow_precision
+from topcli.arithmetic.vectors import Floats6
 from topcli.contracts import Floats
 
 EPS = 2.0**-52

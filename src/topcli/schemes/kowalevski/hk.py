@@ -46,7 +46,7 @@ from __future__ import annotations
 from topcli.arithmetic.double_double import compensated_sum, quick_two_sum, two_prod, two_sum
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Floats, Stepper, Top
-from topcli.schemes.formulas import HIROTA_KIMURA
+from topcli.schemes.declarations import HIROTA_KIMURA, LONG_HK, SINGULAR
 from topcli.schemes.layout import (
     NEAR_SINGULAR,
     CompensatedOption,
@@ -56,7 +56,6 @@ from topcli.schemes.layout import (
     summed,
     with_counter,
 )
-from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 
 

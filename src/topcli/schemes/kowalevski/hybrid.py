@@ -40,11 +40,20 @@ import math
 from topcli.arithmetic.complex_plane import rotation_increment
 from topcli.arithmetic.double_double import compensated_sum
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.linear import solve3
 from topcli.arithmetic.rotations import Vector, cayley_increment, cayley_rotated, resolvent
 from topcli.arithmetic.tolerances import follow_precision
+from topcli.arithmetic.vectors import solve3
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.schemes.formulas import BOHLIN, HYBRID, XI
+from topcli.schemes.declarations import (
+    BOHLIN,
+    FAR_OVERFLOW,
+    HYBRID,
+    NEWTON_SINGULAR,
+    NO_SOLUTION,
+    OVERFLOW,
+    SINGULAR,
+    XI,
+)
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.kowalevski.four_integrals import xi_of
 from topcli.schemes.kowalevski.hk import hk_kowalevski, hk_kowalevski_change, kowalevski_determinant
@@ -58,7 +67,6 @@ from topcli.schemes.layout import (
     stepper,
     with_counter,
 )
-from topcli.schemes.limits import FAR_OVERFLOW, NEWTON_SINGULAR, NO_SOLUTION, OVERFLOW, SINGULAR
 from topcli.schemes.registry import scheme
 
 NEWTON_LIMIT = 30

@@ -16,8 +16,8 @@ their gradients at the mean of two states conserves them from one state to the o
 
 from __future__ import annotations
 
-from topcli.arithmetic.six_vectors import Floats6, axpy, dot, scaled
 from topcli.arithmetic.tolerances import follow_precision
+from topcli.arithmetic.vectors import Floats6, axpy, dot, scaled
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.four_integrals import Floats4
 

@@ -30,10 +30,11 @@ from __future__ import annotations
 import math
 
 from topcli.arithmetic.complex_plane import rotation_increment
-from topcli.arithmetic.six_vectors import Floats6, add, axpy, norm1, scaled, subtract
 from topcli.arithmetic.tolerances import follow_precision
+from topcli.arithmetic.vectors import Floats6, add, axpy, norm1, scaled, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.midpoint import midpoint
+from topcli.schemes.declarations import LONG_NEWTON
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     Floats4,
@@ -55,9 +56,8 @@ from topcli.schemes.kowalevski.lie_poisson import (
     newton_solve,
     xi_fields,
 )
-from topcli.schemes.kowalevski.projection import TRIPLE_ROOT, project_unless_worse
+from topcli.schemes.kowalevski.projected import TRIPLE_ROOT, project_unless_worse
 from topcli.schemes.layout import stepper
-from topcli.schemes.limits import LONG_NEWTON
 from topcli.schemes.registry import scheme
 
 ROUNDS = 12

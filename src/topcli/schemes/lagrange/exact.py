@@ -28,7 +28,7 @@ from topcli.arithmetic.elliptic import DIGITS
 from topcli.arithmetic.quaternions import matrices, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.formulas import LAGRANGE_AXIS
+from topcli.schemes.declarations import LAGRANGE_AXIS
 from topcli.schemes.lagrange.oscillation import TURN, Oscillation, oscillation
 from topcli.schemes.registry import scheme
 

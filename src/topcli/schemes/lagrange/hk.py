@@ -30,7 +30,7 @@ import numpy as np
 from topcli.arithmetic.double_double import compensated_sum, two_prod, two_sum
 from topcli.arithmetic.fused import fma
 from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, Stepper, Top
-from topcli.schemes.formulas import HIROTA_KIMURA
+from topcli.schemes.declarations import HIROTA_KIMURA, LONG_HK, SINGULAR
 from topcli.schemes.layout import (
     NEAR_SINGULAR,
     CompensatedOption,
@@ -39,7 +39,6 @@ from topcli.schemes.layout import (
     small_determinant,
     with_counter,
 )
-from topcli.schemes.limits import LONG_HK, SINGULAR
 from topcli.schemes.registry import scheme
 from topcli.tops.lagrange import Lagrange
 

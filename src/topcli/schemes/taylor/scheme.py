@@ -5,20 +5,248 @@ Performance:
 - a coefficient depends on four products with the previous one and on no division; all other sums are computed ahead,
   and the step size is chosen from coefficients before the last;
 - a series of order 28 reaches a quarter of the radius of convergence; shorter steps h are evaluations of a polynomial.
+
+Time loop of the Taylor series in LLVM IR; numba has no vector types. See ``series`` for the mathematics.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import count
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Array, Block, EulerPoisson, Floats, Top, checked_equations
-from topcli.schemes.preserved import polynomial_invariants
+from topcli.schemes.declarations import polynomial_invariants
 from topcli.schemes.registry import scheme
-from topcli.schemes.taylor.series import arrangement_of
-from topcli.schemes.taylor.time_loop import LOG2_TOL, SHORTEST_REACH, TABLES, TIME, series_loop, series_width
+from topcli.schemes.taylor.series import Arrangement, arrangement_of, expand, taylor_increment
+from topcli.schemes.taylor.vectors import DECLARATIONS, IRWriter, literal, two_sum
+
+STEP, FRACTION, LAG, TIME, LOG2_TOL, TABLES = 0, 1, 2, 3, 4, 5
+"""Slots of the working state after the two vectors of the expansion point: see ``series_loop``."""
+MAX_EXPANSIONS = 50_000
+"""Maximum number of expansions per call, about ten milliseconds."""
+SHORTEST_REACH = 2.0**-26
+"""Shortest reach of a series, in steps: a step takes at most 7e7 expansions, about ten seconds."""
+EXACT_REACH = 256.0
+"""If a series reaches fewer steps than this, its reach is rounded to a multiple of 2^-44 of a step, so that the
+position of the next expansion point is exact."""
+_LOOP = """
+define i64 @advance(ptr %work, ptr %out, ptr %params, double %h, i64 %steps, i64 %every, i64 %until) #0 {{
+entry:
+  %a = alloca [{n} x {v}], align {align}
+  %b = alloca [{n} x {v}], align {align}
+  %c = alloca [{n} x {v}], align {align}
+  %d = alloca [{n} x {v}], align {align}
+  %lop = getelementptr double, ptr %work, i64 {lanes}
+  %stepp = getelementptr double, ptr %work, i64 {step_slot}
+  %partp = getelementptr double, ptr %work, i64 {part}
+  %lagp = getelementptr double, ptr %work, i64 {lag}
+  %timep = getelementptr double, ptr %work, i64 {time}
+  %levelp = getelementptr double, ptr %work, i64 {level}
+  %alphap = getelementptr double, ptr %work, i64 {alpha}
+  %betap = getelementptr double, ptr %work, i64 {beta}
+  %deltap = getelementptr double, ptr %work, i64 {delta}
+  %unitp = getelementptr double, ptr %work, i64 {unit}
+  %statusp = getelementptr double, ptr %work, i64 {status}
+  %countp = getelementptr double, ptr %work, i64 {count}
+  %hi0 = load {v}, ptr %work, align 8
+  %lo0 = load {v}, ptr %lop, align 8
+  %stepd = load double, ptr %stepp, align 8
+  %step0 = fptosi double %stepd to i64
+  %part0 = load double, ptr %partp, align 8
+  %lag0 = load double, ptr %lagp, align 8
+  %time = load double, ptr %timep, align 8
+  %slevel = load double, ptr %levelp, align 8
+  %count0 = load double, ptr %countp, align 8
+  %alpha = load {v}, ptr %alphap, align 8
+  %beta = load {v}, ptr %betap, align 8
+  %delta = load {v}, ptr %deltap, align 8
+  %unit = load {v}, ptr %unitp, align 8
+  %sh = fmul double %h, %time
+  %size = call double @llvm.fabs.f64(double %sh)
+  %inverse = fdiv double 1.0, %size
+  br label %expand
+
+expand:
+  %hi = phi {v} [ %hi0, %entry ], [ {hi}, %move ]
+  %lo = phi {v} [ %lo0, %entry ], [ {lo}, %move ]
+  %step = phi i64 [ %step0, %entry ], [ %stepnew, %move ]
+  %part = phi double [ %part0, %entry ], [ %partnew, %move ]
+  %slag = phi double [ %lag0, %entry ], [ %slagnew, %move ]
+  %count = phi double [ %count0, %entry ], [ %countnew, %move ]
+  %row0 = phi i64 [ %until, %entry ], [ %row, %move ]
+  %place0 = phi ptr [ %out, %entry ], [ %place, %move ]
+  %budget = phi i64 [ {budget}, %entry ], [ %left, %move ]
+{expansion}
+  %finite = fcmp olt double {late}, 1024.0
+  br i1 %finite, label %measure, label %broken
+
+measure:
+  %natural = fmul double {natural}, %inverse
+  %capped = call double @llvm.minnum.f64(double %natural, double 0x4270000000000000)
+  %long = fcmp oge double %capped, {exact}
+  %whole = call double @llvm.floor.f64(double %capped)
+  %raised = fadd double %capped, {exact}
+  %short = fsub double %raised, {exact}
+  %shortend = fadd double %part, %short
+  %reach = select i1 %long, double %whole, double %shortend
+  %du = fsub double %reach, %part
+  %moves = fcmp oge double %du, {shortest}
+  br i1 %moves, label %serve, label %stuck
+
+serve:
+  %row = phi i64 [ %row0, %measure ], [ %rownext, %write ]
+  %place = phi ptr [ %place0, %measure ], [ %placenext, %write ]
+  %within = icmp sle i64 %row, %steps
+  %rowleft = sub i64 %row, %step
+  %wanted = sitofp i64 %rowleft to double
+  %reached = fcmp ole double %wanted, %reach
+  %serves = and i1 %within, %reached
+  br i1 %serves, label %write, label %served
+
+write:
+  %off = fsub double %wanted, %part
+  %sp = fmul double %off, %sh
+  %sd = fsub double %sp, %slag
+{writing}
+  %tlo = fadd {v} {written_rest}, %lo
+  %t = fadd {v} {written}, %tlo
+  %there = fadd {v} %hi, %t
+  %physical = fmul {v} %there, %unit
+  %recorded = shufflevector {v} %physical, {v} poison, <{d} x i32> <{first}>
+  store <{d} x double> %recorded, ptr %place, align 8
+  %rownext = add i64 %row, %every
+  %placenext = getelementptr double, ptr %place, i64 {d}
+  br label %serve
+
+served:
+  %stepsleft = sub i64 %steps, %step
+  %end = sitofp i64 %stepsleft to double
+  %done = fcmp ole double %end, %reach
+  br i1 %done, label %finish, label %move
+
+move:
+  %passed = call double @llvm.floor.f64(double %reach)
+  %partnew = fsub double %reach, %passed
+  %passedn = fptosi double %passed to i64
+  %stepnew = add i64 %step, %passedn
+  %sq = fmul double %du, %sh
+  %sm = fsub double %sq, %slag
+  %sqn = fneg double %sq
+  %rest = call double @llvm.fmuladd.f64(double %du, double %sh, double %sqn)
+  %gone = fsub double %sm, %sq
+  %behind = fadd double %gone, %slag
+  %slagnew = fsub double %behind, %rest
+{moving}
+  %countnew = fadd double %count, 1.0
+  %left = sub i64 %budget, 1
+  %more = icmp sgt i64 %left, 0
+  br i1 %more, label %expand, label %finish
+
+finish:
+  %result = phi i64 [ %steps, %served ], [ %stepnew, %move ]
+  %hiend = phi {v} [ %hi, %served ], [ {hi}, %move ]
+  %loend = phi {v} [ %lo, %served ], [ {lo}, %move ]
+  %stepend = phi i64 [ %step, %served ], [ %stepnew, %move ]
+  %partend = phi double [ %part, %served ], [ %partnew, %move ]
+  %lagend = phi double [ %slag, %served ], [ %slagnew, %move ]
+  %countend = phi double [ %count, %served ], [ %countnew, %move ]
+  %after = sub i64 %stepend, %result
+  %afterd = sitofp i64 %after to double
+  store {v} %hiend, ptr %work, align 8
+  store {v} %loend, ptr %lop, align 8
+  store double %afterd, ptr %stepp, align 8
+  store double %partend, ptr %partp, align 8
+  store double %lagend, ptr %lagp, align 8
+  store double %countend, ptr %countp, align 8
+  ret i64 %result
+
+stuck:
+  store double 0x7FF8000000000000, ptr %statusp, align 8
+  br label %broken
+
+broken:
+  %behindit = icmp slt i64 %step, 0
+  %before = select i1 %behindit, i64 0, i64 %step
+  %failed = xor i64 %before, -1
+  store {v} %hi, ptr %work, align 8
+  store double %count, ptr %countp, align 8
+  ret i64 %failed
+}}
+
+declare {v} @llvm.fmuladd.v{lanes}f64({v}, {v}, {v})
+declare double @llvm.fmuladd.f64(double, double, double)
+{declarations}
+declare double @llvm.fabs.f64(double)
+declare double @llvm.floor.f64(double)
+declare double @llvm.minnum.f64(double, double)
+declare i64 @llvm.vector.reduce.smax.v{lanes}i64(<{lanes} x i64>)
+attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" "no-builtins" }}
+"""
+
+
+def series_loop(a: Arrangement, d: int, order: int, extended_precision: bool) -> str:
+    """Return the time loop of a Taylor series, a module with the function ``advance``.
+
+    Arguments and result are those of the loop in ``engine.driver``. ``work`` contains, in this order: the state at the
+    expansion point as an unevaluated sum of two vectors; the position of the expansion point in steps of h after the
+    last step reached, integer part and fraction; the delay of the expansion point relative to that position, in time;
+    the scale of time and the logarithm of the tolerance; the three tables of ``series.expand``; the units of the
+    components; the status; the number of expansions. The function may return before all steps are done, after
+    ``MAX_EXPANSIONS`` expansions.
+    """
+    names = count()
+    base = 2 * a.lanes
+
+    def text() -> IRWriter:
+        return IRWriter(a.lanes, names)
+
+    expansion, writing, moving = text(), text(), text()
+    y0, tables = ("%hi", "%lo" if extended_precision else None), ("%alpha", "%beta", "%delta")
+    natural, late, missed = expand(expansion, a, order, y0, tables, "%slevel")
+    written, written_rest = taylor_increment(writing, order, "%sd", missed)
+    main, rest = taylor_increment(moving, order, "%sm", missed)
+    new, lost = two_sum(moving, "%hi", main)
+    rest = moving.add(rest, moving.add("%lo", lost))
+    hi = moving.add(new, rest)
+    lo = moving.sub(rest, moving.sub(hi, new))
+    slots = {"alpha": 0, "beta": 1, "delta": 2, "unit": 3, "status": 4}
+    return _LOOP.format(
+        declarations=DECLARATIONS,
+        v=expansion.vector,
+        n=order + 1,
+        lanes=a.lanes,
+        align=8 * a.lanes,
+        step_slot=base + STEP,
+        part=base + FRACTION,
+        lag=base + LAG,
+        time=base + TIME,
+        level=base + LOG2_TOL,
+        **{name: base + TABLES + k * a.lanes for name, k in slots.items()},
+        count=base + TABLES + 4 * a.lanes + 1,
+        budget=MAX_EXPANSIONS,
+        exact=literal(EXACT_REACH),
+        shortest=literal(SHORTEST_REACH),
+        expansion="\n".join(expansion.lines),
+        natural=natural,
+        late=late,
+        writing="\n".join(writing.lines),
+        written=written,
+        written_rest=written_rest,
+        moving="\n".join(moving.lines),
+        hi=hi,
+        lo=lo,
+        d=d,
+        first=", ".join(f"i32 {k}" for k in a.component_lanes),
+    )
+
+
+def series_width(a: Arrangement) -> int:
+    """Length of the working state of ``series_loop``."""
+    return 6 * a.lanes + TABLES + 2
+
 
 ROUND_OFF = 2.0**-56
 """Tolerance below which the result does not improve."""

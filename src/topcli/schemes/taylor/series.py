@@ -17,7 +17,7 @@ k = 1..m-1, with J the Jacobian at y_0 and * the bilinear part. The series of al
 The state has more than double precision, and at the largest order so has the first coefficient. The other coefficients,
 with their rounding errors, are multiplied by powers of a step well below one.
 
-The algorithm is written in terms of ``vectors.Operations``, so that the generation of LLVM IR (``llvm_vectors``) and a
+The algorithm is written in terms of ``vectors.Operations``, so that the generation of LLVM IR (``vectors``) and a
 plain interpreter in the tests share it; both give the same bits.
 """
 

@@ -1,8 +1,15 @@
-"""Descriptions of limits that several schemes share: when a scheme fails, and why."""
+"""What several schemes declare: limits, formulas in LaTeX, and polynomial invariants of low degree.
+
+Conventions of the formulas are those of ``contracts.Scheme``. Every Runge-Kutta method conserves linear invariants; the
+implicit midpoint rule also conserves quadratic ones (Cooper 1987).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import comb
+
+import numpy as np
 
 from topcli.contracts import Top
 
@@ -65,3 +72,52 @@ def rk2_limits(top: Top) -> Mapping[str, str]:
             "steps, and the linear integral is lost as well."
         )
     return found
+
+
+HIROTA_KIMURA = r"""
+J\,\frac{\omega' - \omega}{h} = \tfrac12\,(J\omega\times\omega' + J\omega'\times\omega) + \bar\gamma\times r, \qquad
+\frac{\gamma' - \gamma}{h} = \tfrac12\,(\gamma\times\omega' + \gamma'\times\omega)
+"""
+XI = r"\xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)"
+BOHLIN = rf"""
+\omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
+(\omega_1' + i\omega_2')^2 = e^{{-ih\bar\omega_3}}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad {XI}
+"""
+HYBRID = r"""
+\gamma' - \gamma = h\,\bar\gamma\times\frac{\omega + \omega^{\mathrm{HK}}}{2}, \qquad
+\omega_3' = \omega_3^{\mathrm{HK}}, \qquad
+(\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2')
+"""
+LAGRANGE_AXIS = r"""
+\dot u^2 = (2E - s^2 - 2u)(1 - u^2) - (l - su)^2, \qquad
+u = u_1 + (u_2 - u_1)\,\mathrm{sn}^2\Bigl(\sqrt{\tfrac{u_3 - u_1}{2}}\;(t + t_0)\,;\ k\Bigr), \quad
+k^2 = \frac{u_2 - u_1}{u_3 - u_1}
+
+u = \gamma_3 = a\cdot p, \quad s = m\cdot e_3 = m\cdot a, \quad l = m\cdot\gamma = m\cdot p, \quad
+E = \tfrac12 m^2 + u, \qquad u_1 \leq u_2 \leq u_3 \text{ the zeros of } \dot u^2; \quad A = \mu = 1
+"""
+
+
+LINES = 3
+
+
+def polynomial_invariants(top: Top, degree: int) -> tuple[str, ...]:
+    """Return the names of the invariants of ``top`` that are polynomials of the state of at most ``degree``.
+
+    This is determined numerically: along a line, the finite difference of order ``degree + 1`` of such a polynomial
+    vanishes. Three lines in general position are used, with a tolerance for round-off.
+    """
+    d = len(top.components)
+    orders = np.arange(degree + 2.0)
+    weights = np.array([(-1.0) ** k * comb(degree + 1, k) for k in range(degree + 2)])
+    found = []
+    for invariant in top.invariants():
+        excess = 0.0
+        for line in range(LINES):
+            start, along = np.cos(np.arange(2.0 * d) + 2.0 * d * line + 1.0).reshape(2, d)
+            states = start + orders[:, None] * along
+            scale = float(invariant.scale(states).max()) or 1.0
+            excess = max(excess, abs(float(weights @ invariant.value(states))) / scale)
+        if excess < 1e-13 * 2.0 ** (degree + 1):
+            found.append(invariant.name)
+    return tuple(found)
