@@ -46,20 +46,20 @@ def table(folder: Path, aggregate: str | None = "median", where: tuple[str, ...]
 
 def test_each_cell_is_the_value_of_its_row(tmp_path: Path) -> None:
     found = table(tmp_path, None, ("seed=3",))
-    assert found.columns == ("0.1", "0.01", "1e-7")
-    assert found.row_labels == (("hk",), ("a_b",))
-    shown = [[cell.summary and cell.summary.value for cell in line] for line in found.cells]
+    assert list(found.columns.values()) == ["0.1", "0.01", "1e-7"]
+    assert found.row_labels == [["hk"], ["a_b"]]
+    shown = [[cell.summary and cell.summary.value for cell in line] for line in found.lines.values()]
     assert shown == [[value_of(scheme, h, 3) for h in SIZES] for scheme in SCHEMES]
-    assert not any(cell.incomplete for line in found.cells for cell in line)
+    assert not any(cell.incomplete for cell in found.cells)
     assert found.over == ()
 
 
 def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
     by_aggregate = {name: table(tmp_path, name) for name in ("median", "mean", "max")}
-    for i, scheme in enumerate(SCHEMES):
+    for scheme in SCHEMES:
         for j, h in enumerate(SIZES):
             values = [value_of(scheme, h, seed) for seed in SEEDS]
-            median, mean, largest = (by_aggregate[name].cells[i][j].summary for name in by_aggregate)
+            median, mean, largest = (by_aggregate[name].lines[scheme,][j].summary for name in by_aggregate)
             assert median
             assert mean
             assert largest
@@ -75,9 +75,9 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
 def test_without_a_column_key_measures_are_the_columns(tmp_path: Path) -> None:
     rows = read_rows(made(tmp_path)).where(["seed=2"])
     found = sweep_table(rows, ["h", "scheme"], None, ["seconds", "error.max"], None)
-    assert found.columns == ("seconds", "error.max")
-    assert found.row_values == tuple((h, scheme) for scheme in SCHEMES for h in SIZES)
-    for (h, scheme), (seconds, error) in zip(found.row_values, found.cells, strict=True):
+    assert tuple(found.columns) == ("seconds", "error.max")
+    assert list(found.lines) == [(h, scheme) for scheme in SCHEMES for h in SIZES]
+    for (h, scheme), (seconds, error) in found.lines.items():
         assert error.summary == Summary(value_of(scheme, h, 2))
         assert seconds.summary == Summary(1.0 + value_of(scheme, h, 2))
 
@@ -141,7 +141,7 @@ def test_failed_rows_are_marked_and_counted(tmp_path: Path) -> None:
     outcome[4:8] = ["no_convergence"] * 3 + ["failed"]
     spoilt = {0: NAN, **dict.fromkeys(range(4, 8), NAN), 20: NAN}
     found = table(tmp_path, outcome=outcome, spoilt=spoilt, current=[True] * 23 + [False])
-    (first, none, last), (_, _, other) = found.cells
+    (first, none, last), (_, _, other) = found.lines.values()
     assert (first.count, first.rows, first.outcomes) == (3, 4, {"blew_up": 1, "left_motion": 1})
     kept = [value_of("hk", 0.1, seed) for seed in (2, 3, 4)]
     assert first.summary

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -52,13 +52,13 @@ def summary(values: Array, aggregate: str) -> Summary:
 
 def _quantiles(values: Array, levels: Array) -> Array:
     """Quantiles as numpy interpolates them; it makes nan of infinite neighbours, which are averaged instead."""
-    found = np.quantile(values, levels)
-    if np.isnan(found).any():
+    quantiles = np.quantile(values, levels)
+    if np.isnan(quantiles).any():
         place = levels * (len(values) - 1)
-        below, part = np.floor(place).astype(int), place % 1.0
-        first, second = (np.sort(values)[np.minimum(below + i, len(values) - 1)] for i in (0, 1))
-        found = np.where(part > 0.0, (1.0 - part) * first + part * second, first)
-    return found
+        part = place % 1.0
+        low, high = (np.sort(values)[round_(place).astype(int)] for round_ in (np.floor, np.ceil))
+        quantiles = np.where(part > 0.0, (1.0 - part) * low + part * high, low)
+    return quantiles
 
 
 @dataclass(frozen=True)
@@ -81,19 +81,18 @@ class Cell:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
-        one = self.summary or Summary(math.nan)
-        numbers = {"value": one.value, "low": one.low, "high": one.high}
-        return finite({**numbers, "count": self.count, "rows": self.rows, "outcomes": dict(self.outcomes)})
+        data = {**asdict(self), **asdict(self.summary or Summary(math.nan))}
+        return finite({key: data[key] for key in ("value", "low", "high", "count", "rows", "outcomes")})
 
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Cells of a table, (rows, columns), with the labels of its rows and columns.
+    """Cells of a table, with the keys and texts of its rows and columns.
 
     Attributes
     ----------
-    sweep : str
-        Name of the sweep.
+    source : SweepRows
+        Rows of the sweep that the cells are made of.
     row_keys : tuple of str
         Keys that name a row.
     column_key : str or None
@@ -104,50 +103,48 @@ class SweepTable:
         How the values of several rows become one; None if each cell has at most one.
     over : tuple of str
         Keys that vary within a cell.
-    row_values : tuple of tuples
-        Values of the ``row_keys`` for each row of the table.
-    row_labels : tuple of tuples of str
-        Their texts.
-    columns : tuple of str
-        Texts of the columns.
-    cells : tuple of tuples of Cell
-        Cells of each row.
-    chosen : tuple of str
-        Conditions that the rows of the sweep satisfy.
-    left_out : int
-        Number of stored rows that no longer belong to the sweep.
+    columns : mapping of values to str
+        Values of the ``column_key``, or the measures, and their texts.
+    lines : mapping of tuples to tuples of Cell
+        Cells of each row of the table by the values of its ``row_keys``.
     """
 
-    sweep: str
+    source: SweepRows
     row_keys: tuple[str, ...]
     column_key: str | None
     measures: tuple[str, ...]
     aggregate: str | None
     over: tuple[str, ...]
-    row_values: tuple[tuple[Any, ...], ...]
-    row_labels: tuple[tuple[str, ...], ...]
-    columns: tuple[str, ...]
-    column_values: tuple[Any, ...]
-    cells: tuple[tuple[Cell, ...], ...]
-    chosen: tuple[str, ...]
-    left_out: int
+    columns: Mapping[Any, str]
+    lines: Mapping[tuple[Any, ...], tuple[Cell, ...]]
+
+    @property
+    def row_labels(self) -> list[list[str]]:
+        """Texts of the values of the ``row_keys`` for each row of the table."""
+        labels = [key_labels(self.source.columns[key]) for key in self.row_keys]
+        return [[texts[value] for texts, value in zip(labels, line, strict=True)] for line in self.lines]
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All cells."""
+        return [cell for line in self.lines.values() for cell in line]
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON, with all digits."""
         return {
-            "sweep": self.sweep,
+            "sweep": self.source.name,
             "rows": list(self.row_keys),
             "columns": self.column_key,
             "values": list(self.measures),
             "aggregate": self.aggregate,
             "spread": SPREADS.get(self.aggregate or "") or None,
             "over": list(self.over),
-            "where": list(self.chosen),
-            "left_out": self.left_out,
-            "column_values": list(self.column_values),
+            "where": list(self.source.chosen),
+            "left_out": self.source.left_out,
+            "column_values": list(self.columns),
             "table": [
                 {"row": list(values), "cells": [cell.as_dict() for cell in cells]}
-                for values, cells in zip(self.row_values, self.cells, strict=True)
+                for values, cells in self.lines.items()
             ],
         }
 
@@ -230,22 +227,14 @@ def _require_single(
     )
 
 
-def _cell(
-    rows: SweepRows,
-    completed: NDArray[np.bool_],
-    indices: NDArray[np.int64],
-    measure: str,
-    aggregate: str | None,
-) -> Cell:
-    failed = indices[~completed[indices]]
-    outcomes = Counter(map(str, rows.columns["outcome"][failed]))
-    count = int((~np.isnan(rows.columns[measure][indices].astype(float))).sum())
-    return Cell(aggregated(rows, indices, measure, aggregate), count, len(indices), dict(outcomes))
-
-
-def _checked(
+def sweep_table(
     rows: SweepRows, row_keys: Sequence[str], column_key: str | None, measures: Sequence[str], aggregate: str | None
-) -> None:
+) -> SweepTable:
+    """Table of ``measures`` with a line for each combination of ``row_keys``.
+
+    The columns are the values of ``column_key``, or the measures without one. Raises UsageError for unknown names, and
+    if several rows fall into one cell without an ``aggregate``.
+    """
     require_aggregate(aggregate)
     keys = [rows.require_key(name, "--rows") for name in row_keys]
     keys += [rows.require_key(column_key, "--columns")] if column_key else []
@@ -257,42 +246,17 @@ def _checked(
         raise UsageError("--value: a measure is named twice")
     if column_key and len(measures) > 1:
         raise UsageError(f"--columns {column_key}: one --value fills the columns; {len(measures)} are given")
-
-
-def sweep_table(
-    rows: SweepRows, row_keys: Sequence[str], column_key: str | None, measures: Sequence[str], aggregate: str | None
-) -> SweepTable:
-    """Table of ``measures`` with a line for each combination of ``row_keys``.
-
-    The columns are the values of ``column_key``, or the measures without one. Raises UsageError for unknown names, and
-    if several rows fall into one cell without an ``aggregate``.
-    """
-    _checked(rows, row_keys, column_key, measures, aggregate)
-    keys = (*row_keys, column_key) if column_key else tuple(row_keys)
-    found = require_groups(rows, keys, "cell", ("--rows",) if column_key else ("--rows", "--columns"), aggregate)
-    labels = {key: key_labels(rows.columns[key]) for key in keys}
-    lines = list(groups(rows, row_keys))
-    across = list(labels[column_key]) if column_key else list(measures)
-    nothing, completed = np.array([], dtype=np.int64), rows.completed
+    members = require_groups(rows, keys, "cell", ("--rows",) if column_key else ("--rows", "--columns"), aggregate)
+    columns = key_labels(rows.columns[column_key]) if column_key else dict(zip(measures, measures, strict=True))
+    nothing, failed = np.array([], dtype=np.int64), ~rows.completed
 
     def cell(line: tuple[Any, ...], column: Any) -> Cell:
         values, measure = ((*line, column), measures[0]) if column_key else (line, column)
-        return _cell(rows, completed, found.get(values, nothing), measure, aggregate)
+        indices = members.get(values, nothing)
+        outcomes = Counter(map(str, rows.columns["outcome"][indices[failed[indices]]]))
+        count = int((~np.isnan(rows.columns[measure][indices].astype(float))).sum())
+        return Cell(aggregated(rows, indices, measure, aggregate), count, len(indices), dict(outcomes))
 
-    return SweepTable(
-        sweep=rows.name,
-        row_keys=tuple(row_keys),
-        column_key=column_key,
-        measures=tuple(measures),
-        aggregate=aggregate,
-        over=varying(rows, found),
-        row_values=tuple(lines),
-        row_labels=tuple(
-            tuple(labels[key][value] for key, value in zip(row_keys, line, strict=True)) for line in lines
-        ),
-        columns=tuple(labels[column_key].values()) if column_key else tuple(measures),
-        column_values=tuple(across),
-        cells=tuple(tuple(cell(line, column) for column in across) for line in lines),
-        chosen=rows.chosen,
-        left_out=rows.left_out,
-    )
+    lines = {line: tuple(cell(line, column) for column in columns) for line in groups(rows, row_keys)}
+    over = varying(rows, members)
+    return SweepTable(rows, tuple(row_keys), column_key, tuple(measures), aggregate, over, columns, lines)

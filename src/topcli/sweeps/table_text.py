@@ -8,6 +8,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from topcli.sweeps.table import ORDER, SPREADS, Cell, Summary, SweepTable
 from topcli.table import markdown_table
@@ -78,51 +79,51 @@ def with_error(value: float, error: float) -> tuple[str, str]:
 
 
 def _parts(cell: Cell, aggregate: str | None) -> tuple[str, ...]:
-    """Texts of the numbers of a cell; a word without a value."""
-    found = cell.summary
-    if found is None:
-        reason = Counter(cell.outcomes).most_common(1)
-        return (reason[0][0] if reason else "nan",) if cell.rows else (NO_ROW,)
-    if aggregate == "mean" and found.high is not None:
-        return with_error(found.value, found.high - found.value)
-    return (f"{found.value:.2f}",) if aggregate == ORDER else rounded(found)
+    """Texts of the numbers of a cell that has a value."""
+    summary = cell.summary or Summary(math.nan)
+    if aggregate == "mean" and summary.high is not None:
+        return with_error(summary.value, summary.high - summary.value)
+    return (f"{summary.value:.2f}",) if aggregate == ORDER else rounded(summary)
+
+
+def _word(cell: Cell) -> str:
+    """Text of a cell without a value."""
+    outcomes = Counter(cell.outcomes).most_common(1)
+    return NO_ROW if not cell.rows else outcomes[0][0] if outcomes else "nan"
+
+
+TEXT = ("{}", "{} ± {}", "{} [{}, {}]")
+LATEX = ("{}", r"{} \pm {}", r"{}\;[{},\, {}]")
+"""Forms of a value, a value with its error, and a value with the ends of its spread."""
 
 
 def cell_text(cell: Cell, aggregate: str | None) -> str:
     """Text of a cell: the value with its spread, marked if a row did not complete or has no value."""
+    if cell.summary is None:
+        return _word(cell)
     parts = _parts(cell, aggregate)
-    mark = MARK * (cell.incomplete and cell.summary is not None)
-    match parts:
-        case (value,):
-            return value + mark
-        case (value, error):
-            return f"{value} ± {error}{mark}"
-        case _:
-            return f"{parts[0]} [{parts[1]}, {parts[2]}]{mark}"
+    return TEXT[len(parts) - 1].format(*parts) + MARK * cell.incomplete
 
 
 def title(table: SweepTable) -> str:
     """Line above a table: the measures, the sweep, the aggregate and what it is taken over."""
-    words = f"{', '.join(table.measures)} of {table.sweep}"
+    words = f"{', '.join(table.measures)} of {table.source.name}"
     if table.aggregate:
         spread = {"quartiles": " [quartiles]", "standard error": " ± standard error"}.get(SPREADS[table.aggregate], "")
         over = f" over {', '.join(table.over)}" if table.over else ""
         words += f": {'observed ' * (table.aggregate == ORDER)}{table.aggregate}{spread}{over}"
-    return words + "".join(f", {one}" for one in table.chosen)
+    return words + "".join(f", {one}" for one in table.source.chosen)
 
 
 def notes(table: SweepTable) -> list[str]:
     """Sentences on the number of rows in a cell, and on rows that failed, have no value, are absent or left out."""
-    cells = [cell for line in table.cells for cell in line]
-    said = []
+    cells, said = table.cells, []
     sizes = sorted({cell.rows for cell in cells if cell.rows})
     if table.aggregate:
         count = str(sizes[0]) if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
         said.append(f"{count} row{'s' * (count != '1')} in each cell")
     total = sum(cell.rows for cell in cells)
-    outcomes: Counter[str] = Counter()
-    for cell in cells:
-        outcomes.update(cell.outcomes)
+    outcomes = sum((Counter(cell.outcomes) for cell in cells), Counter[str]())
     missing = total - sum(cell.count for cell in cells)
     if outcomes:
         listed = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())
@@ -132,8 +133,8 @@ def notes(table: SweepTable) -> list[str]:
         said.append(f"{MARK} {missing} of {total} values could not be computed (nan) and {_verb(missing)} left out")
     if any(cell.rows == 0 for cell in cells):
         said.append(f"{NO_ROW} the sweep has no such row")
-    if table.left_out:
-        said.append(left_out(table.left_out))
+    if table.source.left_out:
+        said.append(left_out(table.source.left_out))
     return said
 
 
@@ -150,14 +151,14 @@ def _verb(count: int) -> str:
 def header(table: SweepTable) -> list[str]:
     """Header of a table: the keys that name a row, then the columns."""
     prefix = f"{table.column_key} = " if table.column_key else ""
-    return [*table.row_keys, *(prefix + column for column in table.columns)]
+    return [*table.row_keys, *(prefix + column for column in table.columns.values())]
 
 
 def lines(table: SweepTable) -> list[list[str]]:
     """Cells of a table as text, without the header."""
     return [
         [*labels, *(cell_text(cell, table.aggregate) for cell in cells)]
-        for labels, cells in zip(table.row_labels, table.cells, strict=True)
+        for labels, cells in zip(table.row_labels, table.lines.values(), strict=True)
     ]
 
 
@@ -177,29 +178,27 @@ def csv_text(table: SweepTable) -> str:
     of rows (``:count``, ``:rows``). If any row failed, the outcomes of each cell are in ``:outcomes``. A cell is empty
     without a row, and nan without a value.
     """
-    failed = any(cell.outcomes for line in table.cells for cell in line)
-    kinds = ["low", "high"] * bool(table.aggregate and SPREADS[table.aggregate])
-    kinds += ["count", "rows"] * bool(table.aggregate) + ["outcomes"] * failed
+    ends = ["", *[":low", ":high"] * bool(SPREADS.get(table.aggregate or ""))]
+    ends += [":count", ":rows"] * bool(table.aggregate)
+    ends += [":outcomes"] * any(cell.outcomes for cell in table.cells)
     prefix = f"{table.column_key}=" if table.column_key else ""
-    names = [f"{prefix}{value}" for value in table.column_values]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*table.row_keys, *(f"{name}{end}" for name in names for end in ("", *(f":{k}" for k in kinds)))])
-    for values, cells in zip(table.row_values, table.cells, strict=True):
-        fields = [field for cell in cells for field in _csv_fields(cell, kinds)]
-        writer.writerow(["" if value is None else value for value in values] + fields)
+    writer.writerow([*table.row_keys, *(f"{prefix}{value}{end}" for value in table.columns for end in ends)])
+    for values, cells in table.lines.items():
+        fields = [_csv_fields(cell).get(end, "") for cell in cells for end in ends]
+        writer.writerow([*values, *fields])
     return out.getvalue()
 
 
-def _csv_fields(cell: Cell, kinds: Sequence[str]) -> list[str]:
+def _csv_fields(cell: Cell) -> dict[str, str]:
+    """Fields of a cell by the ends of their names; none without a row."""
     if not cell.rows:
-        return [""] * (1 + len(kinds))
-    found = cell.summary or Summary(math.nan)
-    numbers = {"low": found.low, "high": found.high}
-    fields = {name: "" if value is None else repr(value) for name, value in numbers.items()}
-    fields |= {"count": str(cell.count), "rows": str(cell.rows)}
-    fields["outcomes"] = "; ".join(f"{count} {outcome}" for outcome, count in cell.outcomes.items())
-    return [repr(found.value), *(fields[kind] for kind in kinds)]
+        return {}
+    data = {"": math.nan, **{f":{key}": value for key, value in asdict(cell.summary or Summary(math.nan)).items()}}
+    fields = {end: repr(value) for end, value in data.items() if value is not None}
+    outcomes = "; ".join(f"{count} {outcome}" for outcome, count in cell.outcomes.items())
+    return {**fields, "": fields[":value"], ":count": str(cell.count), ":rows": str(cell.rows), ":outcomes": outcomes}
 
 
 _SPECIAL = {
@@ -229,14 +228,16 @@ def _math(number: str) -> str:
 
 
 def _latex_cell(cell: Cell, aggregate: str | None) -> str:
-    parts = _parts(cell, aggregate)
     if cell.summary is None:
-        return escaped(parts[0])
-    first, *others = map(_math, parts)
+        return escaped(_word(cell))
+    parts = [_math(part) for part in _parts(cell, aggregate)]
     mark = "{}^{*}" * cell.incomplete  # of its own base: a power of ten has a superscript already
-    if len(others) == 1:
-        return rf"${first} \pm {others[0]}{mark}$"
-    return f"${first}{mark}$" if not others else rf"${first}\;[{others[0]},\, {others[1]}]{mark}$"
+    return f"${LATEX[len(parts) - 1].format(*parts)}{mark}$"
+
+
+def _latex_label(text: str) -> str:
+    """Value of a key, as a number if it is one."""
+    return f"${_math(text)}$" if _is_number(text) else escaped(text)
 
 
 def _units(measures: Sequence[str]) -> str:
@@ -250,22 +251,15 @@ def latex(table: SweepTable) -> str:
     """Table in LaTeX, for the package booktabs, with title, notes and units in the caption."""
     said = [escaped(f"{one}.") for one in (title(table), *notes(table))]
     keys, columns = len(table.row_keys), len(table.columns)
-    names = [escaped(name) for name in table.row_keys]
-    above: list[str] = []
-    labels = [escaped(column) for column in table.columns]
+    above, label = [], escaped
     if table.column_key:
         span = rf"\multicolumn{{{columns}}}{{c}}{{{escaped(table.column_key)}}}"
         above = [" & ".join([*[""] * keys, span]).strip() + r" \\", rf"\cmidrule(lr){{{keys + 1}-{keys + columns}}}"]
-        labels = [f"${_math(column)}$" if _is_number(column) else escaped(column) for column in table.columns]
+        label = _latex_label
+    header = [*map(escaped, table.row_keys), *map(label, table.columns.values())]
     body = [
-        " & ".join(
-            [
-                *(f"${_math(one)}$" if _is_number(one) else escaped(one) for one in row),
-                *(_latex_cell(cell, table.aggregate) for cell in cells),
-            ]
-        )
-        + r" \\"
-        for row, cells in zip(table.row_labels, table.cells, strict=True)
+        [*map(_latex_label, labels), *(_latex_cell(cell, table.aggregate) for cell in cells)]
+        for labels, cells in zip(table.row_labels, table.lines.values(), strict=True)
     ]
     numeric = ["r" if all(_is_number(row[i]) for row in table.row_labels) else "l" for i in range(keys)]
     return "\n".join(
@@ -277,9 +271,9 @@ def latex(table: SweepTable) -> str:
             rf"\begin{{tabular}}{{{''.join(numeric)}{'r' * columns}}}",
             r"\toprule",
             *above,
-            " & ".join([*names, *labels]) + r" \\",
+            " & ".join(header) + r" \\",
             r"\midrule",
-            *body,
+            *(" & ".join(line) + r" \\" for line in body),
             r"\bottomrule",
             r"\end{tabular}",
             r"\end{table}",
