@@ -11,7 +11,7 @@ from browser import Browser, running_browser
 from stored_results import store_comparison, store_ensemble, store_order, store_run, store_stress, store_sweep
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Text
 from topcli.pages.page import rendered
-from topcli.pages.report import report_page
+from topcli.pages.find import report_page
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ import pytest
 from reading_html import Element, read_html, section_of
 from resuming import after
 from stored_results import experiment, store_comparison, store_run, store_sweep
-from topcli.pages.report import report_page
+from topcli.pages.find import report_page
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 

@@ -23,7 +23,7 @@ from sweep_rows import write_rows
 from topcli.pages import ensembles
 from topcli.pages.contents import Chapter
 from topcli.pages.page import rendered
-from topcli.pages.report import report_page
+from topcli.pages.find import report_page
 from topcli.pages.studies import claims_chapter, stress_chapter
 from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures

@@ -26,10 +26,10 @@ from stored_results import (
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
-from topcli.pages.find import all_chapters
+from topcli.pages.find import all_chapters, report_page
 from topcli.pages.page import rendered
-from topcli.pages.report import page_of, report_page
-from topcli.pages.series_pictures import before_explosion, deviations
+from topcli.pages.page import page_of
+from topcli.pages.pictures import before_explosion, deviations
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from topcli.studies.compare import write_comparison

@@ -304,7 +304,7 @@ def test_comparison_of_an_ensemble(ensemble: RunReport) -> None:
 
 @pytest.mark.slow
 def test_a_saved_comparison_is_read_by_the_command(compared: ComparisonReport, tmp_path: Path) -> None:
-    from topcli.pages.report import report_page
+    from topcli.pages.find import report_page
 
     path = compared.save(tmp_path / "compared.json")
     assert len(read_html(report_page([str(path)]).text).all("svg")) == 2

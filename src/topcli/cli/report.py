@@ -16,9 +16,10 @@ def complete_result(incomplete: str) -> list[str]:
     """Names of the results in ``results`` that begin with ``incomplete``."""
     folder = Path("results")
     try:
-        return [one.name for one in sorted(folder.iterdir()) if one.is_dir() and one.name.startswith(incomplete)]
+        folders = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
     except OSError:
         return []
+    return [name for name in folders if name.startswith(incomplete)]
 
 
 Places = Annotated[
@@ -52,20 +53,21 @@ def report(
     from elsewhere. Runs of the same top are compared in a table. What is missing of an unfinished or damaged result is
     said on the page.
     """
-    from topcli.pages.report import report_page, require_html
+    from topcli.errors import UsageError
+    from topcli.pages.find import report_page
 
-    require_html(out)
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out {out}: unknown type of page; use a name ending in .html")
     require_new(out, force)
     load_scheme_files(scheme_files)
     page = report_page(places, results, title)
     write_text(page.text, out)
     if as_json:
-        parts = [
-            {"name": one.title, "kind": one.kind, "state": one.state, "missing": one.missing} for one in page.chapters
-        ]
-        print_json("report", {"file": str(out), "results": parts})
+        keys = {"name": "title", "kind": "kind", "state": "state", "missing": "missing"}
+        results_data = [{key: getattr(chapter, name) for key, name in keys.items()} for chapter in page.chapters]
+        print_json("report", {"file": str(out), "results": results_data})
         return
     print_message(f"wrote {out}")
-    for one in page.chapters:
-        for line in one.missing:
-            print_message(f"warning: {one.title}: {line}")
+    for chapter in page.chapters:
+        for line in chapter.missing:
+            print_message(f"warning: {chapter.title}: {line}")

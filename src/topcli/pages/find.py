@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from topcli.errors import UsageError, nearest, quoted
-from topcli.pages.contents import Chapter
-from topcli.pages.runs import DAMAGED, damaged_chapter, part_chapter, run_chapter
+from topcli.pages.contents import Chapter, Picture
+from topcli.pages.page import Page, page_of
+from topcli.pages.pictures import svg_of
+from topcli.pages.runs import damaged_chapter, part_chapter, run_chapter
 from topcli.pages.studies import bench_chapter, claims_chapter, comparison_chapter, stress_chapter
 from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import sweep_chapter
@@ -23,25 +25,41 @@ from topcli.sweeps.run import SWEEP_FILE, is_sweep
 STUDY_FILES = ("stress.json", "order.json")
 """Files of studies, found in a folder of their own."""
 _RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "trajectories.parquet", "trajectories.csv")
+_KNOWN = "give the folder of a run or sweep, or a JSON file of topcli compare, order or stress"
 
 
-def chapters_of(place: str, results: Path, first: int) -> list[Chapter]:
+def all_chapters(places: Sequence[str], results: Path) -> list[Chapter]:
+    """Chapters on all ``places``, each once. Raises UsageError."""
+    chapters: list[Chapter] = []
+    for place in dict.fromkeys(places):
+        chapters += _chapters(place, results, f"part{len(chapters) + 1}")
+    return chapters
+
+
+def report_page(
+    places: Sequence[str],
+    results: Path = Path("results"),
+    title: str | None = None,
+    draw: Callable[[Picture], str] = svg_of,
+) -> Page:
+    """Page on the results that ``places`` name: paths, or names of folders in ``results``. Raises UsageError."""
+    return page_of(all_chapters(places, results), title, draw)
+
+
+def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
     """Chapters on what ``place`` names: a path, or the name of a folder in ``results``.
 
-    The chapters are numbered from ``first`` on the page. Raises UsageError if there is nothing that topcli stored.
+    ``name`` is unique on the page. Raises UsageError if there is nothing that topcli stored.
     """
     try:
         for path in (Path(place), results / place):
-            if path.is_dir():
-                return [_of_folder(path, f"part{first}")]
             if path.exists():
-                return [_of_file(path, f"part{first}")]
+                return [_of_folder(path, name) if path.is_dir() else _of_file(path, name)]
         parts = parts_of(results, place)
     except OSError as error:
         raise UsageError(f"{place[:400]}: cannot be read ({error.strerror})") from None
     if not parts:
-        known = _names(results)
-        hint = f"; {nearest(place, known)}" if known else ""
+        hint = f"; {nearest(place, known)}" if (known := _names(results)) else ""
         raise UsageError(f"{quoted(place)}: no such file or folder, and no run of this name in {results}{hint}")
     return [part_chapter(part, place) for part in parts]
 
@@ -62,16 +80,16 @@ def _link_in(folder: Path) -> Path | None:
 
 def _of_folder(folder: Path, name: str) -> Chapter:
     if link := _link_in(folder):  # a page shows nothing of files that its results do not hold
-        chapter = Chapter(folder.name, "run", state=DAMAGED, good=False)
-        chapter.missing.append(f"{link.name}: is not a regular file; nothing of this folder is shown")
+        chapter = Chapter(folder.name, "run")
+        chapter.damaged([f"{link.name}: is not a regular file; nothing of this folder is shown"])
         return chapter
-    found = look(folder)
-    if isinstance(found, StoredRun):
-        return bench_chapter(found) if found.manifest.get("kind") == "bench" else run_chapter(found, name)
+    run = look(folder)
+    if isinstance(run, StoredRun):
+        return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
     if is_sweep(folder) or (folder / ROWS).exists():
         return sweep_chapter(folder, name)
-    if isinstance(found, DamagedRun):
-        return damaged_chapter(found, name)
+    if run is not None:
+        return damaged_chapter(run, name)
     if is_part(folder):
         own = folder.absolute()
         for part in parts_of(own.parent, own.name[1:].rpartition(".part-")[0]):
@@ -103,12 +121,8 @@ def _of_file(path: Path, name: str) -> Chapter:
         try:
             check_study(data)
         except DamagedError as error:
-            chapter.state, chapter.good = DAMAGED, False
-            chapter.missing.append(f"{path.name}: {error}")
+            chapter.damaged([f"{path.name}: {error}"])
     return chapter
-
-
-_KNOWN = "give the folder of a run or sweep, or a JSON file of topcli compare, order or stress"
 
 
 def _study(data: dict[str, Any], name: str) -> Chapter | None:
@@ -124,11 +138,3 @@ def _study(data: dict[str, Any], name: str) -> Chapter | None:
         if data.get("command") == study.name or study.known(data):
             return study_chapter(study, Result(data), name)
     return None
-
-
-def all_chapters(places: Sequence[str], results: Path) -> list[Chapter]:
-    """Chapters on all ``places``, each once. Raises UsageError."""
-    found: list[Chapter] = []
-    for place in dict.fromkeys(places):
-        found += chapters_of(place, results, len(found) + 1)
-    return found

@@ -6,10 +6,8 @@ from topcli.analysis.motion.of_top import closed_form_top
 from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, Motion, neighbour_rows, quantity_rows
 from topcli.config.models import Experiment
 from topcli.figures.motion import motion_drawn
-from topcli.figures.picture import Grid
 from topcli.pages.contents import Cells, Chapter, Notes, Picture, Pictures
 from topcli.pages.origin import citation_block, config_block
-from topcli.pages.svg import svg_of
 
 SIZE = (5.6, 4.0)
 
@@ -38,4 +36,4 @@ def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> 
 def _picture(motion: Motion, experiment: Experiment, name: str) -> Pictures:
     panel, data = motion_drawn(closed_form_top(experiment.top), motion, experiment.name)
     caption = motion.title
-    return Pictures("Pictures", [Picture(svg_of(panel, data, name, caption, Grid(figsize=SIZE)), caption)])
+    return Pictures([Picture(panel, data, name, caption, SIZE)])

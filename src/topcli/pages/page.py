@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from topcli import __version__
 from topcli.errors import printable
-from topcli.pages.contents import Chapter
+from topcli.pages.contents import Chapter, Picture
+from topcli.pages.pictures import svg_of
+from topcli.pages.runs import comparisons
 from topcli.store.provenance import now
 
 FOLDER = Path(__file__).parent
@@ -35,14 +38,23 @@ def _environment() -> Any:
     )
 
 
-def rendered(chapters: Sequence[Chapter], title: str) -> str:
+def rendered(chapters: Sequence[Chapter], title: str, draw: Callable[[Picture], str] = svg_of) -> str:
     """Return the page of ``chapters`` as text; everything in them but the pictures is escaped."""
     from markupsafe import Markup
 
-    template = _environment().get_template(TEMPLATE)
-    styles = (FOLDER / STYLES).read_text(encoding="utf-8")
-    text = template.render(
-        title=title, chapters=chapters, styles=Markup(styles), safe=Markup, version=__version__, written=now()
+    svgs = {name: svg for chapter in chapters for name, svg in chapter.drawn(draw).items()}
+    text = (
+        _environment()
+        .get_template(TEMPLATE)
+        .render(
+            title=title,
+            chapters=chapters,
+            styles=Markup((FOLDER / STYLES).read_text(encoding="utf-8")),
+            svgs=svgs,
+            safe=Markup,
+            version=__version__,
+            written=now(),
+        )
     )
     return text.lstrip()
 
@@ -51,3 +63,19 @@ def fragment(chapter: Chapter) -> str:
     """Return the chapter as HTML for a cell of a notebook, without styles of its own."""
     module = _environment().get_template(TEMPLATE).make_module({"safe": str, "title": "", "chapters": ()})
     return str(module.summary(chapter))
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page on results: its ``chapters`` and its ``text`` as HTML."""
+
+    chapters: Sequence[Chapter]
+    text: str
+
+
+def page_of(
+    chapters: Sequence[Chapter], title: str | None = None, draw: Callable[[Picture], str] = svg_of
+) -> Page:
+    """Page on ``chapters``, after comparisons of the runs among them that share a top; ``draw`` draws the pictures."""
+    whole = [*comparisons(chapters), *chapters]
+    return Page(whole, rendered(whole, title or ", ".join(chapter.title for chapter in chapters), draw))

@@ -1,69 +1,56 @@
-"""Chapters on runs: finished, interrupted, damaged or unfinished ones, of one trajectory or an ensemble."""
+"""Chapters on runs and ensembles: finished, interrupted, damaged or unfinished ones, and several compared."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from topcli.contracts import Outcome
-from topcli.pages.contents import Block, Cells, Chapter, Facts, Notes
-from topcli.pages.ensembles import ensemble_blocks
-from topcli.pages.origin import (
-    citation_block,
-    config_block,
-    experiment_of,
-    files_block,
-    parts_of,
-    provenance_block,
-    text_block,
-    value_text,
-)
-from topcli.pages.series_pictures import series_pictures
-from topcli.runs.report import invariant_table, precision_note, warning_of
+from topcli.pages.contents import UNFINISHED, Chapter, Facts, Notes
+from topcli.pages.origin import add_files, add_origin, experiment_of, parts_of, text_block, value_text
+from topcli.pages.pictures import quantile_pictures, series_pictures
+from topcli.runs.ensemble_report import ensemble_table
+from topcli.runs.report import comparison_lines, invariant_table, precision_note, warning_of
+from topcli.runs.resume import OUTSIDE_IDENTITY, flattened
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import MANIFEST, REPORT, DamagedError, DamagedRun, StoredRun, read_json
 from topcli.store.parts import Part
+from topcli.table import Cells
 
-DAMAGED = "damaged"
-UNFINISHED = "unfinished"
+VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
 
 
 def run_chapter(run: StoredRun, name: str | None) -> Chapter:
     """Chapter on a finished or interrupted run; ``name`` is unique within the page, None leaves out pictures."""
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "ensemble" if manifest.get("kind") == "ensemble" else "run")
-    chapter.state, chapter.message = run.outcome.value, value_text(manifest.get("message", ""))
-    chapter.good = run.outcome is Outcome.COMPLETED
-    damage = run.damage()
-    if damage:
-        chapter.state, chapter.good = DAMAGED, False
-        chapter.missing += [f"{file}: {why}" for file, why in damage.items()]
+    chapter.state, chapter.good = run.outcome.value, run.outcome is Outcome.COMPLETED
+    chapter.message = value_text(manifest.get("message", ""))
+    damage = chapter.check(run)
     if run.interrupted:
         chapter.missing.append(
             f"rows after step {manifest.get('step', 0)} of {manifest['config']['N']}: the run was interrupted; "
             "topcli run with --resume continues it"
         )
-    report = _report(chapter, run.folder)
-    _fill(chapter, run.folder, manifest, report, run.series, name)
-    chapter.attempt("files", lambda: files_block(run.folder, manifest["files"], damage))
+    _add_content(chapter, run.folder, manifest, _report(chapter, run.folder), run.series, name)
+    add_files(chapter, run.folder, manifest, damage)
     return chapter
 
 
 def damaged_chapter(run: DamagedRun, name: str) -> Chapter:
     """Chapter on a folder whose manifest is missing or cannot be trusted, of what else can be read."""
-    chapter = Chapter(run.folder.name, "run", state=DAMAGED, good=False)
-    chapter.message = "what follows is not confirmed by a manifest"
-    chapter.missing.append(run.reason)
+    chapter = Chapter(run.folder.name, "run", message="what follows is not confirmed by a manifest")
+    chapter.damaged([run.reason])
     report = _report(chapter, run.folder)
-    manifest: dict[str, Any] = {"config": {}}
+    manifest: dict[str, Any] = {}
     try:
         manifest = read_json(run.folder / MANIFEST)
     except (OSError, DamagedError):
         chapter.missing.append("provenance: it is part of the manifest")
     series = next(iter(sorted(run.folder.glob("series.*"))), run.folder / "series.parquet")
-    config = manifest.get("config")
-    _fill(chapter, run.folder, {**manifest, "config": config if isinstance(config, dict) else {}}, report, series, name)
+    manifest["config"] = config if isinstance(config := manifest.get("config"), dict) else {}
+    _add_content(chapter, run.folder, manifest, report, series, name)
     return chapter
 
 
@@ -71,24 +58,19 @@ def part_chapter(part: Part, title: str) -> Chapter:
     """Chapter on the part folder of a run that is in progress or was killed."""
     chapter = Chapter(title, "run", state=UNFINISHED, good=False)
     chapter.message = "another process is running it" if part.alive else "it was killed before its end"
-    checkpoint = read_checkpoint(part.folder)
     chapter.missing.append("invariants, pictures and report: they are written at the end of a run")
+    checkpoint = read_checkpoint(part.folder)
     if checkpoint is None:
-        there = (part.folder / CHECKPOINT).exists()
-        chapter.missing.append(f"{CHECKPOINT}: {'cannot be read' if there else 'none was written'}; run again")
+        fault = "cannot be read" if (part.folder / CHECKPOINT).exists() else "none was written"
+        chapter.missing.append(f"{CHECKPOINT}: {fault}; run again")
         return chapter
-    about = checkpoint.about
-    config = about["config"]
+    config = checkpoint.about["config"]
+    resume = "" if part.alive else "; topcli run with --resume continues from there"
     chapter.missing.append(
-        f"rows after step {checkpoint.done} of {value_text(config.get('N'))}, its last checkpoint"
-        + ("" if part.alive else "; topcli run with --resume continues from there")
+        f"rows after step {checkpoint.done} of {value_text(config.get('N'))}, its last checkpoint{resume}"
     )
-    experiment = experiment_of(config)
-    chapter.attempt("setup", lambda: _setup(config, {}))
-    chapter.attempt("config", lambda: config_block(config))
-    chapter.attempt("provenance", lambda: provenance_block(about))
-    version = about["environment"].get("topcli")
-    chapter.attempt("citation", lambda: citation_block(parts_of(experiment), version))
+    chapter.attempt("setup", _setup, config, {})
+    add_origin(chapter, checkpoint.about, parts_of(experiment_of(config)))
     return chapter
 
 
@@ -96,87 +78,128 @@ def _report(chapter: Chapter, folder: Path) -> dict[str, Any]:
     """Content of ``report.json``, or an empty one that the chapter says is missing."""
     try:
         return read_json(folder / REPORT)
-    except OSError as error:
-        reason = error.strerror
-    except DamagedError as error:
-        reason = str(error)
-    chapter.missing.append(f"invariants: {REPORT}: {reason}")
+    except (OSError, DamagedError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        chapter.missing.append(f"invariants: {REPORT}: {reason}")
     return {}
 
 
-def _fill(
+def _add_content(
     chapter: Chapter, folder: Path, manifest: Mapping[str, Any], report: dict[str, Any], series: Path, name: str | None
 ) -> None:
     """Add all blocks that the files in ``folder`` allow, from the setup to the citation."""
     config = manifest["config"]
     experiment = experiment_of(config) if config else None
     chapter.data = {"config": config, "report": report, "seconds": manifest.get("seconds")}
-    chapter.attempt("setup", lambda: _setup(config, report))
+    if config or report:
+        chapter.attempt("setup", _setup, config, report)
     if report:
         chapter.subtitle = f"{value_text(report.get('top_title'))}; {value_text(report.get('scheme_title'))}"
-        if chapter.kind == "ensemble" or report.get("kind") == "ensemble":
-            ensemble_blocks(chapter, folder, report, name)
-        else:
-            chapter.attempt("invariants", lambda: _invariants(report))
-            chapter.attempt("verdicts", lambda: _verdicts(report))
+    if "ensemble" in (chapter.kind, report.get("kind")) and report:
+        chapter.attempt("invariants", _quantiles, report)
+        chapter.attempt("outcomes", _outcomes, report)
+        if name:
+            chapter.attempt("distribution", quantile_pictures, folder, report, name)
+    elif report:
+        chapter.attempt("invariants", _invariants, report)
+        chapter.attempt("verdicts", _verdicts, report)
     if chapter.kind != "ensemble" and name:
         h = config.get("h", report.get("h", 1.0))
         chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))
-    chapter.attempt("config", lambda: _config(config, folder))
-    if len(manifest) > 1:
-        chapter.attempt("provenance", lambda: provenance_block(manifest))
-    version = (manifest.get("environment") or {}).get("topcli")
-    chapter.attempt("citation", lambda: citation_block(parts_of(experiment), version))
+    if not config:
+        chapter.attempt("config", lambda: text_block("Config", (folder / "config.yaml").read_text(encoding="utf-8")))
+    add_origin(chapter, manifest, parts_of(experiment))
 
 
-def _config(config: Mapping[str, Any], folder: Path) -> Block:
-    """The config of the manifest or, without one, the file beside it."""
-    if config:
-        return config_block(config)
-    return text_block("Config", (folder / "config.yaml").read_text(encoding="utf-8"))
+def _without(data: Any, key: str) -> Any:
+    """Mapping without a ``key``; any other content of a file as it is."""
+    return {name: value for name, value in data.items() if name != key} if isinstance(data, dict) else data
 
 
-def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts | None:
+def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts:
     """Top, scheme, steps and initial state."""
-    if not (config or report):
-        return None
-    top, scheme = config.get("top", report.get("top")), config.get("scheme", report.get("scheme"))
-    h, N = (config.get(key, report.get(key)) for key in ("h", "N"))
-    rows: list[tuple[str, Any]] = [
-        ("top", report.get("top_title")),
-        ("parameters", {key: value for key, value in top.items() if key != "kind"} if isinstance(top, dict) else top),
-        ("scheme", f"{scheme['name']}: {report.get('scheme_title', '')}" if isinstance(scheme, dict) else scheme),
-        (
-            "options",
-            {key: one for key, one in scheme.items() if key != "name"} if isinstance(scheme, dict) else None,
-        ),
-        *((f"initial {key}", value) for key, value in (config.get("initial") or {}).items()),
-        ("step size h", h),
-        ("steps N", N),
-        ("time N h", f"{h * N:.10g}" if isinstance(h, float | int) and isinstance(N, int) else None),
-        ("precision", report.get("precision")),
-        ("trajectories", report.get("trajectories")),
-    ]
-    return Facts("Setup", [(key, value_text(value)) for key, value in rows if value not in (None, {}, "")])
+    top, scheme, h, N = ({**report, **config}.get(key) for key in ("top", "scheme", "h", "N"))
+    described = isinstance(scheme, dict)
+    facts = {
+        "top": report.get("top_title"),
+        "parameters": _without(top, "kind"),
+        "scheme": f"{scheme['name']}: {report.get('scheme_title', '')}" if described else scheme,
+        "options": _without(scheme, "name") if described else None,
+        **{f"initial {key}": value for key, value in (config.get("initial") or {}).items()},
+        "step size h": h,
+        "steps N": N,
+        "time N h": f"{h * N:.10g}" if isinstance(h, float | int) and isinstance(N, int) else None,
+        "precision": report.get("precision"),
+        "trajectories": report.get("trajectories"),
+    }
+    return Facts("Setup", [(key, value_text(value)) for key, value in facts.items() if value not in (None, {}, "")])
 
 
 def _invariants(report: dict[str, Any]) -> Cells:
     header, *lines = invariant_table(report)
-    return Cells("Conservation laws", header, lines, marks={"lost": "bad", "drifting": "middling", "exact": "good"})
+    return Cells("Conservation laws", header, lines, marks=VERDICT_MARKS)
+
+
+def _counters(report: Mapping[str, Any]) -> dict[str, int]:
+    return {key.replace("_", " "): count for key, count in report["counters"].items()}
 
 
 def _verdicts(report: dict[str, Any]) -> Notes:
     """Reasons of the verdicts, with warnings about the run."""
-    said = [f"{row['symbol']} ({row['name']}) {row['verdict']}: {row['reason']}" for row in report["invariants"]]
-    left = report.get("left_motion")
-    if left:
-        said.append(f"far off its energy surface from step {left['step']} (t = {left['t']:.6g})")
-    counters = ", ".join(f"{count} {key.replace('_', ' ')}" for key, count in report["counters"].items())
-    return Notes(
-        "Verdicts",
-        [
-            *map(str, said),
-            *([f"counters: {counters}"] if counters else []),
-            *(line for line in (precision_note(report), warning_of(report)) if line),
-        ],
+    lines = [f"{row['symbol']} ({row['name']}) {row['verdict']}: {row['reason']}" for row in report["invariants"]]
+    if left := report.get("left_motion"):
+        lines.append(f"far off its energy surface from step {left['step']} (t = {left['t']:.6g})")
+    if counters := _counters(report):
+        lines.append(f"counters: {', '.join(f'{count} {key}' for key, count in counters.items())}")
+    return Notes("Verdicts", [*lines, *filter(None, (precision_note(report), warning_of(report)))])
+
+
+def _quantiles(report: dict[str, Any]) -> Cells:
+    header, *lines = ensemble_table(report)
+    return Cells("Conservation laws", header, lines, "Quantiles over the trajectories.")
+
+
+def _outcomes(report: Mapping[str, Any]) -> Notes:
+    total = report["trajectories"]
+    lines = [f"{count} of {total} trajectories: {outcome}" for outcome, count in report["outcomes"].items()]
+    lines += [f"trajectory {row['trajectory']}: {row['outcome']} at step {row['step']}" for row in report["failures"]]
+    return Notes("Outcomes", [*lines, *(f"counter {key}: {count}" for key, count in _counters(report).items())])
+
+
+def comparisons(chapters: Sequence[Chapter]) -> list[Chapter]:
+    """Chapters that compare the runs of one top in ``chapters``, one for each top with several runs."""
+    tops: dict[str, list[Chapter]] = {}
+    for chapter in chapters:
+        report = chapter.data.get("report") or {}
+        if chapter.kind == "run" and report.get("invariants") and isinstance(report.get("top_title"), str):
+            tops.setdefault(report["top_title"], []).append(chapter)
+    made = []
+    for title, runs in tops.items():
+        if len(runs) > 1:
+            good = all(run.good for run in runs)
+            made.append(Chapter("Comparison of the runs", "comparison", title, f"{len(runs)} runs", good))
+            made[-1].attempt("comparison", _runs_table, runs)
+    return made
+
+
+def _runs_table(runs: Sequence[Chapter]) -> Cells:
+    """Table with a column for each run: what differs in their configs, outcomes, and the invariants that they share."""
+    reports = [run.data["report"] for run in runs]
+    configs = [flattened(run.data["config"]) for run in runs]
+    lines = []
+    for key in dict.fromkeys(key for config in configs for key in config):
+        values = [value_text(config.get(key)) for config in configs]
+        if key not in OUTSIDE_IDENTITY and len(set(values)) > 1:
+            lines.append([key, *values])
+    lines.append(["outcome", *(run.state for run in runs)])
+    lines.append(["steps", *(value_text(report["step"]) for report in reports)])
+    lines.append(["run seconds", *(f"{report['seconds']['run']:.3g}" for report in reports)])
+    shared = set.intersection(*({row["name"] for row in report["invariants"]} for report in reports))
+    common = [{"invariants": [row for row in report["invariants"] if row["name"] in shared]} for report in reports]
+    return Cells(
+        "Comparison",
+        ["", *(run.title for run in runs)],
+        [*lines, *comparison_lines(common)],
+        "Keys of the config are listed if the runs differ in them; invariants are those that all runs have.",
+        marks=VERDICT_MARKS,
     )

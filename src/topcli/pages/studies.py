@@ -12,10 +12,8 @@ import numpy as np
 from topcli.contracts import Array
 from topcli.figures.claims import verdict_category, verdict_panel
 from topcli.figures.comparison import loaded_comparison
-from topcli.figures.picture import Grid
 from topcli.pages.contents import Block, Cells, Chapter, Picture, Pictures
 from topcli.pages.origin import citation_block, config_block, files_block, provenance_block, value_text
-from topcli.pages.svg import svg_of
 from topcli.paper.claim import OURS, PAPER
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
@@ -24,7 +22,6 @@ from topcli.studies.compare_table import comparison_table, reference_note
 from topcli.studies.entries import cited_parts
 from topcli.table import number
 
-SIZE = (5.6, 3.2)
 SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
 MARKS = {"held": "good", "degraded": "middling", "broke": "bad"}
 UNEXPLAINED = ("unexplained", "outlived limit")
@@ -85,9 +82,8 @@ def _comparison_pictures(figures: dict[str, Any], series: Mapping[str, Array], n
     if count != len(captions):
         captions = [f"the schemes over time t, picture {i + 1} of {count}" for i in range(count)]
     return Pictures(
-        "Pictures",
         [
-            Picture(svg_of(panel, data, f"{name}-compared{i}", caption, Grid(figsize=SIZE)), caption)
+            Picture(panel, data, f"{name}-compared{i}", caption)
             for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
         ],
     )
@@ -175,7 +171,7 @@ def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Cells:
 def _claims_picture(claims: Sequence[Mapping[str, Any]], name: str) -> Pictures:
     panel, data = verdict_panel(claims)
     caption = "statements with each verdict, by parts of the paper; findings beyond it apart"
-    return Pictures("Pictures", [Picture(svg_of(panel, data, name, caption, Grid(figsize=SIZE)), caption)])
+    return Pictures([Picture(panel, data, name, caption)])
 
 
 def _figure(value: object) -> str:

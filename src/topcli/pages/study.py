@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from topcli.figures.picture import Grid
 from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures
 from topcli.pages.origin import citation_block, config_block, provenance_block
-from topcli.pages.svg import svg_of
 from topcli.studies.study import Result, Study, imported
 from topcli.table import Table
 
-SIZE = (5.6, 3.2)
 
 
 def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
@@ -55,7 +52,7 @@ def _pictures(study: Study, result: Result, name: str) -> Pictures | None:
     data = loaded.data()
     captions = study.captions(result.data) if callable(study.captions) else study.captions
     pictures = [
-        Picture(svg_of(panel, data, f"{name}-{i}", caption, Grid(figsize=SIZE)), caption)
+        Picture(panel, data, f"{name}-{i}", caption)
         for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
     ]
-    return Pictures("Pictures", pictures) if pictures else None
+    return Pictures(pictures)

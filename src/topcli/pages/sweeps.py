@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +15,20 @@ from topcli.config.problems import Problems
 from topcli.config.sweep.document import MISSING, Sweep
 from topcli.config.sweep.rows import RowReader
 from topcli.errors import TopcliError
-from topcli.figures.picture import Grid
 from topcli.figures.sweep import Choice, curves
-from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures
-from topcli.pages.origin import citation_block, files_block, provenance_block, text_block
-from topcli.pages.svg import svg_of
-from topcli.store.manifest import StoredRun, stored_sweep
+from topcli.pages.contents import UNFINISHED, Chapter, Facts, Picture, Pictures
+from topcli.pages.origin import Parts, add_files, add_origin, text_block
+from topcli.store.manifest import stored_sweep
 from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
 from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file
 from topcli.sweeps.table_text import significant
+from topcli.table import DASH, Cells
 
 MOST_ROWS = 200
 """Rows of a sweep that a page lists."""
 MOST_PICTURES = 6
 MOST_CURVES = 12
 """Largest number of values of a key that is drawn as curves of their own."""
-SIZE = (5.6, 3.2)
 
 
 def sweep_chapter(folder: Path, name: str | None) -> Chapter:
@@ -37,75 +36,55 @@ def sweep_chapter(folder: Path, name: str | None) -> Chapter:
 
     ``name`` is unique within the page; None leaves out pictures.
     """
-    chapter = Chapter(folder.name, "sweep", "rows of a sweep")
-    stored = stored_sweep(folder)
-    _state(chapter, stored)
-    rows = None
+    chapter = Chapter(folder.name, "sweep", "rows of a sweep", "finished")
+    stored, manifest = stored_sweep(folder), {}
+    damage: Mapping[str, str] = {}
+    if stored is None:
+        chapter.state, chapter.good = UNFINISHED, False
+        chapter.missing.append("manifest: the sweep is not finished; topcli sweep continues it")
+        chapter.missing.append("provenance: it is part of the manifest")
+    else:
+        manifest, damage = stored.manifest, chapter.check(stored)
     try:
         rows = read_rows(folder)
     except TopcliError as error:
         chapter.missing.append(f"rows: {str(error).splitlines()[0]}")
-    total = _planned(folder)
-    if rows is not None:
-        _outcomes(chapter, rows, total)
+    else:
+        _add_setup(chapter, rows, folder)
         if name:
-            chapter.attempt("pictures", lambda: sweep_pictures(rows, name))
-        chapter.attempt("rows", lambda: rows_table(rows))
+            chapter.attempt("pictures", sweep_pictures, rows, name)
+        chapter.attempt("rows", rows_table, rows)
     chapter.attempt("sweep file", lambda: text_block("Sweep file", (folder / SWEEP_FILE).read_text(encoding="utf-8")))
+    add_origin(chapter, manifest, lambda: _parts(stored_sweep_file(folder)))
     if stored is not None:
-        manifest = stored.manifest
-        chapter.attempt("provenance", lambda: provenance_block(manifest))
-        chapter.attempt("files", lambda: files_block(folder, manifest["files"], stored.damage()))
-    chapter.attempt("citation", lambda: _citation(folder, stored))
+        add_files(chapter, folder, manifest, damage)
     return chapter
 
 
-def _state(chapter: Chapter, stored: StoredRun | None) -> None:
-    if stored is None:
-        chapter.state, chapter.good = "unfinished", False
-        chapter.missing.append("manifest: the sweep is not finished; topcli sweep continues it")
-        chapter.missing.append("provenance: it is part of the manifest")
-        return
-    damage = stored.damage()
-    chapter.missing += [f"{file}: {why}" for file, why in damage.items()]
-    chapter.state, chapter.good = ("damaged", False) if damage else ("finished", True)
-
-
-def _planned(folder: Path) -> int | None:
-    """Number of rows of the sweep file; None if it cannot be read."""
-    try:
-        return stored_sweep_file(folder).count
-    except TopcliError:
-        return None
-
-
-def _outcomes(chapter: Chapter, rows: SweepRows, total: int | None) -> None:
-    """Say how many rows there are, and add their outcomes."""
-    planned = f" of {total}" if total is not None else ""
-    chapter.message = f"{len(rows)}{planned} rows"
-    if total is not None and len(rows) < total:
-        chapter.missing.append(f"{total - len(rows)} of {total} rows, which have not run yet")
-    counted = Counter(str(one) for one in rows.columns["outcome"])
+def _add_setup(chapter: Chapter, rows: SweepRows, folder: Path) -> None:
+    """Say how many of the planned rows there are, and add their outcomes."""
+    chapter.message = f"{len(rows)} rows"
+    with contextlib.suppress(TopcliError):  # of the sweep file, which the chapter shows by itself
+        total = stored_sweep_file(folder).count
+        chapter.message = f"{len(rows)} of {total} rows"
+        if len(rows) < total:
+            chapter.missing.append(f"{total - len(rows)} of {total} rows, which have not run yet")
+    outcomes = Counter(map(str, rows.columns["outcome"]))
     facts = [
         ("varied keys", ", ".join(rows.keys)),
         ("measures", ", ".join(rows.measures)),
-        *((f"rows {outcome}", str(count)) for outcome, count in counted.items()),
+        *((f"rows {outcome}", str(count)) for outcome, count in outcomes.items()),
     ]
     if rows.left_out:
         facts.append(("rows left out", f"{rows.left_out}, of an earlier version of the sweep file"))
     chapter.blocks.append(Facts("Setup", facts))
 
 
-def _citation(folder: Path, stored: StoredRun | None) -> Notes:
-    environment = stored.manifest.get("environment", {}) if stored else {}
-    return citation_block(_parts(stored_sweep_file(folder)), environment.get("topcli"))
-
-
-def _parts(sweep: Sweep) -> list[tuple[str, str]]:
+def _parts(sweep: Sweep) -> Parts:
     """Forms of the tops and names of the schemes of all rows, each pair once. Raises ConfigError."""
     reader, problems = RowReader(sweep), Problems(sweep.document)
     chosen = [key in ("top", "top.kind") or key.partition(".")[0] == "scheme" for key in sweep.keys]
-    found: dict[tuple[str, str], None] = {}
+    parts: dict[tuple[str, str], None] = {}
     seen: set[tuple[object, ...]] = set()
     for number, values in enumerate(sweep.assignments()):
         # of other keys, such as vectors, it matters only whether they are there
@@ -113,9 +92,9 @@ def _parts(sweep: Sweep) -> list[tuple[str, str]]:
         if kind not in seen:
             seen.add(kind)
             if row := reader.read(number, values, problems):
-                found[row.form, json.loads(row.scheme)["name"]] = None
+                parts[row.form, json.loads(row.scheme)["name"]] = None
     problems.raise_any()
-    return list(found)
+    return list(parts)
 
 
 def rows_table(rows: SweepRows) -> Cells:
@@ -123,14 +102,14 @@ def rows_table(rows: SweepRows) -> Cells:
     labels = {key: key_labels(rows.columns[key]) for key in rows.keys}
     lines = []
     for i in range(min(len(rows), MOST_ROWS)):
-        keys = [labels[key].get(_plain(rows.columns[key][i]), "–") for key in rows.keys]
+        keys = [labels[key].get(_plain(rows.columns[key][i]), DASH) for key in rows.keys]
         values = [significant(float(rows.columns[name][i]), 4) for name in rows.measures]
         lines.append([str(int(rows.columns["row"][i])), *keys, str(rows.columns["outcome"][i]), *values])
     more = len(rows) - len(lines)
     caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.path}." if more > 0 else ""
-    outcomes = {str(one): "bad" for one in rows.columns["outcome"][~rows.completed]}
+    marks = dict.fromkeys(map(str, rows.columns["outcome"][~rows.completed]), "bad")
     header = ["row", *rows.keys, "outcome", *rows.measures]
-    return Cells("Rows", header, lines, caption, keys=1 + len(rows.keys), marks=outcomes)
+    return Cells("Rows", header, lines, caption, keys=1 + len(rows.keys), marks=marks)
 
 
 def _plain(value: Any) -> Any:
@@ -144,27 +123,25 @@ def sweep_choices(rows: SweepRows) -> Iterator[Choice]:
 
     Values of rows that differ in other keys are combined by their median.
     """
-    values = {key: len(encoded(rows.columns[key])[1]) for key in rows.keys}
-    varied = sorted((key for key in rows.keys if values[key] > 1), key=lambda key: -values[key])
-    numeric = [key for key in varied if rows.columns[key].dtype.kind in "fi"]
+    codes = {key: encoded(rows.columns[key]) for key in rows.keys}
+    counts = {key: len(values) for key, (_, values) in codes.items() if len(values) > 1}
+    varied = sorted(counts, key=lambda key: -counts[key])
     if not varied:
         return
-    x = (numeric or varied)[0]
-    by = next((key for key in varied if key != x and values[key] <= MOST_CURVES), None)
-    used = [key for key in (x, by) if key]
-    combinations = len({tuple(_plain(rows.columns[key][i]) for key in used) for i in range(len(rows))})
-    aggregate = "median" if combinations < len(rows) else None
+    x = next((key for key in varied if rows.columns[key].dtype.kind in "fi"), varied[0])
+    by = next((key for key in varied if key != x and counts[key] <= MOST_CURVES), None)
+    combinations = set(zip(*(codes[key][0].tolist() for key in (x, by) if key), strict=True))
+    aggregate = "median" if len(combinations) < len(rows) else None
     for measure in rows.measures:
         if np.isfinite(rows.columns[measure].astype(float)).any():
             yield Choice(x, measure, by, aggregate=aggregate)
 
 
-def sweep_pictures(rows: SweepRows, name: str) -> Pictures | None:
-    """Pictures of the first measures; None if no key varies. Raises UsageError."""
+def sweep_pictures(rows: SweepRows, name: str) -> Pictures:
+    """Pictures of the first measures; none if no key varies. Raises UsageError."""
     pictures = []
     for number, choice in zip(range(MOST_PICTURES), sweep_choices(rows), strict=False):
-        panel, data = curves(rows, choice)
         combined = f", {choice.aggregate} over the rows" if choice.aggregate else ""
         caption = f"{choice.y} over {choice.x}{f' for each {choice.by}' if choice.by else ''}{combined}"
-        pictures.append(Picture(svg_of(panel, data, f"{name}-measure{number}", caption, Grid(figsize=SIZE)), caption))
-    return Pictures("Pictures", pictures) if pictures else None
+        pictures.append(Picture(*curves(rows, choice), f"{name}-measure{number}", caption))
+    return Pictures(pictures)

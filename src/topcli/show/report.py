@@ -90,7 +90,7 @@ class Report(ABC):
         """Write the file in the format of its suffix."""
         match path.suffix.lower():
             case ".html":
-                from topcli.pages.report import page_of
+                from topcli.pages.page import page_of
 
                 path.write_text(page_of([self.chapter("part1")]).text, encoding="utf-8")
             case ".json":

@@ -128,7 +128,7 @@ class RunReport(Report):
         """
         if self.is_ensemble:
             return self._plot_ensemble(ax, columns)
-        from topcli.pages import series_pictures as pictures
+        from topcli.pages import pictures
         from topcli.store.envelope import envelope
         from topcli.store.series import series_names
 
@@ -147,12 +147,12 @@ class RunReport(Report):
         data = envelope(path, list(dict.fromkeys([time, *chosen])))
         data.setdefault("t", data[time] * config["h"])
         if not deviation:
-            return draw_panel(pictures.motion_panel(chosen, experiment), data, ax)
+            return draw_panel(pictures.time_panel(chosen, experiment), data, ax)
         moved = pictures.deviations(data, chosen)
-        return draw_panel(pictures.deviation_panel(list(moved), experiment), data | moved, ax)
+        return draw_panel(pictures.time_panel(list(moved), experiment, deviation=True), data | moved, ax)
 
     def _plot_ensemble(self, ax: Axes | None, columns: Sequence[str]) -> Axes:
-        from topcli.pages.ensembles import stored_quantiles
+        from topcli.pages.pictures import stored_quantiles
 
         if columns:
             raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
