@@ -13,23 +13,15 @@ import pytest
 from reading_html import Element, read_html, section_of
 from resuming import after
 from stored_results import experiment, store_comparison, store_run, store_sweep
-from topcli.pages.find import report_page
+from topcli.pages.contents import Pictures
+from topcli.pages.find import all_chapters, report_page
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 
 
-@pytest.fixture(autouse=True)
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, np.ndarray]]:
-    """Columns of each picture by its name, instead of the picture."""
-    drawn = {}
-
-    def keep(panel, data, name, label, layout=None):
-        drawn[name] = {column: np.asarray(data[column]) for column in ("t", *panel.columns) if column in data}
-        return "<svg></svg>"
-
-    for module in ("series_pictures", "studies", "sweeps", "ensembles"):
-        monkeypatch.setattr(f"topcli.pages.{module}.svg_of", keep)
-    return drawn
+def undrawn(places: list[str]) -> Element:
+    """Page with empty pictures."""
+    return read_html(report_page(places, draw=lambda picture: "<svg></svg>").text)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +71,7 @@ def test_a_damaged_run_is_damaged_everywhere_on_a_page_of_several(
     results: Path, file: str, damage: Callable[[Path], object]
 ) -> None:
     damage(results / "two" / file)
-    page = read_html(report_page([str(results / name) for name in ("one", "two", "three")]).text)
+    page = undrawn([str(results / name) for name in ("one", "two", "three")])
     headings, compared = outcomes(page, "Comparison")
     assert compared == ["completed", "damaged", "completed"]
     assert headings == ["3 runs bad", "completed good", "damaged bad", "completed good"]
@@ -95,39 +87,38 @@ def test_an_interrupted_run_and_one_that_blew_up_keep_their_outcomes(results: Pa
     run_experiment(experiment("stopped"), results, RunOptions(stop=after(0)))
     store_run(results, "wild", "rk4", h=5.0)
     places = [str(results / name) for name in ("one", "stopped", "wild")]
-    headings, compared = outcomes(read_html(report_page(places).text), "Comparison")
+    headings, compared = outcomes(undrawn(places), "Comparison")
     outcome = json.loads((results / "wild" / "report.json").read_text())["outcome"]
     assert outcome not in ("completed", "interrupted")
     assert compared == ["completed", "interrupted", outcome]
     assert headings == ["3 runs bad", "completed good", "interrupted bad", f"{outcome} bad"]
-    headings, _ = outcomes(read_html(report_page([str(results / name) for name in ("one", "two")]).text), "Comparison")
+    headings, _ = outcomes(undrawn([str(results / name) for name in ("one", "two")]), "Comparison")
     assert headings == ["2 runs good", "completed good", "completed good"]
 
 
 @pytest.mark.slow
 def test_a_damaged_sweep_and_comparison_are_not_shown_as_whole(results: Path) -> None:
     folder = store_sweep(results)
-    with_sweep = read_html(report_page([str(folder)]).text).with_class("outcome")[0]
+    with_sweep = undrawn([str(folder)]).with_class("outcome")[0]
     assert "good" in with_sweep.attributes["class"]
     flipped(folder / "rows.parquet")
-    shown = read_html(report_page([str(folder)]).text).with_class("outcome")[0]
+    shown = undrawn([str(folder)]).with_class("outcome")[0]
     assert "bad" in shown.attributes["class"]
     path = store_comparison(results / "compared.json")
     data = json.loads(path.read_text())
     data["schemes"][1]["outcome"] = "blew_up"
     path.write_text(json.dumps(data))
-    shown = read_html(report_page([str(path)]).text).with_class("outcome")[0]
+    shown = undrawn([str(path)]).with_class("outcome")[0]
     assert "bad" in shown.attributes["class"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("h", [0.01, -0.02])
-def test_pictures_of_a_run_without_times_are_over_those_of_its_steps(
-    tmp_path: Path, undrawn: dict[str, dict[str, np.ndarray]], h: float
-) -> None:
+def test_pictures_of_a_run_without_times_are_over_those_of_its_steps(tmp_path: Path, h: float) -> None:
     output = {"columns": ["n", "gamma1", "gamma2", "gamma3", "energy"], "every": 4}
     folder = store_run(tmp_path, "timeless", h=h, output=output)
-    report_page([str(folder)])
-    assert list(undrawn) == ["part1-gamma", "part1-deviations"]
-    for picture in undrawn.values():
-        np.testing.assert_allclose(picture["t"], np.linspace(0.0, 400 * h, 101), rtol=1e-13)
+    (chapter,) = all_chapters([str(folder)], tmp_path)
+    (pictures,) = [block.pictures for block in chapter.blocks if isinstance(block, Pictures)]
+    assert [picture.name for picture in pictures] == ["part1-gamma", "part1-deviations"]
+    for picture in pictures:
+        np.testing.assert_allclose(picture.data["t"], np.linspace(0.0, 400 * h, 101), rtol=1e-13)

@@ -20,10 +20,10 @@ from reading_html import Element, read_html, section_of
 from shown import shows
 from stored_results import store_ensemble, store_run
 from sweep_rows import write_rows
-from topcli.pages import ensembles
-from topcli.pages.contents import Chapter
+from topcli.pages.contents import Chapter, Pictures
+from topcli.pages.find import all_chapters, report_page
 from topcli.pages.page import rendered
-from topcli.pages.find import report_page
+from topcli.pages.runs import outcome_notes
 from topcli.pages.studies import claims_chapter, stress_chapter
 from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
@@ -169,22 +169,14 @@ def sweep_of_several(folder: Path) -> tuple[Path, dict[tuple[str, float], list[f
     return write_rows(folder, keys, {"error.max": values}, log=["h"]), found
 
 
-def test_the_pictures_of_a_sweep_draw_medians_and_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pictures_of_a_sweep_draw_medians_and_say_so(tmp_path: Path) -> None:
     folder, values = sweep_of_several(tmp_path / "several")
-    drawn: list[tuple[Any, dict[str, np.ndarray], str]] = []
-
-    def keep(panel: Any, data: dict[str, np.ndarray], name: str, label: str, layout: Any = None) -> str:
-        drawn.append((panel, data, label))
-        return "<svg></svg>"
-
-    monkeypatch.setattr("topcli.pages.sweeps.svg_of", keep)
     rows = read_rows(folder)
     (choice,) = sweep_choices(rows)
     assert (choice.x, choice.y, choice.by) == ("seed", "error.max", "h")
-    found = sweep_pictures(rows, "x")
-    assert found is not None
-    (panel, data, label) = drawn[0]
-    assert found.pictures[0].caption == label == "error.max over seed for each h, median over the rows"
+    (picture,) = sweep_pictures(rows, "x").pictures
+    panel, data = picture.panel, picture.data
+    assert picture.caption == "error.max over seed for each h, median over the rows"
     assert panel.ylabel == "error.max (median and quartiles)"
     for h in (0.1, 0.05, 0.025):
         name = next(one for one in panel.labels if one == f"h = {h:g}")
@@ -258,14 +250,10 @@ def test_a_damaged_run_is_damaged_wherever_it_is_shown(tmp_path: Path) -> None:
 @pytest.mark.parametrize("columns", [["t", "gamma1"], ["n", "gamma1"]])
 def test_time_is_time_without_a_column_of_times(columns: list[str], tmp_path: Path) -> None:
     """Step numbers alone are multiplied by h, on the page and in a plot."""
-    from topcli.pages import series_pictures
-
     folder = store_run(tmp_path, "one", output={"columns": columns})
-    drawn: list[np.ndarray] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(series_pictures, "svg_of", lambda panel, data, *more: drawn.append(data["t"]) or "<svg></svg>")
-        report_page([str(folder)])
-    np.testing.assert_allclose(drawn[0], 0.01 * np.arange(401), rtol=1e-12, atol=1e-15)
+    (chapter,) = all_chapters([str(folder)], tmp_path)
+    (pictures,) = [block.pictures for block in chapter.blocks if isinstance(block, Pictures)]
+    np.testing.assert_allclose(pictures[0].data["t"], 0.01 * np.arange(401), rtol=1e-12, atol=1e-15)
     config = json.loads((folder / "manifest.json").read_text())["config"]
     found = topcli.run(config, tmp_path)
     axes = found.plot(Figure().add_subplot(), columns=["gamma1"])
@@ -314,7 +302,7 @@ def test_a_comparison_says_how_many_entries_failed_and_why() -> None:
 def test_failed_trajectories_are_named_with_their_steps() -> None:
     failures = [{"trajectory": 3, "outcome": "blew_up", "step": 17, "t": 0.85}]
     report = {"trajectories": 5, "outcomes": {"completed": 4, "blew_up": 1}, "failures": failures}
-    assert ensembles._outcomes({**report, "counters": {"near_singular": 9}}).lines == [
+    assert outcome_notes({**report, "counters": {"near_singular": 9}}).lines == [
         "4 of 5 trajectories: completed",
         "1 of 5 trajectories: blew_up",
         "trajectory 3: blew_up at step 17",

@@ -25,10 +25,10 @@ from stored_results import (
 )
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
+from topcli.figures.picture import Panel
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
 from topcli.pages.find import all_chapters, report_page
-from topcli.pages.page import rendered
-from topcli.pages.page import page_of
+from topcli.pages.page import page_of, rendered
 from topcli.pages.pictures import before_explosion, deviations
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
@@ -59,15 +59,14 @@ def copied(results: Path, tmp_path: Path) -> Path:
     return tmp_path / "results"
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures that are not drawn, where only the rest of the page matters."""
-    for module in ("series_pictures", "studies", "sweeps", "ensembles"):
-        monkeypatch.setattr(f"topcli.pages.{module}.svg_of", lambda *arguments: "<svg></svg>")
-
-
 def shown(results: Path, *places: str) -> Element:
-    return read_html(report_page([str(results / place) for place in places]).text)
+    """Page with empty pictures, which are data until a page is drawn."""
+    return read_html(report_page([str(results / place) for place in places], draw=lambda picture: "<svg></svg>").text)
+
+
+def pictures_of(chapter: Chapter) -> dict[str, Picture]:
+    blocks = [block for block in chapter.blocks if isinstance(block, Pictures)]
+    return {picture.name: picture for block in blocks for picture in block.pictures}
 
 
 def texts(section: Element) -> list[str]:
@@ -128,7 +127,6 @@ TWO_TOPS = {
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_every_scheme_and_top_that_took_part_is_cited(results: Path, tmp_path: Path) -> None:
     """And no other: the scheme of the config, which was not compared, is not."""
     config = {**BASE, "N": 20, "scheme": "rk2"}
@@ -147,7 +145,6 @@ def test_every_scheme_and_top_that_took_part_is_cited(results: Path, tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_a_scheme_that_is_not_here_is_named_without_a_source(copied: Path) -> None:
     path = copied / "compared.json"
     path.write_text(path.read_text().replace('"scheme": "hybrid"', '"scheme": "elsewhere"'))
@@ -172,22 +169,16 @@ def test_motion_is_drawn_up_to_its_explosion() -> None:
 
 
 @pytest.mark.slow
-def test_pictures_of_a_run_draw_its_columns(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = {}
-
-    def keep(panel, data, name, label, layout=None):
-        drawn[name] = {column: np.asarray(data[column]) for column in panel.columns}
-        return "<svg></svg>"
-
-    monkeypatch.setattr("topcli.pages.series_pictures.svg_of", keep)
-    report_page([str(results / "one")])
+def test_pictures_of_a_run_draw_its_columns(results: Path) -> None:
+    (chapter,) = all_chapters([str(results / "one")], results)
+    drawn = pictures_of(chapter)
     series = read_series(results / "one" / "series.parquet")
     assert list(drawn) == ["part1-omega", "part1-gamma", "part1-deviations"]
     for name in ("omega1", "omega2", "omega3"):
-        np.testing.assert_array_equal(drawn["part1-omega"][name], series[name])
-    np.testing.assert_array_equal(drawn["part1-gamma"]["t"], series["n"] * 0.01)
+        np.testing.assert_array_equal(drawn["part1-omega"].data[name], series[name])
+    np.testing.assert_array_equal(drawn["part1-gamma"].data["t"], series["n"] * 0.01)
     energy = np.abs(series["energy"] - series["energy"][0])
-    np.testing.assert_array_equal(np.nan_to_num(drawn["part1-deviations"]["deviation:energy"]), energy)
+    np.testing.assert_array_equal(np.nan_to_num(drawn["part1-deviations"].data["deviation:energy"]), energy)
 
 
 @pytest.mark.slow
@@ -220,7 +211,6 @@ def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_runs_of_one_top_are_compared_and_others_are_not(results: Path) -> None:
     page = shown(results, "one", "euler", "other")
     headings = [one.text for one in page.all("h2")]
@@ -246,13 +236,13 @@ def _all_blocks(text: str) -> Chapter:
         Cells(text, [text, text], [[text, text]], text, marks={text: "good"}),
         Text(text, [text]),
         Notes(text, [text]),
-        Pictures(text, [Picture("<svg></svg>", text)]),
+        Pictures([Picture(Panel((), text), {"t": np.zeros(2)}, text, text)]),
     ]
     return chapter
 
 
 def test_everything_is_escaped() -> None:
-    text = rendered([_all_blocks(HOSTILE), _all_blocks("b")], HOSTILE)
+    text = rendered([_all_blocks(HOSTILE), _all_blocks("b")], HOSTILE, lambda picture: "<svg></svg>")
     page = read_html(text)
     assert not page.all("script")
     assert not page.all("img")
@@ -265,7 +255,7 @@ def test_everything_is_escaped() -> None:
 
 @pytest.mark.slow
 def test_control_characters_and_half_pairs_are_shown_as_escapes(results: Path, copied: Path) -> None:
-    text = rendered([_all_blocks("a\x00\x1b[31m\u202eb\ud800")], "t")
+    text = rendered([_all_blocks("a\x00\x1b[31m\u202eb\ud800")], "t", lambda picture: "<svg></svg>")
     assert "a\\x00\\x1b[31m\\u202eb\\ud800" in text
     text.encode("utf-8")
     path = copied / "one" / "report.json"
@@ -298,7 +288,7 @@ def test_page_needs_nothing_from_elsewhere(results: Path) -> None:
 @pytest.mark.slow
 def test_pictures_follow_the_scheme_of_the_page(results: Path) -> None:
     """Nothing is drawn in a fixed black or white, which would vanish in the dark or on paper."""
-    (svg, *_) = shown(results, "one").all("svg")
+    (svg, *_) = read_html(report_page([str(results / "one")]).text).all("svg")
     assert svg.attributes["fill"] == "currentColor"
     styles = " ".join(one.attributes.get("style", "") for one in svg.all())
     assert "var(--line1)" in styles
@@ -351,7 +341,6 @@ def test_a_damaged_run_says_what_is_missing_and_shows_the_rest(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_an_intact_run_misses_nothing(results: Path) -> None:
     """Control of the previous test."""
     page = shown(results, "one")
@@ -360,7 +349,6 @@ def test_an_intact_run_misses_nothing(results: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("key", ["invariants", "counters", "top_title", "seconds"])
 @pytest.mark.parametrize("value", [None, [], 3, "x", {"a": {}}, [[1]], [{"symbol": None}]])
 def test_any_content_of_a_report_gives_a_page(copied: Path, key: str, value: object) -> None:
@@ -372,7 +360,6 @@ def test_any_content_of_a_report_gives_a_page(copied: Path, key: str, value: obj
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["compared.json", "order.json", "stress.json"])
 def test_studies_of_another_form_say_what_is_missing(copied: Path, name: str) -> None:
     whole = json.loads((copied / name).read_text())
@@ -416,7 +403,6 @@ def test_a_comparison_without_series_says_so(copied: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_an_unfinished_sweep_says_which_rows_are_missing(copied: Path) -> None:
     (copied / "sweep" / "manifest.json").unlink()
     path = copied / "sweep" / "sweep.yaml"
@@ -429,7 +415,6 @@ def test_an_unfinished_sweep_says_which_rows_are_missing(copied: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_recorded_columns_limit_the_pictures(tmp_path: Path) -> None:
     def about(name: str, columns: list[str]) -> tuple[list[str], list[str]]:
         store_run(tmp_path, name, output={"columns": columns})
@@ -444,7 +429,6 @@ def test_recorded_columns_limit_the_pictures(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_failed_entries_are_marked(tmp_path: Path) -> None:
     store_run(tmp_path, "explodes", "rk2", h=0.9, N=4000)
     page = shown(tmp_path, "explodes")
@@ -456,7 +440,6 @@ def test_failed_entries_are_marked(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_chapters_of_one_page_keep_their_order_and_links(results: Path) -> None:
     page = shown(results, "sweep", "one")
     links = {one.attributes["href"]: one.text for one in page.all("nav")[0].all("a")}

@@ -73,9 +73,7 @@ class Page:
     text: str
 
 
-def page_of(
-    chapters: Sequence[Chapter], title: str | None = None, draw: Callable[[Picture], str] = svg_of
-) -> Page:
+def page_of(chapters: Sequence[Chapter], title: str | None = None, draw: Callable[[Picture], str] = svg_of) -> Page:
     """Page on ``chapters``, after comparisons of the runs among them that share a top; ``draw`` draws the pictures."""
     whole = [*comparisons(chapters), *chapters]
     return Page(whole, rendered(whole, title or ", ".join(chapter.title for chapter in chapters), draw))

@@ -97,7 +97,7 @@ def _add_content(
         chapter.subtitle = f"{value_text(report.get('top_title'))}; {value_text(report.get('scheme_title'))}"
     if "ensemble" in (chapter.kind, report.get("kind")) and report:
         chapter.attempt("invariants", _quantiles, report)
-        chapter.attempt("outcomes", _outcomes, report)
+        chapter.attempt("outcomes", outcome_notes, report)
         if name:
             chapter.attempt("distribution", quantile_pictures, folder, report, name)
     elif report:
@@ -159,7 +159,8 @@ def _quantiles(report: dict[str, Any]) -> Cells:
     return Cells("Conservation laws", header, lines, "Quantiles over the trajectories.")
 
 
-def _outcomes(report: Mapping[str, Any]) -> Notes:
+def outcome_notes(report: Mapping[str, Any]) -> Notes:
+    """Numbers of trajectories by outcome, and those that failed."""
     total = report["trajectories"]
     lines = [f"{count} of {total} trajectories: {outcome}" for outcome, count in report["outcomes"].items()]
     lines += [f"trajectory {row['trajectory']}: {row['outcome']} at step {row['step']}" for row in report["failures"]]

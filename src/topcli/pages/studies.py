@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from topcli.contracts import Array
 from topcli.figures.claims import verdict_category, verdict_panel
 from topcli.figures.comparison import loaded_comparison
 from topcli.pages.contents import Block, Cells, Chapter, Picture, Pictures
-from topcli.pages.origin import citation_block, config_block, files_block, provenance_block, value_text
+from topcli.pages.origin import add_files, add_origin, value_text
 from topcli.paper.claim import OURS, PAPER
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
@@ -27,19 +26,6 @@ MARKS = {"held": "good", "degraded": "middling", "broke": "bad"}
 UNEXPLAINED = ("unexplained", "outlived limit")
 
 
-def _about(
-    chapter: Chapter, data: Mapping[str, Any], parts: Callable[[], Iterable[tuple[str, str]]] = lambda: ()
-) -> None:
-    """Add config, provenance and citation of a study; ``parts`` are the tops and schemes of ``citation_block``."""
-    config = data.get("config")
-    if isinstance(config, dict):
-        chapter.attempt("config", lambda: config_block(config))
-    chapter.attempt("provenance", lambda: provenance_block(data))
-    environment = data.get("environment")
-    version = environment.get("topcli") if isinstance(environment, dict) else None
-    chapter.attempt("citation", lambda: citation_block(parts(), version))
-
-
 def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], name: str | None) -> Chapter:
     """Chapter on a comparison of schemes.
 
@@ -51,7 +37,7 @@ def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], nam
         chapter.attempt("pictures", lambda: _comparison_pictures(figures, series, name))
     elif name and figures.get("kind") != "ensemble":
         chapter.missing.append("pictures: the series are not in this file; topcli compare with --save stores them")
-    _about(chapter, figures, lambda: cited_parts(figures))
+    add_origin(chapter, figures, lambda: cited_parts(figures))
     return chapter
 
 
@@ -98,7 +84,7 @@ def stress_chapter(study: dict[str, Any]) -> Chapter:
         chapter.attempt(f"outcomes of {top}", lambda top=top: stress_grid(trials, top))
     chapter.attempt("failures", lambda: _failures(study["trials"]))
     chapter.attempt("questions", lambda: _questions(study["cases"]))
-    _about(chapter, study, lambda: [(one["top"], str(one["scheme"]).partition(":")[0]) for one in study["trials"]])
+    add_origin(chapter, study, lambda: [(one["top"], str(one["scheme"]).partition(":")[0]) for one in study["trials"]])
     return chapter
 
 
@@ -151,7 +137,7 @@ def claims_chapter(found: dict[str, Any], name: str | None = None) -> Chapter:
     chapter.attempt("claims", lambda: _claims(chapter, found["claims"]))
     if name:
         chapter.attempt("pictures", lambda: _claims_picture(found["claims"], name))
-    _about(chapter, found)
+    add_origin(chapter, found)
     return chapter
 
 
@@ -182,12 +168,9 @@ def bench_chapter(run: StoredRun) -> Chapter:
     """Chapter on a benchmark of speed against error."""
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "bench", "speed against error", "measured")
-    damage = run.damage()
-    if damage:
-        chapter.state, chapter.good = "damaged", False
-        chapter.missing += [f"{file}: {why}" for file, why in damage.items()]
+    damage = chapter.check(run)
     chapter.attempt("best by decade", lambda: Cells("Fastest in each decade of error", *decade_lines(run.report())))
     chapter.attempt("all points", lambda: Cells("All points", *point_lines(run.report())))
-    _about(chapter, manifest)
-    chapter.attempt("files", lambda: files_block(Path(run.folder), manifest["files"], damage))
+    add_origin(chapter, manifest)
+    add_files(chapter, run.folder, manifest, damage)
     return chapter

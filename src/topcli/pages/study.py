@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures
-from topcli.pages.origin import citation_block, config_block, provenance_block
+from topcli.pages.origin import add_origin
 from topcli.studies.study import Result, Study, imported
 from topcli.table import Table
-
 
 
 def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
@@ -32,12 +29,7 @@ def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
         if name and study.figure and i == 0:
             chapter.attempt("pictures", lambda: _pictures(study, result, name))
     chapter.attempt("notes", lambda: _notes(study, result))
-    if isinstance(config := data.get("config"), Mapping):
-        chapter.attempt("config", lambda: config_block(config))
-    chapter.attempt("provenance", lambda: provenance_block(data))
-    environment = data.get("environment")
-    version = environment.get("topcli") if isinstance(environment, Mapping) else None
-    chapter.attempt("citation", lambda: citation_block(study.parts(data), version))
+    add_origin(chapter, data, lambda: study.parts(data))
     return chapter
 
 
@@ -46,7 +38,7 @@ def _notes(study: Study, result: Result) -> Notes | None:
     return Notes("Notes", lines) if lines else None
 
 
-def _pictures(study: Study, result: Result, name: str) -> Pictures | None:
+def _pictures(study: Study, result: Result, name: str) -> Pictures:
     """Pictures of the panels of the study's figure."""
     loaded = imported(study.figure)(result)
     data = loaded.data()
