@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from topcli.runs.simulate_ensemble import simulate_ensemble as simulate_ensemble
     from topcli.schemes.registry import scheme as scheme
     from topcli.show.claims import claims as claims
-    from topcli.show.comparisons import compare as compare
     from topcli.show.motions import motion as motion
     from topcli.show.runs import run as run
     from topcli.show.stresses import stress as stress
+    from topcli.show.study import compare as compare
     from topcli.show.study import order as order
     from topcli.show.sweeps import sweep as sweep
     from topcli.sweeps.measures import measure as measure
@@ -53,7 +53,7 @@ _HOMES = {
     "Motion": "topcli.analysis.motion.result",
     "Trajectory": "topcli.analysis.trajectory",
     "claims": "topcli.show.claims",
-    "compare": "topcli.show.comparisons",
+    "compare": "topcli.show.study",
     "measure": "topcli.sweeps.measures",
     "motion": "topcli.show.motions",
     "order": "topcli.show.study",

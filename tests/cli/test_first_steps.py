@@ -14,7 +14,8 @@ import pytest
 from conftest import ROOT
 from terminal import in_terminal
 from topcli.cli.app import _Topcli
-from topcli.cli.hints import is_config, show_hint
+from topcli.cli.hints import show_hint
+from topcli.config.load import is_config
 from topcli.config.starter import starter_config
 from topcli.errors import LIST_LENGTH, nearest
 from topcli.tops import TOPS

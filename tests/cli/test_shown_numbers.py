@@ -32,8 +32,8 @@ def test_compare_shows_what_it_measured(
     cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, config: str, names: tuple[str, ...]
 ) -> None:
     def change(found: Any) -> Any:
-        figures = distinct(found.figures, 1, keep=("power", "h", "N", "every"))
-        return dataclasses.replace(found, figures=named_differently(figures, ("verdict", "model")))
+        figures = distinct(found.data, 1, keep=("power", "h", "N", "every"))
+        return dataclasses.replace(found, data=named_differently(figures, ("verdict", "model")))
 
     monkeypatch.setattr(compare, "compare_schemes", changed_result(change, compare.compare_schemes))
     command = ("compare", *names, "--config", config, "--set", "N=3000")

@@ -168,9 +168,9 @@ def test_simulate_and_compare_from_python() -> None:
     scene = load_experiment(GENERIC, ["h=0.1", "N=100", "output.every=1"])
     names = ["hk", "hk+suzuki4", "hk+kahan-li6", "hk+kahan-li8"]
     compared = compare_schemes(scene, names)
-    errors = [one["max_error"] for one in compared.figures["schemes"]]
-    assert [one["scheme"] for one in compared.figures["schemes"]] == names
-    assert [one["declared_order"] for one in compared.figures["schemes"]] == [2, 4, 6, 8]
+    errors = [one["max_error"] for one in compared.data["schemes"]]
+    assert [one["scheme"] for one in compared.data["schemes"]] == names
+    assert [one["declared_order"] for one in compared.data["schemes"]] == [2, 4, 6, 8]
     assert errors[0] > 30 * errors[1] > 900 * errors[2] > 9000 * errors[3] > 0.0
     trajectory = topcli.simulate(GENERIC, scheme={"name": "hk", "compose": "kahan-li8"}, h=0.1, N=100)
     assert trajectory.scheme == "hk+kahan-li8"

@@ -18,7 +18,7 @@ from topcli.figures.comparison import loaded_comparison
 from topcli.figures.contract import Request
 from topcli.figures.picture import draw
 from topcli.studies.analyse import Analysis
-from topcli.studies.compare import Comparison
+from topcli.studies.study import Result
 from topcli.tops.euler import Euler
 
 GROWTH = [
@@ -196,7 +196,7 @@ def compared(t: np.ndarray, shifts: dict[str, float]) -> Figure:
         series[f"error:{name}"] = shift * t
         series[f"swing:{name}"] = np.cos(t - shift)
     figures = {"schemes": [{"label": name} for name in shifts], "reference": {"swing": "gamma1"}}
-    return drawn(loaded_comparison(Comparison({**figures, "config": {"h": 0.25}}, series)))
+    return drawn(loaded_comparison(Result({**figures, "config": {"h": 0.25}}, series)))
 
 
 def test_a_comparison_draws_errors_and_swings() -> None:

@@ -21,7 +21,7 @@ from topcli.figures.picture import Grid, Line, Panel, draw, styled
 from topcli.figures.roundoff import loaded_roundoff
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.studies.analyse import Analysis
-from topcli.studies.compare import Comparison
+from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 from topcli.tops.kowalevski import Kowalevski
 
@@ -56,7 +56,7 @@ def test_comparisons_of_any_number_of_schemes(count: int) -> None:
     for i, label in enumerate(labels):
         series |= {f"error:{label}": 10.0 ** (-i) * t, f"swing:{label}": np.cos(t + 0.1 * i)}
     figures = {"config": {"h": 0.001}, "schemes": [{"label": one} for one in labels], "reference": {"swing": "gamma1"}}
-    loaded = loaded_comparison(Comparison(figures, series))
+    loaded = loaded_comparison(Result(figures, series))
     assert layout_faults(draw(loaded.panels, loaded.data(), loaded.layout)) == []
 
 

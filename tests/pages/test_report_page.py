@@ -32,7 +32,7 @@ from topcli.pages.page import page_of, rendered
 from topcli.pages.pictures import before_explosion, deviations
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
-from topcli.studies.compare import write_comparison
+from topcli.store.study import write_study
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
 
@@ -214,8 +214,8 @@ def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None
 def test_runs_of_one_top_are_compared_and_others_are_not(results: Path) -> None:
     page = shown(results, "one", "euler", "other")
     headings = [one.text for one in page.all("h2")]
-    assert headings == ["Comparison of the runs", "one", "euler", "other"]
-    rows = {row[0]: row[1:] for row in section_of(page, "Comparison").all("table")[0].cells()}
+    assert headings == ["Result of the runs", "one", "euler", "other"]
+    rows = {row[0]: row[1:] for row in section_of(page, "Result").all("table")[0].cells()}
     assert rows[""] == ["one", "other"]
     assert rows["scheme.name"] == ["hk", "hybrid"]
     assert "h" not in rows, "keys that agree are left out"
@@ -493,7 +493,7 @@ def test_a_page_shows_nothing_through_a_link(tmp_path: Path, name: str) -> None:
 def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
     from topcli.studies.checks import check_all
 
-    path = write_comparison(tmp_path / "comparison.json", {"title": "a", "x": 0.375})
+    path = write_study(tmp_path / "comparison.json", {"title": "a", "x": 0.375}, None)
     assert not check_all(str(path), tmp_path)[0].damaged
     whole = path.read_bytes()
     for place in range(len(whole)):

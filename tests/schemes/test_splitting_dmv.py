@@ -300,7 +300,7 @@ def test_comparison_finds_exact_and_bounded_integrals() -> None:
     }
     for scene, exact in scenes.items():
         experiment = load_experiment(scene, ["h=0.05", "N=4000"])
-        figures = compare_schemes(experiment, ("hk", "splitting", "dmv", "midpoint")).figures
+        figures = compare_schemes(experiment, ("hk", "splitting", "dmv", "midpoint")).data
         verdicts = {
             one["scheme"]: {row["name"]: row["verdict"] for row in one["invariants"]} for one in figures["schemes"]
         }

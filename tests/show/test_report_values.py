@@ -17,10 +17,10 @@ import pytest
 import topcli
 from shown import distinct, named_differently
 from stored_results import BASE
-from topcli.show.comparisons import ComparisonReport
 from topcli.show.report import Report
 from topcli.show.stresses import StressReport
 from topcli.show.study import StudyReport
+from topcli.studies.compare import COMPARE
 from topcli.studies.order import ORDER
 from topcli.studies.study import Result
 
@@ -84,7 +84,7 @@ def test_orders_have_their_own_errors_and_steps() -> None:
 def test_a_comparison_has_the_figures_of_each_entry() -> None:
     found = topcli.compare("hk", "hk:h=0.02", "exact", config=CONFIG)
     figures = named_differently(distinct(found.figures, 3, keep=("power", "N")), ("verdict", "model"))
-    rows = values_of(ComparisonReport(figures).table)
+    rows = values_of(StudyReport(COMPARE, Result(figures)).table)
     for row, one in zip(rows, figures["schemes"], strict=True):
         assert row.pop("entry") == one["label"]
         assert (row.pop("reversal_defect"), row.pop("reversal_order")) == (
@@ -92,8 +92,8 @@ def test_a_comparison_has_the_figures_of_each_entry() -> None:
             one["reversal"]["order"],
         )
         for invariant in (*one["invariants"], *one["modified"]):
-            for key in ("max_deviation", "drift", "drift_error", "verdict"):
-                assert row.pop(f"{invariant['name']}_{key}") == invariant[key]
+            for key in ("max_deviation", "drift", "drift_error", "model", "verdict"):
+                assert row.pop(f"{invariant['name']}_{key}", invariant[key]) == invariant[key]
         assert set(row) == {
             "scheme", "h", "N", "outcome", "message", "max_error", "end_error", "swing_spacing", "nanoseconds_per_step"
         }  # fmt: skip

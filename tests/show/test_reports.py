@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,7 +21,6 @@ from reading_html import read_html
 from stored_results import BASE, START
 from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
 from topcli.show.claims import ClaimsReport
-from topcli.show.comparisons import ComparisonReport
 from topcli.show.report import SUFFIXES, Report
 from topcli.show.runs import RunReport
 from topcli.show.stresses import StressReport
@@ -53,7 +53,7 @@ def ensemble(out: Path) -> RunReport:
 
 
 @pytest.fixture(scope="module")
-def compared() -> ComparisonReport:
+def compared() -> StudyReport:
     return topcli.compare("hk", "hk:h=0.02", "hybrid", config=CONFIG)
 
 
@@ -121,7 +121,8 @@ def drawn(axes: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def test_every_function_that_returns_a_report_is_tested() -> None:
     functions = {name: getattr(topcli, name) for name in topcli.__all__}
-    returned = {name: getattr(one, "__annotations__", {}).get("return", "") for name, one in functions.items()}
+    callables = {name: value for name, value in functions.items() if callable(value) and not isinstance(value, type)}
+    returned = {name: str(inspect.signature(value).return_annotation) for name, value in callables.items()}
     assert {name for name, kind in returned.items() if str(kind).endswith("Report")} == set(FUNCTIONS.values())
     assert {kind.__name__ for kind in Report.__subclasses__()} == {returned[name] for name in FUNCTIONS.values()}
 
@@ -262,7 +263,7 @@ def test_plot_of_an_ensemble_is_the_distribution_of_deviations(ensemble: RunRepo
 
 
 @pytest.mark.slow
-def test_table_of_a_comparison_is_that_of_its_figures(compared: ComparisonReport) -> None:
+def test_table_of_a_comparison_is_that_of_its_figures(compared: StudyReport) -> None:
     assert list(compared.table.index) == ["hk", "hk:h=0.02", "hybrid"]
     for figures in compared.figures["schemes"]:
         row = compared.table.loc[figures["label"]]
@@ -277,7 +278,7 @@ def test_table_of_a_comparison_is_that_of_its_figures(compared: ComparisonReport
 
 
 @pytest.mark.slow
-def test_plots_of_a_comparison_are_errors_or_swings(compared: ComparisonReport) -> None:
+def test_plots_of_a_comparison_are_errors_or_swings(compared: StudyReport) -> None:
     lines = drawn(compared.plot(Figure().add_subplot()))
     assert list(lines) == ["hk", "hk:h=0.02", "hybrid"]
     np.testing.assert_array_equal(lines["hk"][1][1:], compared.series["error:hk"][1:])
@@ -303,7 +304,7 @@ def test_comparison_of_an_ensemble(ensemble: RunReport) -> None:
 
 
 @pytest.mark.slow
-def test_a_saved_comparison_is_read_by_the_command(compared: ComparisonReport, tmp_path: Path) -> None:
+def test_a_saved_comparison_is_read_by_the_command(compared: StudyReport, tmp_path: Path) -> None:
     from topcli.pages.find import report_page
 
     path = compared.save(tmp_path / "compared.json")

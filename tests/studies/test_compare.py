@@ -19,8 +19,9 @@ from topcli.config.load import load_experiment
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
-from topcli.studies.compare import Comparison, compare_schemes
+from topcli.studies.compare import compare_schemes
 from topcli.studies.entries import under_scheme
+from topcli.studies.study import Result
 from topcli.tops.kowalevski import Kowalevski
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
@@ -28,13 +29,13 @@ FIVE = ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")
 
 
 @pytest.fixture(scope="module")
-def paper() -> Comparison:
+def paper() -> Result:
     """The paper's scene under the paper's five schemes."""
     return compare_schemes(load_experiment(HK), FIVE)
 
 
-def of(comparison: Comparison, scheme: str) -> dict:
-    return next(one for one in comparison.figures["schemes"] if one["scheme"] == scheme)
+def of(comparison: Result, scheme: str) -> dict:
+    return next(one for one in comparison.data["schemes"] if one["scheme"] == scheme)
 
 
 @pytest.mark.slow
@@ -42,14 +43,14 @@ def of(comparison: Comparison, scheme: str) -> dict:
     ("scheme", "spacing"),
     [("hk", 28.172), ("hybrid", 28.167), ("bohlin-a", 15.30), ("bohlin-b", 15.35), ("bohlin-c", 15.30)],
 )
-def test_spacing_of_the_swings(paper: Comparison, scheme: str, spacing: float) -> None:
+def test_spacing_of_the_swings(paper: Result, scheme: str, spacing: float) -> None:
     """HK and the hybrid keep the period; the schemes of order 1 halve it, being of order 1 near a separatrix."""
     assert of(paper, scheme)["swing_spacing"] == pytest.approx(spacing, abs=6e-3 if spacing < 20 else 1e-3)
 
 
-def test_the_reference_swings_as_the_theory_says(paper: Comparison) -> None:
+def test_the_reference_swings_as_the_theory_says(paper: Result) -> None:
     """Half the period is sqrt 2 ln(8 sqrt 7/eps) to leading order in eps = gamma3(0), the first swing at 14.086."""
-    spacing = paper.figures["reference"]["swing_spacing"]
+    spacing = paper.data["reference"]["swing_spacing"]
     assert spacing == pytest.approx(28.171, abs=1e-3)
     assert spacing / 2 == pytest.approx(math.sqrt(2) * math.log(8 * math.sqrt(7) / 1e-3), abs=2e-3)
     assert of(paper, "hk")["swing_times"][0] == pytest.approx(14.086, abs=1e-3)
@@ -79,7 +80,7 @@ def test_the_papers_branch_rule_takes_wrong_roots_and_the_default_none() -> None
     assert jumps == {"sign": 2, "nearest": 0}
 
 
-def test_verdicts_of_compared_schemes(paper: Comparison) -> None:
+def test_verdicts_of_compared_schemes(paper: Result) -> None:
     verdicts = {scheme: {row["name"]: row["verdict"] for row in of(paper, scheme)["invariants"]} for scheme in FIVE}
     assert set(verdicts["hk"].values()) == {"bounded"}
     for scheme in FIVE[1:]:
@@ -88,7 +89,7 @@ def test_verdicts_of_compared_schemes(paper: Comparison) -> None:
         assert verdicts[scheme]["energy"] == verdicts[scheme]["two_l"] == "drifting"
 
 
-def test_reversal_defect_and_order_are_reported(paper: Comparison) -> None:
+def test_reversal_defect_and_order_are_reported(paper: Result) -> None:
     """The paper calls the hybrid reversible: it misses by O(h⁴). Bohlin's schemes miss by O(h²), HK not at all."""
     assert of(paper, "hk")["reversal"]["order"] is None
     assert of(paper, "hk")["reversal"]["defect"] < 1e-15
@@ -97,19 +98,19 @@ def test_reversal_defect_and_order_are_reported(paper: Comparison) -> None:
         assert of(paper, scheme)["reversal"]["order"] == pytest.approx(2.0, abs=0.1)
 
 
-def test_errors_are_against_an_independent_reference(paper: Comparison) -> None:
+def test_errors_are_against_an_independent_reference(paper: Result) -> None:
     """The error of HK at the end of the run agrees with the distance from a run with a step four times smaller."""
     fine = topcli.simulate(HK, h=2.5e-4, N=200_000, output={"every": 200_000})
     coarse = topcli.simulate(HK, output={"every": 50_000})
     assert of(paper, "hk")["end_error"] == pytest.approx(np.linalg.norm(fine.states[-1] - coarse.states[-1]), rel=0.1)
-    assert of(paper, "hk")["max_error"] == np.nanmax(paper.series["error:hk"])
+    assert of(paper, "hk")["max_error"] == np.nanmax(paper.arrays["error:hk"])
 
 
-def test_speed_and_series_are_reported(paper: Comparison) -> None:
+def test_speed_and_series_are_reported(paper: Result) -> None:
     for scheme in FIVE:
         assert {"nanoseconds_per_step", "compile_seconds"} <= of(paper, scheme).keys()
-        assert len(paper.series[f"error:{scheme}"]) == len(paper.series["t"]) == 50_001
-    json.dumps(paper.figures, allow_nan=False)
+        assert len(paper.arrays[f"error:{scheme}"]) == len(paper.arrays["t"]) == 50_001
+    json.dumps(paper.data, allow_nan=False)
 
 
 def test_options_belong_to_their_scheme() -> None:
@@ -134,7 +135,7 @@ def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
     broken = of(comparison, "bohlin-b")
     assert broken["outcome"] == "blew_up"
     assert broken["end_error"] is None
-    assert np.isnan(comparison.series["error:bohlin-b"][-1])
+    assert np.isnan(comparison.arrays["error:bohlin-b"][-1])
     assert of(comparison, "hk")["outcome"] == "completed"
 
 
@@ -197,12 +198,12 @@ def test_the_closed_form_as_the_reference() -> None:
     experiment = load_experiment(HK, ["N=2000", "h=0.01"])
     series = compare_schemes(experiment, ["hk", "exact"])
     closed = compare_schemes(experiment, ["hk", "exact"], reference="exact")
-    assert series.figures["reference"]["method"] == "Taylor series in double-double arithmetic"
-    assert closed.figures["reference"]["method"] == "closed form (scheme exact)"
+    assert series.data["reference"]["method"] == "Taylor series in double-double arithmetic"
+    assert closed.data["reference"]["method"] == "closed form (scheme exact)"
     assert of(closed, "hk")["max_error"] == pytest.approx(of(series, "hk")["max_error"], rel=1e-9)
     assert 0.0 < of(series, "exact")["max_error"] < 1e-13
     assert of(closed, "exact")["max_error"] < 1e-16  # row 0 is the initial state itself
-    assert np.abs(series.series["swing:reference"] - closed.series["swing:reference"]).max() < 1e-13
+    assert np.abs(series.arrays["swing:reference"] - closed.arrays["swing:reference"]).max() < 1e-13
 
 
 @pytest.mark.slow
@@ -220,7 +221,7 @@ def test_the_reference_swings_at_the_rows_of_the_finest_entry() -> None:
     experiment = load_experiment("kowalevski_generic_hk", ["N=600", "h=0.1"])
 
     def spacing(*entries: str) -> float:
-        return compare_schemes(experiment, entries).figures["reference"]["swing_spacing"]
+        return compare_schemes(experiment, entries).data["reference"]["swing_spacing"]
 
     coarse, fine = spacing("hk:h=0.3"), spacing("hk")
     assert abs(coarse - fine) > 1e-5

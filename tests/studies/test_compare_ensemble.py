@@ -36,7 +36,7 @@ def figures() -> dict[str, Any]:
 @pytest.mark.slow
 def test_quantiles_are_those_of_single_comparisons(figures: dict[str, Any]) -> None:
     many = ensemble(*SEVEN)
-    single = [compare_schemes(many.member(i), ENTRIES).figures["schemes"] for i in range(7)]
+    single = [compare_schemes(many.member(i), ENTRIES).data["schemes"] for i in range(7)]
     assert [one["label"] for one in figures["schemes"]] == ENTRIES
     for at, found in enumerate(figures["schemes"]):
         assert (found["reached_end"], found["outcomes"], found["faults"]) == (7, {"completed": 7}, {})
@@ -81,7 +81,7 @@ def test_the_tops_of_a_grid_are_those_of_its_members() -> None:
     many = load_any("euler_hk", grid)
     assert isinstance(many, EnsembleExperiment)
     found = compare_ensemble(many, ["hk"])["schemes"][0]["measures"]["deviation.m_sq"]
-    values = [compare_schemes(many.member(i), ["hk"]).figures["schemes"][0]["invariants"][0] for i in range(4)]
+    values = [compare_schemes(many.member(i), ["hk"]).data["schemes"][0]["invariants"][0] for i in range(4)]
     assert values[0]["name"] == "m_sq"
     assert found["median"] == pytest.approx(quantile([one["max_deviation"] for one in values], 50), rel=1e-12)
 

@@ -11,8 +11,9 @@ import pytest
 import topcli
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
-from topcli.studies.compare import Comparison, compare_schemes
+from topcli.studies.compare import compare_schemes
 from topcli.studies.entries import Entry, few_rows, read_entries
+from topcli.studies.study import Result
 
 SCENE = "kowalevski_generic_hk"
 MIXED = ("hk", "hk:h=0.02", "hybrid:branch=sign", "hk+kahan-li6:h=0.04")
@@ -23,7 +24,7 @@ def entries(*texts: str, sets: tuple[str, ...] = (), options: dict[str, Any] | N
 
 
 @pytest.fixture(scope="module")
-def mixed() -> Comparison:
+def mixed() -> Result:
     return compare_schemes(load_experiment(SCENE, ["h=0.01", "N=2000"]), MIXED)
 
 
@@ -114,36 +115,36 @@ def test_errors_name_the_entry(texts: list[str], message: str) -> None:
     assert str(refused.value).startswith(message)
 
 
-def test_errors_of_mixed_steps_are_those_of_single_runs(mixed: Comparison) -> None:
+def test_errors_of_mixed_steps_are_those_of_single_runs(mixed: Result) -> None:
     """Each entry is compared at t = 0, 0.04, ..., 20; here with a Taylor series in double precision."""
-    labels = [one["label"] for one in mixed.figures["schemes"]]
+    labels = [one["label"] for one in mixed.data["schemes"]]
     assert labels == list(MIXED)
-    assert mixed.figures["rows"] == len(mixed.series["t"]) == 501
-    assert not mixed.figures["few_rows"]
+    assert mixed.data["rows"] == len(mixed.arrays["t"]) == 501
+    assert not mixed.data["few_rows"]
     fine = topcli.simulate(SCENE, scheme="taylor", h=0.04, N=500)
-    for one in mixed.figures["schemes"]:
+    for one in mixed.data["schemes"]:
         run = topcli.simulate(SCENE, scheme={"name": one["scheme"], **one["options"]}, h=one["h"], N=one["N"])
         states = run.states[:: one["N"] // 500]
         wanted = np.linalg.norm(states - fine.states, axis=1)
         assert one["max_error"] == pytest.approx(wanted.max(), rel=1e-6)
         assert one["end_error"] == pytest.approx(wanted[-1], rel=1e-6)
-        np.testing.assert_allclose(mixed.series[f"error:{one['label']}"], wanted, rtol=1e-5, atol=1e-11)
+        np.testing.assert_allclose(mixed.arrays[f"error:{one['label']}"], wanted, rtol=1e-5, atol=1e-11)
 
 
 def test_rows_between_the_common_times_are_not_compared() -> None:
     """2000 and 1875 steps share 126 times; each entry records more rows, and errors are those of the shared ones."""
     texts = ["hk", f"hk:h={20 / 1875!r}"]
     found = compare_schemes(load_experiment(SCENE, ["h=0.01", "N=2000"]), texts)
-    assert [one["every"] for one in found.figures["schemes"]] == [4, 5]
+    assert [one["every"] for one in found.data["schemes"]] == [4, 5]
     fine = topcli.simulate(SCENE, scheme="taylor", h=0.16, N=125)
-    for one, label in zip(found.figures["schemes"], texts, strict=True):
+    for one, label in zip(found.data["schemes"], texts, strict=True):
         states = topcli.simulate(SCENE, scheme="hk", h=one["h"], N=one["N"]).states[:: one["N"] // 125]
         wanted = np.linalg.norm(states - fine.states, axis=1)
-        np.testing.assert_allclose(found.series[f"error:{label}"], wanted, rtol=1e-5, atol=1e-11)
+        np.testing.assert_allclose(found.arrays[f"error:{label}"], wanted, rtol=1e-5, atol=1e-11)
 
 
-def test_a_larger_step_makes_a_larger_error(mixed: Comparison) -> None:
-    errors = {one["label"]: one["max_error"] for one in mixed.figures["schemes"]}
+def test_a_larger_step_makes_a_larger_error(mixed: Result) -> None:
+    errors = {one["label"]: one["max_error"] for one in mixed.data["schemes"]}
     assert errors["hk:h=0.02"] / errors["hk"] == pytest.approx(4.0, rel=0.05)
 
 
@@ -152,9 +153,9 @@ def test_a_plain_comparison_has_the_same_figures_as_an_entry_alone() -> None:
     own = compare_schemes(load_experiment(SCENE, ["h=0.01", "N=1000"]), ["hk:h=0.02"])
     given = compare_schemes(load_experiment(SCENE, ["h=0.02", "N=500"]), ["hk"])
     outside = ("label", "own", "nanoseconds_per_step", "compile_seconds")
-    first, second = ({k: v for k, v in one.figures["schemes"][0].items() if k not in outside} for one in (own, given))
+    first, second = ({k: v for k, v in one.data["schemes"][0].items() if k not in outside} for one in (own, given))
     assert first == second
-    assert np.array_equal(own.series["error:hk:h=0.02"], given.series["error:hk"])
+    assert np.array_equal(own.arrays["error:hk:h=0.02"], given.arrays["error:hk"])
 
 
 def test_the_table_names_each_entry_once(cli: Any) -> None:

@@ -136,10 +136,10 @@ def test_growth_law(law: str) -> None:
 
 def test_comparison_shows_the_defects_of_the_precision() -> None:
     scene = ("kowalevski_generic_hk", "h=0.1", "N=20")
-    figures = compare_schemes(precise(*scene, "precision=50"), ["hk", "bohlin-a"]).figures
+    figures = compare_schemes(precise(*scene, "precision=50"), ["hk", "bohlin-a"]).data
     hk, bohlin = ({row["name"]: row for row in one["invariants"]} for one in figures["schemes"])
     assert bohlin["k_sq"]["max_deviation"] < 1e-47
-    plain = {row["name"]: row for row in compare_schemes(precise(*scene), ["hk"]).figures["schemes"][0]["invariants"]}
+    plain = {row["name"]: row for row in compare_schemes(precise(*scene), ["hk"]).data["schemes"][0]["invariants"]}
     assert hk["k_sq"]["max_deviation"] == pytest.approx(plain["k_sq"]["max_deviation"], rel=1e-9)
     assert hk["k_sq"]["max_deviation"] > 1e-4
 
@@ -152,7 +152,7 @@ REVERSIBLE = {"hk": True, "midpoint": True, "rk4": False}
 def test_reversal_is_measured_in_the_digits_of_the_run(digits: int) -> None:
     """In doubles the defect of a reversible scheme would be 1e-17; that of RK4 is of order 6 down to any size."""
     scene = precise("kowalevski_generic_hk", f"precision={digits}", "h=1/1000", "N=4")
-    found = compare_schemes(scene, list(REVERSIBLE)).figures["schemes"]
+    found = compare_schemes(scene, list(REVERSIBLE)).data["schemes"]
     for one, reversible in zip(found, REVERSIBLE.values(), strict=True):
         back = one["reversal"]
         if reversible:

@@ -10,7 +10,7 @@ from topcli.config.models import Experiment
 from topcli.config.sweep.document import sweep_from
 from topcli.runs.ensemble import run_ensemble
 from topcli.runs.run import run_experiment
-from topcli.studies.compare import compare_schemes, comparison_document, write_comparison
+from topcli.studies.compare import COMPARE, compare_schemes
 from topcli.studies.order import ladders, order_study
 from topcli.studies.stress.record import stress_data
 from topcli.studies.stress.suite import stress
@@ -49,7 +49,7 @@ def store_sweep(out: Path, name: str = "sweep") -> Path:
 
 def store_comparison(path: Path) -> Path:
     found = compare_schemes(experiment("compared"), ["hk", "hk:h=0.02", "hybrid"])
-    return write_comparison(path, comparison_document(found))
+    return COMPARE.write(found, path)
 
 
 def store_order(path: Path) -> Path:

@@ -19,7 +19,7 @@ class _Topcli(LazyGroup):
         "run": "run.run",
         "sweep": "sweep.sweep",
         "verify": "verify.verify",
-        "compare": "compare.compare",
+        "compare": STUDY,
         "analyse": "analyse.analyse",
         "bench": "bench.bench",
         "table": "table.table",

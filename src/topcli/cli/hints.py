@@ -34,18 +34,9 @@ def stored_folder(name: str, results: Path) -> Path | None:
     return next((folder for folder in folders if os.path.isdir(folder) and (look(folder) or is_sweep(folder))), None)
 
 
-def is_config(name: str) -> bool:
-    """True if ``name`` is that of an existing config file or of a packaged scene."""
-    from topcli.config.load import find_config
-
-    try:
-        return os.path.isfile(find_config(name))
-    except UnknownNameError:
-        return False
-
-
 def plot_hint(name: str, results: Path) -> str:
     """Message about ``name`` given instead of a figure: the command that draws it; empty if it is unknown."""
+    from topcli.config.load import is_config
     from topcli.sweeps.run import is_sweep
 
     folder = stored_folder(name, results)
@@ -61,17 +52,9 @@ def plot_hint(name: str, results: Path) -> str:
     return ""
 
 
-def compare_hint(entry: str) -> str:
-    """Message about a config given instead of a scheme; empty if ``entry`` is none."""
-    if not is_config(entry):
-        return ""
-    command = f"topcli compare hk hybrid --config {entry}"
-    return f"{quoted(entry)} is a config, not a scheme; compare schemes on it with: {command}"
-
-
 def show_hint(name: str) -> str:
     """Message about ``name`` given instead of a config or scheme; empty if it is unknown."""
-    from topcli.config.load import scene_files
+    from topcli.config.load import is_config, scene_files
     from topcli.figures.catalogue import FIGURES
     from topcli.schemes.registry import all_schemes
     from topcli.tops import top_names

@@ -127,8 +127,7 @@ def _say_failure(name: str, result: RunResult, code: int) -> None:
 
 def _experiment(config: str, request: _Request, resume: bool) -> Experiment | EnsembleExperiment:
     """Experiment of a config or scene; to resume, also that of a run in the folder of results."""
-    from topcli.cli.hints import is_config
-    from topcli.config.load import any_from, load_named
+    from topcli.config.load import any_from, is_config, load_named
 
     if resume and not is_config(config):
         from topcli.runs.resume import config_to_resume

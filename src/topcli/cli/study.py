@@ -11,6 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 
 import typer
 
+from topcli.cli.files import Overwrite, require_new
 from topcli.cli.options import (
     FigureOut,
     Json,
@@ -22,11 +23,15 @@ from topcli.cli.options import (
     load_scheme_files,
 )
 from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
+from topcli.errors import UsageError
 from topcli.store.run_folder import require_writable
 from topcli.store.study import write_study
 from topcli.studies.study import Flag, Result, Study, Watch, imported
 from topcli.table import Table
 
+Save = Annotated[
+    Path | None, typer.Option("--save", metavar="FILE", help="Store the result as JSON for topcli report.")
+]
 COMPLETE = {"SCHEME": complete_scheme, "TOP": complete_top, "CONFIG": complete_config}
 
 
@@ -37,10 +42,12 @@ class _CommandWatch(Watch):
         self._display = ProgressDisplay(1, quiet, unit=study.unit)
         self._folder, self._plot = folder, plot
 
-    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
+    def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
         """Print warnings about the experiments and require the folder."""
         for experiment in experiments:
             print_warnings(experiment)
+        if self._plot and plotted:
+            raise UsageError(f"--plot draws one trajectory, and {plotted}")
         if self._folder is not None and (self._plot or file is not None):
             require_writable(self._folder)
         self._display.begin(name)
@@ -70,11 +77,24 @@ def command(study: Study) -> Callable[..., None]:
         shared |= {"plot": (Annotated[bool, typer.Option("--plot", help=f"Draw {study.draws}.")], False), "out": folder}
     elif study.file:
         shared["out"] = (Out, Path("results"))
+    if study.saved:
+        shared |= {"save": (Save, None), "force": (Overwrite, False)}
     shared |= {"as_json": (Json, False), "scheme_files": (SchemeFiles, None)}
 
     def call(
-        *, as_json: bool, scheme_files: list[Path] | None, plot: bool = False, out: Path | None = None, **given: Any
+        *,
+        as_json: bool,
+        scheme_files: list[Path] | None,
+        plot: bool = False,
+        out: Path | None = None,
+        save: Path | None = None,
+        force: bool = False,
+        **given: Any,
     ) -> None:
+        if save is not None:
+            if save.suffix != ".json":
+                raise UsageError(f"--save {save}: unknown type of file; use a name ending in .json")
+            require_new(save, force, "--save")
         load_scheme_files(scheme_files)
         arguments, options = _arguments(measured, given)
         watch = _CommandWatch(study, as_json, out, plot)
@@ -83,6 +103,8 @@ def command(study: Study) -> Callable[..., None]:
         finally:
             watch.close()
         files = _written(study, result, out, plot)
+        if save is not None:
+            files.append(str(study.write(result, save)))
         if as_json:
             print_json(study.name, {**result.data, "files": files} if out else result.data)
         else:
@@ -167,12 +189,12 @@ def _option(parameter: inspect.Parameter, text: str) -> inspect.Parameter | None
     if flag.option == "-" or parameter.kind is inspect.Parameter.VAR_KEYWORD:
         return None
     several = parameter.kind is inspect.Parameter.VAR_POSITIONAL
-    required = parameter.default is inspect.Parameter.empty and not several
+    required = flag.required or (parameter.default is inspect.Parameter.empty and not several)
     default = None if parameter.default in (inspect.Parameter.empty, ()) else parameter.default
     kind, several = _plain(annotation, several)
     kind = str if flag.read else kind
     kind = list[kind] if several else kind
-    shown: dict[str, Any] = {"help": text, "autocompletion": COMPLETE.get(flag.metavar)}
+    shown: dict[str, Any] = {"help": text, "autocompletion": COMPLETE.get(flag.metavar.partition("[")[0])}
     if flag.names is not None:
         shown["autocompletion"] = _completion(flag.names)
     given = {"metavar": flag.metavar, "show_default": flag.default, "min": flag.least, "max": flag.most}

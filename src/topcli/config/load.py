@@ -199,6 +199,14 @@ def find_config(source: Path | str) -> Path:
     raise UnknownNameError(f"no packaged scene is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
 
 
+def is_config(name: str) -> bool:
+    """True if ``name`` is that of an existing config file or of a packaged scene."""
+    try:
+        return os.path.isfile(find_config(name))
+    except UnknownNameError:
+        return False
+
+
 def read_text(path: Path) -> str:
     """Return the text of a config file, with line ends as ``\\n`` and without a byte-order mark.
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from topcli.analysis.swings import minima_times
+from topcli.errors import UsageError
 from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.picture import REFERENCE, Grid, Styles, component_symbol, line_styles, number_text
+from topcli.figures.picture import REFERENCE, Grid, Line, Panel, Styles, component_symbol, line_styles, number_text
 from topcli.figures.scenes import scene_config
-
-if TYPE_CHECKING:
-    from topcli.studies.compare import Comparison
-
+from topcli.studies.study import Result
 
 SAME = 0.01
 """Schemes whose errors differ by less than this part of them at all times are drawn as one curve."""
@@ -117,21 +115,42 @@ def _layout(labels: Sequence[str], h: float) -> Grid:
     return Grid(figsize=(7.0, min(9.0, 1.8 + 0.32 * max(5, len(labels)))), heading=f"$h = {number_text(h)}$")
 
 
-def _data(comparison: Comparison) -> dict[str, np.ndarray]:
+def _data(comparison: Result) -> dict[str, np.ndarray]:
     """Series of a comparison; errors of zero become nan because a logarithmic axis has no zero."""
     return {
         name: np.where(values > 0.0, values, np.nan) if name.startswith("error:") else values
-        for name, values in comparison.series.items()
+        for name, values in comparison.arrays.items()
     }
 
 
-def loaded_comparison(comparison: Comparison) -> Loaded:
-    """The figure of ``topcli compare``."""
-    figures = comparison.figures
-    labels = [scheme["label"] for scheme in figures["schemes"]]
-    source = {"config": figures["config"], "schemes": labels}
-    panels = _panels(labels, figures["reference"]["swing"])
-    return Loaded(panels, lambda: _data(comparison), source, _layout(labels, figures["config"]["h"]))
+def loaded_comparison(comparison: Result) -> Loaded:
+    """The figure of ``topcli compare``. Raises UsageError for a stored result without its series."""
+    data = comparison.data
+    labels = [scheme["label"] for scheme in data["schemes"]]
+    source = {"config": data["config"], "schemes": labels}
+    if data.get("kind") == "ensemble":
+        return Loaded((), dict, source)
+    if not comparison.arrays:
+        raise UsageError("the series are not in this file; topcli compare with --save stores them")
+    panels = _panels(labels, data["reference"]["swing"])
+    return Loaded(panels, lambda: _data(comparison), source, _layout(labels, data["config"]["h"]))
+
+
+def comparison_curves(comparison: Result, what: str = "error") -> tuple[Panel, Mapping[str, np.ndarray]]:
+    """Panel of the errors over time, or with ``what="swing"`` of the swinging component, and its data.
+
+    Raises UsageError for an ensemble, which has no series, and for any other word.
+    """
+    if not comparison.arrays:
+        raise UsageError("plot: the comparison of an ensemble has no series; see its table")
+    labels = [scheme["label"] for scheme in comparison.data["schemes"]]
+    if what == "error":
+        lines = tuple(Line(f"error:{label}", label) for label in labels)
+        return Panel(lines, "error of the state", log=True), _data(comparison)
+    if what == "swing":
+        lines = tuple(Line(f"swing:{label}", label) for label in (REFERENCE, *labels))
+        return Panel(lines, component_symbol(comparison.data["reference"]["swing"])), comparison.arrays
+    raise UsageError(f"plot: what={what!r} must be 'error' or 'swing'")
 
 
 @dataclass(frozen=True)

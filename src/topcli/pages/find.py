@@ -12,13 +12,13 @@ from topcli.pages.contents import Chapter, Picture
 from topcli.pages.page import Page, page_of
 from topcli.pages.pictures import svg_of
 from topcli.pages.runs import damaged_chapter, part_chapter, run_chapter
-from topcli.pages.studies import bench_chapter, claims_chapter, comparison_chapter, stress_chapter
+from topcli.pages.studies import bench_chapter, claims_chapter, stress_chapter
 from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import sweep_chapter
 from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
 from topcli.store.parts import is_part, linked_file, parts_of
 from topcli.store.study import SEAL, check_study
-from topcli.studies.study import STUDIES, Result, find_study
+from topcli.studies.study import STUDIES, find_study
 from topcli.sweeps.rows import ROWS
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
 
@@ -127,14 +127,11 @@ def _of_file(path: Path, name: str) -> Chapter:
 
 def _study(data: dict[str, Any], name: str) -> Chapter | None:
     """Chapter on a study; None if the data is that of none."""
-    if data.get("command") == "compare":
-        series = data.get("series")
-        return comparison_chapter(data, series if isinstance(series, dict) else {}, name)
     if isinstance(data.get("claims"), list):
         return claims_chapter(data, name)
     if "trials" in data:
         return stress_chapter(data)
     for study in map(find_study, STUDIES):
         if data.get("command") == study.name or study.known(data):
-            return study_chapter(study, Result(data), name)
+            return study_chapter(study, study.stored(data), name)
     return None

@@ -6,73 +6,17 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from topcli.contracts import Array
 from topcli.figures.claims import verdict_category, verdict_panel
-from topcli.figures.comparison import loaded_comparison
 from topcli.pages.contents import Block, Cells, Chapter, Picture, Pictures
 from topcli.pages.origin import add_files, add_origin, value_text
 from topcli.paper.claim import OURS, PAPER
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
-from topcli.studies.compare import Comparison
-from topcli.studies.compare_table import comparison_table, reference_note
-from topcli.studies.entries import cited_parts
 from topcli.table import number
 
 SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
 MARKS = {"held": "good", "degraded": "middling", "broke": "bad"}
 UNEXPLAINED = ("unexplained", "outlived limit")
-
-
-def comparison_chapter(figures: dict[str, Any], series: Mapping[str, Array], name: str | None) -> Chapter:
-    """Chapter on a comparison of schemes.
-
-    ``name`` is unique within the page; None leaves out pictures, which need ``series``.
-    """
-    chapter = Chapter("Comparison", "comparison")
-    chapter.attempt("comparison", lambda: _compared(chapter, figures))
-    if series and name:
-        chapter.attempt("pictures", lambda: _comparison_pictures(figures, series, name))
-    elif name and figures.get("kind") != "ensemble":
-        chapter.missing.append("pictures: the series are not in this file; topcli compare with --save stores them")
-    add_origin(chapter, figures, lambda: cited_parts(figures))
-    return chapter
-
-
-def _compared(chapter: Chapter, figures: dict[str, Any]) -> Cells:
-    """Cells of a comparison, and the state of the chapter."""
-    title, header, lines = comparison_table(figures)
-    chapter.title, _, chapter.subtitle = title.partition(": ")
-    bad = [f"{one['label']}: {one['message']}" for one in figures["schemes"] if not _completed(one)]
-    bad += [f"{one['label']}: {one['reason']}" for one in figures.get("failed", [])]
-    chapter.good = not bad
-    chapter.state = "completed" if chapter.good else f"{len(bad)} failed"
-    chapter.message = "; ".join(bad)
-    return Cells("Comparison", header, lines, reference_note(figures))
-
-
-def _completed(scheme: Mapping[str, Any]) -> bool:
-    """True if an entry of a comparison completed, or all of its trajectories did."""
-    if "outcomes" in scheme:
-        return set(scheme["outcomes"]) == {"completed"}
-    return scheme["outcome"] == "completed"
-
-
-def _comparison_pictures(figures: dict[str, Any], series: Mapping[str, Array], name: str) -> Pictures:
-    drawn = {key: np.array(values, dtype=float) for key, values in series.items()}
-    loaded = loaded_comparison(Comparison(figures, drawn))
-    data, count = loaded.data(), len(loaded.panels)
-    captions = ["error of the state over time t", f"{figures['reference']['swing']} over time t"]
-    if count != len(captions):
-        captions = [f"the schemes over time t, picture {i + 1} of {count}" for i in range(count)]
-    return Pictures(
-        [
-            Picture(panel, data, f"{name}-compared{i}", caption)
-            for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
-        ],
-    )
 
 
 def stress_chapter(study: dict[str, Any]) -> Chapter:

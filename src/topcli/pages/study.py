@@ -28,13 +28,14 @@ def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
         chapter.attempt(what, lambda table=table: cells if (cells := table.cells(data)).lines else None)
         if name and study.figure and i == 0:
             chapter.attempt("pictures", lambda: _pictures(study, result, name))
-    chapter.attempt("notes", lambda: _notes(study, result))
+    chapter.attempt("notes", lambda: _notes(study, result, chapter.message))
     add_origin(chapter, data, lambda: study.parts(data))
     return chapter
 
 
-def _notes(study: Study, result: Result) -> Notes | None:
-    lines = [*study.notes(result.data), *study.faults(result.data).lines]
+def _notes(study: Study, result: Result, told: str) -> Notes | None:
+    """Notes and faults, without those that the head tells."""
+    lines = [*study.notes(result.data), *(line for line in study.faults(result.data).lines if line not in told)]
     return Notes("Notes", lines) if lines else None
 
 

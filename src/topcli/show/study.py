@@ -59,8 +59,8 @@ class StudyReport(Report):
         return self.declaration.tables_of(self.study)[0].frame(self.study)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON."""
-        return self.study
+        """Return plain data, ready for JSON; ``topcli report`` reads it."""
+        return self.declaration.document(self.result)
 
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page; ``name`` is unique within the page, None leaves out pictures."""

@@ -15,7 +15,6 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.runs.ensemble_report import EndingTally
 from topcli.runs.report import finite
-from topcli.studies.compare import settings
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
 from topcli.sweeps.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
 from topcli.sweeps.measures.references import METHODS, TAYLOR, reference_form
@@ -147,7 +146,7 @@ class _Column:
             values = np.concatenate(parts)
             measured[name] = {"count": int(np.count_nonzero(~np.isnan(values))), **quantiles(values, QUANTILES)}
         return {
-            **settings(self.entry),
+            **self.entry.settings(),
             "outcomes": self._endings.outcomes,
             "message": self._endings.message,
             "reached_end": self._reached,

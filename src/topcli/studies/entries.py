@@ -18,7 +18,7 @@ from topcli.config.document import describe
 from topcli.config.duration import steps_over
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment, number_of
-from topcli.config.overrides import parse_override
+from topcli.config.overrides import override_label, parse_override
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
 from topcli.schemes.registry import find_scheme
@@ -58,6 +58,21 @@ class Entry:
     def rows_apart(self) -> int:
         """Number of recorded rows from one compared row to the next."""
         return self.stride // self.experiment.output.every
+
+    def settings(self) -> dict[str, Any]:
+        """First figures of an entry: its label, scheme, options and steps; ``compared_every`` steps are compared."""
+        experiment = self.experiment
+        return {
+            "label": self.label,
+            "scheme": experiment.scheme.name,
+            "options": experiment.options.model_dump(mode="json"),
+            "changed": experiment.options.model_dump(mode="json", exclude_defaults=True),
+            "own": list(self.own),
+            "h": experiment.h,
+            "N": experiment.N,
+            "every": experiment.output.every,
+            "compared_every": self.stride,
+        }
 
 
 def under_scheme(experiment: Experiment, name: str, options: Mapping[str, Any] | None = None) -> Experiment:
@@ -115,6 +130,20 @@ def read_entries(
             f"record fewer with --set output.every={experiment.N // MAX_ROWS + 1} or more"
         )
     return tuple(entries)
+
+
+def scheme_options(overrides: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Options of ``scheme.KEY=VALUE`` for all schemes that have them, and the other overrides. Raises UsageError."""
+    options, others = {}, []
+    for text in overrides:
+        path, value = parse_override(text)
+        if path == ("scheme",):
+            raise UsageError(f"{override_label(text)}: name the schemes as arguments of the command line")
+        if path[0] == "scheme" and len(path) == 2 and path[1] != "name":
+            options[path[1]] = value
+        else:
+            others.append(text)
+    return options, others
 
 
 def few_rows(entries: Sequence[Entry], experiment: Experiment) -> bool:

@@ -40,6 +40,8 @@ class Flag:
         Words for the default in the help.
     least, most : float, optional
         Bounds of a number.
+    required : bool
+        The command needs at least one of several positional arguments.
     """
 
     option: str = ""
@@ -49,6 +51,7 @@ class Flag:
     default: str = ""
     least: float | None = None
     most: float | None = None
+    required: bool = False
 
 
 PYTHON_ONLY = Flag("-")
@@ -62,10 +65,10 @@ Overrides = Annotated[Sequence[str], Flag("--set", "KEY=VALUE")]
 class Watch:
     """Observer of a study while it runs; this one is silent. It is called with (done, total) as the study proceeds."""
 
-    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
+    def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
         """Note that the ``experiments`` are run from now on, and that the result is stored in ``file``.
 
-        Everything that the user gave is checked before.
+        Everything that the user gave is checked before. ``plotted`` says why the result cannot be drawn.
         """
 
     def message(self, line: str) -> None:
@@ -170,6 +173,12 @@ class Study:
         What the progress counts.
     file : Path, optional
         File in the folder of results that holds the result of the default options.
+    document : callable
+        Plain data from which ``stored`` makes the result again, for files.
+    stored : callable
+        Result from its plain data.
+    saved : bool
+        True if the command has an option for a file of the result.
     known : callable
         True for data of the study that was stored without the name of the command.
     extras : mapping
@@ -191,12 +200,22 @@ class Study:
     parts: Callable[[Data], Parts] = _no_parts
     unit: str = "steps"
     file: Path | None = None
+    document: Callable[[Result], Data] = lambda result: result.data
+    stored: Callable[[Data], Result] = Result
+    saved: bool = False
     known: Callable[[Data], bool] = lambda data: False
     extras: Mapping[str, Callable[[Result], Any]] = field(default_factory=dict)
 
     def tables_of(self, data: Data) -> Sequence[Table]:
         """Tables of a result."""
         return self.tables(data) if callable(self.tables) else self.tables
+
+    def write(self, result: Result, path: Path) -> Path:
+        """Write a result for ``topcli report``, whole or not at all. Raises UsageError and RunError."""
+        from topcli.store.provenance import environment
+        from topcli.store.study import write_study
+
+        return write_study(path, {**self.document(result), "environment": environment()}, None)
 
 
 class Place(NamedTuple):
@@ -207,6 +226,7 @@ class Place(NamedTuple):
 
 
 STUDIES = {
+    "compare": Place("topcli.studies.compare:COMPARE", "Compare schemes: errors, drifts, reversal, swings, speed."),
     "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }
 """All studies by name."""
