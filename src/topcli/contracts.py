@@ -32,22 +32,22 @@ StepFunction = Callable[[Floats, float, Floats], Floats]
 
 
 stop_asked: ContextVar[Callable[[], bool]] = ContextVar("stop_asked", default=lambda: False)
-"""True as soon as the work at hand is to stop; set by ``heeding``."""
+"""True as soon as the work at hand is to stop; set by ``stopping_when``."""
 
 
 class StopAsked(Exception):  # noqa: N818 (no error)
     """Raised within work that is not worth finishing; a step counts as not taken."""
 
 
-def heed_stop() -> None:
+def check_stop() -> None:
     """Give up a plain step that takes long if the run is to stop; to be called every few milliseconds."""
     if stop_asked.get()():
         raise StopAsked
 
 
 @contextmanager
-def heeding(stop: Callable[[], bool]) -> Iterator[None]:
-    """Let ``heed_stop`` ask ``stop`` within the block, besides what it asks outside."""
+def stopping_when(stop: Callable[[], bool]) -> Iterator[None]:
+    """Let ``check_stop`` ask ``stop`` within the block, besides what it asks outside."""
     outer = stop_asked.get()
     token = stop_asked.set(lambda: stop() or outer())
     try:
@@ -315,7 +315,7 @@ class Stepper:
         physical state.
     plain : bool, optional
         True if the step calls functions that cannot be compiled; it then runs in the interpreter. A step that may take
-        seconds calls ``heed_stop`` on the way.
+        seconds calls ``check_stop`` on the way.
     iterative : bool, optional
         True if the slot before the counters is a status: 0.0, or nan if the iteration did not converge. The run then
         ends as ``no_convergence``.
@@ -565,7 +565,7 @@ class Ending:
     left_t: float | None = None
     advice: str = ""
 
-    def having_left(self, step: int | None, h: float) -> Ending:
+    def with_left(self, step: int | None, h: float) -> Ending:
         """The same ending of a run with steps of ``h`` that left its energy surface at ``step``; None for never."""
         if step is None:
             return self

@@ -15,7 +15,7 @@ from conftest import GEN
 from resuming import after
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Outcome, Stepper, StopAsked, heed_stop, stop_asked
+from topcli.contracts import Outcome, Stepper, StopAsked, check_stop, stop_asked
 from topcli.engine.attitude import HEAD, carry, constants_of, start_attitude, with_attitude
 from topcli.engine.driver import loop_of
 from topcli.engine.loop import Run
@@ -229,7 +229,7 @@ def test_an_interrupted_call_counts_no_step() -> None:
 
     def step(s: Any, h: float, p: Any) -> Any:
         if s[0] > 4.0:  # in the second block
-            heed_stop()
+            check_stop()
         return (s[0] + h, s[1], s[2])
 
     top = Euler()

@@ -12,8 +12,8 @@ from steppers import EXPLODE
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import ensemble
 from topcli.engine.ensemble import TILE, EnsembleRun, Execution, Piece
-from topcli.engine.lanes import plain_lanes
 from topcli.engine.loop import Run
+from topcli.engine.tile import plain_lanes
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski

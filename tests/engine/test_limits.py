@@ -20,11 +20,11 @@ import pytest
 from conftest import GEN, PAPER
 from topcli.analysis import reference
 from topcli.arithmetic.elliptic import landen
-from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, heed_stop, heeding
+from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, check_stop, stopping_when
 from topcli.engine import loop, setups, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
 from topcli.engine.loop import Run, nanoseconds_per_step
-from topcli.engine.precise.rational import LONG, Exact
+from topcli.engine.precise.arithmetic import LONG, Exact
 from topcli.engine.setups import Setups
 from topcli.errors import RunError
 from topcli.schemes.any_top import dmv, dop853
@@ -56,27 +56,26 @@ def method(name: str, form: str = "kowalevski", **options: Any) -> Any:
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every call of compiled code is followed by the question whether to stop."""
     monkeypatch.setattr(loop, "CALL_SECONDS", 0.0)
-    monkeypatch.setattr(tile, "CALL_SECONDS", 0.0)
 
 
 def test_requests_of_all_levels_are_heeded_and_forgotten() -> None:
-    heed_stop()
+    check_stop()
     inner, outer = AskedAt(9), AskedAt(2)
-    with heeding(outer):
-        heed_stop()
-        with heeding(inner), pytest.raises(StopAsked):
-            heed_stop()
+    with stopping_when(outer):
+        check_stop()
+        with stopping_when(inner), pytest.raises(StopAsked):
+            check_stop()
         assert (inner.count, outer.count) == (1, 2)
-    with heeding(lambda: False), heeding(AskedAt(1)), pytest.raises(StopAsked):
-        heed_stop()
-    heed_stop()
+    with stopping_when(lambda: False), stopping_when(AskedAt(1)), pytest.raises(StopAsked):
+        check_stop()
+    check_stop()
 
 
 @pytest.mark.parametrize("last", [1, 4])
 def test_the_reference_stops_when_asked(last: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reference, "BUDGET", 3)
     asked = AskedAt(last)
-    with heeding(asked), pytest.raises(StopAsked):
+    with stopping_when(asked), pytest.raises(StopAsked):
         reference.reference_states(Kowalevski(), PAPER, np.array([100.0]))
     assert asked.count == last
 
@@ -140,7 +139,7 @@ def test_taylor_in_an_ensemble_stops_within_a_step(impatient: None) -> None:
 def test_dop853_stops_within_a_step() -> None:
     stepper = method("dop853")
     asked = AskedAt(7)
-    with heeding(asked), pytest.raises(StopAsked):
+    with stopping_when(asked), pytest.raises(StopAsked):
         stepper.step((*GEN, 0.0, 0.0, 0.0), 1e3, Kowalevski().constants())
     assert asked.count == 7
 
@@ -156,7 +155,7 @@ def test_the_set_up_of_a_closed_form_stops_when_asked(monkeypatch: pytest.Monkey
     monkeypatch.setattr(setups, "stored_setup", lambda words: None)
     monkeypatch.setattr(exact, "_kept", dict)
     asked = AskedAt(3)
-    with heeding(asked), pytest.raises(StopAsked):
+    with stopping_when(asked), pytest.raises(StopAsked):
         ExactSetup().compute(np.array(GEN), (1.0,))
     assert asked.count == 3
     run = Run(Kowalevski(), method("exact"), GEN, 0.1, 10, stop=AskedAt(3))
@@ -201,7 +200,7 @@ def test_waiting_for_a_set_up_of_another_process_ends_when_asked(monkeypatch: py
     monkeypatch.setattr(setups, "stored_setup", lambda words: None)
     monkeypatch.setattr(exact, "_kept", dict)
     asked = AskedAt(4)
-    with heeding(asked), pytest.raises(StopAsked):
+    with stopping_when(asked), pytest.raises(StopAsked):
         next(iter(Setups(ExactSetup(), np.tile(GEN, (3, 1)), (1.0,), 1)))
     assert asked.count == 4
     assert ended.is_set()
@@ -248,7 +247,7 @@ def test_a_trajectory_that_goes_on_by_itself_stops_when_asked(impatient: None) -
 
 def test_an_operation_on_long_rational_numbers_heeds_a_stop() -> None:
     short, long = Exact(Fraction(1, 3)), Fraction(1, 2 ** (LONG + 1))
-    with heeding(AskedAt(1)):
+    with stopping_when(AskedAt(1)):
         assert short + short == Exact(Fraction(2, 3))
         for operation in (lambda: Exact(long), lambda: short / Exact(1 / long)):
             with pytest.raises(StopAsked):
@@ -321,6 +320,6 @@ def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: Non
             y0[3:] = 0.6, 0.0, 0.8
         asked = AskedAt(10**9)
         refused = [RunError] if isinstance(found, Sampler) else []
-        with np.errstate(all="ignore"), heeding(asked), suppress(*refused):
+        with np.errstate(all="ignore"), stopping_when(asked), suppress(*refused):
             assert Run(top, found, y0, h, 2, stop=asked).collect().ending.outcome is not Outcome.INTERRUPTED
         assert asked.count <= QUESTIONS, (size, h)

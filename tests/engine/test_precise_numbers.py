@@ -12,12 +12,18 @@ import pytest
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.tolerances import follow_precision
 from topcli.contracts import Outcome, Stepper
-from topcli.engine.precise.floating import Floating, arithmetic_of
-from topcli.engine.precise.loop import longest, precise_loop
-from topcli.engine.precise.numbers import NotRationalError, StrayDoubleError, meaning
-from topcli.engine.precise.rational import Exact, Rationals
-from topcli.engine.precise.rebuild import Rebuilder
-from topcli.engine.precise.texts import decimal_text, exact_text, fraction_from, from_exact_text, integer_text
+from topcli.engine.precise.arithmetic import Exact, Floating, Rationals, arithmetic_of
+from topcli.engine.precise.loop import Rebuilder, longest, precise_loop
+from topcli.engine.precise.numbers import (
+    NotRationalError,
+    StrayDoubleError,
+    decimal_text,
+    exact_text,
+    fraction_from,
+    from_exact_text,
+    integer_text,
+    meaning,
+)
 
 LIMIT = 1e-12
 ROUNDS = 7

@@ -9,10 +9,9 @@ import pytest
 
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Recorded, Run
-from topcli.engine.precise.floating import Floating
-from topcli.engine.precise.loop import PreciseRun, prepared
+from topcli.engine.precise.arithmetic import Floating
+from topcli.engine.precise.loop import PreciseRun, Rebuilder, obstacle, prepared
 from topcli.engine.precise.numbers import RATIONAL
-from topcli.engine.precise.rebuild import Rebuilder, obstacle
 from topcli.errors import UsageError
 from topcli.runs.report import ORDINARY
 from topcli.schemes.registry import all_schemes, composed, find_scheme

@@ -18,7 +18,7 @@ from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.analysis.reference import reference_states
 from topcli.config.sweep.document import sweep_from
 from topcli.config.sweep.rows import Row, RowReader
-from topcli.contracts import StopAsked, heed_stop, heeding
+from topcli.contracts import StopAsked, check_stop, stopping_when
 from topcli.errors import RunError
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps import evaluate as seam
@@ -53,7 +53,7 @@ def slow_reference(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> list[
     def slow(top: Any, y0: Any, t: Any, most: int) -> Any:
         for _ in range(100 if y0[0] == 0.5 else 10):
             clock[0] += 1.0
-            heed_stop()
+            check_stop()
         return reference_states(top, y0, t, most)
 
     monkeypatch.setattr(references, "reference_states", slow)
@@ -90,7 +90,7 @@ def test_a_measure_beyond_the_time_limit_stops_its_row_alone(
     def slow(self: Any, states: Any, h: float) -> Any:
         for _ in range(100 if (self._run.y0[:, 0] == 0.5).any() else 0):
             clock[0] += 1.0
-            heed_stop()
+            check_stop()
         return one_step(self, states, h)
 
     monkeypatch.setattr(seam.BatchRun, "one_step", slow)
@@ -162,7 +162,7 @@ def test_a_reference_that_another_row_computes_is_waited_for_until_a_stop(monkey
     other.start()
     assert begun.wait(60.0)
     asked = iter([False, False, True])
-    with heeding(lambda: next(asked)), pytest.raises(StopAsked):
+    with stopping_when(lambda: next(asked)), pytest.raises(StopAsked):
         shared.states(Kowalevski(), "taylor", np.array(GEN), 0.1, n)
     end.set()
     other.join(60.0)
@@ -194,7 +194,7 @@ def test_a_long_closed_form_stops_when_asked(monkeypatch: pytest.MonkeyPatch) ->
     assert np.array_equal(SharedReferences().states(top, "exact", y0, 0.1, n), whole)
     monkeypatch.setattr(references, "CLOSED_STATES", 10)
     asked = iter([False] * 4 + [True])
-    with heeding(lambda: next(asked)), pytest.raises(StopAsked):
+    with stopping_when(lambda: next(asked)), pytest.raises(StopAsked):
         SharedReferences().states(top, "exact", y0, 0.1, n)
 
 

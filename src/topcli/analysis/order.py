@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
-from topcli.contracts import Array, Method, Sampler, Stepper, Top
-from topcli.engine.driver import Loop, loop_of, plain_loop
+from topcli.contracts import Array, Method, Sampler, Top
+from topcli.engine.driver import Loop, interpreted, single_step
 
 if TYPE_CHECKING:
     from topcli.engine.precise.loop import PreciseRun
@@ -234,18 +234,14 @@ def is_consistent(top: Top, method: Method, y0: Array) -> bool:
     """
     long = 2.0**-7 / (float(np.abs(y0).max()) or 1.0)
     sizes = np.array([0.25 * long, long])
-    d, p = len(y0), np.array(top.constants())
-    loop = _interpreted(method, d, len(p))
+    p = np.array(top.constants())
+    loop = interpreted(method, len(y0), len(p))
     errors = []
     for h, exact in zip(sizes, reference_states(top, tuple(y0.tolist()), sizes), strict=True):
-        work, end = np.zeros(loop.width), np.empty(d)
-        try:
-            with np.errstate(all="ignore"):
-                loop.enter(y0, work, p, float(h))
-                taken = loop.drive(work, end, p, float(h), 1, 1, 1)
-        except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
+        end = single_step(loop, y0, p, float(h))
+        if end is None:
             return True
-        errors.append(math.inf if taken < 0 else float(np.abs(end - exact).max()))
+        errors.append(float(np.abs(end - exact).max()))
     short, whole = errors
     return not (math.isfinite(whole) and short > 1e-12 * np.abs(y0).max() and short / sizes[0] > 0.5 * whole / sizes[1])
 
@@ -265,20 +261,13 @@ class Reversal:
     defects: tuple[float, ...]
 
 
-def _interpreted(method: Method, d: int, constants: int) -> Loop:
-    """Time loop of a method without compiling, which is quicker for single steps."""
-    if isinstance(method, Stepper):
-        return Loop(*plain_loop(method, d, constants), method.width)
-    return loop_of(method, d, constants)
-
-
 def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: float) -> float:
     """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python.
 
     Infinite if one of the steps fails.
     """
     p = np.array(top.constants())
-    return _back_and_forth(_interpreted(method, len(y), len(p)), p, np.array(y, dtype=np.float64), h)
+    return _back_and_forth(interpreted(method, len(y), len(p)), p, np.array(y, dtype=np.float64), h)
 
 
 def precise_back_and_forth(run: PreciseRun, y: Array, factor: float) -> float:
@@ -294,16 +283,9 @@ def precise_back_and_forth(run: PreciseRun, y: Array, factor: float) -> float:
 
 def _back_and_forth(loop: Loop, p: Array | None, start: NDArray[Any], h: Any) -> float:
     """Largest component of the difference after one step with h and one with -h; infinite if one of them fails."""
-    there, back, work = np.empty_like(start), np.empty_like(start), np.zeros(loop.width, dtype=start.dtype)
-    try:
-        with np.errstate(all="ignore"):
-            for begin, end, step in ((start, there, h), (there, back, -h)):
-                loop.enter(begin, work, p, step)
-                if loop.drive(work, end, p, step, 1, 1, 1) < 0:
-                    return math.inf
-    except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
-        return math.inf
-    return float(np.abs(back - start).max())
+    there = single_step(loop, start, p, h)
+    back = None if there is None else single_step(loop, there, p, -h)
+    return math.inf if back is None else float(np.abs(back - start).max())
 
 
 def probe_rows(rows: int) -> slice:

@@ -17,7 +17,7 @@ import numpy as np
 
 from topcli.analysis.reference_series import DONE, LONGEST, MORE, STEP_TOO_SMALL, advance
 from topcli.arithmetic.double_double import dd_div, two_sum
-from topcli.contracts import Array, EulerPoisson, Top, checked_equations, heed_stop
+from topcli.contracts import Array, EulerPoisson, Top, check_stop, checked_equations
 from topcli.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def distances(states: Array, reference: Array) -> Array:
 
 
 def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int = MAX_STEPS) -> Array:
-    """Reference solution at given times; it heeds a request to stop (``contracts.heed_stop``).
+    """Reference solution at given times; it heeds a request to stop (``contracts.check_stop``).
 
     Each state is within an ulp of its own size of the solution, as long as the motion's sensitivity has not amplified
     the local error of 1e-31 to that.
@@ -189,7 +189,7 @@ def _follow(
     """Call ``advance`` until all outputs are written, in parts so that it can be interrupted."""
     run = _compiled()
     while True:
-        heed_stop()
+        check_stop()
         code = run(coef, state, tau, out, work, ORDER, REACH, BUDGET)
         if code == DONE:
             return

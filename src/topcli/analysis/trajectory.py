@@ -92,7 +92,7 @@ class Trajectory:
         if attitude:
             states, q = map(np.ascontiguousarray, np.split(states, [len(run.top.components)], axis=1))
             made = {"attitude": q, "attitude_form": attitude}
-        ending = ending.having_left(step_of_leaving(run.top, n, states), run.h)
+        ending = ending.with_left(step_of_leaving(run.top, n, states), run.h)
         seconds = run.compile_seconds, run.run_seconds
         ready = run.setup.seconds if run.setup else 0.0
         return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready, **made)

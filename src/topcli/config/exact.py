@@ -15,9 +15,8 @@ from typing import Any
 from topcli.config.document import WrittenFloat
 from topcli.config.problems import Problems
 from topcli.contracts import Top
-from topcli.engine.precise.floating import arithmetic_of
-from topcli.engine.precise.numbers import DOUBLE, NotRationalError
-from topcli.engine.precise.texts import decimal_text, fraction_from, integer_text
+from topcli.engine.precise.arithmetic import arithmetic_of
+from topcli.engine.precise.numbers import DOUBLE, NotRationalError, decimal_text, fraction_from, integer_text
 
 _NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")
 _MODEST = re.compile(r"[^eE]*([eE][-+]?\d{1,3})?")

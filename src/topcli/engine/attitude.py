@@ -8,6 +8,7 @@ for bit.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -139,17 +140,15 @@ def with_attitude(loop: Loop, d: int, constants: Array) -> Loop:
             raise
         return taken
 
-    return Loop(
-        enter,
-        drive,
-        loop.width + HEAD,
-        loop.counters,
-        loop.seconds + code.seconds,
-        loop.cached and code.cached,
-        loop.iterative,
-        loop.compiled,
-        loop.returns_early,
-        loop.advice,
+    return replace(
+        loop,
+        enter=enter,
+        drive=drive,
+        width=loop.width + HEAD,
+        seconds=loop.seconds + code.seconds,
+        cached=loop.cached and code.cached,
+        prepare=None,
+        sampled=False,
     )
 
 

@@ -174,24 +174,38 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
         setup = method.setup
         ready = None if setup is None else lambda y0, p: prepare(setup, y0, tuple(p.tolist()))
         return Loop(enter, sample, d + 1, returns_early=True, prepare=ready, sampled=True)  # it takes no steps
+    traits: dict[str, Any] = {
+        "width": method.width,
+        "counters": method.counters,
+        "iterative": method.iterative,
+        "advice": method.advice,
+    }
     if isinstance(method, Block):
         code = native_text(method.text(), "advance", SIGNATURE)
-        loop = Loop(method.enter, code, method.width, method.counters, code.seconds, code.cached, method.iterative)
-        return replace(loop, returns_early=True, advice=method.advice)
+        return Loop(method.enter, code, seconds=code.seconds, cached=code.cached, returns_early=True, **traits)
     enter, drive = plain_loop(_checked_length(method) if method.plain else method, d, constants)
     if method.plain:
-        return Loop(enter, drive, method.width, method.counters, iterative=method.iterative, compiled=False)
+        return Loop(enter, drive, compiled=False, **traits)
     try:
         code = native(drive, SIGNATURE)
     except CompileError as error:
         raise step_refused(method, d, error) from None
-    return Loop(
-        enter,
-        code,
-        method.width,
-        method.counters,
-        code.seconds,
-        code.cached,
-        method.iterative,
-        advice=method.advice,
-    )
+    return Loop(enter, code, seconds=code.seconds, cached=code.cached, **traits)
+
+
+def interpreted(method: Method, d: int, constants: int) -> Loop:
+    """Time loop of a method without compiling, which is quicker for single steps."""
+    if isinstance(method, Stepper):
+        return Loop(*plain_loop(method, d, constants), method.width)
+    return loop_of(method, d, constants)
+
+
+def single_step(loop: Loop, y: Array, p: Array | None, h: Any) -> Array | None:
+    """State after one step of ``h`` from ``y`` (d,), in the numbers of ``y``; None if the step fails."""
+    work, end = np.zeros(loop.width, dtype=y.dtype), np.empty_like(y)
+    try:
+        with np.errstate(all="ignore"):
+            loop.enter(y, work, p, h)
+            return end if loop.drive(work, end, p, h, 1, 1, 1) >= 0 else None
+    except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
+        return None

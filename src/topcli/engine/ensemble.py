@@ -30,14 +30,23 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, StopAsked, Top, heeding
+from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, StopAsked, Top, stopping_when
 from topcli.engine.driver import Loop, loop_of, step_refused
 from topcli.engine.endings import Endings
-from topcli.engine.lanes import SIGNATURE, plain_lanes, stages_of
 from topcli.engine.loop import Run
 from topcli.engine.native import CompileError, native
 from topcli.engine.setups import Setups, SetupTime
-from topcli.engine.tile import Lanes, Piece, RowBuffer, Tile, TileContext, advance_together
+from topcli.engine.tile import (
+    SIGNATURE,
+    Lanes,
+    Piece,
+    RowBuffer,
+    Tile,
+    TileContext,
+    advance_together,
+    plain_lanes,
+    stages_of,
+)
 
 TILE = 64
 """Trajectories side by side: enough to hide the latency of a step's longest chain, few enough for the first cache."""
@@ -84,7 +93,7 @@ def tile_of(count: int) -> int:
 class EnsembleCode:
     """Machine code of ``method`` for ``top``, which several runs may share: the loops over a tile and of single runs.
 
-    ``lanes`` is None without ``side_by_side`` and for a method that is no compiled step. ``seconds`` is the time to
+    ``tile`` is None without ``side_by_side`` and for a method that is no compiled step. ``seconds`` is the time to
     compile or load, ``cached`` is true if all code came from disk.
     """
 
@@ -301,7 +310,7 @@ class EnsembleRun(TileContext, Generic[Made]):
             order = iter(Setups(setup, self.y0, tuple(self.p.tolist()), self.threads, self.setup))
         while True:
             try:
-                with heeding(self.stop):
+                with stopping_when(self.stop):
                     i = next(order)
             except (StopIteration, StopAsked):
                 return

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, heeding
+from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, stopping_when
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.setups import SetupTime
 from topcli.errors import SchemeCodeError
@@ -58,6 +58,40 @@ def recorded_rows(steps: int, until_record: int, every: int) -> int:
 def next_call_steps(size: int, seconds: float) -> int:
     """Steps of the next call of compiled code, after a call of ``size`` steps that took ``seconds``."""
     return int(max(1, min(8 * size, size * CALL_SECONDS / max(seconds, 1e-9))))
+
+
+def in_calls(
+    call: Callable[[int, int, int, int], int],
+    steps: int,
+    every: int,
+    until_record: int,
+    size: int,
+    began: float,
+    stop: Callable[[], bool],
+) -> tuple[int, bool, int]:
+    """Take up to ``steps`` steps in calls that grow while they are short, the first of ``size`` steps.
+
+    ``call(taken, rows, size, until_record)`` takes ``size`` steps, after ``taken`` steps and ``rows`` recorded rows,
+    and returns the number of steps taken or minus the number of the failed one. Return the same for all calls, True if
+    ``stop()`` ended them, and the size of the next call. ``began`` is a clock reading before the first of them.
+    """
+    taken = 0
+    try:
+        while True:
+            rows, count = recorded_rows(taken, until_record, every), min(steps - taken, size)
+            start = time.perf_counter()
+            went = call(taken, rows, count, until_record + rows * every - taken)
+            now = time.perf_counter()
+            if went < 0:
+                return went - taken, False, size
+            taken += went
+            if went < count or taken == steps:
+                return taken, False, size
+            if now - began > CALL_SECONDS and stop():
+                return taken, True, size
+            size = next_call_steps(count, now - start)
+    except StopAsked:
+        return taken, True, size
 
 
 class Recorded(NamedTuple):
@@ -150,7 +184,7 @@ class Run:
         )
         out = np.empty(chunk_rows * d, dtype=self._type)
         if self._loop.prepare is not None:
-            with suppress(StopAsked), heeding(self._stop):
+            with suppress(StopAsked), stopping_when(self._stop):
                 self.setup = self._loop.prepare(self._y0, self._p)
         if self._position.done < 0:
             self._loop.enter(self._y0, work, self._p, self._step)
@@ -195,33 +229,24 @@ class Run:
 
         Return (the steps taken or minus the number of the failed one, True if the run was stopped).
         """
-        d, every, taken = len(self._y0), self.every, 0
+        loop, d = self._loop, len(self._y0)
+
+        def call(taken: int, rows: int, size: int, until: int) -> int:
+            went = loop.drive(work, out[rows * d :], self._p, self._step, size, self.every, until)
+            if went == 0 and loop.compiled and not loop.returns_early:
+                raise SchemeCodeError(
+                    f"the compiled step raised the exception printed above, within {size} steps of step "
+                    f"{self._position.done + taken}; return nan from a step that fails"
+                )
+            return went
+
         begin = time.perf_counter()
         try:
-            with heeding(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop()):
-                while True:
-                    rows = recorded_rows(taken, to_record, every)
-                    size = min(steps - taken, self._call_steps)
-                    start = time.perf_counter()
-                    went = self._loop.drive(
-                        work, out[rows * d :], self._p, self._step, size, every, to_record + rows * every - taken
-                    )
-                    now = time.perf_counter()
-                    if went < 0:
-                        return went - taken, False
-                    if went == 0 and self._loop.compiled and not self._loop.returns_early:
-                        raise SchemeCodeError(
-                            f"the compiled step raised the exception printed above, within {size} steps of step "
-                            f"{self._position.done + taken}; return nan from a step that fails"
-                        )
-                    taken += went
-                    if went < size or taken == steps:
-                        return taken, False
-                    if now - begin > CALL_SECONDS and self._stop():
-                        return taken, True
-                    self._call_steps = next_call_steps(size, now - start)
-        except StopAsked:
-            return taken, True
+            with stopping_when(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop()):
+                taken, stopped, self._call_steps = in_calls(
+                    call, steps, self.every, to_record, self._call_steps, begin, self._stop
+                )
+            return taken, stopped
         finally:
             self.run_seconds += time.perf_counter() - begin
 

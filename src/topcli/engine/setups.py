@@ -2,6 +2,12 @@
 
 The key consists of the initial state and the constants of the top, bit by bit, and of the text that identifies the
 code of the set-up. The rules of storing are those of ``code_cache``.
+
+    python -m topcli.engine.setups
+
+is such a process, which answers each line of JSON with a line of JSON. A request ``{"class": [module, name], "y0",
+"p"}`` has the numbers in hexadecimal. It is answered with ``{"setup"}``: the bytes in base64, or null if they cannot be
+computed. A process of ``concurrent.futures`` would run a script that calls topcli a second time.
 """
 
 from __future__ import annotations
@@ -11,21 +17,25 @@ import os
 import subprocess
 import sys
 import time
-from base64 import b64decode
+from base64 import b64decode, b64encode
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from topcli import __version__
-from topcli.contracts import Array, Floats, Setup, heed_stop
-from topcli.engine.code_cache import CACHE_ENTRIES, store_setup, stored_setup
+import numpy as np
 
-WORKER = "topcli.engine.setup_worker"
+from topcli import __version__
+from topcli.contracts import Array, Floats, Setup, check_stop
+from topcli.engine.code_cache import CACHE_ENTRIES, store_setup, stored_setup
+from topcli.errors import TopcliError
+
+WORKER = "topcli.engine.setups"
 _ROOT = str(Path(__file__).resolve().parents[2])
 AHEAD = 4
 """Set-ups requested in advance for each process."""
@@ -148,7 +158,7 @@ class Setups:
                 while len(coming) < AHEAD * self.processes and i + len(coming) < count:
                     coming.append(pool.submit(self._found, i + len(coming)))
                 while coming and not wait([coming[0]], POLL_SECONDS).done:
-                    heed_stop()
+                    check_stop()
                 found = coming.popleft().result() if coming else self._found(i)
                 self._use(i, *found)
                 self.time.seconds += time.perf_counter() - begin
@@ -182,3 +192,29 @@ class Setups:
         self.time.cached &= stored
         if self._keep and not stored and data is not None:
             store_setup(self._words(i), data)
+
+
+def answer(request: dict[str, Any]) -> dict[str, str | None]:
+    """Answer one request."""
+    module, name = request["class"]
+    if not module.startswith("topcli."):
+        raise ValueError(f"{module} is no part of topcli")
+    setup = getattr(import_module(module), name)()
+    y0 = np.array([float.fromhex(text) for text in request["y0"]])
+    try:
+        data = setup.compute(y0, tuple(float.fromhex(text) for text in request["p"]))
+    except (TopcliError, ArithmeticError):
+        return {"setup": None}
+    return {"setup": b64encode(data).decode()}
+
+
+def main() -> None:
+    """Answer the requests on stdin until it ends."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what a library prints is no answer
+    for line in sys.stdin:
+        print(json.dumps(answer(json.loads(line))), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -2,23 +2,37 @@
 
 A trajectory whose sum in that loop is not finite is set back to the start of its chunk and goes through the time loop
 of single runs, which returns the step that failed. It then keeps its state, and its lane repeats a neighbour.
+
+The loop over steps with an inner loop over trajectories, which the compiler turns into vector instructions.
+
+The loop checks nothing: it adds up the working state, and an infinity or a nan anywhere makes the sum infinite or nan.
+A rare branch of single runs, such as calling libm for a large angle, yields nan here, because vector code computes both
+sides of a branch; the caller repeats such trajectories in the loop of single runs.
+
+The bits are those of single runs: additions and multiplications are not contracted, and remaining calls of libm are
+made for one trajectory after the other. Intel's vector library SVML would change last bits; numba uses it only where
+the package icc-rt is installed, which topcli does not require, and not with NUMBA_DISABLE_INTEL_SVML=1.
 """
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Outcome, Stepper
-from topcli.engine.driver import Loop
+from topcli.arithmetic.fused import fma
+from topcli.arithmetic.rotations import VECTOR_VARIANTS
+from topcli.contracts import Array, Outcome, StepFunction, Stepper
+from topcli.engine.driver import Loop, same_state
 from topcli.engine.endings import Endings
-from topcli.engine.loop import CALL_SECONDS, next_call_steps, recorded_rows
+from topcli.engine.loop import in_calls, recorded_rows
 from topcli.engine.native import Native
+from topcli.engine.source import compilable_copy
 
 FIRST_CALL = 64
 """Steps of the first call for a trajectory that goes on by itself."""
@@ -151,17 +165,16 @@ class Tile:
 
     def _advance(self, out: Array, steps: int, until_record: int, stride: int) -> int:
         """Take up to ``steps`` steps, in calls that grow while they are short; return the steps taken."""
-        context, lanes, d, taken = self.context, self.lanes, self.context.y0.shape[1], 0
-        while True:
-            rows = recorded_rows(taken, until_record, context.every)
-            size, until = min(steps - taken, context.call_steps), until_record + rows * context.every - taken
-            start = time.perf_counter()
+        context, lanes, d = self.context, self.lanes, self.context.y0.shape[1]
+
+        def call(taken: int, rows: int, size: int, until: int) -> int:
             lanes.code(self.work, out[rows * d :], lanes.params, context.h, size, context.every, until, stride)
-            now = time.perf_counter()
-            taken += size
-            if taken == steps or (now - context.chunk_began > CALL_SECONDS and context.stop()):
-                return taken
-            context.call_steps = next_call_steps(size, now - start)
+            return size
+
+        taken, _, context.call_steps = in_calls(
+            call, steps, context.every, until_record, context.call_steps, context.chunk_began, context.stop
+        )
+        return taken
 
     def _by_itself(self, j: int, work: Array, rows: Array, steps: int, until_record: int) -> int:
         """Repeat the steps of lane ``j`` in the time loop of single runs, fewer if asked to stop.
@@ -170,16 +183,12 @@ class Tile:
         """
         context, loop, d = self.context, self.context.single_loop(), rows.shape[1]
         out = np.empty(max(rows.size, d))
-        good, went, size, stopped = 0, 0, FIRST_CALL, False
-        while good < steps and went >= 0 and not stopped:
-            reached = recorded_rows(good, until_record, context.every)
-            size, until = min(steps - good, size), until_record + reached * context.every - good
-            start = time.perf_counter()
-            went = loop.drive(work, out[reached * d :], context.p, context.h, size, context.every, until)
-            now = time.perf_counter()
-            good += went if went >= 0 else -went - 1
-            size = next_call_steps(size, now - start)
-            stopped = now - context.chunk_began > CALL_SECONDS and context.stop()
+
+        def call(taken: int, reached: int, size: int, until: int) -> int:
+            return loop.drive(work, out[reached * d :], context.p, context.h, size, context.every, until)
+
+        went, _, _ = in_calls(call, steps, context.every, until_record, FIRST_CALL, context.chunk_began, context.stop)
+        good = went if went >= 0 else -went - 1
         reached = recorded_rows(good, until_record, context.every)
         rows[:reached] = out[: reached * d].reshape(reached, d)
         if good == steps:
@@ -217,3 +226,75 @@ def advance_together(tiles: Sequence[Tile], steps: int, until_record: int) -> Pi
     each = buffer.reshape(len(tiles), width, len(n), -1)
     kept = [tile.advance(n, steps, until_record, rows) for tile, rows in zip(tiles, each, strict=True)]
     return Piece(first.first, n, buffer[: sum(map(len, kept))], np.concatenate(kept))
+
+
+SIGNATURE = "pppdqqqq"
+
+_TEMPLATE = """
+def make(step, leave):
+    def drive(work, out, params, h, steps, every, until_record, stride):
+        {set_p}
+        k = 0
+        left = until_record
+        {set_part}
+        for i in range(steps):
+            for stage in range({stages}):
+                {each_part}
+                for j in range({tile}):
+                    s = step(({work_items}), part, p)
+                    {store_s}
+                    work[{check} + j] += {sum_s}
+            left -= 1
+            if left == 0:
+                for j in range({tile}):
+                    y = leave(({work_items}), h, p)
+                    {record}
+                k += {row}
+                left = every
+        return steps
+
+    return drive
+"""
+
+
+@cache
+def _template(width: int, checked: int, d: int, constants: int, tile: int, stages: int) -> Callable[..., Any]:
+    newline = "\n" + " " * 20
+    text = _TEMPLATE.format(
+        set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
+        constants=constants,
+        tile=tile,
+        stages=stages,
+        # with one stage, terms of h alone are computed before the loop; otherwise every step would wait for them
+        set_part=f"part = params[{constants}] * h" if stages == 1 else "",
+        each_part="" if stages == 1 else f"part = params[{constants} + stage] * h",
+        work_items="".join(f"work[{i * tile} + j], " for i in range(width)),
+        store_s=newline.join(f"work[{i * tile} + j] = s[{i}]" for i in range(width)),
+        check=width * tile,
+        sum_s=" + ".join(f"s[{i}]" for i in range(checked)),
+        record=newline.join(f"out[k + j * stride + {i}] = y[{i}]" for i in range(d)),
+        row=d,
+    )
+    scope: dict[str, Any] = {}
+    exec(compile(text, f"<lanes {width}/{checked}/{d}/{constants}/{tile}/{stages}>", "exec"), scope)
+    return scope["make"]
+
+
+def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable[..., int]:
+    """The loop over steps and lanes as a plain Python function over indexable buffers.
+
+    ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
+    ``d`` numbers for every recorded step of a trajectory, whose rows follow each other and begin ``stride`` numbers
+    after those of the trajectory before. ``params`` holds the constants, then the fractions of h.
+    """
+    inlined = {id(kernel): stand_in for kernel, stand_in in VECTOR_VARIANTS.items()} | {id(fma): fma}
+    stage, fractions = stages_of(stepper)
+    step = compilable_copy(stage, lambda kernel: kernel, inlined)
+    # all but the counters, which are always finite: the nan of a rare branch may be in any other slot
+    checked = stepper.width - len(stepper.counters)
+    return _template(stepper.width, checked, d, constants, tile, len(fractions))(step, stepper.leave or same_state)
+
+
+def stages_of(stepper: Stepper) -> tuple[StepFunction, tuple[float, ...]]:
+    """Step function and fractions of h of the stages that make up a step."""
+    return stepper.stages or (stepper.step, (1.0,))

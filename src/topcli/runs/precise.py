@@ -19,8 +19,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
 from topcli.engine.loop import Run
 from topcli.engine.precise.loop import PreciseRun, longest, prepared
-from topcli.engine.precise.numbers import RATIONAL
-from topcli.engine.precise.texts import decimal_text
+from topcli.engine.precise.numbers import RATIONAL, decimal_text
 from topcli.runs.recorder import Recorder, Rows
 from topcli.store.checkpoint import Checkpoint
 from topcli.store.series import DECIMAL, SeriesMark
@@ -187,7 +186,7 @@ def precise_trajectory(experiment: Experiment, run: PreciseRun) -> Trajectory:
     n, states, ending = loop.collect()
     tally = PreciseTally(experiment, run)
     tally.add(n, states)
-    ending = ending.having_left(tally.left_step, loop.h)
+    ending = ending.with_left(tally.left_step, loop.h)
     doubles, rows = states.astype(np.float64), tuple(tally.report())
     return Trajectory(
         experiment.top,

@@ -138,7 +138,7 @@ class Recorder:
         """
         if len(self._batch.rows()[0]):
             self._pass_on()
-        ending = ending.having_left(self.tally.left_step, self._experiment.h)
+        ending = ending.with_left(self.tally.left_step, self._experiment.h)
         left = {} if ending.left is None else {"topcli.left_motion": json.dumps(left_motion(ending))}
         self.series.finish({"topcli.outcome": ending.outcome.value, "topcli.message": ending.message, **left})
         return ending

@@ -136,7 +136,7 @@ def _followed(
             tally.add(chunk.states)
             watch.add(chunk.n, chunk.states)
     assert run.ending is not None
-    return tally, run.ending.having_left(watch.left, experiment.h)
+    return tally, run.ending.with_left(watch.left, experiment.h)
 
 
 @dataclass(frozen=True)

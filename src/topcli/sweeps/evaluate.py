@@ -23,7 +23,7 @@ from topcli.config.document import Document
 from topcli.config.models import Experiment, Output, read_scheme
 from topcli.config.problems import Problems
 from topcli.config.sweep.rows import Row
-from topcli.contracts import Outcome, Scheme, StopAsked, Top, heeding
+from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import RunError, TopcliError
 from topcli.schemes.user_code import users_error
 from topcli.store.provenance import cpu_name
@@ -297,7 +297,7 @@ class _Group:
         ready.limit = limit = _Limit(self.time_limit, len(rows), self.stop)
         faults: dict[int, list[str]] = {}
         try:
-            with heeding(limit.stop), np.errstate(all="ignore"):  # extreme values are outcomes
+            with stopping_when(limit.stop), np.errstate(all="ignore"):  # extreme values are outcomes
                 batch = ready.run.finished(np.array([state for _, state in rows]))
                 found = evaluate(
                     ready.measures, batch, lambda i, name, reason: faults.setdefault(i, []).append(f"{name}: {reason}")

@@ -1,4 +1,4 @@
-"""Numbers other than doubles: binary floating point of any precision (mpmath) and rational numbers.
+"""Meaning of the constants of the source code in numbers other than doubles, and numbers as texts.
 
 A constant of the source code stands for what its author meant: 0.1 is one tenth, and 1/6, which Python's compiler
 replaces by the nearest double, is one sixth. A double that meets such a number later is accepted only if it is a short
@@ -9,13 +9,9 @@ unnoticed, and is refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from decimal import Decimal
 from fractions import Fraction
 from functools import cache
-from importlib import import_module
-from types import ModuleType
-from typing import Any, Protocol
 
 from topcli.errors import UsageError
 
@@ -63,58 +59,41 @@ class StrayDoubleError(UsageError):
         super().__init__(f"precision: the double {float(value)!r}, computed somewhere, has no exact meaning")
 
 
-class Arithmetic(Protocol):
-    """Operations that a run needs beside those of the numbers themselves."""
-
-    name: str
-    eps: float
-    """Rounding error, as ``sys.float_info.epsilon`` for doubles; 0 for rational numbers."""
-    bits: int
-    """Binary digits; 0 for rational numbers."""
-    math: ModuleType
-    """Replacement for the module ``math``."""
-    library: str
-    """Package that computes, with its version."""
-
-    def active(self) -> AbstractContextManager[Any]:
-        """Context in which the numbers compute with this precision."""
-        ...
-
-    def number(self, value: Fraction) -> Any:
-        """Number nearest to ``value``."""
-        ...
-
-    @property
-    def fma(self) -> Callable[[Any, Any, Any], Any]:
-        """Function a b + c, rounded once."""
-        ...
-
-    @property
-    def finite(self) -> Callable[[Any], bool]:
-        """Function that is true of a number that is neither infinite nor nan."""
-        ...
-
-    @property
-    def root(self) -> Callable[[Any], Any]:
-        """Square root; raises NotRationalError if it is not rational."""
-        ...
-
-    def fraction(self, x: Any) -> Fraction:
-        """Exact value of a finite number."""
-        ...
-
-    def tolerance(self, value: float, power: float) -> Any:
-        """Tolerance for doubles, scaled as the given power of the rounding error."""
-        ...
-
-    def cap(self, value: int) -> int:
-        """Maximum number of iterations for doubles, scaled with the number of digits."""
-        ...
+def exact_text(value: Fraction) -> str:
+    """Text from which ``Fraction`` makes the same number, hexadecimal for large ones, whose conversion is fast."""
+    return f"{value.numerator:x}/{value.denominator:x}"
 
 
-def gmpy2_if_installed() -> Any:
-    """Module gmpy2; None if it is not installed."""
-    try:
-        return import_module("gmpy2")
-    except ImportError:
-        return None
+def from_exact_text(text: str) -> Fraction:
+    """Number that ``exact_text`` has written."""
+    numerator, denominator = text.split("/")
+    return Fraction(int(numerator, 16), int(denominator, 16))
+
+
+def integer_text(value: int) -> str:
+    """Decimal text of an integer of any length; ``str`` refuses those of more than 4300 digits."""
+    return format(Decimal(value), "f")
+
+
+def fraction_from(text: str) -> Fraction:
+    """Number of a decimal text or of a quotient of integers, of any length."""
+    numerator, slash, denominator = text.partition("/")
+    number = Fraction(Decimal(numerator))
+    return number / Fraction(Decimal(denominator)) if slash else number
+
+
+def decimal_text(value: Fraction, digits: int) -> str:
+    """Decimal form of a number, correctly rounded to ``digits`` significant digits: ``-1.25e-1``."""
+    if not value:
+        return "0." + "0" * (digits - 1) + "e+0"
+    size = abs(value)
+    exponent = math.floor((size.numerator.bit_length() - size.denominator.bit_length()) * math.log10(2.0))
+    while size >= Fraction(10) ** (exponent + 1):
+        exponent += 1
+    while size < Fraction(10) ** exponent:
+        exponent -= 1
+    whole = round(size / Fraction(10) ** (exponent - digits + 1))
+    if whole == 10**digits:
+        whole, exponent = whole // 10, exponent + 1
+    text = integer_text(whole)
+    return f"{'-' if value < 0 else ''}{text[0]}.{text[1:]}e{exponent:+d}"

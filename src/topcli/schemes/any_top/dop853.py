@@ -7,7 +7,7 @@ import math
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.contracts import Array, Floats, Stepper, Top, heed_stop
+from topcli.contracts import Array, Floats, Stepper, Top, check_stop
 from topcli.schemes.declarations import polynomial_invariants
 from topcli.schemes.registry import scheme
 
@@ -68,7 +68,7 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
             solver = DOP853(rates, 0.0, np.array(s[:d]), h, rtol=options.rtol, atol=options.atol, first_step=first)
             while solver.status == "running" and solver.nfev < MAX_EVALUATIONS:
                 solver.step()
-                heed_stop()
+                check_stop()
                 left = STAGES * abs(h - solver.t)
                 if solver.nfev > TRIAL and left > HOPELESS * MAX_EVALUATIONS * solver.h_abs:
                     break

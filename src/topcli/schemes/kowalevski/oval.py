@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from topcli.contracts import heed_stop
+from topcli.contracts import check_stop
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.separation import DIGITS, Curve, Real
 
@@ -189,7 +189,7 @@ class Oval:
         """Integrals of the densities over offsets from an anchor."""
         from topcli.schemes.kowalevski.multiprecision import cos_sin, mpf
 
-        heed_stop()
+        check_stop()
         middle, half = (begin + end) / 2, (end - begin) / 2
         time = weighted = mpf(0)
         for x, weight in zip(*_gauss_legendre(), strict=True):

@@ -12,7 +12,7 @@ import numpy as np
 
 from topcli.analysis.order import PROBES
 from topcli.config.models import Experiment
-from topcli.contracts import Array, StopAsked, heed_stop
+from topcli.contracts import Array, StopAsked, check_stop
 from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
 from topcli.engine.fingerprint import same_method
 from topcli.engine.tile import Piece
@@ -74,7 +74,7 @@ def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ign
 
 def _values(one: Measure, batch: Batch, on_fault: Callable[[int, str], None]) -> Array:
     """Values of a measure; if it fails, run by run, so that only the runs that make it fail have none."""
-    heed_stop()
+    check_stop()
     try:
         return _checked(one, one.evaluate(batch), len(batch))
     except StopAsked:
@@ -252,7 +252,7 @@ class BatchRun:
         run.begin(states[usable])
         for _ in run:
             pass
-        heed_stop()
+        check_stop()
         stepped = run.last_n == 1
         after[usable[stepped]] = run.last[stepped]
         return after

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_obstacle, reference_states
-from topcli.contracts import Array, Sampler, Scheme, Top, heed_stop
+from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
 from topcli.engine.setups import prepare
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import find_scheme
@@ -95,7 +95,7 @@ def _closed_states(exact: Sampler, top: Top, y0: Array, h: float, n: NDArray[np.
         prepare(exact.setup, y0, p)
     found = np.empty((len(n), len(y0)))
     for start in range(0, len(n), CLOSED_STATES):
-        heed_stop()
+        check_stop()
         part = slice(start, start + CLOSED_STATES)
         found[part] = exact.states(y0, h, n[part], p)
     return found
@@ -128,7 +128,7 @@ class SharedReferences:
         motion = (top.form, top.model_dump_json(), h if exact else 0.0, np.ascontiguousarray(y0).tobytes())
         computing = self._computing[hash(motion) % STRIPES]
         while not computing.acquire(timeout=POLL_SECONDS):  # others that need it wait instead of computing it too
-            heed_stop()
+            check_stop()
         try:
             found = self._found(motion, t)
             if found is None:
