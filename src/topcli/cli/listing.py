@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from topcli.cli.command import Command
 from topcli.cli.options import Json, SchemeFiles, load_scheme_files, top_option
-from topcli.cli.output import emit_text, print_json, print_message, print_table
+from topcli.cli.output import emit_text, print_cells, print_json, print_message
 from topcli.errors import shortened
+from topcli.table import Column, Table
 
 list_app = typer.Typer(
     no_args_is_help=True,
@@ -21,41 +24,80 @@ list_app = typer.Typer(
     help="List tops, schemes, measures, scenes, sweeps, figures, runs.",
 )
 
-OnlyTop = Annotated[
-    str | None,
-    top_option("List only entries for this top."),
-]
+OnlyTop = Annotated[str | None, top_option("List only entries for this top.")]
 
 
-def _print_list(kind: str, items: list[dict[str, Any]], columns: list[str], as_json: bool, nothing: str = "") -> None:
-    if as_json:
-        print_json(f"list {kind}", {kind: items})
-    elif items:
-        header = [column.replace("_", "-") for column in columns]
-        kinds = [{type(item[column]) for item in items} - {type(None)} for column in columns]
-        numbers = [i for i, kind in enumerate(kinds) if kind and kind <= {int, float}]
-        print_table(header, [[_cell(item[column]) for column in columns] for item in items], numbers=numbers)
-    else:
-        print_message(nothing or f"no {kind}")
+class Listing(NamedTuple):
+    """Items as plain data, the keys that the table shows, and what is said if there is no item.
+
+    The column of ``form`` is called top; ``origin`` is shown if an item does not come with topcli.
+    """
+
+    items: Sequence[dict[str, Any]]
+    columns: Sequence[str]
+    nothing: str = ""
 
 
-def _origins(items: list[dict[str, Any]]) -> list[str]:
-    """Column ``origin`` of a list, unless everything in it comes with topcli."""
-    return ["origin"] if any(item["origin"] != "topcli" for item in items) else []
+def _listed(listing: Callable[..., Listing | None]) -> None:
+    """Make the command ``topcli list NAME`` out of the function ``NAME``."""
+    kind = listing.__name__
+
+    @wraps(listing)
+    def command(as_json: bool, **options: Any) -> None:
+        made = listing(as_json=as_json, **options)
+        if made is None:
+            return
+        if as_json:
+            print_json(f"list {kind}", {kind: made.items})
+        elif made.items:
+            print_cells(_table(made).cells({"items": made.items}))
+        else:
+            print_message(made.nothing or f"no {kind}")
+
+    list_app.command(cls=Command, name=kind)(command)
 
 
-def _cell(value: object) -> str:
-    if value is None:
-        return "–"
+def _table(listing: Listing) -> Table:
+    items, keys = listing.items, listing.columns
+    if any(item.get("origin", "topcli") != "topcli" for item in items):
+        keys = [*keys, "origin"]
+    kinds = [{type(item[key]) for item in items} - {type(None)} for key in keys]
+    numbers = [i for i, kind in enumerate(kinds) if kind and kind <= {int, float}]
+    heads = ["top" if key == "form" else key.replace("_", "-") for key in keys]
+    columns = [Column(head, key, _text) for head, key in zip(heads, keys, strict=True)]
+    return Table("items", columns, numbers=numbers)
+
+
+def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, dict):
+        value = [f"{key}={part}" for key, part in value.items()]
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "–"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-@list_app.command(cls=Command, name="tops")
-def list_tops(as_json: Json = False) -> None:
+def _fields(thing: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(thing, name) for name in names}
+
+
+def _forms(top: str | None) -> Iterable[str]:
+    """Forms of a top, or of all. Raises UnknownNameError."""
+    from topcli.tops import TOPS, forms
+
+    return [form.form for form in forms(top)] if top else TOPS
+
+
+def _print_plugin_failures() -> None:
+    from topcli.schemes.registry import plugin_failures
+
+    for failure in plugin_failures():
+        print_message(f"plugin {failure.name} failed: {failure.reason}")
+
+
+@_listed
+def tops(as_json: Json = False) -> Listing:
     """List the tops with their parameters and invariants.
 
     The parameters are keys of a config. A step does not get them, but p, the constants of the equations of motion.
@@ -65,8 +107,7 @@ def list_tops(as_json: Json = False) -> None:
     items = [
         {
             "name": top.kind,
-            "form": top.form,
-            "title": top.title,
+            **_fields(top, "form", "title"),
             "parameters": {name: field.default for name, field in top.model_fields.items()},
             "step_p": list(top.step_constants),
             "components": list(top.components),
@@ -75,138 +116,114 @@ def list_tops(as_json: Json = False) -> None:
         }
         for top in TOPS.values()
     ]
-    shown = [
-        {**item, "top": item["form"], "parameters": [f"{k}={v}" for k, v in item["parameters"].items()]}
-        for item in items
-    ]
-    _print_list("tops", items if as_json else shown, ["top", "title", "parameters", "step_p", "invariants"], as_json)
+    return Listing(items, ["form", "title", "parameters", "step_p", "invariants"])
 
 
-@list_app.command(cls=Command, name="schemes")
-def list_schemes(
+@_listed
+def schemes(
     top: OnlyTop = None,
     as_json: Json = False,
     as_markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the documentation page of the schemes.")
     ] = False,
     scheme_files: SchemeFiles = None,
-) -> None:
+) -> Listing | None:
     """List the schemes with their declared traits.
 
     Plugins that failed are reported on stderr.
     """
-    from topcli.schemes.registry import all_schemes, plugin_failures
+    from topcli.schemes.registry import all_schemes
     from topcli.studies.scheme_page import scheme_data, schemes_page
-    from topcli.tops import forms
 
     load_scheme_files(scheme_files)
-    wanted = [form.form for form in forms(top)] if top else None
+    wanted = _forms(top)
     if as_markdown:
         emit_text(schemes_page())
-        return
-    items = [scheme_data(scheme) for scheme in all_schemes() if wanted is None or scheme.top in wanted]
+        return None
+    items = [scheme_data(scheme) for scheme in all_schemes() if scheme.top in wanted]
     for item in items:
         item["options"] = {name: str(option["default"]) for name, option in item["options"].items()}
-    for failure in plugin_failures():
-        print_message(f"plugin {failure.name} failed: {failure.reason}")
-    _print_list("schemes", items, ["name", "top", "order", "self_adjoint", "conserves", *_origins(items)], as_json)
+    _print_plugin_failures()
+    return Listing(items, ["name", "top", "order", "self_adjoint", "conserves"])
 
 
-@list_app.command(cls=Command, name="compositions")
-def list_compositions(as_json: Json = False) -> None:
+@_listed
+def compositions(as_json: Json = False) -> Listing:
     """List the compositions that raise a scheme's order.
 
     Write scheme+composition, such as hk+suzuki4; the scheme must be self-adjoint.
     """
     from topcli.schemes.compose import COMPOSITIONS
 
-    items = [asdict(found) | {"stages": found.stages} for found in COMPOSITIONS.values()]
-    _print_list("compositions", items, ["name", "order", "stages", "title", "citation"], as_json)
+    items = [asdict(composition) | _fields(composition, "stages") for composition in COMPOSITIONS.values()]
+    return Listing(items, ["name", "order", "stages", "title", "citation"])
 
 
-@list_app.command(cls=Command, name="scenes")
-def list_scenes(top: OnlyTop = None, as_json: Json = False) -> None:
+@_listed
+def scenes(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the packaged scenes, names that stand for configs."""
-    from topcli.config.load import scenes
+    from topcli.config import load
 
-    items: list[dict[str, Any]] = [
+    items = [
         {
             "name": name,
             "top": first.top.form,
             "scheme": first.scheme.name,
-            "h": first.h,
-            "N": first.N,
+            **_fields(first, "h", "N"),
             "trajectories": count,
             "about": about,
         }
-        for name, first, count, about in scenes(top)
+        for name, first, count, about in load.scenes(top)
     ]
-    _print_list("scenes", items, ["name", "top", "scheme", "h", "N", "about"], as_json)
+    return Listing(items, ["name", "top", "scheme", "h", "N", "about"])
 
 
-@list_app.command(cls=Command, name="sweeps")
-def list_sweeps(as_json: Json = False) -> None:
+@_listed
+def sweeps(as_json: Json = False) -> Listing:
     """List the packaged sweeps for topcli sweep."""
     from topcli.config.load import first_sentence
     from topcli.config.sweep.document import load_sweep, sweep_files
 
-    items: list[dict[str, Any]] = [
+    items = [
         {"name": name, "varied": list(load_sweep(name).keys), "about": first_sentence(path)}
         for name, path in sweep_files().items()
     ]
-    _print_list("sweeps", items, ["name", "varied", "about"], as_json)
+    return Listing(items, ["name", "varied", "about"])
 
 
-@list_app.command(cls=Command, name="cases")
-def list_cases(top: OnlyTop = None, as_json: Json = False) -> None:
+@_listed
+def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the hard cases of topcli stress."""
     from topcli.studies.stress import CASES
-    from topcli.tops import forms
 
-    wanted = [form.form for form in forms(top)] if top else None
-    items: list[dict[str, Any]] = [
-        {"name": case.name, "top": case.form, "question": case.question}
-        for case in CASES
-        if wanted is None or case.form in wanted
-    ]
-    _print_list("cases", items, ["name", "top", "question"], as_json, f"no hard cases for {top}")
+    wanted = _forms(top)
+    items = [{"name": case.name, "top": case.form, "question": case.question} for case in CASES if case.form in wanted]
+    return Listing(items, ["name", "top", "question"], f"no hard cases for {top}")
 
 
-@list_app.command(cls=Command, name="measures")
-def list_measures(top: OnlyTop = None, as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
+@_listed
+def measures(top: OnlyTop = None, as_json: Json = False, scheme_files: SchemeFiles = None) -> Listing:
     """List the measures of topcli sweep.
 
     With --top, families such as drift.NAME are listed measure by measure.
     """
-    from topcli.schemes.registry import plugin_failures
     from topcli.sweeps.measures import all_measures, measures_of_form
-    from topcli.tops import forms
 
     load_scheme_files(scheme_files)
-    found = all_measures() if top is None else measures_of_form(forms(top)[0].form)
-    items: list[dict[str, Any]] = [
-        {
-            "name": one.name,
-            "unit": one.unit,
-            "summary": one.summary,
-            "of_failed": one.of_failed,
-            "reproducible": one.reproducible,
-            "origin": one.origin,
-        }
-        for one in found
-    ]
-    for failure in plugin_failures():
-        print_message(f"plugin {failure.name} failed: {failure.reason}")
-    _print_list("measures", items, ["name", "unit", "summary", *_origins(items)], as_json)
+    listed = all_measures() if top is None else measures_of_form(next(iter(_forms(top))))
+    items = [_fields(measure, "name", "unit", "summary", "of_failed", "reproducible", "origin") for measure in listed]
+    _print_plugin_failures()
+    return Listing(items, ["name", "unit", "summary"])
 
 
-@list_app.command(cls=Command, name="figures")
-def list_figures(as_json: Json = False) -> None:
+@_listed
+def figures(as_json: Json = False) -> Listing:
     """List the figures that topcli plot draws."""
     from topcli.figures.catalogue import FIGURES
 
-    items = [{"name": figure.name, "title": figure.title, "scene": figure.scene} for figure in FIGURES.values()]
-    _print_list("figures", items, ["name", "scene", "title"], as_json)
+    return Listing(
+        [_fields(figure, "name", "title", "scene") for figure in FIGURES.values()], ["name", "scene", "title"]
+    )
 
 
 def _short(item: dict[str, Any]) -> dict[str, Any]:
@@ -214,9 +231,8 @@ def _short(item: dict[str, Any]) -> dict[str, Any]:
     cells = {
         key: value if value is None or isinstance(value, int | float) else shortened(str(value))
         for key, value in item.items()
-        if key != "name"
     }
-    return item | cells | {"ended": item["ended"] and _local_time(item["ended"])}
+    return {**cells, "name": item["name"], "ended": item["ended"] and _local_time(item["ended"])}
 
 
 def _local_time(stamp: object) -> str:
@@ -229,14 +245,14 @@ def _local_time(stamp: object) -> str:
         return shortened(str(stamp))
 
 
-@list_app.command(cls=Command, name="runs")
-def list_runs(
+@_listed
+def runs(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="List the run folders in this folder.", show_default="results"),
     ] = None,
     as_json: Json = False,
-) -> None:
+) -> Listing:
     """List the runs in a folder, also unfinished or damaged ones.
 
     A run that another process is computing is running; one whose process ended before it is killed. A resumable run
@@ -245,11 +261,10 @@ def list_runs(
     from topcli.errors import UsageError
     from topcli.runs.run_list import listed_runs
 
-    folder = Path("results") if out is None else out
     if out is not None and not os.path.isdir(out):
         raise UsageError(f"--out {out}: no such folder")
+    folder = out or Path("results")
     items = listed_runs(folder)
-    shown = items if as_json else [_short(item) for item in items]
     progress = ["step", "resumable"] if any(item["resumable"] or not item["ended"] for item in items) else []
     columns = ["name", "outcome", *progress, "scheme", "h", "N", "digest", "ended"]
-    _print_list("runs", shown, columns, as_json, f"no runs in {folder}")
+    return Listing(items if as_json else list(map(_short, items)), columns, f"no runs in {folder}")
