@@ -17,7 +17,7 @@ import pytest
 from conftest import ROOT
 from documentation import difference, read_page, run, sessions
 
-SUFFIXES = {".py", ".yaml", ".toml", ".mplstyle", ".bib", ".jinja", ".css"}
+SUFFIXES = {".py", ".pyi", ".yaml", ".toml", ".mplstyle", ".bib", ".jinja", ".css"}
 
 
 def build(source: Path, target: str, into: Path) -> Path:

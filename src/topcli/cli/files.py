@@ -30,4 +30,4 @@ def write_text(text: str, path: Path, option: str = "--out") -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:
-        raise UsageError(f"{option} {path}: cannot be written ({error.strerror})") from None
+        raise UsageError(f"{option} {path}".lstrip() + f": cannot be written ({error.strerror})") from None

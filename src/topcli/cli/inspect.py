@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from topcli.cli.files import Overwrite, write_text
 from topcli.cli.hints import hint_instead, show_hint
 from topcli.cli.options import (
     Json,
@@ -19,18 +20,6 @@ from topcli.cli.options import (
     top_option,
 )
 from topcli.cli.output import emit, emit_text, print_document, print_json, print_message, print_table, prose_width
-
-
-def _show_scheme(name: str, as_json: bool) -> bool:
-    """Print the scheme called ``name`` and return True, or False if there is none."""
-    from topcli.studies.scheme_page import scheme_data, scheme_forms, scheme_text
-
-    found = scheme_forms(name)
-    if as_json and found:
-        print_json("show", {"schemes": [scheme_data(scheme) for scheme in found]})
-    elif found:
-        emit_text("\n\n".join(scheme_text(scheme, prose_width()) for scheme in found))
-    return bool(found)
 
 
 def complete_config_or_scheme(incomplete: str) -> list[str]:
@@ -59,6 +48,7 @@ def show(
 ) -> None:
     """Show a config with defaults, a scheme, or a row of a sweep."""
     from topcli.config.load import load_named
+    from topcli.studies.scheme_page import scheme_data, scheme_forms, scheme_text
 
     load_scheme_files(scheme_files)
     if motion:
@@ -72,7 +62,11 @@ def show(
         from topcli.cli.sweep import show_sweep
 
         return show_sweep(folder, row, sets or [], as_json)
-    if not sets and not Path(config).suffix and _show_scheme(config, as_json):
+    if not sets and not folder.suffix and (schemes := scheme_forms(config)):
+        if as_json:
+            print_json("show", {"schemes": [scheme_data(scheme) for scheme in schemes]})
+        else:
+            emit_text("\n\n".join(scheme_text(scheme, prose_width()) for scheme in schemes))
         return
     with hint_instead([config], show_hint):
         experiment = load_named(config, sets or [])
@@ -105,7 +99,7 @@ def init(
         ),
     ] = None,
     scheme_files: SchemeFiles = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    force: Overwrite = False,
 ) -> None:
     """Write a commented starter config and its JSON Schema.
 
@@ -117,7 +111,6 @@ def init(
     from topcli.config.schema import config_schema
     from topcli.config.starter import starter_config
     from topcli.errors import UsageError
-    from topcli.store.run_folder import write_whole
 
     load_scheme_files(scheme_files)
     schema_path = path.with_name("topcli.schema.json")
@@ -125,17 +118,11 @@ def init(
         raise UsageError(f"{path}: unknown type of config; use a name ending in .yaml or .toml")
     text = starter_config(top, scheme, schema_path.name, toml=path.suffix == ".toml")
     schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
-    taken = [
-        one for one, ours in ((path, ""), (schema_path, schema_text)) if os.path.exists(one) and not _holds(one, ours)
-    ]
-    if taken and not force:
-        raise UsageError(f"{taken[0]}: exists already; choose another path, or use --force to overwrite it")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(schema_path, lambda temporary: temporary.write_text(schema_text, encoding="utf-8"))
-        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror})") from None
+    for file, same in ((path, ""), (schema_path, schema_text)):
+        if os.path.exists(file) and not force and not _holds(file, same):
+            raise UsageError(f"{file}: exists already; choose another path, or use --force to overwrite it")
+    write_text(schema_text, schema_path, "")
+    write_text(text, path, "")
     emit(str(path))
     print_message(f"wrote {path} and {schema_path}")
     print_message(f"next: topcli run {path}")
@@ -159,14 +146,16 @@ def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
             load_scheme_files([path])
         except UsageError as error:
             broken.append(str(error))
-    found = diagnosis()
-    found["problems"] += broken
+    data = diagnosis()
+    data["problems"] += broken
     if as_json:
-        print_json("doctor", found)
+        print_json("doctor", data)
         return
-    rows = [[key, str(value)] for key, value in found["environment"].items()]
-    rows += [[f"cache {key}", str(value)] for key, value in found["cache"].items()]
-    rows += [["CPU threads", str(found["threads"])]]
-    rows += [[f"plugin {plugin['name']}", plugin["state"]] for plugin in found["plugins"]] or [["plugins", "none"]]
-    rows += [["problems", "; ".join(found["problems"]) or "none"]]
-    print_table([], rows, numbers=False)
+    facts = {
+        **data["environment"],
+        **{f"cache {key}": value for key, value in data["cache"].items()},
+        "CPU threads": data["threads"],
+        **({f"plugin {plugin['name']}": plugin["state"] for plugin in data["plugins"]} or {"plugins": "none"}),
+        "problems": "; ".join(data["problems"]) or "none",
+    }
+    print_table([], [[key, str(value)] for key, value in facts.items()], numbers=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,8 +16,7 @@ from topcli.errors import UsageError, shortened
 if TYPE_CHECKING:
     from topcli.config.sweep.document import Sweep
     from topcli.config.sweep.rows import Row
-    from topcli.sweeps.plan import Plan
-    from topcli.sweeps.run import SweepOptions, SweepResult, Watcher
+    from topcli.sweeps.run import SweepOptions, SweepResult
 
 SHOWN_FAILURES = 20
 SHOWN_ROWS = 20
@@ -61,46 +61,16 @@ def _values(sweep: Sweep, row: Row) -> str:
     return ", ".join(f"{key} = {value}" for key, value in zip(sweep.keys, row.keys, strict=True) if value is not None)
 
 
-class _Failures:
-    """Print the first failures when they happen; all are in the table."""
-
-    def __init__(self, sweep: Sweep) -> None:
-        self._sweep, self._count = sweep, 0
-
-    def __call__(self, row: Row, outcome: str, message: str) -> None:
-        self._count += 1
-        if self._count <= SHOWN_FAILURES:
-            print_message(f"error: row {row.number} ({shortened(_values(self._sweep, row), 200)}): {message}")
-        elif self._count == SHOWN_FAILURES + 1:
-            print_message("further failures are only counted; the messages of all are in the table")
-
-
 def _varied(sweep: Sweep) -> list[str]:
     """Varied keys with the number of their values."""
-    counts: dict[str, set[str]] = {key: set() for key in sweep.keys}
+    values = {key: set[str]() for key in sweep.keys}
     for axis in sweep.axes:
         for key, column in zip(axis.keys, axis.columns, strict=True):
-            counts[key] |= set(map(repr, column))
+            values[key].update(map(repr, column))
     for extra in sweep.include:
         for key, value in extra.items():
-            counts[key].add(repr(value))
-    return [f"{key} ({len(values)} value{'s' * (len(values) != 1)})" for key, values in counts.items()]
-
-
-def _plan_data(sweep: Sweep, plan: Plan, changed: list[str]) -> dict[str, Any]:
-    """Plan of a sweep as plain data."""
-    return {
-        "name": sweep.name,
-        "rows": plan.survey.count,
-        "new": plan.to_run,
-        "done": plan.done,
-        "failed": plan.failed,
-        "repeated": plan.repeated,
-        "not_current": plan.left,
-        "varied": list(sweep.keys),
-        "reasons": plan.reasons(),
-        "changes": changed,
-    }
+            values[key].add(repr(value))
+    return [f"{key} ({len(known)} value{'s' * (len(known) != 1)})" for key, known in values.items()]
 
 
 def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> None:
@@ -108,7 +78,6 @@ def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> N
     from topcli.sweeps.run import MANY_ROWS, planned, rows_to_run
 
     plan, changed = planned(sweep, out, options)
-    data = _plan_data(sweep, plan, changed)
     limit = LISTED_ROWS if as_json else SHOWN_ROWS
     rows = [(row, REASONS[reason]) for (row, reason), _ in zip(rows_to_run(plan), range(limit), strict=False)]
     if as_json:
@@ -116,7 +85,22 @@ def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> N
             {"row": row.number, "reason": reason, "keys": dict(zip(sweep.keys, row.keys, strict=True))}
             for row, reason in rows
         ]
-        print_json("sweep", {"dry_run": True, **data, "folder": str(out / sweep.name), "to_run": listed})
+        data = {
+            "dry_run": True,
+            "name": sweep.name,
+            "rows": plan.survey.count,
+            "new": plan.to_run,
+            "done": plan.done,
+            "failed": plan.failed,
+            "repeated": plan.repeated,
+            "not_current": plan.left,
+            "varied": list(sweep.keys),
+            "reasons": plan.reasons(),
+            "changes": changed,
+            "folder": str(out / sweep.name),
+            "to_run": listed,
+        }
+        print_json("sweep", data)
         return
     emit(f"{sweep.name}: {plan.to_run} new, {plan.done} done, {plan.failed} failed, in {out / sweep.name}")
     emit(f"varied: {', '.join(_varied(sweep))}")
@@ -181,7 +165,7 @@ def sweep(
     was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
     """
     from topcli.config.sweep.document import load_sweep
-    from topcli.sweeps.run import SweepOptions, Watcher
+    from topcli.sweeps.run import SweepOptions, Watcher, run_sweep
 
     if dask is not None and threads is not None:
         raise UsageError("--threads does not go with --dask: each worker has its own number of threads")
@@ -193,17 +177,31 @@ def sweep(
     if dry_run:
         _dry_run(loaded, out, options, as_json)
         return
+    count = itertools.count(1)
+
+    def on_failure(row: Row, outcome: str, message: str) -> None:
+        """Print the first failures when they happen; all are in the table."""
+        if (number := next(count)) <= SHOWN_FAILURES:
+            print_message(f"error: row {row.number} ({shortened(_values(loaded, row), 200)}): {message}")
+        elif number == SHOWN_FAILURES + 1:
+            print_message("further failures are only counted; the messages of all are in the table")
+
     display = ProgressDisplay(1, quiet, unit="rows")
     display.begin(loaded.name)
     with Interruption() as interruption:
         watcher = Watcher(
             progress=lambda done, total, failed: display(done, total, f"{failed} failed" if failed else ""),
-            failure=_Failures(loaded),
+            failure=on_failure,
             message=(lambda line: None) if quiet else print_message,
             stop=interruption,
         )
         try:
-            result = _run(loaded, out, options, watcher, dask)
+            if dask is None:
+                result = run_sweep(loaded, out, options, watcher)
+            else:
+                from topcli.sweeps.connect import run_on_cluster
+
+                result = run_on_cluster(dask, loaded, out, options, watcher)
         finally:
             display.close()
     if as_json:
@@ -212,17 +210,6 @@ def sweep(
         _report(loaded, result)
     if code := _exit_code(result):
         raise typer.Exit(code)
-
-
-def _run(sweep: Sweep, out: Path, options: SweepOptions, watcher: Watcher, dask: str | None) -> SweepResult:
-    """Run a sweep in this process, or on a Dask cluster."""
-    from topcli.sweeps.run import run_sweep
-
-    if dask is None:
-        return run_sweep(sweep, out, options, watcher)
-    from topcli.sweeps.connect import run_on_cluster
-
-    return run_on_cluster(dask, sweep, out, options, watcher)
 
 
 def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:

@@ -1,0 +1,16 @@
+from topcli.analysis.ensemble import Ensemble as Ensemble
+from topcli.analysis.motion.result import Motion as Motion
+from topcli.analysis.trajectory import Trajectory as Trajectory
+from topcli.runs.simulate import simulate as simulate
+from topcli.runs.simulate_ensemble import simulate_ensemble as simulate_ensemble
+from topcli.schemes.registry import scheme as scheme
+from topcli.show.claims import claims as claims
+from topcli.show.motions import motion as motion
+from topcli.show.runs import run as run
+from topcli.show.stresses import stress as stress
+from topcli.show.study import compare as compare
+from topcli.show.study import order as order
+from topcli.show.sweeps import sweep as sweep
+from topcli.sweeps.measures import measure as measure
+
+__version__: str
