@@ -10,8 +10,7 @@ from topcli.cli.options import Json
 from topcli.cli.output import ProgressDisplay, emit, emit_prose, emit_text, print_json, print_message, print_table
 
 if TYPE_CHECKING:
-    from topcli.paper.decided import Decided
-    from topcli.paper.result import Claims
+    from topcli.paper.decide import Claims, Decided
 
 
 def complete_claim(incomplete: str) -> list[str]:
@@ -21,21 +20,17 @@ def complete_claim(incomplete: str) -> list[str]:
     return [name for name in claim_names() if name.startswith(incomplete.lower())]
 
 
-def _figure(row: Decided) -> str:
+def _print_table(found: Claims) -> None:
     from topcli.paper.claim import number_text
 
-    return number_text(row.finding.figure) if row.finding else "–"
-
-
-def _print_table(found: Claims) -> None:
     rows = [
         [
             row.claim.id,
             row.claim.origin,
             row.claim.statement,
             row.verdict,
-            _figure(row),
-            row.finding.bound.text if row.finding else "–",
+            number_text(row.measurement.figure) if row.measurement else "–",
+            row.bound_text,
             row.claim.source,
         ]
         for row in found.rows
@@ -45,26 +40,26 @@ def _print_table(found: Claims) -> None:
 
 def _print_details(row: Decided) -> None:
     """Print everything about one claim, a line each."""
-    claim, finding = row.claim, row.finding
+    claim, measured = row.claim, row.measurement
     emit(f"{claim.id}: {row.verdict}")
     lines = {
         "statement": claim.statement,
         "origin": claim.origin,
         "source": claim.source,
-        "experiment": claim.experiment.replace("`", ""),
+        "experiment": claim.experiment_text.replace("`", ""),
     }
-    if finding is None:
+    if measured is None or row.bound is None:
         lines["reason"] = row.reason
     else:
-        lines["figure"] = f"{_figure(row)} {finding.bound.unit}".rstrip() + f" ({claim.kind.measures})"
-        if finding.corrected is not None:
+        lines["figure"] = f"{row.figure_text} ({row.check.measures})"
+        if measured.corrected is not None:
             from topcli.paper.claim import number_text
 
-            lines["corrected"] = number_text(finding.corrected)
-        lines["bound"] = f"{finding.bound.text} ({finding.bound.reason})"
-        if finding.note:
-            lines["note"] = finding.note
-    lines["control"] = claim.kind.defect
+            lines["corrected"] = number_text(measured.corrected)
+        lines["bound"] = f"{row.bound_text} ({row.bound.reason})"
+        if measured.note:
+            lines["note"] = measured.note
+    lines["control"] = row.check.defect
     for label, text in lines.items():
         emit_prose(f"{label}: {text}", indent="  ")
 
@@ -72,22 +67,36 @@ def _print_details(row: Decided) -> None:
 def _judge(found: Claims) -> None:
     """Report what differs from the record, and exit with 4 if anything does, with 1 if a run failed."""
     for row in found.rows:
-        if row.finding is None:
+        if row.measurement is None:
             print_message(f"{'error: ' if row.failed else ''}{row.claim.id}: {row.reason}")
     for row in found.rows:
         if row.changed:
-            print_message(
-                f"error: {row.claim.id}: the verdict is {row.verdict!r}; recorded: {row.recorded or 'none'!r}"
-            )
+            print_message(f"error: {row.claim.id}: the verdict is {row.verdict!r}; recorded: {row.claim.recorded!r}")
     for control in found.controls:
         if not control.caught:
             print_message(
-                f"error: check {control.kind.name!r}: did not find its positive control: {control.kind.defect}"
+                f"error: check {control.check.name!r}: did not find its positive control: {control.check.defect}"
             )
-    if found.changed or found.blunt:
+    if found.changed or found.uncaught:
         raise typer.Exit(4)
     if found.failed:
         raise typer.Exit(1)
+
+
+def report_claims(found: Claims, details: bool, as_json: bool, as_markdown: bool) -> None:
+    """Print decided claims, and exit with 4 or 1 if something is wrong with them."""
+    if as_json:
+        print_json("claims", found.as_dict())
+    elif as_markdown:
+        emit_text(found.to_markdown())
+    elif details:
+        for row in found.rows:
+            _print_details(row)
+    else:
+        _print_table(found)
+    if not as_markdown:
+        print_message(found.summary)
+    _judge(found)
 
 
 def claims(
@@ -108,26 +117,15 @@ def claims(
     """
     from topcli.errors import UsageError
     from topcli.paper.decide import decide_claims
-    from topcli.paper.ledger import chosen
+    from topcli.paper.ledger import ledger
 
     if as_json and as_markdown:
         raise UsageError("--json and --markdown exclude each other; choose one")
-    chosen(ids or (), fast)
+    ledger().chosen(ids or (), fast)
     display = ProgressDisplay(1, as_json or as_markdown, unit="checks")
     display.begin("claims")
     try:
         found = decide_claims(ids or (), fast=fast, on_progress=display)
     finally:
         display.close()
-    if as_json:
-        print_json("claims", found.as_dict())
-    elif as_markdown:
-        emit_text(found.to_markdown())
-    elif ids:
-        for row in found.rows:
-            _print_details(row)
-    else:
-        _print_table(found)
-    if not as_markdown:
-        print_message(found.summary)
-    _judge(found)
+    report_claims(found, bool(ids), as_json, as_markdown)

@@ -10,7 +10,7 @@ import numpy as np
 
 from topcli.figures.picture import Styles
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED
-from topcli.paper.ledger import SUBJECTS
+from topcli.paper.ledger import ledger
 
 LOOKS = {
     HOLDS: ("#0072B2", "white"),
@@ -66,7 +66,7 @@ class VerdictPanel:
 
 def verdict_panel(claims: Sequence[Mapping[str, Any]]) -> tuple[VerdictPanel, dict[str, np.ndarray]]:
     """Panel and data of decided claims, given as the plain data of ``topcli claims --json``."""
-    homes = {claim.id: subject.partition(" (")[0] for subject, ledger in SUBJECTS.items() for claim in ledger}
+    homes = {claim.id: section.title.partition(" (")[0] for section in ledger().sections for claim in section.claims}
     pairs = [(homes.get(one["id"], OTHERS), verdict_category(one["verdict"])) for one in claims]
     present = {subject for subject, _ in pairs}
     subjects = tuple(subject for subject in dict.fromkeys((*homes.values(), OTHERS)) if subject in present)

@@ -9,7 +9,7 @@ from typing import Any
 from topcli.figures.claims import verdict_category, verdict_panel
 from topcli.pages.contents import Block, Cells, Chapter, Picture, Pictures
 from topcli.pages.origin import add_files, add_origin, value_text
-from topcli.paper.claim import OURS, PAPER
+from topcli.paper.ledger import OURS, PAPER
 from topcli.store.manifest import StoredRun
 from topcli.studies.bench.stored import decade_lines, point_lines
 from topcli.table import number

@@ -1,110 +1,139 @@
-"""Exact numbers for identities: rational, Gaussian rational, and with a derivative along the motion."""
+"""Exact numbers for identities: rational, Gaussian rational, and with a derivative along the motion.
+
+Vectors and matrices are arrays of such numbers.
+"""
 
 from __future__ import annotations
 
+import inspect
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from functools import cache
+from typing import Any, ClassVar, Self
 
-Vector = tuple[Any, Any, Any]
-Matrix = tuple[tuple[Any, ...], ...]
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Gauss:
-    """Complex number ``re + i im`` with parts of any kind."""
+class Pair:
+    """Number ``first + second u`` with parts of any kind and u² = ``square``."""
 
-    re: Any
-    im: Any = Fraction(0)
+    first: Any
+    second: Any = Fraction(0)
+    square: ClassVar[int]
 
-    def __add__(self, other: Any) -> Gauss:
-        other = gauss(other)
-        return Gauss(self.re + other.re, self.im + other.im)
+    @classmethod
+    def of(cls, value: Any) -> Self:
+        """Pair of any number."""
+        return value if isinstance(value, cls) else cls(value)
+
+    @property
+    def bar(self) -> Self:
+        """Conjugate, with -u."""
+        return type(self)(self.first, -self.second)
+
+    def __add__(self, other: Any) -> Self:
+        if isinstance(other, np.ndarray):
+            return NotImplemented
+        other = self.of(other)
+        return type(self)(self.first + other.first, self.second + other.second)
 
     __radd__ = __add__
 
-    def __neg__(self) -> Gauss:
-        return Gauss(-self.re, -self.im)
+    def __neg__(self) -> Self:
+        return type(self)(-self.first, -self.second)
 
-    def __sub__(self, other: Any) -> Gauss:
-        return self + -gauss(other)
+    def __sub__(self, other: Any) -> Self:
+        return self + -other
 
-    def __rsub__(self, other: Any) -> Gauss:
-        return gauss(other) - self
+    def __rsub__(self, other: Any) -> Self:
+        return other + -self
 
-    def __mul__(self, other: Any) -> Gauss:
-        other = gauss(other)
-        return Gauss(self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re)
+    def __mul__(self, other: Any) -> Self:
+        if isinstance(other, np.ndarray):
+            return NotImplemented
+        other = self.of(other)
+        return type(self)(
+            self.first * other.first + self.square * self.second * other.second,
+            self.first * other.second + self.second * other.first,
+        )
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Gauss:
-        other = gauss(other)
-        size = other.re * other.re + other.im * other.im
-        found = self * other.bar
-        return Gauss(found.re / size, found.im / size)
+    def __truediv__(self, other: Any) -> Self:
+        other = self.of(other)
+        quotient, norm = self * other.bar, (other * other.bar).first
+        return type(self)(quotient.first / norm, quotient.second / norm)
 
-    @property
-    def bar(self) -> Gauss:
-        """Complex conjugate."""
-        return Gauss(self.re, -self.im)
+
+class Gauss(Pair):
+    """Complex number."""
+
+    square = -1
+
+
+class Dual(Pair):
+    """Value of a function of the state and its rate of change along the motion; also a multiple of epsilon, e² = 0."""
+
+    square = 0
 
 
 I_UNIT = Gauss(Fraction(0), Fraction(1))
+dual: Callable[..., Numbers] = np.frompyfunc(Dual, 2, 1)
+"""Array of duals from an array of values and one of rates."""
 
 
-def gauss(value: Any) -> Gauss:
-    """Complex number of any number."""
-    return value if isinstance(value, Gauss) else Gauss(value)
+def rates(values: Any) -> list[Any]:
+    """Rates of change of some functions of the state."""
+    return [Dual.of(value).second for value in values]
 
 
-@dataclass(frozen=True)
-class Dual:
-    """Value of a function of the state and its ``rate`` along the motion."""
-
-    value: Any
-    rate: Any = Fraction(0)
-
-    def __add__(self, other: Any) -> Dual:
-        other = _dual(other)
-        return Dual(self.value + other.value, self.rate + other.rate)
-
-    __radd__ = __add__
-
-    def __neg__(self) -> Dual:
-        return Dual(-self.value, -self.rate)
-
-    def __sub__(self, other: Any) -> Dual:
-        return self + -_dual(other)
-
-    def __rsub__(self, other: Any) -> Dual:
-        return _dual(other) - self
-
-    def __mul__(self, other: Any) -> Dual:
-        other = _dual(other)
-        return Dual(self.value * other.value, self.value * other.rate + self.rate * other.value)
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Dual:
-        other = _dual(other)
-        rate = (self.rate * other.value - self.value * other.rate) / (other.value * other.value)
-        return Dual(self.value / other.value, rate)
+def size_of(value: Any) -> float:
+    """Magnitude of an exact number; the sum of those of its parts if it is a pair."""
+    return size_of(value.first) + size_of(value.second) if isinstance(value, Pair) else float(abs(value))
 
 
-def _dual(value: Any) -> Dual:
-    return value if isinstance(value, Dual) else Dual(value)
+def largest(values: Any) -> float:
+    """Largest magnitude among the numbers of nested sequences of equal lengths."""
+    return max(map(size_of, np.ravel(np.array(values, dtype=object))))
 
 
-def gradients(functions: Callable[[Sequence[Dual]], Sequence[Dual]], state: Sequence[Any]) -> list[tuple[Any, ...]]:
-    """Gradients of several functions of a state, at one point."""
-    columns = []
-    for i in range(len(state)):
-        found = functions([Dual(x, Fraction(int(j == i))) for j, x in enumerate(state)])
-        columns.append([_dual(value).rate for value in found])
-    return list(zip(*columns, strict=True))
+def exact(*values: Any) -> Numbers:
+    """Array of numbers as they are."""
+    return np.array(values, dtype=object)
+
+
+def plane(v: Any) -> Any:
+    """First two components of a vector as a complex number: omega of omega_1, omega_2; complex floats of arrays."""
+    return v[0] + 1j * v[1] if isinstance(v[0], np.ndarray) else Gauss(v[0], v[1])
+
+
+def cross(u: Numbers, v: Numbers) -> Numbers:
+    """Vector product."""
+    j, k = [1, 2, 0], [2, 0, 1]
+    return u[j] * v[k] - u[k] * v[j]
+
+
+def commutator(a: Numbers, b: Numbers) -> Numbers:
+    """Commutator ab - ba."""
+    return a @ b - b @ a
+
+
+def rank(rows: Any) -> int:
+    """Rank of a matrix of rational numbers, by elimination."""
+    left, count = [exact(*row) * Fraction(1) for row in rows], 0
+    for column in range(len(left[0])):
+        pivot = next((index for index, row in enumerate(left) if row[column] != 0), None)
+        if pivot is not None:
+            chosen = left.pop(pivot)
+            left = [row - row[column] / chosen[column] * chosen for row in left]
+            count += 1
+    return count
 
 
 class Draws:
@@ -113,10 +142,13 @@ class Draws:
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
 
+    def _fraction(self, low: int, high: int, *denominators: int) -> Fraction:
+        sign = self._random.choice((-1, 1))
+        return Fraction(sign * self._random.randint(low, high), self._random.choice(denominators))
+
     def number(self) -> Fraction:
         """Number between -9 and 9, not zero."""
-        sign = self._random.choice((-1, 1))
-        return Fraction(sign * self._random.randint(1, 27), self._random.choice((3, 4, 5, 7, 8)))
+        return self._fraction(1, 27, 3, 4, 5, 7, 8)
 
     def positive(self) -> Fraction:
         """Number above zero."""
@@ -124,7 +156,7 @@ class Draws:
 
     def small(self) -> Fraction:
         """Number between -1.6 and 1.6, not zero."""
-        return Fraction(self._random.choice((-1, 1)) * self._random.randint(1, 16), self._random.choice((10, 11, 13)))
+        return self._fraction(1, 16, 10, 11, 13)
 
     def moment(self) -> Fraction:
         """Number from 1 up to, not including, 2: three of them are moments of inertia of a body."""
@@ -134,72 +166,77 @@ class Draws:
         """Length of a step, from 1/20 to 1/7, of either sign."""
         return Fraction(self._random.choice((-1, 1)), self._random.randint(7, 20))
 
-    def vector(self) -> Vector:
+    def numbers(self, count: int) -> Numbers:
+        """Array of numbers."""
+        return exact(*(self.number() for _ in range(count)))
+
+    def vector(self) -> Numbers:
         """Three numbers."""
-        return self.number(), self.number(), self.number()
+        return self.numbers(3)
 
-    def moments(self) -> Vector:
+    def moments(self) -> Numbers:
         """Three numbers above zero."""
-        return self.positive(), self.positive(), self.positive()
+        return abs(self.numbers(3))
 
-    def circle(self) -> tuple[Fraction, Fraction]:
+    def circle(self) -> Numbers:
         """Cosine and sine of an angle, both rational."""
         t = self.number()
-        return (1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)
+        return exact(1 - t * t, 2 * t) / (1 + t * t)
 
-    def unit(self) -> Vector:
+    def unit(self) -> Numbers:
         """Unit vector with rational components."""
         u, v = self.number(), self.number()
-        size = 1 + u * u + v * v
-        return 2 * u / size, 2 * v / size, (1 - u * u - v * v) / size
+        return exact(2 * u, 2 * v, 1 - u * u - v * v) / (1 + u * u + v * v)
+
+    def state(self) -> Numbers:
+        """Vectors omega and gamma in one array."""
+        return self.numbers(6)
+
+    def top(self) -> tuple[Numbers, Numbers]:
+        """Moments of inertia, and mg times the vector to the centre of gravity, of any top."""
+        return self.moments(), self.vector()
+
+    def euler_top(self) -> tuple[Numbers, Numbers]:
+        """Moments and gravity of a top without gravity."""
+        return self.moments(), exact(0, 0, 0)
+
+    def lagrange_top(self) -> tuple[Numbers, Numbers]:
+        """Moments and gravity of a top with A = B and gravity on the third axis."""
+        A, C, z0 = self.positive(), self.positive(), self.number()
+        return exact(A, A, C), exact(0, 0, z0)
+
+    def kowalevski_top(self) -> tuple[Numbers, Numbers]:
+        """Moments and gravity of a top with A = B = 2C and gravity c0 on the first axis."""
+        C, c0 = self.positive(), self.number()
+        return exact(2 * C, 2 * C, C), exact(c0, 0, 0)
+
+    def point(self, function: Callable[..., Any], **known: Any) -> dict[str, Any]:
+        """Arguments of a function: those in ``known``, the others drawn as its parameters' names say, in their order.
+
+        >>> Draws(1).point(lambda h, turn: 0)
+        {'h': Fraction(-3, 1), 'turn': array([Fraction(-3, 5), Fraction(-4, 5)], dtype=object)}
+        """
+        return {name: known[name] if name in known else DRAWN[name](self) for name in arguments(function)}
 
 
-def cross(u: Vector, v: Vector) -> Vector:
-    """Vector product."""
-    return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+DRAWN: Mapping[str, Callable[[Draws], Any]] = {
+    **dict.fromkeys(("h", "c0", "x0"), Draws.number),
+    "C": Draws.positive,
+    **dict.fromkeys(("m", "n", "a", "w", "v", "c", "e", "g"), Draws.vector),
+    "moments": Draws.moments,
+    "unit": Draws.unit,
+    "turn": Draws.circle,
+    "old": Draws.state,
+    "top": Draws.top,
+    "euler_top": Draws.euler_top,
+    "lagrange_top": Draws.lagrange_top,
+    "kowalevski_top": Draws.kowalevski_top,
+}
+"""Draw of each variable of the paper's formulas: old and new omega w and v, gamma c and e, momentum m and n, ..."""
 
 
-def dot(u: Sequence[Any], v: Sequence[Any]) -> Any:
-    """Scalar product."""
-    return sum((a * b for a, b in zip(u, v, strict=True)), Fraction(0))
-
-
-def plus(u: Sequence[Any], v: Sequence[Any]) -> tuple[Any, ...]:
-    """Sum of two vectors."""
-    return tuple(a + b for a, b in zip(u, v, strict=True))
-
-
-def minus(u: Sequence[Any], v: Sequence[Any]) -> tuple[Any, ...]:
-    """Difference of two vectors."""
-    return tuple(a - b for a, b in zip(u, v, strict=True))
-
-
-def times(factor: Any, u: Sequence[Any]) -> tuple[Any, ...]:
-    """Multiple of a vector."""
-    return tuple(factor * a for a in u)
-
-
-def weighted(moments: Sequence[Any], u: Sequence[Any]) -> Vector:
-    """Diagonal matrix of ``moments`` times a vector: the angular momentum of an angular velocity."""
-    return moments[0] * u[0], moments[1] * u[1], moments[2] * u[2]
-
-
-def product(a: Matrix, b: Matrix) -> Matrix:
-    """Matrix product."""
-    columns = list(zip(*b, strict=True))
-    return tuple(tuple(dot(row, column) for column in columns) for row in a)
-
-
-def commutator(a: Matrix, b: Matrix) -> Matrix:
-    """Commutator ab - ba."""
-    return tuple(minus(x, y) for x, y in zip(product(a, b), product(b, a), strict=True))
-
-
-def flat(a: Matrix) -> tuple[Any, ...]:
-    """Elements of a matrix, row by row."""
-    return tuple(x for row in a for x in row)
-
-
-def size_of(value: Any) -> float:
-    """Magnitude of an exact number; the sum of those of its parts if it is complex."""
-    return size_of(value.re) + size_of(value.im) if isinstance(value, Gauss) else float(abs(value))
+@cache
+def arguments(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Names of the parameters of a function that have no default."""
+    parameters = inspect.signature(function).parameters.values()
+    return tuple(parameter.name for parameter in parameters if parameter.default is parameter.empty)

@@ -3,54 +3,220 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from topcli.errors import RunError
-from topcli.paper.claim import NOT_TRIED, Claim, Finding, Kind
-from topcli.paper.decided import Control, Decided
-from topcli.paper.ledger import chosen
-from topcli.paper.recorded import RECORDED
-from topcli.paper.result import Claims
+from topcli.paper.claim import FAILS, HOLDS_WITHIN, NOT_TRIED, Bound, Measurement, number_text
+from topcli.paper.ledger import Check, Claim, Ledger, ledger
+from topcli.runs.report import finite
 
 
-def decided(claim: Claim) -> Decided:
-    """Carry out the experiment of one claim, and compare its verdict with the recorded one.
+@dataclass(frozen=True, kw_only=True)
+class CheckResult:
+    """What a check measured; without a ``measurement``, ``reason`` says why, and ``failed`` is True if a run failed."""
 
-    A claim whose experiment needs a package that is not installed, or fails, is "not tried".
+    check: Check
+    measurement: Measurement | None = None
+    bound: Bound | None = None
+    reason: str = ""
+    failed: bool = False
+    seconds: float = 0.0
+
+    @property
+    def category(self) -> str:
+        """Verdict without the bound, which follows from the figures and the bound alone."""
+        if self.measurement is None or self.bound is None:
+            return NOT_TRIED
+        return self.bound.verdict(self.measurement.figure, self.measurement.corrected)
+
+    @property
+    def caught(self) -> bool:
+        """True if the check found the defect that it was carried out on, or lacked a package."""
+        return not self.failed if self.measurement is None else self.category == FAILS
+
+    @property
+    def figure_text(self) -> str:
+        """Figure with two digits and its unit; a dash if there is none."""
+        if self.measurement is None or self.bound is None:
+            return "–"
+        return f"{number_text(self.measurement.figure)} {self.bound.unit}".rstrip()
+
+    @property
+    def bound_text(self) -> str:
+        """Bound with its unit; a dash if there is none."""
+        return self.bound.text if self.bound else "–"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON; a number is None if it is not finite."""
+        measured, bound = self.measurement, self.bound
+        return finite(
+            {
+                "measures": self.check.measures,
+                "defect": self.check.defect,
+                "figure": measured and measured.figure,
+                "bound": bound and {"low": bound.low, "high": bound.high},
+                "bound_text": bound and bound.text,
+                "verdict": self.category if measured else self.reason,
+            }
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decided(CheckResult):
+    """A decided claim."""
+
+    claim: Claim
+
+    @property
+    def verdict(self) -> str:
+        """Verdict as it is shown: of an approximate statement with the bound."""
+        if self.bound is None or self.category != HOLDS_WITHIN:
+            return self.category
+        return f"{HOLDS_WITHIN} {self.bound.text.removeprefix('≤ ')}"
+
+    @property
+    def changed(self) -> bool:
+        """True if the verdict differs from the recorded one; never for a claim that was not tried."""
+        return self.measurement is not None and self.category != self.claim.recorded
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON; a number is None if it is not finite."""
+        claim, measured, bound = self.claim, self.measurement, self.bound
+        control = super().as_dict()
+        return {
+            **{key: getattr(claim, key) for key in ("id", "origin", "statement", "source")},
+            "kind": self.check.name,
+            "measures": self.check.measures,
+            "experiment": claim.experiment_text.replace("`", ""),
+            "figure": control["figure"],
+            "corrected": finite(measured and measured.corrected),
+            "bound": control["bound"],
+            "bound_text": control["bound_text"],
+            "bound_reason": bound and bound.reason,
+            "note": measured.note if measured else self.reason,
+            "verdict": self.verdict,
+            "recorded": claim.recorded,
+            "slow": claim.slow,
+            "seconds": self.seconds,
+        }
+
+
+def _count(verdicts: Sequence[str]) -> dict[str, int]:
+    """Number of times that each verdict occurs, most frequent first."""
+    return dict(sorted(Counter(verdicts).items(), key=lambda item: (-item[1], item[0])))
+
+
+@dataclass(frozen=True, repr=False)
+class Claims:
+    """Claims of the paper and findings beyond it, with their verdicts.
+
+    Attributes
+    ----------
+    rows : tuple of Decided
+        The claims, in the order of the ledger.
+    controls : tuple of CheckResult
+        The positive control of each kind of check that was used.
     """
+
+    rows: tuple[Decided, ...]
+    controls: tuple[CheckResult, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def summary(self) -> str:
+        """Number of claims of the paper and of findings of ours, each with the number for each verdict."""
+        parts = []
+        for counts, noun in ((self.counts, "claim{} of the paper"), (self.findings, "finding{} of ours")):
+            if counts:
+                total = sum(counts.values())
+                verdicts = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items())
+                parts.append(f"{total} {noun.format('s' if total > 1 else '')}; {verdicts}")
+        return ". ".join(parts)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of claims of the paper for each verdict, most frequent first."""
+        return _count([row.category for row in self.rows if not row.claim.ours])
+
+    @property
+    def findings(self) -> dict[str, int]:
+        """Number of findings of ours for each verdict, most frequent first."""
+        return _count([row.category for row in self.rows if row.claim.ours])
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Names of the claims whose verdict differs from the recorded one."""
+        return tuple(row.claim.id for row in self.rows if row.changed)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the claims of which a run failed."""
+        return tuple(row.claim.id for row in self.rows if row.failed)
+
+    @property
+    def uncaught(self) -> tuple[str, ...]:
+        """Names of the kinds of checks that did not find the defect of their positive control."""
+        return tuple(control.check.name for control in self.controls if not control.caught)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON: the list ``claims``, and ``controls`` and numbers of verdicts by name.
+
+        ``verdicts`` counts the claims of the paper, ``findings`` what is beyond it.
+        """
+        return {
+            "claims": [row.as_dict() for row in self.rows],
+            "controls": {control.check.name: control.as_dict() for control in self.controls},
+            "verdicts": self.counts,
+            "findings": self.findings,
+        }
+
+    def to_markdown(self) -> str:
+        """Page of the documentation with the claims."""
+        from topcli.paper.page import claims_page
+
+        return claims_page(self)
+
+
+def carry_out(check: Check, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of the result of a check, which has no measurement if it needs a package that is missing, or fails."""
     start = time.perf_counter()
-    finding, reason, failed = _tried(claim.decide)
-    return Decided(claim, finding, reason, RECORDED.get(claim.id), time.perf_counter() - start, failed)
-
-
-def _tried(check: Callable[[], Finding]) -> tuple[Finding | None, str, bool]:
-    """Finding of a check; if there is none, the reason, and True if a run failed instead of lacking a package."""
+    fields: dict[str, Any] = {"check": check}
     try:
-        return check(), "", False
+        measured = check.bind(parameters)()
+        fields |= {"measurement": measured, "bound": check.bound(measured, parameters)}
     except ModuleNotFoundError as error:
-        return None, f"{NOT_TRIED}: needs the package {error.name}, which is not installed", False
+        fields["reason"] = f"{NOT_TRIED}: needs the package {error.name}, which is not installed"
     except RunError as error:
-        return None, str(error).splitlines()[0], True
+        fields |= {"reason": str(error).splitlines()[0], "failed": True}
+    return fields | {"seconds": time.perf_counter() - start}
 
 
 def decide_claims(
-    ids: str | Sequence[str] = (), *, fast: bool = False, on_progress: Callable[[int, int], None] | None = None
+    ids: str | Sequence[str] = (),
+    *,
+    fast: bool = False,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    claims: Ledger | None = None,
 ) -> Claims:
     """Decide the claims with these names, by default all; with ``fast`` slow ones are left out unless they are named.
 
-    ``on_progress(done, total)`` is called after each check. Raises UnknownNameError with the nearest names.
+    ``on_progress(done, total)`` is called after each check; ``claims`` is the ledger, by default that of the package.
+    Raises UnknownNameError with the nearest names.
     """
-    wanted = chosen((ids,) if isinstance(ids, str) else ids, fast)
-    kinds: list[Kind] = list(dict.fromkeys(claim.kind for claim in wanted))
-    report = on_progress or (lambda done, total: None)
-    total = len(wanted) + len(kinds)
+    wanted = (claims or ledger()).chosen((ids,) if isinstance(ids, str) else ids, fast)
+    checks = list({claim.check.name: claim.check for claim in wanted}.values())
+    total = len(wanted) + len(checks)
     rows: list[Decided] = []
     for claim in wanted:
-        rows.append(decided(claim))
-        report(len(rows), total)
-    controls: list[Control] = []
-    for kind in kinds:
-        finding, reason, failed = _tried(kind.control)
-        controls.append(Control(kind, finding, reason, failed))
-        report(len(rows) + len(controls), total)
+        rows.append(Decided(claim=claim, **carry_out(claim.check, claim.parameters)))
+        on_progress(len(rows), total)
+    controls: list[CheckResult] = []
+    for check in checks:
+        controls.append(CheckResult(**carry_out(check, check.control)))
+        on_progress(len(rows) + len(controls), total)
     return Claims(tuple(rows), tuple(controls))

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from topcli.paper.claim import FAILS, MISPRINT, number_text
-from topcli.paper.decided import Control, Decided
-from topcli.paper.excluded import EXCLUDED
-from topcli.paper.ledger import SUBJECTS
+from topcli.paper.decide import Claims, Decided
+from topcli.paper.ledger import Claim, Excluded, ledger
 
 HEAD = """# The paper's claims, measured
 
@@ -30,9 +29,6 @@ from the one recorded in the repository.
 - Each kind of check is also carried out on a [known defect](#kinds-of-checks), which it must find.
 """
 COLUMNS = ("statement and experiment", "verdict", "measured", "bound")
-FINDINGS = """These statements are ours; the paper does not make them. They take up its figures and schemes in longer
-runs, from other states or at other steps.
-"""
 LEFT_OUT = """## Not in the ledger
 
 Statements of the paper that no experiment here decides.
@@ -59,51 +55,44 @@ def _experiment(text: str) -> str:
 
 
 def _measured(row: Decided) -> str:
-    if row.finding is None:
+    measured = row.measurement
+    if measured is None:
         return _cell(row.reason)
-    figure = f"{number_text(row.finding.figure)} {row.finding.bound.unit}".rstrip()
-    if row.finding.corrected is not None:
-        figure += f"; corrected: {number_text(row.finding.corrected)}"
-    return _cell(figure + (f" ({row.finding.note})" if row.finding.note else ""))
+    corrected = "" if measured.corrected is None else f"; corrected: {number_text(measured.corrected)}"
+    return _cell(row.figure_text + corrected + (f" ({measured.note})" if measured.note else ""))
 
 
-def _row(row: Decided) -> tuple[str, ...]:
-    claim = row.claim
-    return (
-        f"**{claim.id}**: {_cell(claim.statement)} ({_cell(claim.source)})<br>{_experiment(claim.experiment)}",
-        _cell(row.verdict),
-        _measured(row),
-        _cell(row.finding.bound.text) if row.finding else "–",
-    )
+def _claims(title: str, rows: Sequence[Decided], about: str = "") -> list[str]:
+    """Section with a table of claims; empty without any."""
+    cells = [
+        (
+            f"{_entry(row.claim)}<br>{_experiment(row.claim.experiment_text)}",
+            _cell(row.verdict),
+            _measured(row),
+            _cell(row.bound_text),
+        )
+        for row in rows
+    ]
+    return [f"## {title}", "", *([about] if about else []), *_table(COLUMNS, cells), ""] if cells else []
 
 
-def _control(control: Control) -> tuple[str, ...]:
-    finding = control.finding
-    return (
-        control.kind.name,
-        _cell(control.kind.measures),
-        _cell(control.kind.defect),
-        f"{number_text(finding.figure)} {finding.bound.unit}".rstrip() if finding else "–",
-        finding.bound.text if finding else "–",
-    )
+def _entry(entry: Claim | Excluded) -> str:
+    return f"**{entry.id}**: {_cell(entry.statement)} ({_cell(entry.source)})"
 
 
-def claims_page(decided: Sequence[Decided], controls: Sequence[Control], summary: str) -> str:
+def claims_page(decided: Claims) -> str:
     """Content of ``docs/claims.md``: counts, what does not hold, all entries by section, what is left out, controls."""
-    lines = [HEAD, f"{summary}.", ""]
-    others = [row for row in decided if row.category in (FAILS, MISPRINT) and not row.claim.ours]
-    if others:
-        lines += ["## What does not hold", "", *_table(COLUMNS, [_row(row) for row in others]), ""]
-    rows = {row.claim.id: row for row in decided}
-    for title, subject in SUBJECTS.items():
-        found = [rows[claim.id] for claim in subject if claim.id in rows]
-        if found:
-            about = [FINDINGS] if found[0].claim.ours else []
-            lines += [f"## {title}", "", *about, *_table(COLUMNS, [_row(row) for row in found]), ""]
-    left_out = [
-        (f"**{one.name}**: {_cell(one.statement)} ({_cell(one.source)})", _cell(one.reason)) for one in EXCLUDED
+    rows = {row.claim.id: row for row in decided.rows}
+    others = [row for row in decided.rows if row.category in (FAILS, MISPRINT) and not row.claim.ours]
+    lines = [HEAD, f"{decided.summary}.", "", *_claims("What does not hold", others)]
+    for section in ledger().sections:
+        shown = [rows[claim.id] for claim in section.claims if claim.id in rows]
+        lines += _claims(section.title, shown, section.about)
+    left_out = [(_entry(entry), _cell(entry.reason)) for entry in ledger().excluded]
+    controls = [
+        (row.check.name, _cell(row.check.measures), _cell(row.check.defect), row.figure_text, row.bound_text)
+        for row in decided.controls
     ]
     lines += [LEFT_OUT, *_table(("statement", "reason"), left_out), ""]
-    header = ("kind", "measures", "defect", "measured", "bound")
-    lines += [CONTROLS, *_table(header, [_control(control) for control in controls])]
+    lines += [CONTROLS, *_table(("kind", "measures", "defect", "measured", "bound"), controls)]
     return "\n".join(lines).rstrip() + "\n"

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic_core import CoreSchema, core_schema
 
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
@@ -16,24 +18,24 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
 from topcli.engine.loop import Run
 from topcli.engine.precise.loop import PreciseRun
-from topcli.errors import RunError
+from topcli.errors import RunError, nearest
 from topcli.paper.algebra import Draws
 from topcli.runs.precise import precise_run
 from topcli.runs.simulate import trajectory_of
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 DIGITS = 50
-RATIONAL = ("precision=rational", "h=1/10")
-"""Overrides of a run without rounding; its initial state must be rational."""
-FIFTY = (f"precision={DIGITS}", "h=1/10")
-"""Overrides of a run with 50 digits."""
+OVERRIDES = {
+    "rational": ("precision=rational", "h=1/10"),
+    "fifty": (f"precision={DIGITS}", "h=1/10"),
+    "generic": ("initial.omega=[0.7, -0.4, 1.3]", "initial.gamma=[0.6, 0.48, 0.64]"),
+    "long": ("N=10000000", "output.every=1000"),
+}
+"""Overrides by name: a run without rounding, whose initial state must be rational; a run with 50 digits; a state in
+general position, whose decimals are rational numbers; the paper's scene to t = 10000."""
 VARIED = 3
 """Variants of a scene, with random parameters, on which a general statement is tried beside the scene itself."""
 VARIED_STEPS = 3
 AND_VARIED = f", and {VARIED} times with random parameters, state and h"
-
 
 MOMENTS = ("A", "B", "C")
 PARAMETERS = {
@@ -54,6 +56,25 @@ class Scene:
     config: str
     sets: tuple[str, ...] = ()
 
+    @classmethod
+    def read(cls, text: str) -> Scene:
+        """Scene of a name and overrides, each ``key=value`` or a name of ``OVERRIDES``, between blanks.
+
+        >>> str(Scene.read("euler_hk rational N=20"))
+        'topcli run euler_hk --set precision=rational --set h=1/10 --set N=20'
+        """
+        config, *words = text.split()
+        sets: list[str] = []
+        for word in words:
+            if "=" not in word and word not in OVERRIDES:
+                raise ValueError(f"unknown override {word!r}; {nearest(word, OVERRIDES)}")
+            sets += OVERRIDES.get(word, (word,))
+        return cls(config, tuple(sets))
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(cls.read)
+
     def __str__(self) -> str:
         quoted = (f"'{text}'" if " " in text else text for text in self.sets)
         return " ".join([f"topcli run {self.config}", *(f"--set {text}" for text in quoted)])
@@ -72,6 +93,10 @@ class Scene:
         """Experiment of the scene."""
         return load_experiment(self.config, list(self.sets), any_precision=True)
 
+    def trajectory(self) -> Trajectory:
+        """Run of the scene in doubles; kept, because several claims look at it."""
+        return _trajectory(self)
+
     def varied(self, draws: Draws) -> Scene:
         """The same scene with random rational parameters of the top, initial state and h, and fewer steps."""
         top = self.experiment().top
@@ -85,8 +110,7 @@ class Scene:
 
 
 @cache
-def trajectory(scene: Scene) -> Trajectory:
-    """Run of a scene in doubles; kept, because several claims look at it."""
+def _trajectory(scene: Scene) -> Trajectory:
     return trajectory_of(scene.experiment())
 
 
@@ -127,21 +151,29 @@ class ExactMap:
 
     def deviations(self, name: str, states: NDArray[Any], h: Any) -> Array:
         """Deviations (n,) of the invariant ``name`` from its first value, relative to the size of its terms."""
-        one = next(one for one in self.invariants(h) if one.name == name)
         in_doubles = (*self.experiment.top.invariants(), *self.experiment.modified)
-        scale = next(float(one.scale(states.astype(float)).max()) for one in in_doubles if one.name == name)
+        scale = float(invariant_named(in_doubles, name).scale(states.astype(float)).max())
+        exact = invariant_named(self.invariants(h), name)
         with self.run.arithmetic.active():
-            values = one.value(states)
+            values = exact.value(states)
             return np.array([float(abs(value - values[0])) for value in values]) / scale
+
+    def fractions(self, values: Any) -> Any:
+        """Rational numbers of an array of numbers, or of one."""
+        return np.frompyfunc(self.run.arithmetic.fraction, 1, 1)(values)
 
     def parameter(self, name: str) -> Fraction:
         """Parameter of the top."""
-        return self.run.arithmetic.fraction(getattr(self.run.top, name))
+        return self.fractions(getattr(self.run.top, name))
 
     def number(self, value: Fraction) -> Any:
         """Number of this arithmetic."""
         with self.run.arithmetic.active():
             return self.run.arithmetic.number(value)
+
+    def numbers(self, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
+        """Array of numbers of this arithmetic."""
+        return np.array([self.number(Fraction(value)) for value in values], dtype=np.object_)
 
 
 def exact_map(scene: Scene) -> ExactMap:
@@ -152,7 +184,12 @@ def exact_map(scene: Scene) -> ExactMap:
     return ExactMap(experiment, run)
 
 
-def exact_maps(scene: Scene) -> list[ExactMap]:
-    """Steps of a scene and of its variants, all in the arithmetic of the scene."""
+def exact_maps(scene: Scene, varied: bool = True) -> list[ExactMap]:
+    """Steps of a scene and, if ``varied``, of its variants, all in the arithmetic of the scene."""
     draws = Draws(1)
-    return [exact_map(one) for one in (scene, *(scene.varied(draws) for _ in range(VARIED)))]
+    return [exact_map(scene), *(exact_map(scene.varied(draws)) for _ in range(VARIED if varied else 0))]
+
+
+def invariant_named(invariants: Sequence[Invariant], name: str) -> Invariant:
+    """Invariant with this name."""
+    return next(invariant for invariant in invariants if invariant.name == name)

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from topcli.paper.decide import decide_claims
-from topcli.paper.result import Claims
+from topcli.paper.decide import Claims, decide_claims
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 
@@ -40,7 +39,7 @@ class ClaimsReport(Claims, Report):
     ----------
     rows : tuple of Decided
         The claims, in the order of the ledger.
-    controls : tuple of Control
+    controls : tuple of CheckResult
         The positive control of each kind of check that was used.
     table : pandas.DataFrame
         A row for each claim, indexed by ``id``: origin (``paper`` or ``ours``), statement, source, experiment, figure,
@@ -107,7 +106,7 @@ def claims(ids: str | Sequence[str] = (), *, fast: bool = False, progress: bool 
     >>> found = topcli.claims(["hybrid-k-sq", "hybrid-reversible"])
     >>> found.table["verdict"].tolist()
     ['holds', 'does not hold as stated']
-    >>> found.changed, found.blunt
+    >>> found.changed, found.uncaught
     ((), ())
     """
     with Progress("claims", progress, unit="checks") as bar:

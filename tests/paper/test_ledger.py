@@ -1,4 +1,4 @@
-"""The ledger of the paper's claims: its checks find known defects, and its verdicts follow from figures and bounds."""
+"""The ledger of the paper's claims: what it holds, how it is read, and its page of the documentation."""
 
 from __future__ import annotations
 
@@ -10,54 +10,83 @@ from pathlib import Path
 
 import pytest
 
-import topcli
 from conftest import ROOT
-from topcli.paper import decide
-from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, Bound, Finding
-from topcli.paper.excluded import EXCLUDED
-from topcli.paper.ledger import LEDGER, SUBJECTS
-from topcli.paper.recorded import RECORDED
-from topcli.paper.result import Claims
+from topcli.errors import ConfigError
+from topcli.paper import ledger as module
+from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, Bound
+from topcli.paper.decide import Claims, decide_claims
+from topcli.paper.ledger import ledger, read_ledger
 from topcli.paper.scenes import Scene
 
-PAGE = ROOT / "docs" / "claims.md"
-NAMED = {claim.id: claim for claim in LEDGER}
-KINDS = {claim.kind.name: claim.kind for claim in LEDGER}
-SOURCES = Path(inspect.getfile(decide)).parent
+SOURCES = Path(inspect.getfile(module)).parent
+TEXT = (SOURCES / module.FILE).read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "claims.md").read_text(encoding="utf-8")
+CLAIMS = {claim.id: claim for claim in ledger().claims}
+EXCLUDED = ledger().excluded
+RECORDED = {name: claim.recorded for name, claim in CLAIMS.items()}
 
 
 def test_the_ledger_is_complete() -> None:
-    assert len(LEDGER) >= 40
-    assert len(NAMED) == len(LEDGER)
-    assert list(RECORDED) == list(NAMED)
+    assert len(ledger().claims) >= 40
     assert set(RECORDED.values()) == {HOLDS, HOLDS_WITHIN, FAILS, MISPRINT}
-    for claim in LEDGER:
-        assert re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)+|[a-z]+", claim.id), claim.id
-        assert claim.statement.endswith("."), claim.id
-        assert claim.source.startswith("section"), claim.id
-        assert claim.experiment.count("`") % 2 == 0, claim.id
-    assert len({claim.statement for claim in LEDGER}) == len(LEDGER)
+    assert {claim.check.name for claim in CLAIMS.values()} == {check.name for check in ledger().checks}
+    for entry in (*CLAIMS.values(), *EXCLUDED):
+        assert entry.statement.endswith("."), entry.id
+        assert re.match(r"section|abstract", entry.source), entry.id
+    for claim in CLAIMS.values():
+        assert re.fullmatch(r"([^`{}]+|`[^`{}]+`)+", claim.experiment_text), claim.id
+    for entry in EXCLUDED:
+        assert set(re.findall(r"\b[a-z0-9]+(?:-[a-z0-9]+)+\b", entry.reason)) <= set(CLAIMS), entry.id
 
 
-def test_every_entry_says_whether_it_is_the_papers_or_ours() -> None:
-    """Findings have a section of their own, hold, and are not counted as claims of the paper."""
-    ours = [claim.id for claim in LEDGER if claim.origin == "ours"]
-    assert [claim.id for claim in SUBJECTS["Findings beyond the paper"]] == ours
-    assert {claim.origin for claim in LEDGER} == {"paper", "ours"}
+def test_findings_have_a_section_of_their_own_and_hold() -> None:
+    ours = [claim.id for claim in ledger().claims if claim.origin == "ours"]
+    assert [claim.id for claim in ledger().sections[-1].claims] == ours
     assert {RECORDED[name] for name in ours} == {HOLDS}
-    found = topcli.claims(["abc-complete", "hk-heavy-equation", "matrix-m"], progress=False)
-    assert [one["origin"] for one in found.as_dict()["claims"]] == ["paper", "paper", "ours"]
-    assert (found.counts, found.findings) == ({HOLDS: 1, MISPRINT: 1}, {HOLDS: 1})
-    assert found.summary == "2 claims of the paper; holds: 1, misprint: 1. 1 finding of ours; holds: 1"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "check: reversible\n",
+            "check: reversable\n",
+            r"hk-euler-reversible: check: unknown check 'reversable'.*'reve",
+        ),
+        ("scene: euler_bs rational N=6", "scene: euler_bs rationel", r"bs-euler-m-sq: scene: .* 'rationel'; did you"),
+        ("invariants: [m_sq]}\n        recorded", "invariant: m_sq}\n        recorded", r"hk-euler-m-sq: invariants: "),
+        ("difference: kepler", "difference: keppler", "bohlin-kepler: difference: .*has a function 'keppler'"),
+        ("with: {equation: midpoint}", "with: {equation: midpoint, width: x}", "hybrid-explicit: width: "),
+        ("source: section 1.2, HK scheme\n", "sourse: section 1.2\n", "hk-euler-equation: source: Field required"),
+        ("id: direct\n", "id: kepler\n        id2: x\n", "kepler: id2: Extra inputs"),
+        ("function: reversal\n", "function: reversel\n", "reversible: no check function 'reversel'"),
+        (
+            "control: {scheme: hk, other: hybrid-sym}",
+            "control: {scheme: hk}",
+            "different slopes: other: Field required",
+        ),
+        ("recorded: misprint\n", "recorded: misprinted\n", "kowalevski-fourth: recorded: "),
+    ],
+)
+def test_a_wrong_entry_is_named_with_its_line(old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    with pytest.raises(ConfigError, match=message) as caught:
+        read_ledger(TEXT.replace(old, new, 1), "my.yaml")
+    (number,) = re.findall(r"^my.yaml:(\d+): ", str(caught.value))
+    assert 0 <= TEXT[: TEXT.index(old)].count("\n") + 1 - int(number) <= 20
+
+
+def test_a_name_is_used_once() -> None:
+    with pytest.raises(ConfigError, match="the name 'rotation' is used twice"):
+        read_ledger(TEXT.replace("id: direct\n", "id: rotation\n"))
 
 
 def test_claims_do_not_leave_the_papers_scope() -> None:
     """Long runs and states of ours are findings; a claim on a figure runs the figure's state, window and step."""
-    for claim in LEDGER:
-        if not claim.ours:
-            assert "N=10000000" not in claim.experiment, claim.id
+    for claim in CLAIMS.values():
+        assert claim.ours or "N=10000000" not in claim.experiment_text, claim.id
     for name in ("fig1-k-sq", "fig1-oscillates", "fig2-period", "fig3-energy", "fig3-energy-rises", "fig3-two-l-rises"):
-        (command,) = re.findall(r"`topcli run (.*)`", NAMED[name].experiment)
+        (command,) = re.findall(r"`topcli run (.*)`", CLAIMS[name].experiment_text)
         assert command in ("kowalevski_hk", "kowalevski_bohlin_a"), name
     for name in ("kowalevski_hk", "kowalevski_bohlin_a", "kowalevski_bohlin_b", "kowalevski_bohlin_c"):
         experiment = Scene(name).experiment()
@@ -65,41 +94,44 @@ def test_claims_do_not_leave_the_papers_scope() -> None:
         assert (experiment.h, experiment.N) == (0.001, 50000)
 
 
-def test_what_is_left_out_has_a_name_and_a_reason() -> None:
-    names = [one.name for one in EXCLUDED]
-    assert len(set(names)) == len(names)
-    assert not set(names) & set(NAMED)
-    for one in EXCLUDED:
-        assert one.statement.endswith("."), one.name
-        assert re.match(r"section|abstract", one.source), one.name
-        assert set(re.findall(r"\b[a-z0-9]+(?:-[a-z0-9]+)+\b", one.reason)) <= set(NAMED), one.name
-
-
 def test_integrability_is_asked_of_every_scheme_of_the_paper() -> None:
+    """Of (B) the ledger says why not."""
     suffix = "-only-approximates"
-    asked = {name.removesuffix(suffix) for name in NAMED if name.endswith(suffix)}
-    assert asked == {"hk", "hybrid", "bohlin-a", "bohlin-c"}
-    assert [one.statement for one in EXCLUDED if one.name == "approximation-of-b"] == [
-        "Bohlin's method with (B) is merely an approximation: it is not integrable by itself."
-    ]
+    assert {name.removesuffix(suffix) for name in CLAIMS if name.endswith(suffix)} == {
+        "hk",
+        "hybrid",
+        "bohlin-a",
+        "bohlin-c",
+    }
+    assert "approximation-of-b" in [entry.id for entry in EXCLUDED]
 
 
 def test_readme_counts_the_claims_of_the_paper() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (others,) = re.findall(r"decides this and (\d+) other statements of the paper", readme)
-    assert int(others) + 1 == sum(not claim.ours for claim in LEDGER)
+    assert int(others) + 1 == sum(not claim.ours for claim in CLAIMS.values())
 
 
-def test_no_check_knows_the_recorded_verdicts() -> None:
-    """Only ``decide`` imports the record, and its comparison comes after the finding."""
-    importing = set()
-    for path in SOURCES.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            names += [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
-            if any(name.rpartition(".")[2] in ("recorded", "RECORDED") for name in names):
-                importing.add(path.stem)
-    assert importing == {"decide"}
+# verdicts follow from measurements, not from what is recorded
+
+
+def test_only_the_comparison_reads_the_recorded_verdicts() -> None:
+    readers = [
+        (path.stem, node.lineno)
+        for path in SOURCES.glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and node.attr == "recorded"
+    ]
+    assert {name for name, _ in readers} == {"decide"}
+    assert len(readers) == 2, "the comparison and the plain data"
+
+
+def test_verdicts_do_not_depend_on_the_record() -> None:
+    names = ("matrix-m", "hk-heavy-equation", "hk-euler-m-sq", "abc-complete")
+    swapped = re.sub(r"recorded: .*", f"recorded: {FAILS}", TEXT)
+    decided = decide_claims(names, claims=read_ledger(swapped))
+    assert [row.category for row in decided.rows] == [RECORDED[row.claim.id] for row in decided.rows]
+    assert set(decided.changed) == set(names)
 
 
 @pytest.mark.parametrize(
@@ -125,7 +157,7 @@ def test_no_check_knows_the_recorded_verdicts() -> None:
 def test_verdict_follows_from_figure_and_bound(
     figure: float, bound: Bound, corrected: float | None, verdict: str
 ) -> None:
-    assert Finding(figure, bound, corrected).verdict == verdict
+    assert bound.verdict(figure, corrected) == verdict
 
 
 def test_bounds_are_written_with_their_sides() -> None:
@@ -135,6 +167,20 @@ def test_bounds_are_written_with_their_sides() -> None:
     assert Bound(2.0).text == "≥ 2"
     assert Bound(0.0, open_low=True).text == "> 0"
     assert Bound(0.0, 0.17638, unit="mm").text == "≤ 0.18 mm"
+
+
+# everything decided, and the page
+
+
+@pytest.fixture(scope="module")
+def every_claim() -> Claims:
+    return decide_claims()
+
+
+@pytest.mark.slow
+def test_all_claims_have_their_recorded_verdicts(every_claim: Claims) -> None:
+    assert [row.claim.id for row in every_claim.rows] == list(CLAIMS)
+    assert (every_claim.changed, every_claim.uncaught) == ((), ())
 
 
 DEFECTS: dict[str, tuple[float, float]] = {
@@ -178,35 +224,14 @@ DEFECTS: dict[str, tuple[float, float]] = {
 """Figure of each kind of check on its defect, and the relative tolerance; absolute where the figure is 0."""
 
 
-def test_every_kind_has_a_defect_of_known_size() -> None:
-    assert set(DEFECTS) == set(KINDS)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", DEFECTS)
-def test_check_finds_its_defect(name: str) -> None:
-    finding = KINDS[name].control()
-    value, tolerance = DEFECTS[name]
-    assert finding.verdict == FAILS
-    assert finding.figure == pytest.approx(value, rel=tolerance, abs=0.0 if value else tolerance)
-
-
-@pytest.mark.slow
-def test_fast_claims_have_their_recorded_verdicts() -> None:
-    found = topcli.claims(fast=True)
-    assert len(found) == sum(not claim.slow for claim in LEDGER) > 90
-    assert (found.changed, found.blunt) == ((), ())
-
-
-@pytest.fixture(scope="module")
-def every_claim() -> Claims:
-    return topcli.claims()
-
-
-@pytest.mark.slow
-def test_all_claims_have_their_recorded_verdicts(every_claim: Claims) -> None:
-    assert [row.claim.id for row in every_claim.rows] == list(NAMED)
-    assert (every_claim.changed, every_claim.blunt) == ((), ())
+def test_checks_find_their_defects(every_claim: Claims) -> None:
+    assert {control.check.name for control in every_claim.controls} == set(DEFECTS)
+    for control in every_claim.controls:
+        value, tolerance = DEFECTS[control.check.name]
+        assert control.category == FAILS
+        assert control.measurement is not None
+        assert control.measurement.figure == pytest.approx(value, rel=tolerance, abs=0.0 if value else tolerance)
 
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
@@ -222,7 +247,7 @@ def same_line(shown: str, now: str) -> bool:
 
 @pytest.mark.slow
 def test_the_page_is_up_to_date(every_claim: Claims) -> None:
-    shown, now = PAGE.read_text(encoding="utf-8").splitlines(), every_claim.to_markdown().splitlines()
+    shown, now = PAGE.splitlines(), every_claim.to_markdown().splitlines()
     assert len(shown) == len(now), "run topcli claims --markdown > docs/claims.md"
     for a, b in zip(shown, now, strict=True):
         assert same_line(a, b), f"run topcli claims --markdown > docs/claims.md\n{a}\n{b}"
@@ -237,21 +262,21 @@ def test_lines_of_the_page_are_compared_by_value() -> None:
 
 def test_page_lists_every_claim_with_its_recorded_verdict() -> None:
     """The page without running anything: each claim once in its section, with the verdict of the record."""
-    sections = PAGE.read_text(encoding="utf-8").split("\n## ")
-    for title, claims in SUBJECTS.items():
+    sections = PAGE.split("\n## ")
+    for title, claims in ((section.title, section.claims) for section in ledger().sections):
         (section,) = (text for text in sections if text.startswith(title + "\n"))
         rows = dict(re.findall(r"^\| \*\*([a-z0-9-]+)\*\*(?:[^|]|\\\|)*? \| ([^|]+) \| ", section, re.MULTILINE))
         assert list(rows) == [claim.id for claim in claims]
         for claim in claims:
-            assert rows[claim.id].startswith(RECORDED[claim.id])
+            assert rows[claim.id].startswith(claim.recorded)
     for start, wanted in (
         ("What does not hold", [name for name, verdict in RECORDED.items() if verdict in (FAILS, MISPRINT)]),
-        ("Not in the ledger", [one.name for one in EXCLUDED]),
+        ("Not in the ledger", [entry.id for entry in EXCLUDED]),
     ):
         (other,) = (text for text in sections if text.startswith(start))
         assert re.findall(r"^\| \*\*([a-z0-9-]+)\*\*", other, re.MULTILINE) == wanted
     for ours, noun in ((False, "claims of the paper"), (True, "findings of ours")):
-        verdicts = [RECORDED[claim.id] for claim in LEDGER if claim.ours is ours]
+        verdicts = [claim.recorded for claim in CLAIMS.values() if claim.ours is ours]
         (counts,) = re.findall(rf"(\d+) {noun}; ([^.]*)\.", sections[0])
         assert int(counts[0]) == len(verdicts)
         assert dict(part.rsplit(": ", 1) for part in counts[1].split(", ")) == {

@@ -1,1 +1,0 @@
-"""The claims, grouped by the sections of the paper."""

@@ -1,0 +1,264 @@
+"""Output on the claims: tables, details, JSON, the page, exit codes."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import typer
+from matplotlib.figure import Figure
+
+import topcli
+from reading_html import read_html
+from topcli.cli.claims import report_claims
+from topcli.figures.claims import VerdictPanel
+from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Measurement
+from topcli.paper.decide import Claims, decide_claims
+from topcli.paper.ledger import ledger, read_ledger
+from topcli.show.claims import ClaimsReport
+
+CLAIMS = {claim.id: claim for claim in ledger().claims}
+IDS = ("matrix-m", "hk-heavy-equation", "hybrid-reversible")
+
+
+@pytest.mark.slow
+def test_json_has_one_list_of_claims(cli) -> None:
+    said = cli("claims", *IDS, "--json")
+    assert said.code == 0
+    document = json.loads(said.out)
+    assert [key for key, value in document.items() if isinstance(value, list)] == ["claims"]
+    assert [row["id"] for row in document["claims"]] == list(IDS)
+    for row in document["claims"]:
+        claim = CLAIMS[row["id"]]
+        for key in ("statement", "source", "recorded", "origin", "slow"):
+            assert row[key] == getattr(claim, key)
+        assert (row["kind"], row["measures"]) == (claim.check.name, claim.check.measures)
+    assert document["verdicts"] == {FAILS: 1, HOLDS: 1, MISPRINT: 1}
+    assert document["findings"] == {}
+    assert [row["verdict"] for row in document["claims"]] == [HOLDS, MISPRINT, FAILS]
+    assert document["claims"][1]["bound"] == {"low": 0.0, "high": 0.0}
+    assert document["claims"][1]["corrected"] == 0.0
+    assert set(document["controls"]) == {"identity", "reversible"}
+
+
+@pytest.mark.slow
+def test_details_and_json_agree(cli) -> None:
+    (row,) = json.loads(cli("claims", "hk-heavy-small", "--json").out)["claims"]
+    assert row["verdict"] == "holds within 0.00064"
+    said = cli("claims", "HK-heavy-small")
+    assert said.code == 0
+    lines = dict(line.strip().split(": ", 1) for line in said.out.splitlines())
+    assert lines["hk-heavy-small"] == row["verdict"]
+    for key in ("statement", "origin", "source", "experiment"):
+        assert lines[key] == row[key]
+    assert lines["figure"] == f"{row['figure']:.2g} ({row['measures']})"
+    assert lines["bound"] == f"{row['bound_text']} ({row['bound_reason']})"
+    assert row["bound"]["high"] == pytest.approx(6.4e-4, rel=1e-2)
+
+
+SMALL = """
+checks:
+  - {name: rank, function: independence, measures: a number, side: at most, defect: the number 4,
+     control: {integrals: kowalevski_laws, count: 3}}
+  - {name: near, function: independence, measures: a number, side: at most, unit: mm, approximate: true,
+     defect: the number 4 beside 3, control: {integrals: kowalevski_laws, count: 3}}
+  - {name: law, function: conservation, measures: a number, side: at most, defect: a failed run,
+     control: {scene: euler_bs rational N=30 max_digits=100, invariants: [m_sq]}}
+sections:
+  - title: Small
+    claims:
+      - {id: one, statement: <b>one</b> | x., source: section 1, check: rank, experiment: some,
+         with: {integrals: kowalevski_laws, count: 4}, recorded: holds}
+      - {id: two, origin: ours, statement: <b>two</b> | x., source: section 1, check: near, experiment: some,
+         with: {integrals: kowalevski_laws, count: 5}, recorded: holds within}
+      - {id: three, statement: <b>three</b> | x., source: section 1, check: rank, experiment: some,
+         with: {integrals: kowalevski_laws, count: 3}, recorded: does not hold as stated}
+excluded: []
+"""
+"""Three claims on a figure, which is 4: it lies within the first two bounds."""
+
+
+def small(*changes: tuple[str, str], ids: tuple[str, ...] = ()) -> Claims:
+    """The small ledger with parts of its text replaced, decided."""
+    text = SMALL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return decide_claims(ids, claims=read_ledger(text))
+
+
+@pytest.fixture
+def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Exit code, output and messages of the command on decided claims."""
+
+    def printed(found: Claims, details: bool = False, as_json: bool = False) -> tuple[int, str, str]:
+        code = 0
+        try:
+            report_claims(found, details, as_json, False)
+        except typer.Exit as leaving:
+            code = leaving.exit_code
+        return code, *capsys.readouterr()
+
+    return printed
+
+
+def test_table_shows_the_figures_of_each_claim(report) -> None:
+    code, out, err = report(small())
+    assert code == 0
+    header, *lines = out.splitlines()
+    assert re.split(r"\s{2,}", header.strip()) == ["id", "origin", "statement", "verdict", "figure", "bound", "source"]
+    assert [re.split(r"\s{2,}", line.strip()) for line in lines] == [
+        ["one", "paper", "<b>one</b> | x.", "holds", "4", "≤ 4", "section 1"],
+        ["two", "ours", "<b>two</b> | x.", "holds within 5 mm", "4", "≤ 5 mm", "section 1"],
+        ["three", "paper", "<b>three</b> | x.", "does not hold as stated", "4", "≤ 3", "section 1"],
+    ]
+    summary = "2 claims of the paper; does not hold as stated: 1, holds: 1. 1 finding of ours; holds within: 1"
+    assert err.strip() == summary
+
+
+def test_a_changed_verdict_exits_with_4(report) -> None:
+    changed = ("recorded: holds within", "recorded: holds")
+    code, _, err = report(small(changed))
+    assert code == 4
+    assert "error: two: the verdict is 'holds within 5 mm'; recorded: 'holds'" in err
+    assert report(small(changed, ids=("one",)))[0] == 0
+    assert report(small(changed, ids=("two",)), as_json=True)[0] == 4
+
+
+def test_a_check_that_misses_its_defect_exits_with_4(report) -> None:
+    found = small(("defect: the number 4,\n     control: {integrals: kowalevski_laws, count: 3}", DEFECTLESS))
+    code, _, err = report(found)
+    assert (code, found.uncaught) == (4, ("rank",))
+    assert "error: check 'rank': did not find its positive control: none" in err
+
+
+DEFECTLESS = "defect: none,\n     control: {integrals: kowalevski_laws, count: 4}"
+FAILING = "check: law, with: {scene: euler_bs rational N=30 max_digits=100, invariants: [m_sq]}"
+
+
+def test_failed_run_leaves_the_other_verdicts(report) -> None:
+    run = "euler_bs rational N=30 max_digits=100"
+    first = ("check: rank, experiment: some,\n         with: {integrals: kowalevski_laws, count: 4}", FAILING)
+    found = small(first, (f"control: {{scene: {run}", "control: {scene: euler_hk rational N=3"))
+    code, out, err = report(found, as_json=True)
+    assert code == 1
+    rows = json.loads(out)["claims"]
+    assert [row["verdict"] for row in rows] == [NOT_TRIED, "holds within 5 mm", FAILS]
+    assert re.fullmatch(r"error: one: euler_bs: stopped at step .*", err.splitlines()[-1])
+    code, _, err = report(small((first[0], FAILING.replace("N=30 max_digits=100", "N=2")), ids=("one",)))
+    assert code == 4
+    assert "error: check 'law': did not find its positive control: a failed run" in err
+
+
+@pytest.mark.slow
+def test_missing_package_is_not_tried(report, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.spatial", None)
+    found = decide_claims(("fig2-abc", "hk-heavy-equation"))
+    code, out, err = report(found, as_json=True)
+    assert code == 0
+    _, row = json.loads(out)["claims"]
+    assert (row["verdict"], row["figure"], row["bound"]) == (NOT_TRIED, None, None)
+    assert row["note"] == "not tried: needs the package scipy.spatial, which is not installed"
+    assert row["note"] in err
+    assert not found.rows[1].changed
+    code, out, _ = report(found)
+    assert code == 0
+    assert re.search(r"^fig2-abc .* not tried +– +– ", out, re.MULTILINE)
+    page = found.to_markdown()
+    assert "not tried: 1" in page
+    listed = page.partition("## What does not hold")[2].partition("## HK scheme")[0]
+    assert "**fig2-abc**" not in listed
+    (line,) = (line for line in listed.splitlines() if "**hk-heavy-equation**" in line)
+    assert re.search(r"\| misprint \| \d.*; corrected: 0 \| 0 \|$", line)
+
+
+def test_unknown_claims_name_the_nearest(cli) -> None:
+    said = cli("claims", "hybrid-reversable")
+    assert said.code == 2
+    assert "unknown claim 'hybrid-reversable'; did you mean 'hybrid-reversible'" in said.err
+    assert said.out == ""
+    said = cli("claims", "qqq")
+    assert said.code == 2
+    assert "topcli claims --fast lists the claims" in said.err
+    assert cli("claims", "--json", "--markdown").code == 2
+
+
+def test_progress_counts_claims_and_controls() -> None:
+    steps: list[tuple[int, int]] = []
+    decide_claims(claims=read_ledger(SMALL), on_progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(done, 5) for done in range(1, 6)]
+
+
+@pytest.mark.slow
+def test_report_has_the_figures_of_each_claim_and_escapes_their_texts() -> None:
+    found = small()
+    shown = ClaimsReport(found.rows, found.controls)
+    assert repr(shown).endswith("1 holds, 1 does not hold as stated; findings of ours: 1 holds within>")
+    assert shown.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [4.0, "≤ 5 mm", "holds within 5 mm"]
+    html = shown._repr_html_()
+    assert "&lt;b&gt;one&lt;/b&gt;" in html
+    assert "<b>one" not in html
+    (table,) = read_html(html).all("table")
+    assert table.cells()[2][:2] == ["two", "ours"]
+    assert table.cells()[2][3:6] == ["holds within 5 mm", "4", "≤ 5 mm"]
+
+
+@pytest.mark.slow
+def test_plot_counts_the_verdicts_of_each_part_of_the_paper() -> None:
+    names = ("hk-heavy-small", "hk-heavy-equation", "hybrid-k-sq", "hybrid-reversible")
+    axes = topcli.claims(names, progress=False).plot(Figure().add_subplot())
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "HK scheme of heavy tops",
+        "Hybrid scheme and summary",
+    ]
+    bars = {one.get_label(): [bar.get_width() for bar in one] for one in axes.containers}
+    assert bars == {HOLDS: [0, 1], HOLDS_WITHIN: [1, 0], MISPRINT: [1, 0], FAILS: [0, 1]}
+    assert sorted(text.get_text() for text in axes.texts) == ["1"] * 4
+    assert [bar.get_x() for bar in axes.containers[-1]] == [2, 1], "bars are side by side"
+
+
+def test_bars_of_verdicts_have_their_numbers_within_and_their_own_colours() -> None:
+    """Blue is what holds, orange what does not, grey what was not tried; the number is in the middle of its bar."""
+    counts = {
+        HOLDS: [4.0, 0.0],
+        HOLDS_WITHIN: [2.0, 1.0],
+        MISPRINT: [1.0, 3.0],
+        FAILS: [3.0, 2.0],
+        NOT_TRIED: [0.0, 5.0],
+    }
+    panel = VerdictPanel(("first", "second"), tuple(counts))
+    axes = Figure().add_subplot()
+    panel.paint(axes, {name: np.array(values) for name, values in counts.items()}, {})
+    texts = {text.get_position(): text.get_text() for text in axes.texts}
+    hues = {}
+    for verdict, bars in zip(counts, axes.containers, strict=True):
+        assert bars.get_label() == verdict
+        for row, (bar, count) in enumerate(zip(bars, counts[verdict], strict=True)):
+            assert bar.get_width() == count
+            if count:
+                assert texts.pop((bar.get_x() + 0.5 * count, row)) == f"{count:.0f}"
+        red, _, blue, _ = bars[0].get_facecolor()
+        hues[verdict] = "blue" if blue > red + 0.3 else "orange" if red > blue + 0.3 else "grey"
+    assert not texts
+    assert list(hues.values()) == ["blue", "blue", "orange", "orange", "grey"]
+    assert len({bars[0].get_facecolor() for bars in axes.containers}) == len(counts)
+    legend = axes.get_legend()
+    shown = {text.get_text(): patch for text, patch in zip(legend.get_texts(), legend.get_patches(), strict=True)}
+    assert all(shown[bars.get_label()].get_facecolor() == bars[0].get_facecolor() for bars in axes.containers)
+
+
+def test_a_figure_that_is_not_finite_is_null_in_json() -> None:
+    found = small(ids=("one",))
+    rows = tuple(replace(row, measurement=Measurement(math.nan)) for row in found.rows)
+    controls = tuple(replace(row, measurement=Measurement(math.inf)) for row in found.controls)
+    data = Claims(rows, controls).as_dict()
+    json.dumps(data, allow_nan=False)
+    assert data["claims"][0]["figure"] is None
+    assert data["claims"][0]["verdict"] == FAILS
+    assert rows[0].changed
