@@ -15,9 +15,8 @@ import pytest
 
 from conftest import GEN, PAPER, ROOT
 from steppers import EXPLODE, RK2
-from topcli.contracts import Block, Outcome, Sampler, Stepper
+from topcli.contracts import Outcome, Stepper
 from topcli.engine import loop, native
-from topcli.engine.driver import plain_loop
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Run
 from topcli.schemes.registry import all_schemes
@@ -28,25 +27,6 @@ from topcli.tops.kowalevski import Kowalevski
 def rows(run: Run) -> tuple[np.ndarray, np.ndarray]:
     n, states, _ = run.collect()
     return n, states
-
-
-@pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
-def test_compiled_equals_plain_python(scheme) -> None:
-    """The same arithmetic, bit for bit: 300 steps of machine code against the interpreter."""
-    top = TOPS[scheme.top]()
-    stepper = scheme.build(top, scheme.options())
-    if isinstance(stepper, Sampler | Block):
-        return  # nothing is compiled, or a twin of its own is: see test_taylor
-    y0 = np.array(GEN[: len(top.components)])
-    p = np.array(top.constants())
-    enter, drive = plain_loop(stepper, len(y0), len(p))
-    work, out = np.zeros(stepper.width), np.empty((300, len(y0)))
-    enter(y0, work, p, 0.02)
-    assert drive(work, flat := out.reshape(-1), p, 0.02, 300, 1, 1) == 300
-    n, states = rows(Run(top, stepper, y0, 0.02, 300))
-    assert (states[1:] == flat.reshape(300, -1)).all()
-    assert (n == np.arange(301)).all()
-    assert (states[0] == y0).all()
 
 
 @pytest.mark.slow

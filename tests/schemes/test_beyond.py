@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from conftest import GEN, PAPER, random_states
-from steppers import RK2
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Ending, Floats, Outcome, Stepper
 from topcli.engine.loop import Run
-from topcli.schemes.kowalevski.dg4 import right_hand_side
 from topcli.schemes.kowalevski.four_integrals import (
     combination,
     directional_derivatives,
@@ -26,7 +24,7 @@ from topcli.schemes.kowalevski.four_integrals import (
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.registry import find_scheme
-from topcli.tops.kowalevski import Kowalevski, field
+from topcli.tops.kowalevski import Kowalevski
 
 EPS = 2.0**-52
 DELONE = (0.9, 0.3, 1.0, 0.72, 0.54, math.sqrt(1.0 - 0.72**2 - 0.54**2))
@@ -217,11 +215,6 @@ def test_counters_report_unmet_tolerances() -> None:
     )  # a step of no use
 
 
-def test_rk2_control_drifts() -> None:
-    states, _ = ran(RK2, GEN, 0.01, 10_000)
-    assert min(deviations(states).values()) == pytest.approx(5.86e10, rel=0.05)
-
-
 def test_mean_gradient_of_k_squared() -> None:
     """Its component along the change is the change of k²/2, for changes of any size: a discrete gradient."""
     c = -1.3
@@ -231,31 +224,6 @@ def test_mean_gradient_of_k_squared() -> None:
         e = z - y
         assert a1 * e[0] + a2 * e[1] + b1 * e[3] + b2 * e[4] == pytest.approx(halves[1] - halves[0], abs=1e-13)
         np.testing.assert_allclose(mean_column(tuple(z), tuple(-e), c), (a1, a2, b1, b2), atol=1e-13)
-
-
-@pytest.mark.parametrize("h", [0.1, -0.1, 1e-3])
-def test_dg4_solves_its_equation(h: float) -> None:
-    """y' - y is h f(mean) without its part in the span of the discrete gradients, here by least squares."""
-    made, p = stepper("dg4"), (1.0,)
-    assert made.enter is not None
-    for y in random_states(20, seed=25):
-        new = np.array(made.step(made.enter(tuple(y), h, p), h, p)[:6])
-        mean, e = tuple((y + new) / 2), tuple(new - y)
-        D = gradients(mean, 1.0, 1.0, 0.0)
-        a1, a2, b1, b2 = mean_column(tuple(y), e, 1.0)
-        D[:, 3] = (a1, a2, 0.0, b1, b2, 0.0)
-        f = h * np.array(field(mean, p))
-        along = D @ np.linalg.lstsq(D, f)[0]
-        assert np.linalg.norm(along) > 1e-5 * abs(h) ** 3
-        worst = 1.0 / np.linalg.svd(D, compute_uv=False)[-1]
-        np.testing.assert_allclose(e, f - along, rtol=0, atol=4e-15 * max(1.0, worst))
-        free, _ = right_hand_side(tuple(y), e, (0.0, 0.0, 0.0, 0.0), 1.0, False, h, p)
-        np.testing.assert_allclose(free, f, rtol=1e-14, atol=1e-17)  # with no integral in use: the midpoint rule
-
-
-def test_midpoint_steps_are_counted() -> None:
-    assert ran(stepper("dg4"), GEN, 0.05, 1000)[1].counters["midpoint_steps"] == 0
-    assert ran(stepper("dg4"), DELONE, 0.05, 1000)[1].counters["midpoint_steps"] == 1000
 
 
 @pytest.mark.slow

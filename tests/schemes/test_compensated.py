@@ -198,20 +198,6 @@ def test_compensated_schemes_can_be_composed(scheme: Scheme) -> None:
     assert 0.0 < np.abs(ends[0] - ends[1]).max() < 1e-13
 
 
-@pytest.mark.slow
-@by_name
-def test_compensated_machine_code_is_the_python_code(scheme: Scheme) -> None:
-    for top in TRIALS[scheme.top][:2]:
-        made = built(scheme, top, True)
-        work, p = [0.0] * made.width, top.constants()
-        enter, drive = plain_loop(made, len(top.components), len(p))
-        enter(gen(top), work, p, 0.05)
-        assert drive(work, [], p, 0.05, 60, 61, 61) == 60
-        compiled = Driven(made, top, gen(top), 0.05)
-        compiled.drive(0.05, 60)
-        assert compiled.work.tolist() == work
-
-
 @by_name
 def test_plain_is_old_plus_change(scheme: Scheme) -> None:
     """From a fresh start the first step is the same with and without compensation, bit for bit; later ones differ.

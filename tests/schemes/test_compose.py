@@ -9,16 +9,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from conftest import GEN, random_states
+from conftest import GEN
 from kick_turn import KICK_TURN
-from steppers import RK2
-from topcli.analysis.order import observed_order, one_step_back_and_forth
-from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson, Invariant, Outcome, Sampler, Scheme, Stepper, Top
-from topcli.engine.driver import plain_loop
 from topcli.engine.loop import Run
 from topcli.errors import UnknownNameError, UsageError
-from topcli.schemes.compose import COMPOSITIONS, compose, composed_step, obstacle
+from topcli.schemes.compose import COMPOSITIONS, compose, obstacle
 from topcli.schemes.registry import all_schemes, composed, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
@@ -34,103 +30,14 @@ by_composition = pytest.mark.parametrize("name", COMPOSITIONS)
 
 # What composed schemes declare
 
-LADDERS = {
-    4: (2.0, (40, 57, 80, 113, 160, 226, 320)),
-    6: (2.0, (16, 20, 25, 32, 40, 50, 64, 80)),
-    8: (4.0, (6, 8, 10, 12, 14, 17, 20, 24, 28, 34)),
-}
-"""Durations, and numbers of steps that take the errors from below 1e-3 to round-off."""
-
-
-FINER = ("dmv", "splitting")
-"""Bases that need shorter steps: dmv has none beyond |h omega| of about 1, and stages are longer than their step."""
-
-
-def errors_after(top: Top, stepper: Stepper, y0, duration: float, counts) -> list[float]:
-    exact = reference_states(top, y0, np.array([duration]))[0]
-    return [float(np.linalg.norm(states_of(Run(top, stepper, y0, duration / N, N, N))[-1] - exact)) for N in counts]
-
 
 def states_of(run: Run) -> np.ndarray:
     return run.collect().states
 
 
-@pytest.mark.slow
-@by_base
-@by_composition
-def test_declared_order_is_observed(base: Scheme, name: str) -> None:
-    """Between 1e-3 and round-off, where the errors of order 8 fall fast."""
-    scheme, top = compose(base, name), TOPS[base.top].new()
-    duration, counts = LADDERS[scheme.order]
-    if scheme.order == 8 and len(top.components) == 3:  # free, so calm that errors need time to rise above round-off
-        duration, counts = 5 * duration, [5 * N for N in counts]
-    method = scheme.build(top, base.options())
-    if base.name in FINER:
-        counts = [3 * N // 2 for N in counts]
-    errors = errors_after(top, method, GEN[: len(top.components)], duration, counts)
-    assert max(errors) < 1e-3
-    order = observed_order([duration / N for N in counts], errors, 1e-12)
-    assert order == pytest.approx(scheme.order, abs=0.1)
-
-
-def test_order_control() -> None:
-    """With a base that is not self-adjoint the same weights give order 3, not 8."""
-    weights = COMPOSITIONS["kahan-li8"].weights
-    counts = [160, 226, 320]
-    errors = errors_after(Kowalevski(), Stepper(composed_step(RK2.step, weights), 6), GEN, 2.0, counts)
-    assert observed_order([2.0 / N for N in counts], errors, 1e-12) == pytest.approx(3.0, abs=0.1)
-
-
-def worst_defect(top: Top, stepper: Stepper, h: float) -> float:
-    states = random_states(8, seed=3)[:, : len(top.components)]
-    return max(one_step_back_and_forth(top, stepper, y, h) for y in states)
-
-
-@pytest.mark.slow
-@by_base
-@by_composition
-def test_self_adjoint_to_round_off(base: Scheme, name: str) -> None:
-    scheme, top = compose(base, name), TOPS[base.top].new()
-    assert scheme.self_adjoint
-    for h in (0.05, 0.02, 0.01) if base.name in FINER else (0.2, 0.1, 0.05):
-        assert worst_defect(top, scheme.build(top, base.options()), h) < 1e-14
-
-
-def test_self_adjointness_control() -> None:
-    """A base without the trait, and weights that are no palindrome: by their defects, which are far from round-off."""
-    weights = COMPOSITIONS["suzuki4"].weights
-    hk = HK.build(Kowalevski(), HK.options())
-    assert isinstance(hk, Stepper)
-    without = Stepper(composed_step(RK2.step, weights), 6)
-    lopsided = replace(hk, step=composed_step(hk.step, sorted(weights)))
-    assert worst_defect(Kowalevski(), without, 0.1) == pytest.approx(6.4e-4, rel=0.02)
-    assert worst_defect(Kowalevski(), lopsided, 0.1) == pytest.approx(6.0e-5, rel=0.02)
-    assert worst_defect(Kowalevski(), replace(hk, step=composed_step(hk.step, weights)), 0.1) < 1e-14
-
-
 def deviation(values: np.ndarray, scale: np.ndarray, steps: int) -> float:
     """In units of 50 ulp of the terms times the square root of the number of steps."""
     return float(np.abs(values - values[0]).max() / (50.0 * np.finfo(float).eps * np.sqrt(steps) * scale.max()))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("base", [base for base in BASES if base.conserves], ids=lambda s: f"{s.name}/{s.top}")
-@by_composition
-def test_invariants_of_the_base_are_conserved(base: Scheme, name: str) -> None:
-    """To round-off, while another integral of the same run deviates visibly (unless the base conserves them all).
-
-    The longest stage is no longer than what the iterations of the implicit bases settle for.
-    """
-    scheme, top = compose(base, name), TOPS[base.top].new()
-    assert scheme.conserves == base.conserves
-    longest = max(map(abs, COMPOSITIONS[name].weights))
-    for h in (0.5 if base is SPLIT else 0.2 / longest, 0.03):
-        states = states_of(Run(top, scheme.build(top, base.options()), GEN[: len(top.components)], h, 4000, 10))
-        steps = 4000 * COMPOSITIONS[name].stages
-        found = {i.name: deviation(i.value(states), i.scale(states), steps) for i in top.invariants()}
-        assert max(found[invariant] for invariant in base.conserves) < 1.0
-        if base is SPLIT and h == 0.5:
-            assert min(found[other] for other in found if other not in base.conserves) > 100.0
 
 
 class Oscillator(Top):
@@ -205,20 +112,6 @@ def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
     assert run.ending.outcome is Outcome.COMPLETED
     if base is SPLIT:
         assert run.ending.counters == {"stages": 10 * COMPOSITIONS[name].stages}
-
-
-@pytest.mark.slow
-@by_base
-@by_composition
-def test_compiled_equals_plain_python(base: Scheme, name: str) -> None:
-    top, h, N = TOPS[base.top].new(), 0.05, 50
-    method = compose(base, name).build(top, base.options())
-    y0 = np.array(GEN[: len(top.components)])
-    p, work, out = np.array(top.constants()), np.zeros(method.width), np.empty(N * len(y0))
-    enter, drive = plain_loop(method, len(y0), len(p))
-    enter(y0, work, p, h)
-    assert drive(work, out, p, h, N, 1, 1) == N
-    assert np.array_equal(states_of(Run(top, method, y0, h, N))[1:], out.reshape(N, -1))
 
 
 def unsettled_step(s, h, p):

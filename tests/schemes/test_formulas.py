@@ -365,17 +365,20 @@ RESIDUALS: dict[str, Callable[[str, State, State], float]] = {
 }
 WITH = [(one.name, one.top) for one in all_schemes() if one.origin == "topcli" and (one.name, one.top) not in DERIVED]
 NO_STEP = ("taylor", "dop853")
+SOLVED = ("dg4", "midpoint4", "hybrid-sym")
+"""Schemes that solve equations of the Kowalevski top; they are tried on more states."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), WITH)
 def test_a_step_satisfies_its_formula(name: str, form: str) -> None:
     residual = RESIDUALS.get(f"{name} {form}") or RESIDUALS[name]
-    y = state_of(form)
-    z = y if name in NO_STEP else after(form, name, y)
-    assert residual(form, y, z) < CLOSE
-    if name not in NO_STEP:
-        assert residual(form, y, z + 1e-6) > 1e-8  # a control: the formula determines the state
+    for seed in (3, 4, 5) if name in SOLVED else (3,):
+        y = state_of(form, seed)
+        z = y if name in NO_STEP else after(form, name, y)
+        assert residual(form, y, z) < CLOSE
+        if name not in NO_STEP:
+            assert residual(form, y, z + 1e-6) > 1e-8  # a control: the formula determines the state
 
 
 def test_every_scheme_and_top_has_a_formula() -> None:

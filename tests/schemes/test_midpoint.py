@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from conformance import exactness
 from conftest import GEN, PAPER, random_states
 from steppers import RK2
 from topcli.contracts import Floats, Outcome, Stepper, Top
@@ -45,17 +46,7 @@ def test_step_solves_the_midpoint_rule(h: float) -> None:
 
 def over_bound(top: Top, made: Stepper, y0, h: float, names: tuple[str, ...]) -> float:
     """Largest deviation of the invariants ``names`` over 1e5 steps, in units of 50 ulp times sqrt(N)."""
-    run = Run(top, made, y0, h, STEPS, 20)
-    states = run.collect().states
-    assert run.ending is not None
-    assert run.ending.outcome is Outcome.COMPLETED
-    worst = 0.0
-    for invariant in top.invariants():
-        if invariant.name in names:
-            values = invariant.value(states)
-            bound = 50.0 * EPS * math.sqrt(STEPS) * invariant.scale(states).max()
-            worst = max(worst, float(np.abs(values - values[0]).max()) / bound)
-    return worst
+    return exactness(top, made, y0, h, names, STEPS)
 
 
 @pytest.mark.slow

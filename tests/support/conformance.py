@@ -1,0 +1,143 @@
+"""What every scheme is held to, whoever wrote it: measures of its declared traits, and of its machine code.
+
+A measure takes a top and a method, so that a scheme of a plugin is measured like a built-in one; see
+``test_conformance`` for the bounds and for the methods without the traits, which the same measures condemn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from conftest import GEN, random_states
+from topcli.analysis.order import observed_order, one_step_back_and_forth
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Method, Scheme, Stepper, Top
+from topcli.engine.driver import loop_of, plain_loop
+from topcli.engine.loop import Run
+from topcli.errors import UsageError
+from topcli.schemes.compose import COMPOSITIONS, compose, obstacle
+
+LADDERS = {
+    4: (2.0, (40, 57, 80, 113, 160, 226, 320)),
+    6: (2.0, (16, 20, 25, 32, 40, 50, 64, 80)),
+    8: (4.0, (6, 8, 10, 12, 14, 17, 20, 24, 28, 34)),
+}
+"""Durations and numbers of steps of compositions, whose errors fall from 1e-3 to round-off."""
+FINER = ("dmv", "splitting")
+"""Bases whose compositions need shorter steps: dmv has none beyond |h omega| of about 1, and some stages are longer."""
+
+
+def states_of(top: Top, count: int, seed: int) -> np.ndarray:
+    """States of the top, in general position."""
+    return random_states(count, seed)[:, : len(top.components)]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A scheme with options, on a top."""
+
+    scheme: Scheme
+    top: Top
+    options: Any
+
+    @property
+    def method(self) -> Method:
+        return self.scheme.build(self.top, self.options)
+
+    @property
+    def stages(self) -> int:
+        """Steps of the base scheme in one step."""
+        _, plus, composition = self.scheme.name.rpartition("+")
+        return COMPOSITIONS[composition].stages if plus else 1
+
+    def __str__(self) -> str:
+        chosen = self.options.model_dump(exclude_defaults=True)
+        return f"{self.scheme.name}/{self.top!r}" + (f" {chosen}" if chosen else "")
+
+
+def choices(scheme: Scheme, top: Top) -> Iterator[Any]:
+    """The default options and, one at a time, every other choice of an enumerated option or a switch.
+
+    A choice that the scheme refuses for this top is left out.
+    """
+    yield scheme.options()
+    for name, schema in scheme.options.model_json_schema().get("properties", {}).items():
+        for value in [False, True] if schema.get("type") == "boolean" else schema.get("enum", []):
+            if value != schema.get("default"):
+                options = scheme.options(**{name: value})
+                try:
+                    scheme.build(top, options)
+                except UsageError:
+                    continue
+                yield options
+
+
+def subjects(scheme: Scheme, tops: Sequence[Top], compositions: Sequence[str] = ()) -> list[Subject]:
+    """The scheme with all choices of its options on these tops, and composed, on the first one."""
+    alone = [Subject(scheme, top, options) for top in tops for options in choices(scheme, top)]
+    if obstacle(scheme):
+        return alone
+    return alone + [Subject(compose(scheme, name), tops[0], scheme.options()) for name in compositions]
+
+
+def errors_after(top: Top, method: Method, duration: float, counts: Sequence[int], y0: Any = None) -> list[float]:
+    """Errors after ``duration`` of as many steps as ``counts`` say, each."""
+    y0 = GEN[: len(top.components)] if y0 is None else y0
+    exact = reference_states(top, y0, np.array([duration]))[0]
+    ends = [Run(top, method, y0, duration / N, int(N), int(N)).collect().states[-1] for N in counts]
+    return [float(np.linalg.norm(end - exact)) for end in ends]
+
+
+def order_of(
+    top: Top, method: Method, duration: float = 2.0, counts: Sequence[int] = (25 * 2 ** np.arange(7))
+) -> float:
+    """Observed order of convergence."""
+    order = observed_order([duration / N for N in counts], errors_after(top, method, duration, counts), 1e-12)
+    assert order is not None
+    return order
+
+
+def ladder(subject: Subject) -> dict[str, Any]:
+    """Duration and numbers of steps at which the order of a scheme is observed."""
+    if subject.stages == 1:
+        return {}
+    order, finer = subject.scheme.order, subject.scheme.name.startswith(FINER)
+    assert order is not None
+    duration, counts = LADDERS[order]
+    longer = 5 if order == 8 and len(subject.top.components) == 3 else 1  # free: errors need time to rise
+    return {"duration": duration * longer, "counts": [longer * N * (3 if finer else 2) // 2 for N in counts]}
+
+
+def reversal_defect(top: Top, method: Method, h: float, count: int = 12) -> float:
+    """Largest component missed by one step there and one back."""
+    return max(one_step_back_and_forth(top, method, y, h) for y in states_of(top, count, seed=3))
+
+
+def exactness(
+    top: Top, method: Method, y0: Any, h: float, names: Sequence[str], N: int = 20_000, stages: int = 1
+) -> float:
+    """Largest deviation of the invariants ``names`` over N steps, in units of 50 ulp of their terms times sqrt(N)."""
+    states = Run(top, method, y0, h, N, 10).collect().states
+    unit = 50.0 * np.finfo(float).eps * np.sqrt(N * stages)
+    watched = [invariant for invariant in top.invariants() if invariant.name in names]
+    deviations = [
+        np.abs(one.value(states) - one.value(states[:1])).max() / (unit * one.scale(states).max()) for one in watched
+    ]
+    return float(max(deviations, default=0.0))
+
+
+def working_states(top: Top, method: Stepper, h: float, N: int) -> tuple[list[float], list[float], np.ndarray]:
+    """Working state after N steps of the interpreter and of machine code; the recorded states of the interpreter."""
+    y0, p = np.array(GEN[: len(top.components)]), np.array(top.constants())
+    enter, drive = plain_loop(method, len(y0), len(p))
+    compiled = loop_of(method, len(y0), len(p))
+    work, other, out = np.zeros(method.width), np.zeros(method.width), np.empty(N * len(y0))
+    enter(y0, work, p, h)
+    assert drive(work, out, p, h, N, 1, 1) == N
+    compiled.enter(y0, other, p, h)
+    assert compiled.drive(other, other[:0], p, h, N, N + 1, N + 1) == N
+    return work.tolist(), other.tolist(), out.reshape(N, -1)
