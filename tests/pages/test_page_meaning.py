@@ -236,29 +236,18 @@ def test_the_table_of_orders_is_that_of_the_study() -> None:
     np.testing.assert_array_equal([tuple(map(float, line)) for line in errors.cells()[1:]], stored)
 
 
-def test_a_damaged_run_is_damaged_wherever_it_is_shown(tmp_path: Path) -> None:
-    """Also beside others, in the table that compares them."""
-    folders = [store_run(tmp_path, "one"), store_run(tmp_path, "other", "hybrid")]
-    (folders[1] / "series.parquet").write_bytes(b"PAR1")
-    page = read_html(report_page([str(folder) for folder in folders]).text)
-    rows = {row[0]: row[1:] for row in section_of(page, "Comparison").all("table")[0].cells()}
-    assert rows["outcome"] == ["completed", "damaged"]
-    state = {one.text: one.attributes["class"].split() for one in page.with_class("outcome")}
-    assert ("good" in state["completed"], "bad" in state["damaged"], "bad" in state["2 runs"]) == (True, True, True)
-
-
-@pytest.mark.parametrize("columns", [["t", "gamma1"], ["n", "gamma1"]])
-def test_time_is_time_without_a_column_of_times(columns: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("columns", "h"), [(["t", "gamma1"], 0.01), (["n", "gamma1"], 0.01), (["n", "gamma1"], -0.02)])
+def test_time_is_time_without_a_column_of_times(columns: list[str], h: float, tmp_path: Path) -> None:
     """Step numbers alone are multiplied by h, on the page and in a plot."""
-    folder = store_run(tmp_path, "one", output={"columns": columns})
+    folder = store_run(tmp_path, "one", h=h, output={"columns": columns})
     (chapter,) = all_chapters([str(folder)], tmp_path)
     (pictures,) = [block.pictures for block in chapter.blocks if isinstance(block, Pictures)]
-    np.testing.assert_allclose(pictures[0].data["t"], 0.01 * np.arange(401), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(pictures[0].data["t"], h * np.arange(401), rtol=1e-12, atol=1e-15)
     config = json.loads((folder / "manifest.json").read_text())["config"]
     found = topcli.run(config, tmp_path)
     axes = found.plot(Figure().add_subplot(), columns=["gamma1"])
     (line,) = axes.get_lines()
-    np.testing.assert_allclose(line.get_xdata(), 0.01 * np.arange(401), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(line.get_xdata(), h * np.arange(401), rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(line.get_ydata(), read_series(folder / "series.parquet", ["gamma1"])["gamma1"])
 
 

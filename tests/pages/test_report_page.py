@@ -13,8 +13,10 @@ import pytest
 
 import topcli
 from reading_html import Element, read_html, section_of
+from resuming import after
 from stored_results import (
     BASE,
+    experiment,
     store_comparison,
     store_ensemble,
     store_euler,
@@ -30,6 +32,7 @@ from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Picture
 from topcli.pages.find import all_chapters, report_page
 from topcli.pages.page import page_of, rendered
 from topcli.pages.pictures import before_explosion, deviations
+from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from topcli.store.study import write_study
@@ -91,6 +94,7 @@ def test_every_number_of_a_run_is_that_of_its_report(results: Path) -> None:
     assert (facts["step size h"], facts["steps N"], facts["time N h"]) == ("0.01", "400", "4")
     assert float(facts["initial gamma"].split(", ")[0]) == pytest.approx(np.sqrt(1.0 - 0.01), abs=1e-15)
     assert page.with_class("outcome")[0].text == "completed"
+    assert not page.with_class("missing")
 
 
 @pytest.mark.slow
@@ -214,8 +218,8 @@ def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None
 def test_runs_of_one_top_are_compared_and_others_are_not(results: Path) -> None:
     page = shown(results, "one", "euler", "other")
     headings = [one.text for one in page.all("h2")]
-    assert headings == ["Result of the runs", "one", "euler", "other"]
-    rows = {row[0]: row[1:] for row in section_of(page, "Result").all("table")[0].cells()}
+    assert headings == ["Comparison of the runs", "one", "euler", "other"]
+    rows = {row[0]: row[1:] for row in section_of(page, "Comparison").all("table")[0].cells()}
     assert rows[""] == ["one", "other"]
     assert rows["scheme.name"] == ["hk", "hybrid"]
     assert "h" not in rows, "keys that agree are left out"
@@ -340,12 +344,65 @@ def test_a_damaged_run_says_what_is_missing_and_shows_the_rest(
     assert set(left) <= set(headings)
 
 
+def marked(outcome: Element) -> str:
+    """An outcome and whether its colour is that of good ones."""
+    return f"{outcome.text} {'good' if 'good' in outcome.attributes['class'] else 'bad'}"
+
+
+def outcomes(page: Element) -> tuple[list[str], list[str]]:
+    """Outcomes of the runs as the page shows them: in the list at the top and at their headings, and compared."""
+    rows = {row[0]: row[1:] for row in section_of(page, "Comparison").all("table")[0].cells()}
+    return [marked(outcome) for outcome in page.with_class("outcome")], rows["outcome"]
+
+
+def _flip(path: Path) -> None:
+    """Flip a bit in the middle of a file."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def _better(path: Path) -> None:
+    """Make the report of a run a better one, of the same size."""
+    path.write_text(path.read_text().replace("exact", "EXACT").replace("bounded", "BOUNDED"))
+
+
 @pytest.mark.slow
-def test_an_intact_run_misses_nothing(results: Path) -> None:
-    """Control of the previous test."""
-    page = shown(results, "one")
-    assert not page.with_class("missing")
-    assert page.with_class("outcome")[0].text == "completed"
+@pytest.mark.parametrize(
+    ("file", "damage"),
+    [("series.parquet", _flip), ("report.json", _better), ("config.yaml", _flip), ("series.parquet", Path.unlink)],
+)
+def test_a_damaged_run_is_damaged_everywhere_on_a_page_of_several(
+    copied: Path, file: str, damage: Callable[[Path], object]
+) -> None:
+    damage(copied / "other" / file)
+    states, compared = outcomes(shown(copied, "one", "other"))
+    assert compared == ["completed", "damaged"]
+    assert states == ["2 runs bad", "completed good", "damaged bad"] * 2
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_and_one_that_blew_up_keep_their_outcomes(copied: Path) -> None:
+    run_experiment(experiment("stopped"), copied, RunOptions(stop=after(0)))
+    store_run(copied, "wild", "rk4", h=5.0)
+    states, compared = outcomes(shown(copied, "one", "stopped", "wild"))
+    outcome = json.loads((copied / "wild" / "report.json").read_text())["outcome"]
+    assert outcome not in ("completed", "interrupted")
+    assert compared == ["completed", "interrupted", outcome]
+    assert states[4:] == ["3 runs bad", "completed good", "interrupted bad", f"{outcome} bad"]
+    assert outcomes(shown(copied, "one", "other"))[0] == ["2 runs good", "completed good", "completed good"] * 2
+
+
+@pytest.mark.slow
+def test_a_damaged_sweep_and_a_failed_comparison_are_not_good(copied: Path) -> None:
+    assert marked(shown(copied, "sweep").with_class("outcome")[0]) == "finished good"
+    _flip(copied / "sweep" / "rows.parquet")
+    assert marked(shown(copied, "sweep").with_class("outcome")[0]) == "damaged bad"
+    path = copied / "compared.json"
+    data = json.loads(path.read_text())
+    data["schemes"][1]["outcome"] = "blew_up"
+    path.write_text(json.dumps(data))
+    assert marked(shown(copied, "compared.json").with_class("outcome")[0]).endswith("bad")
 
 
 @pytest.mark.slow
@@ -493,7 +550,7 @@ def test_a_page_shows_nothing_through_a_link(tmp_path: Path, name: str) -> None:
 def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
     from topcli.studies.checks import check_all
 
-    path = write_study(tmp_path / "comparison.json", {"title": "a", "x": 0.375}, None)
+    path = write_study(tmp_path / "comparison.json", {"command": "compare", "x": 0.375}, None)
     assert not check_all(str(path), tmp_path)[0].damaged
     whole = path.read_bytes()
     for place in range(len(whole)):
