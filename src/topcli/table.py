@@ -54,9 +54,10 @@ def exact_number(value: float | None) -> str:
 
 
 def at(data: Any, path: str) -> Any:
-    """Value at a dotted ``path`` in nested mappings; None below a None."""
+    """Value at a dotted ``path`` in nested mappings and lists; None below a None."""
     for key in path.split("."):
-        data = None if data is None else data[key]
+        if data is not None:
+            data = data[int(key)] if isinstance(data, list) else data[key]
     return data
 
 
@@ -95,7 +96,7 @@ class Column:
     Attributes
     ----------
     head : str
-        Heading in texts; an empty one keeps the column out of them.
+        Heading in texts, blank for none; an empty one keeps the column out of them.
     of : str or callable
         Dotted path into a row, or a function of the row. A value of None is shown as a dash.
     show : callable
@@ -144,8 +145,10 @@ class Table:
         Lines above the table on a terminal, and below it everywhere.
     index : str
         Column that is the index of the DataFrame.
-    across : str
-        Column whose texts are the header if each row of the data is a column of the text, and each column a line.
+    across : Column, optional
+        Column that is the header if each row of the data is a column of the text, and each column a line.
+    ruled : bool
+        False to leave out the header.
     keys, numbers, marks
         As in ``Cells``.
     """
@@ -158,6 +161,7 @@ class Table:
     caption: str | Callable[[Any], str] = ""
     index: str = ""
     across: Column | None = None
+    ruled: bool = True
     keys: int = 1
     numbers: bool | Sequence[int] = True
     marks: Mapping[str, str] = field(default_factory=dict)
@@ -172,12 +176,13 @@ class Table:
         rows, columns = self.content(data)
         shown = [column for column in columns if column.head]
         if self.across is None:
-            header = [column.head for column in shown]
+            header = ["" if column.head.isspace() else column.head for column in shown]
             lines = [[column.text(row) for column in shown] for row in rows]
         else:
-            header = ["", *map(self.across.text, rows)]
+            header = [self.across.head, *map(self.across.text, rows)]
             lines = [[column.head, *map(column.text, rows)] for column in shown]
         caption = self.caption(data) if callable(self.caption) else self.caption
+        header = header if self.ruled else []
         return Cells(self.heading, header, lines, caption, self.keys, self.numbers, self.marks)
 
     def title_of(self, data: Any) -> str:
@@ -189,7 +194,7 @@ class Table:
         import pandas as pd
 
         rows, columns = self.content(data)
-        kept = [column for column in columns if column.name]
+        kept = [column for column in (*([self.across] if self.across else []), *columns) if column.name]
         values = [[column.value(row) for column in kept] for row in rows]
         frame = pd.DataFrame(values, columns=[column.name for column in kept])
         return frame.set_index(self.index) if self.index else frame

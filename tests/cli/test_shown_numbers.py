@@ -321,9 +321,9 @@ def expect_invariants(rows: list[list[str]], invariants: list[dict[str, Any]]) -
 @pytest.mark.parametrize("swings", [3, 7])
 def test_analyse_shows_what_it_measured(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, swings: int) -> None:
     def change(found: Any) -> Any:
-        report = distinct(found.report, 5)
+        report = distinct(found.data, 5)
         report["swing"]["times"] = [1.25 * i + 0.5 for i in range(swings)]
-        return dataclasses.replace(found, report=named_differently(report, ("verdict", "model", "steps_from")))
+        return dataclasses.replace(found, data=named_differently(report, ("verdict", "model", "steps_from")))
 
     monkeypatch.setattr(analyse, "analyse_series", changed_result(change, analyse.analyse_series))
     cli("run", "euler_hk", "--quiet")

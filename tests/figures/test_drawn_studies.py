@@ -17,9 +17,7 @@ from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_comparison
 from topcli.figures.contract import Request
 from topcli.figures.picture import draw
-from topcli.studies.analyse import Analysis
 from topcli.studies.study import Result
-from topcli.tops.euler import Euler
 
 GROWTH = [
     [("a_sq:matrix", "matrix"), ("a_sq:plain", "old + change"), ("a_sq:compensated", "compensated")],
@@ -252,7 +250,18 @@ def test_an_analysis_draws_errors_swings_and_deviations(reference: bool, directi
     series = {"t": t, "swing": np.cos(t), "deviation:m_sq": np.zeros(50), "deviation:m_omega": 1e-6 * np.abs(t - t[0])}
     if reference:
         series |= {"error": 1e-4 * np.abs(t - t[0]), "swing:reference": np.cos(1.01 * t)}
-    figure = drawn(loaded_analysis(Analysis({"config": {}, "file": "x.csv", "sha256": ""}, series), Euler()))
+    figure = drawn(
+        loaded_analysis(
+            Result(
+                {
+                    "config": {"top": "euler", "initial": {"omega": [1, 0, 0]}, "scheme": "hk", "h": 0.1, "N": 1},
+                    "file": "x.csv",
+                    "sha256": "",
+                },
+                series,
+            )
+        )
+    )
     error = [("error of the state", "log", [("error", "series")])]
     swing = [("swing:reference", "reference")] if reference else []
     panels = [

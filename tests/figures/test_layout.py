@@ -20,7 +20,6 @@ from topcli.figures.contract import Request
 from topcli.figures.picture import Grid, Line, Panel, draw, styled
 from topcli.figures.roundoff import loaded_roundoff
 from topcli.figures.sweep import Choice, sweep_figure
-from topcli.studies.analyse import Analysis
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 from topcli.tops.kowalevski import Kowalevski
@@ -70,9 +69,9 @@ def test_growth_of_many_invariants(forms: tuple[str, ...], size: float) -> None:
         {"name": f"i{i}", "symbol": f"i{i}", "steps": steps, "rms": [1e-16 * (1.0 + size * i) * n**0.5 for n in steps]}
         for i in range(6)
     ]
-    measured = [{"form": form, "scheme": "hk", "invariants": found} for form in forms]
+    measured = [{"form": form, "scheme": "hk", "outcome": "completed", "invariants": found} for form in forms]
     study = {"config": {}, "steps": 1, "copies": 8, "h": 0.01, "forms": measured}
-    loaded = loaded_roundoff(study)
+    loaded = loaded_roundoff(Result(study))
     figure = draw(loaded.panels, loaded.data(), loaded.layout)
     assert layout_faults(figure) == []
     shown = [text.get_text() for text in drawn_texts(figure)]
@@ -157,7 +156,22 @@ def test_the_figure_of_a_series(reference: bool) -> None:
     t = np.linspace(0.0, 50.0, 300)
     series = {"t": t, "swing": np.cos(t)} | ({"error": 1e-9 * t, "swing:reference": np.cos(t)} if reference else {})
     series |= {f"deviation:{one.name}": 10.0 ** (-3.0 * i) * t for i, one in enumerate(top.invariants())}
-    loaded = loaded_analysis(Analysis({"config": {}, "file": "x.csv", "sha256": ""}, series), top)
+    loaded = loaded_analysis(
+        Result(
+            {
+                "config": {
+                    "top": "kowalevski",
+                    "initial": {"omega": [1, 0, 0], "gamma": ["auto", 0, 0.1]},
+                    "scheme": "hk",
+                    "h": 0.1,
+                    "N": 1,
+                },
+                "file": "x.csv",
+                "sha256": "",
+            },
+            series,
+        )
+    )
     figure = draw(loaded.panels, loaded.data(), loaded.layout)
     assert layout_faults(figure) == []
     assert lines_alike(figure) == []

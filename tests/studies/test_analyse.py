@@ -16,7 +16,8 @@ from topcli.config.models import Experiment
 from topcli.errors import UsageError
 from topcli.runs.run import run_experiment
 from topcli.store.foreign import ForeignSeries
-from topcli.studies.analyse import Analysis, analyse_series, column_map
+from topcli.studies.analyse import analyse_series, column_map
+from topcli.studies.study import Result
 
 SYMMETRIC: dict[str, Any] = {
     "top": {"kind": "euler", "A": 2.0, "B": 2.0, "C": 1.0},
@@ -36,7 +37,7 @@ def motion(t: np.ndarray) -> dict[str, np.ndarray]:
 
 def analysed(
     folder: Path, data: dict[str, np.ndarray], experiment: Experiment | None = None, steps: int | None = None
-) -> Analysis:
+) -> Result:
     path = folder / "series.parquet"
     pq.write_table(pa.table(data), path)
     return analyse_series(experiment or experiment_from(SYMMETRIC), ForeignSeries(path), {}, steps)
@@ -62,7 +63,7 @@ TIMES = {
 @pytest.mark.parametrize("kind", TIMES)
 def test_an_exact_motion_has_no_error_and_its_swings(tmp_path: Path, kind: str) -> None:
     t = TIMES[kind]
-    report = analysed(tmp_path, motion(t)).report
+    report = analysed(tmp_path, motion(t)).data
     assert report["times"] == ("uneven" if "uneven" in kind else "even")
     assert (report["rows"], report["steps"], report["steps_from"]) == (2001, 2000, "rows - 1")
     assert report["max_error"] < 1e-14
@@ -85,11 +86,11 @@ def test_a_spin_that_grows_is_measured(tmp_path: Path, kind: str) -> None:
     data = motion(TIMES[kind])
     data["omega3"] = 2.0 + 1e-4 * data["t"]
     analysis = analysed(tmp_path, data)
-    report = analysis.report
+    report = analysis.data
     end = float(data["t"][-1])
     assert report["end_error"] == pytest.approx(1e-4 * abs(end), rel=1e-9)
     assert report["max_error"] == report["end_error"]
-    np.testing.assert_allclose(analysis.series["error"], 1e-4 * np.abs(data["t"]), atol=1e-13)
+    np.testing.assert_allclose(analysis.arrays["error"], 1e-4 * np.abs(data["t"]), atol=1e-13)
     row = report["invariants"][1]
     assert row["name"] == "m_omega"
     assert row["verdict"] == "drifting"
@@ -104,16 +105,16 @@ def test_the_largest_error_may_be_in_the_middle(tmp_path: Path) -> None:
     data = motion(EVEN)
     data["omega3"] = 2.0 + off
     analysis = analysed(tmp_path, data)
-    assert analysis.report["max_error"] == pytest.approx(1e-3, rel=1e-9)
-    assert analysis.report["end_error"] < 1e-13
-    np.testing.assert_allclose(analysis.series["deviation:m_omega"], 4.0 * off + off**2, atol=1e-14)
-    np.testing.assert_array_equal(analysis.series["swing"], data["omega2"])
+    assert analysis.data["max_error"] == pytest.approx(1e-3, rel=1e-9)
+    assert analysis.data["end_error"] < 1e-13
+    np.testing.assert_allclose(analysis.arrays["deviation:m_omega"], 4.0 * off + off**2, atol=1e-14)
+    np.testing.assert_array_equal(analysis.arrays["swing"], data["omega2"])
 
 
 def test_times_may_start_anywhere(tmp_path: Path) -> None:
     data = motion(EVEN)
     shifted = {**data, "t": data["t"] + 7.0}
-    report = analysed(tmp_path, shifted).report
+    report = analysed(tmp_path, shifted).data
     assert (report["t_first"], report["t_last"]) == (7.0, 27.0)
     assert report["max_error"] < 1e-13
     np.testing.assert_allclose(report["swing"]["times"], 8.0 + 0.5 * math.pi + 2.0 * math.pi * np.arange(3), atol=1e-7)
@@ -125,7 +126,7 @@ def test_the_reference_starts_from_the_config_if_the_first_row_agrees(tmp_path: 
     off = factor * 2e-6
     data = motion(EVEN)
     data["omega3"] = data["omega3"] + off
-    report = analysed(tmp_path, data).report
+    report = analysed(tmp_path, data).data
     about = report["reference"]
     assert about["difference"] == pytest.approx(off, rel=1e-6)
     assert about["start"] == ("config" if factor < 1.0 else "first row")
@@ -138,7 +139,7 @@ def test_the_reference_starts_from_the_config_if_the_first_row_agrees(tmp_path: 
 def test_times_are_even_within_a_millionth_of_their_spacing(tmp_path: Path, factor: float) -> None:
     t = EVEN.copy()
     t[1000] += factor * 1e-6 * 0.01
-    assert analysed(tmp_path, motion(t)).report["times"] == ("even" if factor < 1.0 else "uneven")
+    assert analysed(tmp_path, motion(t)).data["times"] == ("even" if factor < 1.0 else "uneven")
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -150,7 +151,7 @@ def test_a_unit_vector_begins_with_unit_length_within_a_thousandth(tmp_path: Pat
     gamma = {"gamma1": 0.6 * length, "gamma2": 0.0, "gamma3": 0.8 * length}
     data |= {name: np.full(100, value) for name, value in gamma.items()}
     if factor < 1.0:
-        report = analysed(tmp_path, data, experiment).report
+        report = analysed(tmp_path, data, experiment).data
         assert next(row["first"] for row in report["invariants"] if row["name"] == "gamma_sq") == pytest.approx(
             length**2
         )
@@ -163,12 +164,12 @@ def test_steps_decide_the_round_off_bound(tmp_path: Path) -> None:
     data = motion(EVEN)
     bounds = {}
     for name, extra, steps in (("rows", {}, None), ("n", {"n": 5 + 10 * np.arange(2001)}, None), ("given", {}, 9)):
-        report = analysed(tmp_path, {**data, **extra}, steps=steps).report
+        report = analysed(tmp_path, {**data, **extra}, steps=steps).data
         bounds[report["steps_from"], report["steps"]] = report["invariants"][1]["round_off_bound"]
         assert report["times"] == "even", name
     expected = {("rows - 1", 2000): 2000, ("column n", 20000): 20000, ("--steps", 9): 9}
     assert bounds == {key: pytest.approx(20.0 * 2.0**-52 * math.sqrt(n) * 4.5) for key, n in expected.items()}
-    report = analysed(tmp_path, {**data, "n": np.sin(EVEN)}).report  # another quantity of that name
+    report = analysed(tmp_path, {**data, "n": np.sin(EVEN)}).data  # another quantity of that name
     assert report["steps_from"] == "rows - 1"
 
 
@@ -197,7 +198,7 @@ def test_too_many_rows_and_endless_times_are_named(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("topcli.store.foreign.MAX_ROWS", 2000)
     assert refusal(tmp_path, motion(EVEN)) == "more than 2000 rows; at most these fit in memory, so write fewer"
     monkeypatch.setattr("topcli.store.foreign.MAX_ROWS", 2001)
-    assert analysed(tmp_path, motion(EVEN)).report["rows"] == 2001
+    assert analysed(tmp_path, motion(EVEN)).data["rows"] == 2001
 
 
 def test_wrong_columns_and_rows_are_named(tmp_path: Path) -> None:
@@ -220,7 +221,7 @@ def test_wrong_columns_and_rows_are_named(tmp_path: Path) -> None:
     inertial = load_experiment("lagrange_bs")
     body = data | {f"gamma{i}": np.ones(2001) for i in (1, 2, 3)}
     assert "the file has the state of 'lagrange', which" in refusal(tmp_path, body, inertial)
-    assert analysed(tmp_path, body).report["unread"] == ["gamma1", "gamma2", "gamma3"]
+    assert analysed(tmp_path, body).data["unread"] == ["gamma1", "gamma2", "gamma3"]
 
 
 def test_columns_are_renamed(tmp_path: Path) -> None:
@@ -230,7 +231,7 @@ def test_columns_are_renamed(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     data = motion(EVEN)
     np.savetxt(path, np.column_stack(list(data.values())), delimiter=",", header="time,w_x,w_y,omega3", comments="")
-    assert analyse_series(experiment_from(SYMMETRIC), ForeignSeries(path), given).report["max_error"] < 1e-14
+    assert analyse_series(experiment_from(SYMMETRIC), ForeignSeries(path), given).data["max_error"] < 1e-14
 
 
 @pytest.mark.parametrize(
@@ -258,12 +259,12 @@ def test_a_reference_out_of_reach_leaves_the_rest(tmp_path: Path) -> None:
     data = motion(EVEN)
     data["t"] = EVEN * 1e9
     analysis = analysed(tmp_path, data)
-    message = analysis.report["reference"]["message"]
+    message = analysis.data["reference"]["message"]
     assert message.startswith("the reference would need at least 2e+10 Taylor steps to reach t = 2e+10; at most ")
-    assert analysis.report["max_error"] is None
-    assert analysis.report["swing"]["reference_times"] is None
-    assert {row["verdict"] for row in analysis.report["invariants"]} == {"exact"}
-    assert set(analysis.series) == {"t", "swing", "deviation:m_sq", "deviation:m_omega"}
+    assert analysis.data["max_error"] is None
+    assert analysis.data["swing"]["reference_times"] is None
+    assert {row["verdict"] for row in analysis.data["invariants"]} == {"exact"}
+    assert set(analysis.arrays) == {"t", "swing", "deviation:m_sq", "deviation:m_omega"}
 
 
 @pytest.mark.parametrize("kind", ["even", "uneven"])
@@ -272,12 +273,12 @@ def test_a_motion_that_leaves_its_energy_surface_is_reported(tmp_path: Path, kin
     experiment = load_experiment("heavy_rk4")
     y0 = dict(zip(experiment.top.components, experiment.y0, strict=True))
     data = {"t": TIMES[kind][:50], **{name: np.full(50, value) for name, value in y0.items()}}
-    assert analysed(tmp_path, data, experiment).report["left_motion"] is None
+    assert analysed(tmp_path, data, experiment).data["left_motion"] is None
     data["omega1"][40:] = 1e4
-    assert analysed(tmp_path, data, experiment).report["left_motion"] == {"row": 41, "t": data["t"][40]}
+    assert analysed(tmp_path, data, experiment).data["left_motion"] == {"row": 41, "t": data["t"][40]}
     data["n"] = 10 * np.arange(50)
     data["t"] = data["n"] * experiment.h
-    report = analysed(tmp_path, data, experiment).report
+    report = analysed(tmp_path, data, experiment).data
     assert report["times"] == "steps of the config's h"
     assert report["left_motion"] == {"row": 41, "t": data["t"][40]}
 
@@ -305,7 +306,7 @@ def test_a_stored_run_gets_its_own_report(tmp_path: Path, scene: str, sets: list
     """
     experiment = load_experiment(scene, sets)
     stored = run_experiment(experiment, tmp_path).stored
-    report = analyse_series(experiment, ForeignSeries(stored.series), {}).report
+    report = analyse_series(experiment, ForeignSeries(stored.series), {}).data
     own = stored.report()
     assert (report["times"], report["steps_from"]) == ("steps of the config's h", "column n")
     assert report["steps"] == (experiment.N // experiment.output.every) * experiment.output.every
@@ -327,7 +328,7 @@ def test_modified_integrals_need_the_steps_of_the_config(
     """They depend on h: another program's rows, or another h, have none."""
     experiment = experiment_from(SYMMETRIC)
     stored = run_experiment(experiment, tmp_path).stored
-    report = analyse_series(experiment_from({**SYMMETRIC, **change}), ForeignSeries(stored.series), {}).report
+    report = analyse_series(experiment_from({**SYMMETRIC, **change}), ForeignSeries(stored.series), {}).data
     names = [row["name"] for row in report["invariants"]]
     assert names[:2] == ["m_sq", "m_omega"]
     assert ("modified_m_sq" in names) == modified

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import fields
 from typing import Any
 
 import pytest
 
 from topcli.analysis.tally import InvariantRow
-from topcli.runs import report as study
-from topcli.runs.report import REPORT_COLUMNS, ReportColumn, comparison_lines, invariant_table, report_markdown
-from topcli.table import number
+from topcli.runs.report import INVARIANTS, REPORT_COLUMNS, comparison_lines, report_markdown
 
 SHOWN = {
     "invariant": ("symbol", "A"),
@@ -71,8 +65,13 @@ def report(**changes: Any) -> dict[str, Any]:
     }
 
 
+def lines_of(data: dict[str, Any]) -> list[list[str]]:
+    cells = INVARIANTS.cells(data)
+    return [list(cells.header), *map(list, cells.lines)]
+
+
 def test_every_cell_is_the_stored_field() -> None:
-    lines = invariant_table(report())
+    lines = lines_of(report())
     assert [line[0] for line in lines] == [label.strip() for label in SHOWN]
     assert [line[1] for line in lines] == [cell for _, cell in SHOWN.values()]
     assert [line[0] for line in lines if line[1] != line[2]] == ["invariant", "drift per unit time", "model"]
@@ -82,14 +81,14 @@ def test_every_cell_is_the_stored_field() -> None:
 @pytest.mark.parametrize(("label", "key"), [(label.strip(), key) for label, (key, _) in SHOWN.items()])
 def test_a_field_changes_its_own_line_only(label: str, key: str) -> None:
     changed = "C" if isinstance(ROW[key], str) else 7.5
-    before, after = invariant_table(report()), invariant_table(report(**{key: changed}))
+    before, after = lines_of(report()), lines_of(report(**{key: changed}))
     differs = [line[0] for line, other in zip(before, after, strict=True) if line != other]
     assert differs == [label]
 
 
 def test_every_figure_of_the_report_is_shown() -> None:
     """The name and the reason of the verdict are in the text below the table."""
-    assert {column.key for column in REPORT_COLUMNS} == {field.name for field in fields(InvariantRow)} - {
+    assert {column.name for column in REPORT_COLUMNS} == {field.name for field in fields(InvariantRow)} - {
         "name",
         "reason",
     }
@@ -99,7 +98,7 @@ def test_markdown_has_the_same_cells_as_the_terminal() -> None:
     header, ruler, *lines = (line for line in report_markdown(report()).splitlines() if line.startswith("|"))
     assert set(ruler) <= set("| -")
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (header, *lines)]
-    assert cells == invariant_table(report())
+    assert cells == lines_of(report())
 
 
 def test_comparisons_show_the_stored_fields_of_each_scheme() -> None:
@@ -111,40 +110,3 @@ def test_comparisons_show_the_stored_fields_of_each_scheme() -> None:
         ["  model", "random walk", "random walk"],
         ["  verdict", "drifting", "exact"],
     ]
-
-
-def test_a_new_column_is_one_entry(monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = ReportColumn("reason", "because", str.upper, compared="  {} because")
-    monkeypatch.setattr(study, "REPORT_COLUMNS", (*REPORT_COLUMNS, entry))
-    assert invariant_table(report())[-1] == ["because", "OF THE TEST", "OF THE TEST"]
-    assert "| because | OF THE TEST | OF THE TEST |" in report_markdown(report())
-    assert comparison_lines([report()])[-1] == ["  B because", "OF THE TEST"]
-
-
-@pytest.mark.slow
-def test_a_new_column_is_a_field_and_an_entry(
-    cli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From outside: it is in report.json, report.md, what run prints, and the comparison of two schemes."""
-
-    @dataclass(frozen=True)
-    class Wider(InvariantRow):
-        width: float = math.nan
-
-        def __post_init__(self) -> None:
-            object.__setattr__(self, "width", self.max - self.min)
-
-    monkeypatch.setattr("topcli.analysis.tally.InvariantRow", Wider)
-    entry = ReportColumn("width", "max - min", compared="{} max - min")
-    monkeypatch.setattr(study, "REPORT_COLUMNS", (*REPORT_COLUMNS, entry))
-    short = ("--set", "N=200", "--set", "h=0.05")
-    cli("run", "kowalevski_hk", *short, "--name", "kowalevski_hk", "--out", str(tmp_path))
-    stored = json.loads((tmp_path / "kowalevski_hk" / "report.json").read_text())["invariants"]
-    cells = [number(row["max"] - row["min"]) for row in stored]
-    assert [row["width"] for row in stored] == [row["max"] - row["min"] for row in stored]
-    (line,) = (one for one in (tmp_path / "kowalevski_hk" / "report.md").read_text().splitlines() if "max - min" in one)
-    assert [cell.strip() for cell in line.strip("|").split("|")] == ["max - min", *cells]
-    (shown,) = (one for one in cli("run", "kowalevski_hk", *short, "--force").out.splitlines() if "max - min" in one)
-    assert shown.split()[-len(cells) :] == cells
-    compared = [one for one in cli("compare", "hk", "rk4", *short).out.splitlines() if "max - min" in one]
-    assert [one.split()[-2] for one in compared] == cells

@@ -18,6 +18,7 @@ from topcli.figures.picture import draw
 from topcli.figures.roundoff import growth_data, loaded_roundoff
 from topcli.studies.growth import growth_columns
 from topcli.studies.roundoff import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
+from topcli.studies.study import Result
 
 SIZE = 1e-16
 
@@ -180,7 +181,7 @@ def test_a_picture_of_several_invariants_has_a_colour_for_each_and_dashes_for_co
         for name, size in (("a", 1.0), ("b", 2.0))
     ]
     study = {"forms": [{"form": form, "scheme": "hk", "invariants": rows} for form in ("plain", "compensated")]}
-    loaded = loaded_roundoff({**study, "h": 0.1, "config": {}, "steps": 8, "copies": 2})
+    loaded = loaded_roundoff(Result({**study, "h": 0.1, "config": {}, "steps": 8, "copies": 2}))
     (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
     own = [line for line in axes.lines if line.get_marker() in "os^D"]
     assert [line.get_linestyle() for line in own] == ["-", "--", "-", "--"]

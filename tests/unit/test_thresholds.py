@@ -16,9 +16,9 @@ from topcli.analysis.roundoff import growth
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trend import trend
-from topcli.cli.roundoff import _violations
 from topcli.contracts import Invariant
 from topcli.schemes.layout import ambiguous_root, small_determinant
+from topcli.studies.roundoff import violations_of
 
 EPS = 2.0**-52
 H, N = 0.01, 16_384
@@ -172,6 +172,6 @@ def test_what_is_a_thousand_times_round_off_moves(factor: float) -> None:
 def test_tolerances_of_roundoff_are_violated_beyond_them(factor: float) -> None:
     row = {"name": "x", "exponent": 0.5, "exponent_error": 0.1, "max_drift": 1e-12, "drift": 1.0, "rms": [1.0]}
     form: dict[str, Any] = {"scheme": "hk", "form": "plain", "invariants": [row]}
-    assert bool(_violations(form, 0.3 / factor, None)) == (factor > 1.0)  # 0.5 less two errors
-    assert bool(_violations(form, None, 1e-12 / factor)) == (factor > 1.0)
-    assert not _violations(form, None, None)
+    assert bool(list(violations_of(form, 0.3 / factor, None))) == (factor > 1.0)  # 0.5 less two errors
+    assert bool(list(violations_of(form, None, 1e-12 / factor))) == (factor > 1.0)
+    assert not list(violations_of(form, None, None))

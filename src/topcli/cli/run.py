@@ -69,12 +69,16 @@ def _print_result(result: RunResult, labelled: bool) -> None:
     """Print the message and the table of a run."""
     report, warning, notes = result.report, "", []
     if report.get("kind") == "ensemble":
-        from topcli.runs.ensemble_report import ensemble_table as invariant_table
+        from topcli.runs.ensemble_report import ensemble_table
+
+        header, *lines = ensemble_table(report)
     else:
         from topcli.runs.accuracy import accuracy_note
-        from topcli.runs.report import invariant_table, precision_note, warning_of
+        from topcli.runs.report import INVARIANTS, precision_note, warning_of
 
         warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
+        cells = INVARIANTS.cells(report)
+        header, lines = cells.header, cells.lines
     if result.set_aside:
         print_message(result.set_aside_message)
     status = result.status
@@ -85,7 +89,6 @@ def _print_result(result: RunResult, labelled: bool) -> None:
         print_message(f"{report['name']}: {note}")
     if warning:
         print_message(f"warning: {report['name']}: {warning}")
-    header, *lines = invariant_table(report)
     print_table(header, lines, report["name"] if labelled else "")
 
 

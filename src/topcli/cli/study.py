@@ -152,8 +152,9 @@ def _written(study: Study, result: Result, out: Path | None, plot: bool) -> list
     if out is not None and plot:
         from topcli.figures.make import write_figure
 
+        loaded = imported(study.figure)(result)
         folder = out / "figures" if study.file else out
-        files += write_figure(f"{study.name}_{study.stem(result.data)}", imported(study.figure)(result), folder)
+        files += write_figure(f"{study.name}_{study.stem(result.data)}", loaded, folder) if loaded.panels else ()
     return [str(file) for file in files]
 
 
@@ -165,12 +166,14 @@ def _arguments(parameters: Sequence[inspect.Parameter], given: Mapping[str, Any]
         value = given.get(parameter.name)
         if value is None:
             continue
-        read = _flag(parameter)[1].read
-        value = read(value) if read else value
+        flag = _flag(parameter)[1]
+        value = flag.read(value) if flag.read else value
         if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
             arguments += value
-        else:
+        elif flag.option:
             options[parameter.name] = value
+        else:
+            arguments.append(value)
     return arguments, options
 
 

@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from topcli.config.load import experiment_from
+from topcli.errors import UsageError
 from topcli.figures.contract import Loaded
 from topcli.figures.picture import REFERENCE, Line, Panel, component_symbol
-
-if TYPE_CHECKING:
-    from topcli.contracts import Top
-    from topcli.studies.analyse import Analysis
+from topcli.studies.study import Result
 
 SERIES = "series"
 """Label of the analysed series."""
 
 
-def _data(analysis: Analysis) -> dict[str, np.ndarray]:
+def _data(analysis: Result) -> dict[str, np.ndarray]:
     """Columns of the figure; zeros of logarithmic panels become nan."""
     linear = ("t", "swing", "swing:reference")
     return {
         name: values if name in linear else np.where(values > 0.0, values, np.nan)
-        for name, values in analysis.series.items()
+        for name, values in analysis.arrays.items()
     }
 
 
-def loaded_analysis(analysis: Analysis, top: Top) -> Loaded:
-    """The figure of ``topcli analyse``, without lines that are zero throughout or need a missing reference."""
-    data, report = _data(analysis), analysis.report
+def loaded_analysis(analysis: Result) -> Loaded:
+    """The figure of ``topcli analyse``, without lines that are zero throughout or need a missing reference.
+
+    Raises UsageError for a stored result without its series.
+    """
+    if not analysis.arrays:
+        raise UsageError("the series is not in this file")
+    data, report = _data(analysis), analysis.data
+    top = experiment_from(report["config"]).top
     swings = [Line("swing", SERIES)]
     panels = []
     if "error" in data:

@@ -11,6 +11,7 @@ import numpy as np
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.growth import GrowthPanel
 from topcli.figures.picture import Grid
+from topcli.studies.study import Result
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,11 @@ def growth_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], tuple[
     return data, tuple(line for line in lines if data[line[0]][-1] > 0.0)
 
 
-def loaded_roundoff(study: Mapping[str, Any]) -> Loaded:
-    """The figure of ``topcli roundoff``."""
+def loaded_roundoff(result: Result) -> Loaded:
+    """The figure of ``topcli roundoff``; nothing is drawn if a run failed."""
+    study = result.data
     data, lines = growth_data(study)
     panel = GrowthPanel(lines, f"{study['forms'][0]['scheme']}, $h = {study['h']:g}$")
     source = {key: study[key] for key in ("config", "steps", "copies")}
-    return Loaded((panel,), lambda: data, source, Grid(figsize=(5.4, 3.2)))
+    completed = all(form["outcome"] == "completed" for form in study["forms"])
+    return Loaded((panel,) if completed else (), lambda: data, source, Grid(figsize=(5.4, 3.2)))

@@ -18,7 +18,7 @@ from topcli.pages.sweeps import sweep_chapter
 from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
 from topcli.store.parts import is_part, linked_file, parts_of
 from topcli.store.study import SEAL, check_study
-from topcli.studies.study import STUDIES, find_study
+from topcli.studies.study import STUDIES, find_study, stored_result
 from topcli.sweeps.rows import ROWS
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
 
@@ -133,5 +133,5 @@ def _study(data: dict[str, Any], name: str) -> Chapter | None:
         return stress_chapter(data)
     for study in map(find_study, STUDIES):
         if data.get("command") == study.name or study.known(data):
-            return study_chapter(study, study.stored(data), name)
+            return study_chapter(study, stored_result(data), name)
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from topcli.pages.contents import UNFINISHED, Chapter, Facts, Notes
 from topcli.pages.origin import add_files, add_origin, experiment_of, parts_of, text_block, value_text
 from topcli.pages.pictures import quantile_pictures, series_pictures
 from topcli.runs.ensemble_report import ensemble_table
-from topcli.runs.report import comparison_lines, invariant_table, precision_note, warning_of
+from topcli.runs.report import INVARIANTS, comparison_lines, precision_note, warning_of
 from topcli.runs.resume import OUTSIDE_IDENTITY, flattened
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import MANIFEST, REPORT, DamagedError, DamagedRun, StoredRun, read_json
@@ -136,8 +137,7 @@ def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts:
 
 
 def _invariants(report: dict[str, Any]) -> Cells:
-    header, *lines = invariant_table(report)
-    return Cells("Conservation laws", header, lines, marks=VERDICT_MARKS)
+    return replace(INVARIANTS.cells(report), marks=VERDICT_MARKS)
 
 
 def _counters(report: Mapping[str, Any]) -> dict[str, int]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from topcli.analysis.tally import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 from topcli.contracts import Ending
 from topcli.runs.accuracy import accuracy_note, seconds_note
-from topcli.table import exact_number, markdown_table, number, two_digits
+from topcli.table import Column, Table, exact_number, number, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.digit_growth import DigitGrowth
@@ -19,45 +19,39 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 
 
-def _word(value: str | None) -> str:
-    return value or "–"
-
-
 @dataclass(frozen=True)
-class ReportColumn:
-    """Figure of the report on one invariant: its key in ``report.json``, its label and format in tables.
+class ReportColumn(Column):
+    """Figure of the report on one invariant; the path is its key in ``report.json``.
 
-    ``compared`` is the label in comparisons of schemes, where {} is the invariant's symbol; None if not shown there.
+    ``compared`` is the heading in comparisons of schemes, where {} is the invariant's symbol; empty if not shown there.
     """
 
-    key: str
-    label: str
-    format: Callable[[Any], str] = number
-    compared: str | None = None
-
-    def cell(self, row: Mapping[str, Any]) -> str:
-        """Text of this figure in a table, from a row of ``report.json``."""
-        return self.format(row[self.key])
+    show: Callable[[Any], str] = number
+    compared: str = ""
 
 
 REPORT_COLUMNS = (
-    ReportColumn("symbol", "invariant", str),
+    ReportColumn("invariant", "symbol", str),
     ReportColumn("first", "first", exact_number),
     ReportColumn("min", "min", exact_number),
     ReportColumn("max", "max", exact_number),
-    ReportColumn("max_deviation", "max deviation", compared="{} max deviation"),
-    ReportColumn("max_deviation_relative", "relative"),
-    ReportColumn("rms_deviation", "rms deviation"),
-    ReportColumn("rms_deviation_relative", "relative"),
-    ReportColumn("drift", "drift per unit time", compared="{} drift per unit time"),
-    ReportColumn("drift_error", "± standard error", two_digits, compared="  its standard error"),
-    ReportColumn("drift_over_run", "over the run"),
-    ReportColumn("model", "model", _word, compared="  model"),
+    ReportColumn("max deviation", "max_deviation", compared="{} max deviation"),
+    ReportColumn("relative", "max_deviation_relative"),
+    ReportColumn("rms deviation", "rms_deviation"),
+    ReportColumn("relative", "rms_deviation_relative"),
+    ReportColumn("drift per unit time", "drift", compared="{} drift per unit time"),
+    ReportColumn("± standard error", "drift_error", two_digits, compared="  its standard error"),
+    ReportColumn("over the run", "drift_over_run"),
+    ReportColumn("model", "model", str, compared="  model"),
     ReportColumn("scatter", "scatter"),
-    ReportColumn("round_off_bound", "round-off bound"),
+    ReportColumn("round-off bound", "round_off_bound"),
     ReportColumn("verdict", "verdict", str, compared="  verdict"),
 )
-"""Figures of the invariant report in the order of all its tables; the keys are fields of ``InvariantRow``."""
+"""Figures of the invariant report in the order of all its tables; the paths are fields of ``InvariantRow``."""
+INVARIANTS = Table(
+    "invariants", REPORT_COLUMNS[1:], heading="Conservation laws", index="symbol", across=REPORT_COLUMNS[0]
+)
+"""The invariant report, a column for each invariant."""
 
 
 def finite(data: Any) -> Any:
@@ -146,18 +140,13 @@ def warning_of(report: dict[str, Any]) -> str:
     return f"{events} in {report['step']} steps; topcli show {report['scheme']} lists its limits"
 
 
-def invariant_table(report: Mapping[str, Any]) -> list[list[str]]:
-    """Invariant report as lines of cells, a column for each invariant; the first line is the header."""
-    return [[column.label, *map(column.cell, report["invariants"])] for column in REPORT_COLUMNS]
-
-
 def comparison_lines(schemes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """Compared figures of each invariant as lines: a label, then a cell for each of the ``schemes``."""
     return [
-        [column.compared.format(rows[0]["symbol"]), *map(column.cell, rows)]
+        [column.compared.format(rows[0]["symbol"]), *map(column.text, rows)]
         for rows in zip(*(scheme["invariants"] for scheme in schemes), strict=True)
         for column in REPORT_COLUMNS
-        if column.compared is not None
+        if column.compared
     ]
 
 
@@ -187,7 +176,7 @@ def report_markdown(report: dict[str, Any]) -> str:
     """Content of ``report.md``."""
     lines = [
         *report_head(report),
-        *markdown_table(invariant_table(report)),
+        *INVARIANTS.cells(report).markdown(),
         "",
         *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
         "",

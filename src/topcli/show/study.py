@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from topcli.errors import UsageError
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 from topcli.studies.study import STUDIES, Result, Study, find_study, imported
@@ -56,11 +57,12 @@ class StudyReport(Report):
     @property
     def table(self) -> pd.DataFrame:
         """DataFrame of the main table."""
-        return self.declaration.tables_of(self.study)[0].frame(self.study)
+        tables = self.declaration.tables_of(self.study)
+        return next(table for table in tables if table.name == "table").frame(self.study)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON; ``topcli report`` reads it."""
-        return self.declaration.document(self.result)
+        return self.declaration.as_dict(self.result)
 
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page; ``name`` is unique within the page, None leaves out pictures."""
@@ -72,6 +74,8 @@ class StudyReport(Report):
         """Draw the result into ``ax``, by default new axes, and return the axes; some studies take ``options``."""
         if self.declaration.plotted:
             return draw_panel(*imported(self.declaration.plotted)(self.result, **options), ax)
+        if not self.declaration.figure:
+            raise UsageError(f"plot: {self.declaration.name} has no picture; see its table")
         loaded = imported(self.declaration.figure)(self.result)
         return draw_panel(loaded.panels[0], loaded.data(), ax)
 

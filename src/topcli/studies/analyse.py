@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,16 @@ from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.uneven import uneven_report
+from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, nearest, quoted
-from topcli.runs.report import report_data
+from topcli.runs.report import INVARIANTS, report_data
 from topcli.store.foreign import ForeignSeries
 from topcli.store.manifest import sha256_of
+from topcli.studies.entries import parts_of
+from topcli.studies.study import SILENT, Data, Flag, Head, Overrides, Result, Study, Watch
+from topcli.table import DASH, Column, Table, exact_number, number
 from topcli.tops import forms
 
 UNIT = 1e-3
@@ -40,18 +44,6 @@ class Rows:
     t: Array
     states: Array
     n: NDArray[np.int64] | None = None
-
-
-@dataclass(frozen=True)
-class Analysis:
-    """The ``report`` on a series, and the ``series`` of its figure.
-
-    ``series`` has ``t``, ``swing``, ``deviation:<invariant>`` and, with a reference, ``error`` and
-    ``swing:reference``, each (m,).
-    """
-
-    report: dict[str, Any]
-    series: dict[str, Array]
 
 
 def column_map(texts: Sequence[str], top: Top) -> dict[str, str]:
@@ -229,7 +221,7 @@ def _swings(top: Top, t: Array, values: Array, reference: Array | None) -> dict[
 
 def analyse_series(
     experiment: Experiment, file: ForeignSeries, given: Mapping[str, str], steps: int | None = None
-) -> Analysis:
+) -> Result:
     """Judge the series in ``file`` as the motion of the experiment's top.
 
     Its scheme and step size are of no account, unless the file has step numbers ``n`` and the times are ``n * h``, as
@@ -246,6 +238,12 @@ def analyse_series(
     steps : int or None
         Steps of the method behind the rows, for the round-off bound; by default those between the first and the last
         number in a column ``n``, or one step from each row to the next.
+
+    Returns
+    -------
+    Result
+        The report; ``arrays`` has ``t``, ``swing``, ``deviation:<invariant>`` and, with a reference, ``error`` and
+        ``swing:reference``, each (m,).
 
     Raises
     ------
@@ -290,4 +288,136 @@ def analyse_series(
         "left_motion": None if left is None else {"row": left + 1, "t": float(rows.t[left])},
         "unread": unread_components(file, top),
     }
-    return Analysis(report_data(summary, invariants), series)
+    return Result(report_data(summary, invariants), series)
+
+
+SHOWN = 5
+"""Times of swings in the table; --json has them all."""
+
+
+def measure(
+    path: Annotated[str | Path, Flag("", "FILE")],
+    config: Annotated[str | Path | Mapping[str, Any], Flag("--config", "CONFIG")],
+    columns: Annotated[Sequence[str], Flag("--columns", "NAME=COLUMN,...")] = (),
+    steps: Annotated[int | None, Flag("--steps", "COUNT", least=1)] = None,
+    overrides: Overrides = (),
+    watch: Watch = SILENT,
+) -> Result:
+    """Judge a series of another program like a run.
+
+    Its times may start anywhere, rise or fall, and be uneven. The error is measured against a solution that starts from
+    the config's initial state if the first row agrees with that to 1e-6, and otherwise from the first row.
+
+    Parameters
+    ----------
+    path : path or str
+        CSV or Parquet file with t and the components.
+    config : path, str or mapping
+        Take top and initial state from a config.
+    columns : sequence of str, optional
+        Name columns, e.g. t=time,omega1=w_x.
+    steps : int, optional
+        Set the steps taken; by default rows - 1.
+    overrides : sequence of str, optional
+        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
+    watch : Watch, optional
+        Observer of the study.
+
+    Returns
+    -------
+    StudyReport
+        ``table`` is the report on the invariants, ``summary`` what is known of rows, steps, errors and swings.
+
+    Raises
+    ------
+    UsageError
+        For a file that is no such series; the message names row and column.
+    """
+    if isinstance(config, Mapping):
+        experiment = experiment_from(config, overrides)
+    else:
+        experiment = load_experiment(config, overrides)
+    watch.begin("analyse", experiment)
+    return analyse_series(experiment, ForeignSeries(Path(path)), column_map(columns, experiment.top), steps)
+
+
+def _summary_columns(data: Data) -> list[Column]:
+    swing = data["swing"]
+
+    def span(data: Data) -> str:
+        return f"{exact_number(data['t_first'])} to {exact_number(data['t_last'])}, {data['times']}"
+
+    def start(data: Data) -> str:
+        known = {"config": "the config's initial state", "first row": "the first row"}[data["reference"]["start"]]
+        return "none" if data["reference"]["message"] else known
+
+    def minima(times: Sequence[float]) -> str:
+        listed = ", ".join(map(exact_number, times[:SHOWN])) or DASH
+        return listed + (f" and {len(times) - SHOWN} more" if len(times) > SHOWN else "")
+
+    def spacing(data: Data) -> str:
+        reference = swing["reference_spacing"]
+        return exact_number(swing["spacing"]) + ("" if reference is None else f" (reference {exact_number(reference)})")
+
+    return [
+        Column("rows", "rows"),
+        Column("times", span),
+        *(Column("", key) for key in ("t_first", "t_last", "times")),
+        Column("steps", lambda data: f"{data['steps']} ({data['steps_from']})"),
+        *(Column("", key) for key in ("steps", "steps_from")),
+        Column("reference from", start),
+        Column("first row − config", "reference.difference", number, "difference"),
+        Column("max error", "max_error", number),
+        Column("error at the end", "end_error", number),
+        Column(f"minima of {swing['component']}", "swing.times", minima, ""),
+        Column("their spacing", spacing),
+        *(Column("", f"swing.{key}", key=key) for key in ("spacing", "reference_spacing")),
+    ]
+
+
+SUMMARY = Table(
+    lambda data: [data],
+    _summary_columns,
+    name="summary",
+    heading="Series",
+    title=lambda data: f"{data['file']}: {data['top_title']}",
+    across=Column("", "file"),
+    ruled=False,
+    numbers=False,
+)
+
+
+def head(data: Data) -> Head:
+    """Head of the chapter."""
+    left = data["left_motion"]
+    return Head(str(data["file"]), data["top_title"], "left its motion" if left else "judged", not left)
+
+
+def notes(data: Data) -> Iterator[str]:
+    """What the tables leave out: a missing reference, a motion that was left, components that were not read."""
+    if data["reference"]["message"]:
+        yield f"warning: no error: {data['reference']['message']}"
+    if left := data["left_motion"]:
+        where = f"row {left['row']} (t = {left['t']:.6g})"
+        yield f"warning: {data['file']}: far off its energy surface at {where}"
+    if data["unread"]:
+        yield f"not read: {', '.join(data['unread'])}; the config's initial state has no such components"
+
+
+def _captions(data: Data) -> list[str]:
+    swing = f"{data['swing']['component']} over time t"
+    return ["error of the state over time t", swing, "deviations of the invariants over time t"]
+
+
+ANALYSE = Study(
+    "analyse",
+    measure,
+    head,
+    (SUMMARY, INVARIANTS),
+    notes=notes,
+    figure="topcli.figures.analysis:loaded_analysis",
+    draws="errors, swings and deviations",
+    captions=_captions,
+    stem=lambda data: f"{data['config']['name']}_{Path(data['file']).stem}",
+    parts=lambda data: parts_of(data["config"], ()),
+)

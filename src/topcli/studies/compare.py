@@ -23,13 +23,11 @@ from topcli.engine.precise.numbers import MAX_DIGITS, RATIONAL
 from topcli.errors import UnknownNameError, UsageError, quoted
 from topcli.runs.report import REPORT_COLUMNS, finite, left_motion
 from topcli.runs.simulate import trajectory_of
-from topcli.store.envelope import thinned
 from topcli.studies.compare_ensemble import compare_ensemble
-from topcli.studies.entries import Entry, cited_parts, few_rows, read_entries, scheme_options, users_code
+from topcli.studies.entries import Entry, cited_parts, few_rows, read_entries, scheme_options, top_title, users_code
 from topcli.studies.study import PYTHON_ONLY, SILENT, Data, Faults, Flag, Head, Overrides, Result, Study, Watch
 from topcli.sweeps.measures.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.table import Column, Table, number
-from topcli.tops import TOPS
 
 if TYPE_CHECKING:
     from topcli.engine.precise.loop import PreciseRun
@@ -286,12 +284,8 @@ def _same_step(data: Data) -> bool:
 def _title(data: Data) -> str:
     """Experiment, top, steps, or the time if the steps differ, and what is given of an ensemble."""
     config, first = data["config"], data["schemes"][0]
-    kind = config["top"]["kind"]
-    forms = [top for top in TOPS.values() if top.kind == kind]
-    fits = [top for top in forms if set(top.vectors) == set(config["initial"])]
-    top = (fits or forms)[0].title if forms else str(kind)
     steps = f"h = {first['h']:g}, N = {first['N']}" if _same_step(data) else f"t from 0 to {first['N'] * first['h']:g}"
-    title = f"{config['name']}: {top}, {steps}"
+    title = f"{config['name']}: {top_title(config)}, {steps}"
     if _is_ensemble(data):
         quantiles = "median, 10 % and 90 % quantiles of those that reached the end"
         return f"{title}, {data['trajectories']} trajectories; {quantiles}"
@@ -345,13 +339,9 @@ def _invariant_columns(schemes: Sequence[Data]) -> Iterator[Column]:
     """Figures of the report that comparisons show, of each invariant of the top."""
     for i, invariant in enumerate(schemes[0]["invariants"]):
         for figure in REPORT_COLUMNS:
-            if figure.compared is not None:
-
-                def cell(scheme: Data, i: int = i, key: str = figure.key) -> Any:
-                    return scheme["invariants"][i][key]
-
-                key = f"{invariant['name']}_{figure.key}"
-                yield Column(figure.compared.format(invariant["symbol"]), cell, figure.format, key)
+            if figure.compared:
+                head, key = figure.compared.format(invariant["symbol"]), f"{invariant['name']}_{figure.of}"
+                yield Column(head, f"invariants.{i}.{figure.of}", figure.show, key)
 
 
 def _modified_columns(schemes: Sequence[Data]) -> Iterator[Column]:
@@ -460,21 +450,6 @@ def faults(data: Data) -> Faults:
     return Faults(3 if failed or (bad and partly) else 1 if bad else 0, lines)
 
 
-def document(result: Result) -> Data:
-    """The comparison as plain data: what ``--json`` prints, and the rows of its series that a picture needs."""
-    named = {"schema_version": 1, "command": "compare", **result.data}
-    if not result.arrays:
-        return named
-    return finite({**named, "series": {name: values.tolist() for name, values in thinned(result.arrays).items()}})
-
-
-def stored(data: Data) -> Result:
-    """Result from its document; the series may be missing."""
-    series = data.get("series")
-    columns = series if isinstance(series, dict) else {}
-    return Result(data, {name: np.array(values, dtype=float) for name, values in columns.items()})
-
-
 def _frame_of_series(result: Result) -> Any:
     import pandas as pd
 
@@ -494,8 +469,6 @@ COMPARE = Study(
     captions=lambda data: ("error of the state over time t", f"{data['reference']['swing']} over time t"),
     stem=lambda data: str(data["config"]["name"]),
     parts=cited_parts,
-    document=document,
-    stored=stored,
     saved=True,
     extras={
         "figures": lambda result: result.data,

@@ -6,7 +6,7 @@ All entries cover the same time. Entries with different steps are compared at ti
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest
 from topcli.schemes.registry import find_scheme
 from topcli.schemes.user_code import users_error
 from topcli.sweeps.measures.references import EXACT
-from topcli.tops import top_class
+from topcli.tops import TOPS, top_class
 
 STEP = "h"
 """Key of an entry's own step size; all other keys are options of its scheme."""
@@ -309,7 +309,20 @@ def _divisors(number: int) -> list[int]:
 
 def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Top and scheme of each entry of a study, and of its reference if that is a scheme."""
-    config, reference = data["config"], data.get("reference") or {}
-    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
+    reference = data.get("reference") or {}
     names = [str(row["scheme"]).partition(":")[0] for row in data["schemes"]]
-    return [(form, name) for name in (*names, *([EXACT] if reference.get("kind") == EXACT else []))]
+    return parts_of(data["config"], [*names, *([EXACT] if reference.get("kind") == EXACT else [])])
+
+
+def parts_of(config: Mapping[str, Any], schemes: Iterable[str]) -> list[tuple[str, str]]:
+    """Form of the top of a resolved config, and each of the ``schemes``."""
+    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
+    return [(form, name) for name in schemes]
+
+
+def top_title(config: Mapping[str, Any]) -> str:
+    """Title of the top of a resolved config, or its name if there is no such top."""
+    kind = config["top"]["kind"]
+    known = [top for top in TOPS.values() if top.kind == kind]
+    fits = [top for top in known if set(top.vectors) == set(config["initial"])]
+    return (fits or known)[0].title if known else str(kind)

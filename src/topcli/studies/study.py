@@ -173,10 +173,6 @@ class Study:
         What the progress counts.
     file : Path, optional
         File in the folder of results that holds the result of the default options.
-    document : callable
-        Plain data from which ``stored`` makes the result again, for files.
-    stored : callable
-        Result from its plain data.
     saved : bool
         True if the command has an option for a file of the result.
     known : callable
@@ -200,8 +196,6 @@ class Study:
     parts: Callable[[Data], Parts] = _no_parts
     unit: str = "steps"
     file: Path | None = None
-    document: Callable[[Result], Data] = lambda result: result.data
-    stored: Callable[[Data], Result] = Result
     saved: bool = False
     known: Callable[[Data], bool] = lambda data: False
     extras: Mapping[str, Callable[[Result], Any]] = field(default_factory=dict)
@@ -210,12 +204,31 @@ class Study:
         """Tables of a result."""
         return self.tables(data) if callable(self.tables) else self.tables
 
+    def as_dict(self, result: Result) -> Data:
+        """Plain data of a result, ready for JSON, with the rows of its arrays that a picture needs."""
+        from topcli.runs.report import finite
+        from topcli.store.envelope import thinned
+
+        named = {"schema_version": 1, "command": self.name, **result.data}
+        if not result.arrays:
+            return named
+        return finite({**named, "series": {name: array.tolist() for name, array in thinned(result.arrays).items()}})
+
     def write(self, result: Result, path: Path) -> Path:
         """Write a result for ``topcli report``, whole or not at all. Raises UsageError and RunError."""
         from topcli.store.provenance import environment
         from topcli.store.study import write_study
 
-        return write_study(path, {**self.document(result), "environment": environment()}, None)
+        return write_study(path, {**self.as_dict(result), "environment": environment()}, None)
+
+
+def stored_result(data: Data) -> Result:
+    """Result from its plain data; the series may be missing."""
+    import numpy as np
+
+    series = data.get("series")
+    columns = series if isinstance(series, dict) else {}
+    return Result(data, {name: np.array(values, dtype=float) for name, values in columns.items()})
 
 
 class Place(NamedTuple):
@@ -227,6 +240,9 @@ class Place(NamedTuple):
 
 STUDIES = {
     "compare": Place("topcli.studies.compare:COMPARE", "Compare schemes: errors, drifts, reversal, swings, speed."),
+    "analyse": Place("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
+    "lax": Place("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
+    "roundoff": Place("topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."),
     "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }
 """All studies by name."""
