@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from topcli.cli.options import Json
-from topcli.cli.output import ProgressDisplay, emit, emit_prose, emit_text, print_json, print_message, print_table
+from topcli.cli.output import ProgressDisplay, emit, emit_prose, emit_text, print_cells, print_json, print_message
 
 if TYPE_CHECKING:
     from topcli.paper.decide import Claims, Decided
@@ -18,24 +18,6 @@ def complete_claim(incomplete: str) -> list[str]:
     from topcli.paper.ledger import claim_names
 
     return [name for name in claim_names() if name.startswith(incomplete.lower())]
-
-
-def _print_table(found: Claims) -> None:
-    from topcli.paper.claim import number_text
-
-    rows = [
-        [
-            row.claim.id,
-            row.claim.origin,
-            row.claim.statement,
-            row.verdict,
-            number_text(row.measurement.figure) if row.measurement else "–",
-            row.bound_text,
-            row.claim.source,
-        ]
-        for row in found.rows
-    ]
-    print_table(["id", "origin", "statement", "verdict", "figure", "bound", "source"], rows, numbers=False)
 
 
 def _print_details(row: Decided) -> None:
@@ -93,7 +75,9 @@ def report_claims(found: Claims, details: bool, as_json: bool, as_markdown: bool
         for row in found.rows:
             _print_details(row)
     else:
-        _print_table(found)
+        from topcli.paper.page import CLAIMS
+
+        print_cells(CLAIMS.cells(found.as_dict()))
     if not as_markdown:
         print_message(found.summary)
     _judge(found)

@@ -1,12 +1,11 @@
-"""The ledger as a page of the documentation, ``docs/claims.md``."""
+"""Tables of the decided claims, and the ledger as a page of the documentation, ``docs/claims.md``."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 from topcli.paper.claim import FAILS, MISPRINT, number_text
 from topcli.paper.decide import Claims, Decided
 from topcli.paper.ledger import Claim, Excluded, ledger
+from topcli.table import Column, Table
 
 HEAD = """# The paper's claims, measured
 
@@ -28,7 +27,6 @@ from the one recorded in the repository.
 - Statements that no experiment decides are [listed with the reason](#not-in-the-ledger).
 - Each kind of check is also carried out on a [known defect](#kinds-of-checks), which it must find.
 """
-COLUMNS = ("statement and experiment", "verdict", "measured", "bound")
 LEFT_OUT = """## Not in the ledger
 
 Statements of the paper that no experiment here decides.
@@ -38,61 +36,82 @@ CONTROLS = """## Kinds of checks
 Each kind of check, with what it measures, and its positive control: a defect that it must find.
 """
 
+CLAIMS = Table(
+    "claims",
+    (
+        Column("id", "id"),
+        Column("origin", "origin"),
+        Column("statement", "statement"),
+        *(Column("", key) for key in ("source", "experiment")),
+        Column("verdict", "verdict", key=""),
+        Column("figure", "figure", number_text),
+        Column("bound", "bound_text", key="bound"),
+        Column("source", "source", key=""),
+        *(Column("", key) for key in ("verdict", "note", "recorded", "seconds")),
+    ),
+    heading="Claims",
+    index="id",
+    numbers=False,
+)
+"""Table of the plain data of decided claims."""
+
 
 def _cell(text: str) -> str:
     """Text that does not end a cell of a table."""
     return text.replace("|", r"\|").replace("*", r"\*").replace("_", r"\_")
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    lines = [header, ["---"] * len(header), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]
+def _entry(entry: Claim | Excluded) -> str:
+    return f"**{entry.id}**: {_cell(entry.statement)} ({_cell(entry.source)})"
 
 
-def _experiment(text: str) -> str:
-    """An experiment, with its code as it is."""
-    return "".join(f"`{part}`" if i % 2 else _cell(part) for i, part in enumerate(text.split("`")))
+def _statement(row: Decided) -> str:
+    """Entry of a claim and its experiment, with the code in it as it is."""
+    parts = row.claim.experiment_text.split("`")
+    return f"{_entry(row.claim)}<br>{''.join(f'`{x}`' if i % 2 else _cell(x) for i, x in enumerate(parts))}"
 
 
 def _measured(row: Decided) -> str:
     measured = row.measurement
     if measured is None:
-        return _cell(row.reason)
+        return row.reason
     corrected = "" if measured.corrected is None else f"; corrected: {number_text(measured.corrected)}"
-    return _cell(row.figure_text + corrected + (f" ({measured.note})" if measured.note else ""))
+    return row.figure_text + corrected + (f" ({measured.note})" if measured.note else "")
 
 
-def _claims(title: str, rows: Sequence[Decided], about: str = "") -> list[str]:
-    """Section with a table of claims; empty without any."""
-    cells = [
-        (
-            f"{_entry(row.claim)}<br>{_experiment(row.claim.experiment_text)}",
-            _cell(row.verdict),
-            _measured(row),
-            _cell(row.bound_text),
-        )
-        for row in rows
-    ]
-    return [f"## {title}", "", *([about] if about else []), *_table(COLUMNS, cells), ""] if cells else []
-
-
-def _entry(entry: Claim | Excluded) -> str:
-    return f"**{entry.id}**: {_cell(entry.statement)} ({_cell(entry.source)})"
+ROWS = Table(
+    list,
+    (
+        Column("statement and experiment", _statement),
+        Column("verdict", lambda row: row.verdict, _cell),
+        Column("measured", _measured, _cell),
+        Column("bound", lambda row: row.bound_text, _cell),
+    ),
+)
+LEFT_OUT_ROWS = Table(list, (Column("statement", _entry), Column("reason", lambda entry: entry.reason, _cell)))
+CONTROL_ROWS = Table(
+    list,
+    (
+        Column("kind", lambda row: row.check.name),
+        Column("measures", lambda row: row.check.measures, _cell),
+        Column("defect", lambda row: row.check.defect, _cell),
+        Column("measured", lambda row: row.figure_text),
+        Column("bound", lambda row: row.bound_text),
+    ),
+)
 
 
 def claims_page(decided: Claims) -> str:
     """Content of ``docs/claims.md``: counts, what does not hold, all entries by section, what is left out, controls."""
     rows = {row.claim.id: row for row in decided.rows}
-    others = [row for row in decided.rows if row.category in (FAILS, MISPRINT) and not row.claim.ours]
-    lines = [HEAD, f"{decided.summary}.", "", *_claims("What does not hold", others)]
-    for section in ledger().sections:
-        shown = [rows[claim.id] for claim in section.claims if claim.id in rows]
-        lines += _claims(section.title, shown, section.about)
-    left_out = [(_entry(entry), _cell(entry.reason)) for entry in ledger().excluded]
-    controls = [
-        (row.check.name, _cell(row.check.measures), _cell(row.check.defect), row.figure_text, row.bound_text)
-        for row in decided.controls
-    ]
-    lines += [LEFT_OUT, *_table(("statement", "reason"), left_out), ""]
-    lines += [CONTROLS, *_table(("kind", "measures", "defect", "measured", "bound"), controls)]
+    wrong = [row for row in decided.rows if row.category in (FAILS, MISPRINT) and not row.claim.ours]
+    lines = [HEAD, f"{decided.summary}.", ""]
+    for title, about, claims in (
+        ("What does not hold", "", [row.claim for row in wrong]),
+        *((section.title, section.about, section.claims) for section in ledger().sections),
+    ):
+        if shown := [rows[claim.id] for claim in claims if claim.id in rows]:
+            lines += [f"## {title}", "", *([about] if about else []), *ROWS.cells(shown).markdown(), ""]
+    lines += [LEFT_OUT, *LEFT_OUT_ROWS.cells(ledger().excluded).markdown(), ""]
+    lines += [CONTROLS, *CONTROL_ROWS.cells(decided.controls).markdown()]
     return "\n".join(lines).rstrip() + "\n"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from topcli.paper.decide import Claims, decide_claims
+from topcli.paper.page import CLAIMS
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 
@@ -15,20 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from topcli.pages.contents import Chapter
-
-COLUMNS = (
-    "id",
-    "origin",
-    "statement",
-    "source",
-    "experiment",
-    "figure",
-    "bound",
-    "verdict",
-    "note",
-    "recorded",
-    "seconds",
-)
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,10 +36,7 @@ class ClaimsReport(Claims, Report):
     @property
     def table(self) -> pd.DataFrame:
         """DataFrame of the claims, one row each, indexed by ``id``."""
-        import pandas as pd
-
-        rows = [{**row, "bound": row["bound_text"]} for row in self.as_dict()["claims"]]
-        return pd.DataFrame(rows, columns=list(COLUMNS)).set_index("id")
+        return CLAIMS.frame(self.as_dict())
 
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page."""
