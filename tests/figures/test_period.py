@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import topcli
+from topcli.analysis.swings import spacing_law
 from topcli.figures import period
-from topcli.paper.swing_period import spacing_law
 
 
 def test_the_law_is_that_of_the_homoclinic_orbit() -> None:

@@ -70,3 +70,11 @@ def swing_spacing(t: Array, values: Array) -> float | None:
     """
     times = minima_times(t, values)
     return abs(float(times[1] - times[0])) if len(times) > 1 else None
+
+
+def spacing_law(eps: Array) -> Array:
+    """Time between swings of the Kowalevski top at the distances ``eps`` (m,) from the paper's homoclinic orbit.
+
+    To leading order, for the paper's initial state with gamma_3(0) = eps.
+    """
+    return 2.0 * np.sqrt(2.0) * np.log(8.0 * np.sqrt(7.0) / eps)

@@ -5,6 +5,7 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
+from topcli.analysis.swings import spacing_law
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.bifurcation import BelowGrid, BifurcationFigure, Window
 from topcli.figures.comparison import ComparisonFigure
@@ -27,7 +28,6 @@ from topcli.figures.torus import TorusFigure
 from topcli.figures.torus_points import TorusPointsFigure
 from topcli.figures.traces import BodyPanel, VectorPanel
 from topcli.figures.work_precision import WorkPrecisionFigure
-from topcli.paper.swing_period import spacing_law
 
 
 def _headed(figsize: tuple[float, float]) -> Grid:

@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
 from topcli.contracts import Array
 from topcli.figures.contract import Figure, Loaded, Request
 from topcli.figures.picture import Grid, Styles
-from topcli.paper.swing_period import EPS, TIME, spacing_law
 
 if TYPE_CHECKING:
     from topcli.config.models import Experiment
 
 SCENE = "kowalevski_hk"
+EPS = 1e-3
+"""Distance of the scene from the homoclinic orbit, gamma_3(0)."""
+TIME = 50.0
 SAMPLING = 0.01
 """Longest time between two recorded states."""
 PAPER_STEP = 1e-3

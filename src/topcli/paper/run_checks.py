@@ -17,13 +17,12 @@ from topcli.analysis.isospectral import spectral_content
 from topcli.analysis.lax import block_form, kowalevski_form
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
-from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Top, checked_equations
 from topcli.paper.claim import Measurement
 from topcli.paper.exact_checks import Formula
 from topcli.paper.scenes import Scene, invariant_named
-from topcli.paper.swing_period import EPS, TIME, spacing_law
 from topcli.runs.simulate_ensemble import simulate_ensemble
 from topcli.tops import TOPS
 
@@ -230,12 +229,12 @@ def height(scenes: list[Scene], column: str, axis: float | Scene) -> Measurement
 
 def period(scenes: list[Scene]) -> Measurement:
     """Smallest relative difference between the time between swings and that of the motion."""
-    law = float(spacing_law(np.array(EPS)))
     runs = [scene.trajectory() for scene in scenes]
+    law = float(spacing_law(runs[0]["gamma3"][:1])[0])
     spacings = {run.scheme: swing_spacing(run.t, run["gamma1"]) or math.nan for run in runs}
     figure = min(abs(spacing / law - 1.0) for spacing in spacings.values())
     note = ", ".join(f"{name} {spacing:.4f}" for name, spacing in spacings.items()) + f"; motion {law:.4f}"
-    return Measurement(figure, LINE / WIDTH * TIME / law, note=note)
+    return Measurement(figure, LINE / WIDTH * float(runs[0].t[-1]) / law, note=note)
 
 
 # signs of integrability
