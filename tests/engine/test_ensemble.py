@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -278,3 +279,13 @@ def test_a_step_that_cannot_be_compiled_is_reported() -> None:
 
     with pytest.raises(SchemeCodeError, match=r"test_ensemble\.py:"):
         together(Kowalevski(), Stepper(step, 6), random_states(2, 1), 0.1, 1)
+
+
+def test_a_limit_is_an_upper_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ensemble, "_most_threads", None)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(6)), raising=False)
+    assert ensemble.default_threads() == 6
+    ensemble.limit_threads(2)
+    assert ensemble.default_threads() == 2
+    ensemble.limit_threads(8)
+    assert ensemble.default_threads() == 6

@@ -55,14 +55,13 @@ def write_scheme(folder: Path, body: str, options: str = "") -> Path:
 def run_scheme(path: Path) -> Found:
     """Load the file and take two steps."""
     registry.all_schemes()  # so that the built-in ones are among those that stay
-    before = dict(registry._schemes)
+    before = registry.registry.snapshot()
     try:
         registry.load_scheme_file.__wrapped__(path)
         top = Kowalevski()
         method = registry.find_scheme("mine", "kowalevski").build(top, None)
     finally:
-        registry._schemes.clear()
-        registry._schemes.update(before)
+        registry.registry.restore(before)
     run = Run(top, method, (1.0, 0.25, 0.5, 0.6, 0.48, 0.64), 0.1, 2)
     last = [float(chunk.states[-1, 0]) for chunk in run if len(chunk.n)][-1]
     assert run.ending is not None

@@ -49,12 +49,12 @@ def cache_folder() -> Path:
     return user_cache_path("topcli") / "kernels"
 
 
-def _distrust(found: os.stat_result) -> str:
+def _distrust(about: os.stat_result) -> str:
     """Reason not to use a file or folder; empty if there is none."""
-    if hasattr(os, "geteuid") and found.st_uid != os.geteuid():
-        return f"it belongs to the user with number {found.st_uid}, not to {os.geteuid()}"
-    if found.st_mode & 0o022:
-        return f"others may write it (mode {stat.S_IMODE(found.st_mode):o})"
+    if hasattr(os, "geteuid") and about.st_uid != os.geteuid():
+        return f"it belongs to the user with number {about.st_uid}, not to {os.geteuid()}"
+    if about.st_mode & 0o022:
+        return f"others may write it (mode {stat.S_IMODE(about.st_mode):o})"
     return ""
 
 
@@ -76,10 +76,10 @@ def _content(folder: int, name: str) -> bytes:
     """Content of a file. Raises UntrustedError or OSError."""
     handle = os.open(name, os.O_RDONLY | _NOFOLLOW | getattr(os, "O_NONBLOCK", 0), dir_fd=folder)
     with os.fdopen(handle, "rb") as file:
-        found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode):
+        about = os.fstat(handle)
+        if not stat.S_ISREG(about.st_mode):
             raise UntrustedError(f"{name} is not a regular file")
-        if reason := _distrust(found):
+        if reason := _distrust(about):
             raise UntrustedError(f"{name}: {reason}")
         return file.read()
 
@@ -166,12 +166,12 @@ def store_setup(words: str, data: bytes) -> None:
 
 def _entries(folder: int, suffixes: tuple[str, ...]) -> list[tuple[str, os.stat_result]]:
     """Names and ``lstat`` results of the files with one of the ``suffixes``, newest first."""
-    found = []
+    entries = []
     for name in os.listdir(folder):
         if name.endswith(suffixes):
             with suppress(OSError):
-                found.append((name, os.stat(name, dir_fd=folder, follow_symlinks=False)))
-    return sorted(found, key=lambda entry: entry[1].st_mtime_ns, reverse=True)
+                entries.append((name, os.stat(name, dir_fd=folder, follow_symlinks=False)))
+    return sorted(entries, key=lambda entry: entry[1].st_mtime_ns, reverse=True)
 
 
 def _remove_oldest(folder: int, suffix: str) -> None:
@@ -195,12 +195,12 @@ def cache_state() -> CacheState:
     try:
         with _opened(path) as folder:
             used, problems = [], []
-            for name, found in _entries(folder, (CODE, SETUP)):
-                reason = _distrust(found) if stat.S_ISREG(found.st_mode) else "it is not a regular file"
+            for name, about in _entries(folder, (CODE, SETUP)):
+                reason = _distrust(about) if stat.S_ISREG(about.st_mode) else "it is not a regular file"
                 if reason:
                     problems.append(f"{path / name} is not used: {reason}; remove it")
                 else:
-                    used.append(found.st_size)
+                    used.append(about.st_size)
             more = [f"{len(problems) - 3} more files in {path} are not used"] if len(problems) > 3 else []
             return CacheState(len(used), sum(used), (*problems[:3], *more))
     except FileNotFoundError:

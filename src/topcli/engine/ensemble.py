@@ -93,7 +93,7 @@ def tile_of(count: int) -> int:
 class EnsembleCode:
     """Machine code of ``method`` for ``top``, which several runs may share: the loops over a tile and of single runs.
 
-    ``tile`` is None without ``side_by_side`` and for a method that is no compiled step. ``seconds`` is the time to
+    ``lanes`` is None without ``side_by_side`` and for a method that is no compiled step. ``seconds`` is the time to
     compile or load, ``cached`` is true if all code came from disk.
     """
 

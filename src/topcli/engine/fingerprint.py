@@ -66,10 +66,10 @@ def _named_elsewhere(value: object) -> str | None:
         return None
     if not is_versioned(module):
         return None
-    found: Any = sys.modules.get(module)
+    known: Any = sys.modules.get(module)
     for part in name.split("."):
-        found = getattr(found, part, _EMPTY)
-    return f"{module}.{name}" if found is value else None
+        known = getattr(known, part, _EMPTY)
+    return f"{module}.{name}" if known is value else None
 
 
 class _Walk:
@@ -318,7 +318,10 @@ class _Walk:
 
 def _all_codes(code: types.CodeType) -> list[types.CodeType]:
     inner = [
-        found for constant in code.co_consts if isinstance(constant, types.CodeType) for found in _all_codes(constant)
+        inner_code
+        for constant in code.co_consts
+        if isinstance(constant, types.CodeType)
+        for inner_code in _all_codes(constant)
     ]
     return [code, *inner]
 
@@ -386,35 +389,35 @@ def own_code(top: type[Top], scheme: Scheme) -> str:
     return walk.digest.hexdigest()
 
 
-def same_method(one: Method, other: Method) -> bool:
+def same_method(method: Method, other: Method) -> bool:
     """True if both methods certainly compile to the same machine code: much cheaper than two fingerprints.
 
     Closures are compared by their code and by what they hold, so that a scheme may make its functions for each top.
     """
-    if not isinstance(one, Stepper) or not isinstance(other, Stepper):
-        return one is other
-    return all(_same(getattr(one, part.name), getattr(other, part.name)) for part in fields(one))
+    if not isinstance(method, Stepper) or not isinstance(other, Stepper):
+        return method is other
+    return all(_same(getattr(method, part.name), getattr(other, part.name)) for part in fields(method))
 
 
-def _same(one: Any, other: Any, depth: int = 16) -> bool:
+def _same(value: Any, other: Any, depth: int = 16) -> bool:
     """True if two values are the same object, equal plain data, or functions of the same code that hold such values."""
-    if one is other:
+    if value is other:
         return True
-    if type(one) is not type(other) or not depth:
+    if type(value) is not type(other) or not depth:
         return False
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(_same(a, b, depth - 1) for a, b in zip(one, other, strict=True))
-    if isinstance(one, float):
-        return one.hex() == other.hex()
-    if isinstance(one, (int, str, bool)):
-        return one == other
-    if not isinstance(one, types.FunctionType) or one.__dict__ or other.__dict__:
+    if isinstance(value, tuple):
+        return len(value) == len(other) and all(_same(a, b, depth - 1) for a, b in zip(value, other, strict=True))
+    if isinstance(value, float):
+        return value.hex() == other.hex()
+    if isinstance(value, (int, str, bool)):
+        return value == other
+    if not isinstance(value, types.FunctionType) or value.__dict__ or other.__dict__:
         return False
-    if one.__code__ is not other.__code__ or one.__globals__ is not other.__globals__:
+    if value.__code__ is not other.__code__ or value.__globals__ is not other.__globals__:
         return False
-    held = [[cell.cell_contents for cell in function.__closure__ or ()] for function in (one, other)]
+    held = [[cell.cell_contents for cell in function.__closure__ or ()] for function in (value, other)]
     return (
         _same(tuple(held[0]), tuple(held[1]), depth - 1)
-        and _same(one.__defaults__, other.__defaults__, depth - 1)
-        and one.__kwdefaults__ == other.__kwdefaults__ is None
+        and _same(value.__defaults__, other.__defaults__, depth - 1)
+        and value.__kwdefaults__ == other.__kwdefaults__ is None
     )

@@ -286,4 +286,4 @@ def nanoseconds_per_step(
                 interpreted[i] = min(PLAIN_STEPS, 1 + int(PLAIN_NANOSECONDS / max(elapsed, 1)))
             else:
                 times[i].append(elapsed / max(1, abs(taken)))
-    return [float(np.median(one)) for one in times]
+    return [float(np.median(of_run)) for of_run in times]

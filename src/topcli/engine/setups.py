@@ -156,18 +156,18 @@ class Setups:
             for i in range(count):
                 begin = time.perf_counter()
                 while len(coming) < AHEAD * self.processes and i + len(coming) < count:
-                    coming.append(pool.submit(self._found, i + len(coming)))
+                    coming.append(pool.submit(self._looked_up, i + len(coming)))
                 while coming and not wait([coming[0]], POLL_SECONDS).done:
                     check_stop()
-                found = coming.popleft().result() if coming else self._found(i)
-                self._use(i, *found)
+                data = coming.popleft().result() if coming else self._looked_up(i)
+                self._use(i, *data)
                 self.time.seconds += time.perf_counter() - begin
                 yield i
 
     def _words(self, i: int) -> str:
         return _words(self._setup, self._code, self._y0[i], self._p)
 
-    def _found(self, i: int) -> tuple[bytes | None, bool]:
+    def _looked_up(self, i: int) -> tuple[bytes | None, bool]:
         """Set-up ``i`` from disk or another process, and True if it is stored."""
         if not self._setup.needed(self._y0[i], self._p):
             return None, True

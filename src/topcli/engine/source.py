@@ -78,24 +78,24 @@ def used_names(function: types.FunctionType) -> set[str]:
     """
     import dis
 
-    found = set(function.__code__.co_freevars)
+    names = set(function.__code__.co_freevars)
     codes = [function.__code__]
     for code in codes:
         codes += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
-        found.update(step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"))
-    return found
+        names.update(step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"))
+    return names
 
 
 def references(function: types.FunctionType) -> dict[str, Any]:
     """Globals and closed-over variables of a function by name; builtins are left out."""
     scope = function.__globals__
-    found = {name: scope[name] for name in names_in(function) if name in scope}
+    values = {name: scope[name] for name in names_in(function) if name in scope}
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
-            found[name] = cell.cell_contents
+            values[name] = cell.cell_contents
         except ValueError:  # a variable without a value
-            found.pop(name, None)
-    return found
+            values.pop(name, None)
+    return values
 
 
 class Copier:

@@ -97,10 +97,10 @@ COMPOSITIONS = {
 
 def find_composition(name: str) -> Composition:
     """Return the composition called ``name`` (case-insensitive); raise UnknownNameError with the nearest names."""
-    found = COMPOSITIONS.get(name.lower())
-    if found is None:
+    composition = COMPOSITIONS.get(name.lower())
+    if composition is None:
         raise UnknownNameError(f"unknown composition {quoted(name)}; {nearest(name, COMPOSITIONS)}")
-    return found
+    return composition
 
 
 def composed_step(step: StepFunction, weights: tuple[float, ...]) -> StepFunction:

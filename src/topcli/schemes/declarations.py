@@ -57,21 +57,21 @@ NO_FAR_STEPS = (
 
 def explicit_limits(top: Top) -> Mapping[str, str]:
     """Limits of explicit Runge-Kutta methods."""
-    found = {"resonance": NO_FAR_STEPS}
+    limits = {"resonance": NO_FAR_STEPS}
     if top.form != "lagrange/inertial":
-        found["singular-step"] = NO_FAR_STEPS
-    return found
+        limits["singular-step"] = NO_FAR_STEPS
+    return limits
 
 
 def rk2_limits(top: Top) -> Mapping[str, str]:
     """Limits of the explicit midpoint rule."""
-    found = dict(explicit_limits(top))
+    limits = dict(explicit_limits(top))
     if top.form.startswith("lagrange"):
-        found["drift"] = (
+        limits["drift"] = (
             "The energy grows steadily, by h³ per unit time: with h = 0.1 the run ends as `blew_up` after about 1e4 "
             "steps, and the linear integral is lost as well."
         )
-    return found
+    return limits
 
 
 HIROTA_KIMURA = r"""
@@ -110,7 +110,7 @@ def polynomial_invariants(top: Top, degree: int) -> tuple[str, ...]:
     d = len(top.components)
     orders = np.arange(degree + 2.0)
     weights = np.array([(-1.0) ** k * comb(degree + 1, k) for k in range(degree + 2)])
-    found = []
+    names = []
     for invariant in top.invariants():
         excess = 0.0
         for line in range(LINES):
@@ -119,5 +119,5 @@ def polynomial_invariants(top: Top, degree: int) -> tuple[str, ...]:
             scale = float(invariant.scale(states).max()) or 1.0
             excess = max(excess, abs(float(weights @ invariant.value(states))) / scale)
         if excess < 1e-13 * 2.0 ** (degree + 1):
-            found.append(invariant.name)
-    return tuple(found)
+            names.append(invariant.name)
+    return tuple(names)

@@ -344,8 +344,8 @@ def plugin_failures() -> tuple[PluginFailure, ...]:
     for module in _modules():
         import_module(module)
     failures = []
-    found: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
-    for entry in found:
+    plugins: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
+    for entry in plugins:
         origin = entry.dist.name if entry.dist else entry.name
         failure = _import_plugin(entry.name, origin, entry.load)
         if failure:
@@ -382,7 +382,7 @@ def load_scheme_file(path: Path) -> None:
             f"scheme file {path}: registers no scheme or measure; decorate a function with @topcli.scheme(...) "
             "or @topcli.measure(...)"
         )
-    modules = {found.relative_to(folder).as_posix(): found.read_bytes() for found in imported}
+    modules = {file.relative_to(folder).as_posix(): file.read_bytes() for file in imported}
     registry.files.append(SchemeFile(str(path), str(folder), {path.name: path.read_bytes(), **modules}))
 
 

@@ -92,7 +92,7 @@ def free_change(free: Free) -> Change:
     """Return the change of m in a step without gamma; the inverse moments follow m."""
 
     def change(s: Floats, h: float, p: Floats) -> Floats:
-        return free(s[:3], (0.0, 0.0, 0.0), s[3:], h)[0]
+        return free((s[0], s[1], s[2]), (0.0, 0.0, 0.0), s[3:], h)[0]
 
     return change
 

@@ -160,8 +160,8 @@ def error_of(state: Floats, expected: Floats, y: Floats, c: float) -> float:
     gamma = max(map(abs, y[3:]))
     omega = max(map(abs, y[:3])) + math.sqrt(abs(c) * gamma)
     off = [abs(a - b) for a, b in zip(state, expected, strict=True)]
-    errors = [one / size for one, size in zip(off, [omega] * 3 + [gamma] * 3, strict=True) if one != 0.0]
-    return math.inf if any(one != one for one in errors) else max(errors, default=0.0)
+    errors = [error / size for error, size in zip(off, [omega] * 3 + [gamma] * 3, strict=True) if error != 0.0]
+    return math.inf if any(error != error for error in errors) else max(errors, default=0.0)
 
 
 def longest_from(y: Floats, h: float, p: Floats) -> tuple[float, Floats4]:

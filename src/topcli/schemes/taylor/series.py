@@ -213,11 +213,11 @@ class _ProductSums:
         rest = [k for k in range(1, m) if k >= newer or m - k >= newer]
         for k in sorted(rest, key=lambda k: max(k, m - k)):
             self._gather(m, k, int(2 * k > m))
-        found = []
+        sums = []
         for n in range(len(self.pairs)):
             both = [self.halves[m, n, half] for half in (0, 1) if (m, n, half) in self.halves]
-            found.append(self.o.add(*both) if len(both) == 2 else both[0])
-        return found
+            sums.append(self.o.add(*both) if len(both) == 2 else both[0])
+        return sums
 
 
 def taylor_increment(o: Operations, order: int, d: Scalar, missed: Vector | None) -> tuple[Vector, Vector]:

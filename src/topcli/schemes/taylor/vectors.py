@@ -14,7 +14,7 @@ Scalar = Any
 
 
 class Operations(Protocol):
-    """Operations on scalars, vectors of ``tile`` floats, and named arrays of vectors."""
+    """Operations on scalars, vectors of ``lanes`` floats, and named arrays of vectors."""
 
     lanes: int
 

@@ -1,8 +1,9 @@
-"""Kernels against exact rational arithmetic, mpmath and the paper's own forms."""
+"""Fused, double-double and quaternion arithmetic, and the kernels of rotations and roots."""
 
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from fractions import Fraction
 
@@ -11,9 +12,29 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from conftest import random_states
+from topcli.analysis import reference_series as taylor
+from topcli.analysis.attitude import attitude_columns, quaternions_of
+from topcli.arithmetic import double_double as dd
 from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest, root_sign, rotation_increment
+from topcli.arithmetic.fused import fma
+from topcli.arithmetic.quaternions import (
+    canonical,
+    canonical_rows,
+    conjugate,
+    euler_angles,
+    matrices,
+    product,
+    products,
+    quaternions,
+    rotate,
+    turn_of,
+    turn_upright,
+    unit_turn,
+    upright,
+)
 from topcli.arithmetic.rotations import SMALL_ANGLE_SQ, cayley_increment, cayley_rotated, rodrigues_increment, sinc_cosc
 from topcli.engine.native import native
 from twins import cayley_matrix, exactly, polar_root_sign, rotation_matrix
@@ -183,3 +204,173 @@ def test_the_two_rules_differ_where_the_root_crosses_the_real_axis() -> None:
     z = complex(2.0, 1e-4) ** 2 / 2
     assert root_nearest(z.real, z.imag, 2.0, -1e-4) == pytest.approx((2.0, 1e-4))
     assert root_sign(z.real, z.imag, 2.0, -1e-4) == pytest.approx((-2.0, -1e-4))
+
+
+U = Fraction(1, 2**53)
+ordinary = st.floats(-1e40, 1e40).filter(lambda x: x == 0 or abs(x) > 1e-40)
+
+
+@st.composite
+def double_doubles(draw):
+    hi = draw(ordinary)
+    part = draw(st.floats(-0.5, 0.5).filter(lambda x: x == 0 or abs(x) > 1e-20))
+    return dd.quick_two_sum(hi, part * math.ulp(hi) if hi else 0.0)
+
+
+def exact(pair):
+    return Fraction(pair[0]) + Fraction(pair[1])
+
+
+def assert_close(pair, true, bound):
+    assert abs(exact(pair) - true) <= bound * U**2 * abs(true)
+    assert pair[0] == pair[0] + pair[1], "not normalised"
+
+
+@given(ordinary, ordinary)
+def test_error_free_transformations_are_exact(a, b):
+    assert exact(dd.two_sum(a, b)) == Fraction(a) + Fraction(b)
+    assert dd.two_sum(a, b)[0] == a + b
+    assert exact(dd.two_prod(a, b)) == Fraction(a) * Fraction(b)
+    assert dd.two_prod(a, b)[0] == a * b
+    large, small = (a, b) if abs(a) >= abs(b) else (b, a)
+    assert exact(dd.quick_two_sum(large, small)) == Fraction(a) + Fraction(b)
+
+
+@given(double_doubles(), double_doubles(), ordinary)
+def test_double_double_operations_meet_their_error_bounds(a, b, c):
+    assert_close(dd.dd_add(*a, *b), exact(a) + exact(b), Fraction(301, 100))
+    assert_close(dd.dd_mul(*a, *b), exact(a) * exact(b), 7)
+    assert_close(dd.dd_scale(*a, c), exact(a) * Fraction(c), 2)
+    if c:
+        assert_close(dd.dd_div(*a, c), exact(a) / Fraction(c), 3)
+
+
+@given(double_doubles(), st.floats(-1, 1))
+def test_addition_survives_cancellation(a, part):
+    b = dd.two_sum(-a[0], part * math.ulp(a[0]) * 1e-3)
+    assert_close(dd.dd_add(*a, *b), exact(a) + exact(b), Fraction(301, 100))
+
+
+def test_cauchy_products_keep_double_double_accuracy():
+    rng = np.random.default_rng(1)
+    n = 30
+    hi = rng.normal(size=(6, n)) * 10.0 ** rng.uniform(-3, 3, size=(6, n))
+    lo = hi * 2.0**-54 * rng.uniform(-1, 1, size=(6, n))
+    work = np.stack([hi, lo], axis=1).reshape(-1).tolist()
+    for j in (0, 1, 7, n - 1):
+        terms = [exact((hi[2, k], lo[2, k])) * exact((hi[5, j - k], lo[5, j - k])) for k in range(j + 1)]
+        error = abs(exact(taylor.cauchy(work, 2, 5, j, n)) - sum(terms))
+        assert error <= (j + 8) ** 2 * U**2 * sum(map(abs, terms))
+
+
+SPECIAL = (0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324, -5e-324, 1e308, -1e308, 1.0)
+
+
+def each(a, b, c, out, n):
+    for i in range(n):
+        out[i] = fma(a[i], b[i], c[i])
+    return 0
+
+
+def naive(a, b, c, out, n):
+    for i in range(n):
+        out[i] = a[i] * b[i] + c[i]
+    return 0
+
+
+def operands() -> list[np.ndarray]:
+    """Any bit patterns, sums that cancel, and every triple of special values."""
+    rng = np.random.default_rng(1)
+    a, b, c = rng.integers(0, 2**64, (3, 4000), dtype=np.uint64).view(float)
+    x, y = rng.normal(size=(2, 2000))
+    special = np.array(list(itertools.product(SPECIAL, repeat=3))).T
+    return [np.concatenate(pieces) for pieces in zip((a, b, c), (x, y, -x * y), special, strict=True)]
+
+
+def test_the_instruction_is_the_exact_operation_rounded_once() -> None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        a, b, c = operands()
+    fused, unfused = np.zeros_like(a), np.zeros_like(a)
+    native(each, "ppppq")(a, b, c, fused, len(a))
+    native(naive, "ppppq")(a, b, c, unfused, len(a))
+    exact = np.array([fma(*values) for values in zip(a.tolist(), b.tolist(), c.tolist(), strict=True)])
+    bits, wanted = fused.view(np.uint64), exact.view(np.uint64)
+    assert np.all((bits == wanted) | (np.isnan(fused) & np.isnan(exact)))
+    assert np.sum(unfused[4000:6000] == 0.0) == 2000  # the compiler fuses nothing by itself
+    assert np.sum(fused[4000:6000] != 0.0) > 1900
+
+
+RANDOM = Rotation.random(200, rng=np.random.default_rng(1))
+Q = RANDOM.as_quat(scalar_first=True)
+HALF_TURNS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.6, 0.0, 0.8], [1.0, 0.0, 0.0, 0.0]])
+
+
+def close(found: object, expected: object) -> None:
+    assert np.abs(np.asarray(found) - np.asarray(expected)).max() < 2e-15
+
+
+def test_product_and_rotation() -> None:
+    p, q = tuple(Q[0].tolist()), tuple(Q[1].tolist())
+    expected = (RANDOM[0] * RANDOM[1]).as_quat(scalar_first=True)
+    found = np.array(product(p, q))
+    close(found * np.sign(found @ expected), expected)
+    close(rotate(p, (1.0, -2.0, 0.5)), RANDOM[0].apply([1.0, -2.0, 0.5]))
+    close(rotate(conjugate(p), rotate(p, (1.0, -2.0, 0.5))), (1.0, -2.0, 0.5))
+    close(products(Q[0], Q[1:])[0], found)
+
+
+def test_turns_are_quaternions_minus_one() -> None:
+    w, x, y, z = unit_turn(0.1, -0.2, 0.3)
+    angle = 2.0 * math.atan(math.sqrt(0.14))
+    expected = Rotation.from_rotvec(angle * np.array([0.1, -0.2, 0.3]) / math.sqrt(0.14)).as_quat(scalar_first=True)
+    close((1.0 + w, x, y, z), expected)
+    assert unit_turn(1e-9, 0.0, 0.0)[0] == pytest.approx(-0.5e-18, rel=1e-15)  # all digits
+    small = (1.0, 1e-9, 0.0, 0.0)
+    assert turn_of(small)[0] == pytest.approx(-0.5e-18, rel=1e-15)
+    assert turn_of((-0.6, 0.8, 0.0, 0.0)) == (-1.6, 0.8, 0.0, 0.0)
+
+
+def test_upright_is_the_shortest_rotation() -> None:
+    for v in np.random.default_rng(2).normal(size=(50, 3)):
+        found = Rotation.from_quat(upright(tuple(v.tolist())), scalar_first=True)
+        u = v / np.linalg.norm(v)
+        close(found.apply(u), [0.0, 0.0, 1.0])
+        assert found.magnitude() == pytest.approx(math.acos(u[2]), abs=1e-14)
+    assert turn_upright((0.0, 0.0, -1.0)) == (-1.0, 1.0, 0.0, 0.0)
+
+
+def test_canonical_is_one_of_each_pair() -> None:
+    assert canonical((-0.6, 0.8, 0.0, 0.0)) == (0.6, -0.8, 0.0, 0.0)
+    assert canonical((0.0, -1.0, 0.0, 0.0)) == (0.0, 1.0, 0.0, 0.0)
+    assert [math.copysign(1.0, one) for one in canonical((-1.0, 0.0, 0.0, -0.0))] == [1.0] * 4
+    rows = np.vstack([Q, -Q, HALF_TURNS, -HALF_TURNS])
+    close(canonical_rows(2.0 * rows), [canonical(tuple(row)) for row in rows.tolist()])
+
+
+def test_matrices_and_back() -> None:
+    rows = np.vstack([Q, HALF_TURNS])
+    expected = Rotation.from_quat(rows, scalar_first=True).as_matrix()
+    close(matrices(rows), expected)
+    close(canonical_rows(quaternions(expected)), canonical_rows(rows))
+
+
+def test_euler_angles_are_those_of_the_sequence_zxz() -> None:
+    psi, theta, phi = euler_angles(Q)
+    close(Rotation.from_euler("ZXZ", np.column_stack([psi, theta, phi])).as_matrix(), RANDOM.as_matrix())
+    assert theta.min() >= 0.0
+    assert theta.max() <= math.pi
+    assert np.abs([psi, phi]).max() <= math.pi
+    close(np.cos(theta), RANDOM.as_matrix()[:, 2, 2])  # the height of the third axis
+    for q, angles in (
+        ((0.8, 0.0, 0.0, 0.6), (2.0 * math.atan2(0.6, 0.8), 0.0, 0.0)),
+        ((0.0, 1.0, 0.0, 0.0), (0.0, math.pi, 0.0)),
+    ):
+        assert [float(one[0]) for one in euler_angles(np.array([q]))] == pytest.approx(angles, abs=1e-15)
+
+
+@pytest.mark.parametrize("form", ["quaternion", "euler-angles"])
+def test_recorded_columns_give_the_attitude_back(form: str) -> None:
+    found = quaternions_of(attitude_columns(form, Q))
+    assert found is not None
+    close(np.abs((found * Q).sum(axis=1)), 1.0)
+    assert quaternions_of({"t": Q[:, 0]}) is None
