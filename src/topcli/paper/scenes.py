@@ -37,16 +37,8 @@ VARIED = 3
 VARIED_STEPS = 3
 AND_VARIED = f", and {VARIED} times with random parameters, state and h"
 
-MOMENTS = ("A", "B", "C")
-PARAMETERS = {
-    "euler": MOMENTS,
-    "euler+gamma": MOMENTS,
-    "lagrange": ("A", "C", "mu"),
-    "lagrange/inertial": (),
-    "heavy": (*MOMENTS, "x0", "y0", "z0"),
-    "kowalevski": ("c0",),
-}
-"""Parameters of each form of a top that the paper's equations leave open."""
+TIED = {"lagrange": "B", "kowalevski": "A"}
+"""Parameter of a form of a top that its equations in the paper do not leave open."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +93,9 @@ class Scene:
         """The same scene with random rational parameters of the top, initial state and h, and fewer steps."""
         top = self.experiment().top
         sets = [f"h={draws.step()}", f"N={min(self.experiment().N, VARIED_STEPS)}"]
-        for name in PARAMETERS[top.form]:
-            sets.append(f"top.{name}={draws.moment() if name in MOMENTS else draws.small()}")
+        for name in type(top).model_fields:
+            if name != TIED.get(top.form):
+                sets.append(f"top.{name}={draws.moment() if name in 'ABC' else draws.small()}")
         for name in top.vectors:
             vector = draws.unit() if name in top.unit_vectors else tuple(draws.small() for _ in range(3))
             sets.append(f"initial.{name}=[{', '.join(map(str, vector))}]")
