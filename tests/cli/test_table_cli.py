@@ -135,21 +135,20 @@ def test_failures_are_counted_on_stderr(cli: Callable[..., Any], sweep: Path) ->
         ({"--aggregate": "avg"}, "--aggregate 'avg': unknown aggregate; known: max, mean, median, order"),
         ({"--format": "latx"}, "--format 'latx': unknown format; did you mean 'latex'?"),
         ({"--where": "h=7"}, "--where 'h=7': no row has this value; h is one of: 0.1, 0.0316, 0.001"),
+        (
+            {"": "out/mien"},
+            "out/mien: no sweep is stored here (rows.parquet is missing); did you mean 'mine'?",
+        ),
         ({"--columns": "h"}, "up to 4 values fall into one cell, because seed still varies"),
     ],
 )
 def test_wrong_options_are_named(cli: Callable[..., Any], sweep: Path, changed: dict[str, str], message: str) -> None:
     options = {"--rows": "scheme", "--value": "error.max", **changed}
-    said = cli("table", str(sweep), *itertools.chain(*options.items()), "--out", "table.txt")
+    place = options.pop("", str(sweep))
+    said = cli("table", place, *itertools.chain(*options.items()), "--out", "table.txt")
     assert (said.code, said.out) == (2, "")
     assert said.err.startswith(f"error: {message}")
     assert not Path("table.txt").exists()
-
-
-def test_a_folder_without_a_sweep_is_named(cli: Callable[..., Any], sweep: Path) -> None:
-    said = cli("table", "out/mien", "--rows", "scheme", "--value", "error.max")
-    assert said.code == 2
-    assert said.err == "error: out/mien: no sweep is stored here (rows.parquet is missing); did you mean 'mine'?\n"
 
 
 EVIL = "a\x1b[31m\n\u202e" + "x" * 300

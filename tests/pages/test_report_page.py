@@ -388,6 +388,9 @@ def test_an_interrupted_run_and_one_that_blew_up_keep_their_outcomes(copied: Pat
     states, compared = outcomes(shown(copied, "one", "stopped", "wild"))
     outcome = json.loads((copied / "wild" / "report.json").read_text())["outcome"]
     assert outcome not in ("completed", "interrupted")
+    step = json.loads((copied / "stopped" / "manifest.json").read_text())["step"]
+    (box,) = shown(copied, "stopped").with_class("missing")
+    assert f"rows after step {step} of 400: the run was interrupted; topcli run with --resume" in box.text
     assert compared == ["completed", "interrupted", outcome]
     assert states[4:] == ["3 runs bad", "completed good", "interrupted bad", f"{outcome} bad"]
     assert outcomes(shown(copied, "one", "other"))[0] == ["2 runs good", "completed good", "completed good"] * 2

@@ -120,7 +120,7 @@ def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> N
         emit(f"{plan.survey.count} rows: the run needs --yes")
 
 
-def _exit_code(result: SweepResult) -> int:
+def exit_code(result: SweepResult) -> int:
     """Exit code: 130 if interrupted, 1 if all rows failed, 3 if a part did, else 0."""
     if result.interrupted:
         return 130
@@ -208,7 +208,7 @@ def sweep(
         print_json("sweep", _result_data(loaded, result))
     elif not quiet:
         _report(loaded, result)
-    if code := _exit_code(result):
+    if code := exit_code(result):
         raise typer.Exit(code)
 
 

@@ -42,13 +42,10 @@ def _notes(study: Study, result: Result, told: str) -> Notes | None:
 def _pictures(study: Study, result: Result, name: str) -> Pictures:
     """Pictures of the panels of the study's figure."""
     loaded = imported(study.figure)(result)
-    count = len(loaded.panels)
-    if not count:
+    if not loaded.panels:
         return Pictures([])
     data = loaded.data()
     captions = study.captions(result.data) if callable(study.captions) else study.captions
-    if count != len(captions):
-        captions = [f"the schemes over time t, picture {i + 1} of {count}" for i in range(count)]
     pictures = [
         Picture(panel, data, f"{name}-{i}", caption)
         for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
