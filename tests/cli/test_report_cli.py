@@ -97,7 +97,7 @@ def test_what_is_no_result_is_refused_in_two_lines(cli: Cli, stored: Path, argum
     (stored / "empty").mkdir()
     (stored / "a.txt").write_text("x")
     (stored / "a.json").write_text("x")
-    (stored / "b.json").write_text('{"command": "lax"}')
+    (stored / "b.json").write_text('{"command": "nothing"}')
     said = cli("report", "--out", "page.html", *arguments)
     assert said.code == 2
     assert said.err.splitlines()[0] == message
