@@ -28,7 +28,7 @@ HOMES = {
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.runs.simulate",
     "simulate_ensemble": "topcli.runs.simulate_ensemble",
-    "stress": "topcli.show.stresses",
+    "stress": "topcli.show.study",
     "sweep": "topcli.show.sweeps",
 }
 """Modules of the public names; ``__init__.pyi`` declares them for type checkers."""

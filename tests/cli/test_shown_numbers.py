@@ -454,8 +454,8 @@ def test_the_grid_of_hard_cases_shows_each_outcome(cli: Callable[..., Any], monk
 
     asked = ("stress", "hk", "rk4", "dop853", "--top", "kowalevski", "--case", "resonance", "--case", "singular-step")
     judged = suite.stress(["hk", "rk4", "dop853"], ["resonance", "singular-step", "there-and-back"], "kowalevski")
-    monkeypatch.setattr("topcli.cli.stress.SHOWN", 2)
-    monkeypatch.setattr(suite, "stress", lambda *arguments: judged)
+    monkeypatch.setattr("topcli.studies.stress.study.SHOWN", 2)
+    monkeypatch.setattr("topcli.studies.stress.study.stress", lambda *arguments: judged)
     said = cli(*asked)
     document = cli(*asked, "--json").json()
     trials = document["trials"]

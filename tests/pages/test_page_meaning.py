@@ -24,11 +24,12 @@ from topcli.pages.contents import Chapter, Pictures
 from topcli.pages.find import all_chapters, report_page
 from topcli.pages.page import rendered
 from topcli.pages.runs import outcome_notes
-from topcli.pages.studies import claims_chapter, stress_chapter
+from topcli.pages.studies import claims_chapter
 from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
 from topcli.store.series import read_series
 from topcli.studies.order import ORDER
+from topcli.studies.stress.study import STRESS
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 
@@ -95,7 +96,7 @@ def shown(chapter: Chapter) -> Element:
 @pytest.mark.parametrize("mode", ["light", "dark", "print"])
 def test_outcomes_of_hard_cases_have_their_signs_and_colours(study: dict[str, Any], mode: str) -> None:
     """Held is green, degraded amber, broke red; what was not tried has the colour of text."""
-    page = shown(stress_chapter(study))
+    page = shown(study_chapter(STRESS, Result(study), None))
     (grid, failures, _) = page.all("table")
     seen = colour_names(page)[mode]
     meaning = {"held": ("·", GREEN), "degraded": ("o", AMBER), "broke": ("X", RED), "not tried": ("–", "")}
@@ -113,7 +114,7 @@ def test_outcomes_of_hard_cases_have_their_signs_and_colours(study: dict[str, An
 
 
 def test_the_page_lists_every_trial_that_did_not_hold(study: dict[str, Any]) -> None:
-    page = shown(stress_chapter(study))
+    page = shown(study_chapter(STRESS, Result(study), None))
     header, *rows = section_of(page, "Trials that did not hold").all("table")[0].cells()
     assert header == ["scheme", "top", "case", "outcome", "step", "why", "verdict"]
     words = {"ok": "", "limit": "declared limit"}
@@ -134,7 +135,7 @@ def test_a_study_is_as_declared_unless_a_trial_is_unexplained_or_outlives_its_li
         (("outlived limit",), "1 unexplained", "bad"),
     ):
         kept = [one for one in study["trials"] if one["verdict"] in ("ok", "limit", *verdicts)]
-        page = shown(stress_chapter({**study, "trials": kept}))
+        page = shown(study_chapter(STRESS, Result({**study, "trials": kept}), None))
         (outcome,) = page.with_class("outcome")
         assert (outcome.text, kind in outcome.attributes["class"].split()) == (state, True)
     assert "3 held, 2 degraded, 2 broke, 1 not tried" in page.text

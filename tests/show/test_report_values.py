@@ -18,10 +18,10 @@ import topcli
 from shown import distinct, named_differently
 from stored_results import BASE
 from topcli.show.report import Report
-from topcli.show.stresses import StressReport
 from topcli.show.study import StudyReport
 from topcli.studies.compare import COMPARE
 from topcli.studies.order import ORDER
+from topcli.studies.stress.study import STRESS
 from topcli.studies.study import Result
 
 CONFIG = {**BASE, "name": "one", "scheme": "hk"}
@@ -105,7 +105,7 @@ def test_trials_have_their_own_fields() -> None:
     trials = [
         dict(zip(keys, (f"{key}{i}" for key in keys), strict=True)) | {"step": i, "seconds": 0.5 + i} for i in (1, 2)
     ]
-    table = StressReport({"trials": trials}).table
+    table = StudyReport(STRESS, Result({"trials": trials})).table
     assert set(table.columns) == {*keys, "seconds"}
     assert values_of(table) == [
         {"index": i, **{key: one[key] for key in table.columns}} for i, one in enumerate(trials)
@@ -117,7 +117,9 @@ def test_unexplained_are_breaks_without_a_limit_and_limits_without_a_break(verdi
     trial = dict.fromkeys(("scheme", "top", "case", "outcome", "step", "why", "limit", "seconds")) | {
         "verdict": verdict
     }
-    assert len(StressReport({"trials": [trial]}).unexplained) == (verdict in ("unexplained", "outlived limit"))
+    assert len(StudyReport(STRESS, Result({"trials": [trial]})).unexplained) == (
+        verdict in ("unexplained", "outlived limit")
+    )
 
 
 def test_a_table_of_an_ensemble_has_every_quantile(tmp_path: Path) -> None:

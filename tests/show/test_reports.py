@@ -23,11 +23,11 @@ from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
 from topcli.show.claims import ClaimsReport
 from topcli.show.report import SUFFIXES, Report
 from topcli.show.runs import RunReport
-from topcli.show.stresses import StressReport
 from topcli.show.study import StudyReport
 from topcli.show.sweeps import SweepReport
 from topcli.store.series import read_series
 from topcli.studies.compare import COMPARE
+from topcli.studies.study import Result
 
 CONFIG = {**BASE, "name": "one", "scheme": "hk"}
 STUDY = {
@@ -69,7 +69,7 @@ def ordered() -> StudyReport:
 
 
 @pytest.fixture(scope="module")
-def stressed() -> StressReport:
+def stressed() -> StudyReport:
     return topcli.stress("hk", "dg4", cases=["delone", "pole", "racket-1e-3"])
 
 
@@ -151,7 +151,8 @@ def test_every_report_has_table_plain_data_plot_and_html(report: Report, axes: A
     assert isinstance(report.table, pd.DataFrame)
     assert len(report.table) >= 2
     json.dumps(report.as_dict(), allow_nan=False)
-    drawable = getattr(report, "declaration", COMPARE).figure
+    study = getattr(report, "declaration", COMPARE)
+    drawable = study.figure or study.plotted
     if drawable:
         assert report.plot(axes) is axes
         assert axes.has_data()
@@ -393,7 +394,7 @@ def test_orders_and_errors(ordered: StudyReport, axes: Any) -> None:
 
 
 @pytest.mark.slow
-def test_stress_table_and_grid(stressed: StressReport, axes: Any) -> None:
+def test_stress_table_and_grid(stressed: StudyReport, axes: Any) -> None:
     assert stressed.tops == ["kowalevski", "euler"]
     outcomes = {(one["scheme"], one["case"]): one["outcome"] for one in stressed.study["trials"]}
     for (scheme, case), outcome in outcomes.items():
@@ -402,7 +403,7 @@ def test_stress_table_and_grid(stressed: StressReport, axes: Any) -> None:
     assert stressed.grid().shape == (2, 2)
     assert stressed.unexplained.empty
     broken = {**stressed.study, "trials": [one | {"verdict": "unexplained"} for one in stressed.study["trials"]]}
-    assert len(replace(stressed, study=broken).unexplained) == len(stressed.table)
+    assert len(replace(stressed, result=Result(broken)).unexplained) == len(stressed.table)
     assert stressed.plot(axes, top="euler").get_xlabel() == "euler"
     with pytest.raises(UnknownNameError, match="did you mean 'euler'"):
         stressed.grid("eulr")

@@ -29,7 +29,7 @@ class _Topcli(LazyGroup):
         "animate": "animate.animate",
         "lax": STUDY,
         "roundoff": STUDY,
-        "stress": "stress.stress",
+        "stress": STUDY,
         "claims": "claims.claims",
         "show": "inspect.show",
         "init": "inspect.init",

@@ -110,7 +110,7 @@ def command(study: Study) -> Callable[..., None]:
         else:
             _print(study, result, {flag.name: given[flag.name] for flag in flags})
             for file in files:
-                print_message(f"wrote {file}")
+                print_message(f"wrote {file}{study.hint}")
         for line in study.notes(result.data):
             print_message(line)
         code, lines = study.faults(result.data)
@@ -129,19 +129,18 @@ def command(study: Study) -> Callable[..., None]:
 
 
 def _print(study: Study, result: Result, flags: Mapping[str, Any]) -> None:
-    """Print tables and sentences of a result, with an empty line between tables."""
+    """Print tables and sentences of a result, with empty lines around tables."""
     data = result.data
     parts: Iterable[Table | str] = study.printed(data, **flags) if study.printed else study.tables_of(data)
-    after_table = False
+    before: Table | str | None = None
     for part in parts:
+        if before is not None and not (isinstance(before, str) and isinstance(part, str)):
+            emit()
         if isinstance(part, str):
             emit_prose(part)
-            after_table = False
-            continue
-        if after_table:
-            emit()
-        print_cells(part.cells(data), part.title_of(data))
-        after_table = True
+        else:
+            print_cells(part.cells(data), part.title_of(data))
+        before = part
 
 
 def _written(study: Study, result: Result, out: Path | None, plot: bool) -> list[str]:
@@ -196,13 +195,13 @@ def _option(parameter: inspect.Parameter, text: str) -> inspect.Parameter | None
     default = None if parameter.default in (inspect.Parameter.empty, ()) else parameter.default
     kind, several = _plain(annotation, several)
     kind = str if flag.read else kind
-    kind = list[kind] if several else kind
+    kind = list[kind] if several or flag.several else kind
     shown: dict[str, Any] = {"help": text, "autocompletion": COMPLETE.get(flag.metavar.partition("[")[0])}
     if flag.names is not None:
         shown["autocompletion"] = _completion(flag.names)
     given = {"metavar": flag.metavar, "show_default": flag.default, "min": flag.least, "max": flag.most}
     shown |= {key: value for key, value in given.items() if value not in ("", None)}
-    declared = typer.Option(flag.option, **shown) if flag.option else typer.Argument(**shown)
+    declared = typer.Option(*flag.option.split(), **shown) if flag.option else typer.Argument(**shown)
     annotated = Annotated[kind if required or default is not None else kind | None, declared]
     return _parameter(parameter.name, annotated, inspect.Parameter.empty if required else default)
 

@@ -13,6 +13,8 @@ import numpy as np
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
 from topcli.figures.picture import Grid, Styles
+from topcli.studies.stress.study import UNEXPLAINED, known_top
+from topcli.studies.study import Result
 
 OUTCOMES = ("not tried", "held", "degraded", "broke")
 SHADES = ("#ffffff", "#dcebf5", "#f2a541", "#7b1e2b")
@@ -22,7 +24,6 @@ CELL = 0.155
 """Height of a cell in inches."""
 HEAD = 5.2
 """Height of the names above a panel and of its own name below, in cells."""
-UNEXPLAINED = ("unexplained", "outlived limit")
 COLUMNS = (("kowalevski", "heavy", "lagrange/inertial"), ("euler", "euler+gamma", "lagrange"))
 """Tops in the two columns of the picture; other tops follow in the second."""
 
@@ -39,6 +40,15 @@ def figure_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict[s
     data["step"] = np.array([np.nan if one["step"] is None else float(one["step"]) for one in trials])
     data["unexplained"] = np.array([float(one["verdict"] in UNEXPLAINED) for one in trials])
     return data, names
+
+
+def stress_panel(result: Result, top: str | None = None) -> tuple[StressPanel, dict[str, np.ndarray]]:
+    """Panel of all trials of one top, by default the first, and its data. Raises UnknownNameError for another top."""
+    wanted = known_top(result.data, top)
+    data, names = figure_data(result.data)
+    mine = [trial for trial in result.data["trials"] if trial["top"] == wanted]
+    schemes, cases = (tuple(dict.fromkeys(trial[key] for trial in mine)) for key in ("scheme", "case"))
+    return StressPanel(wanted, schemes, cases, names), data
 
 
 def _step_text(step: float) -> str:

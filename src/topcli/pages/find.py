@@ -12,7 +12,7 @@ from topcli.pages.contents import Chapter, Picture
 from topcli.pages.page import Page, page_of
 from topcli.pages.pictures import svg_of
 from topcli.pages.runs import damaged_chapter, part_chapter, run_chapter
-from topcli.pages.studies import bench_chapter, claims_chapter, stress_chapter
+from topcli.pages.studies import bench_chapter, claims_chapter
 from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import sweep_chapter
 from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
@@ -129,8 +129,6 @@ def _study(data: dict[str, Any], name: str) -> Chapter | None:
     """Chapter on a study; None if the data is that of none."""
     if isinstance(data.get("claims"), list):
         return claims_chapter(data, name)
-    if "trials" in data:
-        return stress_chapter(data)
     for study in map(find_study, STUDIES):
         if data.get("command") == study.name or study.known(data):
             return study_chapter(study, stored_result(data), name)

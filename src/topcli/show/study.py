@@ -12,6 +12,7 @@ from topcli.errors import UsageError
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 from topcli.studies.study import STUDIES, Result, Study, find_study, imported
+from topcli.table import Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,9 +45,8 @@ class StudyReport(Report):
         if not name.startswith("_"):
             if name in self.declaration.extras:
                 return self.declaration.extras[name](self.result)
-            for table in self.declaration.tables_of(self.study):
-                if table.name == name:
-                    return table.frame(self.study)
+            if table := self._table(name):
+                return table.frame(self.study)
         raise AttributeError(f"a report of {self.declaration.name!r} has no attribute {name!r}")
 
     @property
@@ -57,8 +57,14 @@ class StudyReport(Report):
     @property
     def table(self) -> pd.DataFrame:
         """DataFrame of the main table."""
-        tables = self.declaration.tables_of(self.study)
-        return next(table for table in tables if table.name == "table").frame(self.study)
+        main = self._table("table")
+        assert main is not None
+        return main.frame(self.study)
+
+    def _table(self, name: str) -> Table | None:
+        """Table of the result that is called ``name``."""
+        tables = (*self.declaration.frames, *self.declaration.tables_of(self.study))
+        return next((table for table in tables if table.name == name), None)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON; ``topcli report`` reads it."""

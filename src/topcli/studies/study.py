@@ -42,6 +42,8 @@ class Flag:
         Bounds of a number.
     required : bool
         The command needs at least one of several positional arguments.
+    several : bool
+        The option may be repeated for a parameter that is no sequence.
     """
 
     option: str = ""
@@ -52,6 +54,7 @@ class Flag:
     least: float | None = None
     most: float | None = None
     required: bool = False
+    several: bool = False
 
 
 PYTHON_ONLY = Flag("-")
@@ -152,6 +155,8 @@ class Study:
         Tables of a result; the first is ``table`` in Python.
     printed : callable, optional
         Tables and sentences on a terminal; by default the tables. Its keyword parameters are flags of the command.
+    frames : sequence of Table
+        Tables that are DataFrames only.
     notes : callable
         Sentences that explain a result.
     faults : callable
@@ -175,6 +180,8 @@ class Study:
         File in the folder of results that holds the result of the default options.
     saved : bool
         True if the command has an option for a file of the result.
+    hint : str
+        End of the message about that file.
     known : callable
         True for data of the study that was stored without the name of the command.
     extras : mapping
@@ -186,6 +193,7 @@ class Study:
     head: Callable[[Data], Head]
     tables: Sequence[Table] | Callable[[Data], Sequence[Table]]
     printed: Callable[..., Iterable[Table | str]] | None = None
+    frames: Sequence[Table] = ()
     notes: Callable[[Data], Iterable[str]] = _no_lines
     faults: Callable[[Data], Faults] = _no_faults
     figure: str = ""
@@ -196,6 +204,7 @@ class Study:
     parts: Callable[[Data], Parts] = _no_parts
     unit: str = "steps"
     file: Path | None = None
+    hint: str = ""
     saved: bool = False
     known: Callable[[Data], bool] = lambda data: False
     extras: Mapping[str, Callable[[Result], Any]] = field(default_factory=dict)
@@ -243,6 +252,7 @@ STUDIES = {
     "analyse": Place("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
     "lax": Place("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
     "roundoff": Place("topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."),
+    "stress": Place("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
     "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }
 """All studies by name."""
