@@ -16,7 +16,7 @@ from topcli.paper import exact_checks, identities, printed, root_checks, run_che
 from topcli.paper.algebra import Draws, Gauss, exact
 from topcli.paper.claim import FAILS, HOLDS, MISPRINT, Measurement
 from topcli.paper.ledger import ledger
-from topcli.paper.scenes import Scene, exact_maps
+from topcli.paper.scenes import LedgerScene, exact_maps
 
 CLAIMS = {claim.id: claim for claim in ledger().claims}
 CHECKS = {check.name: check for check in ledger().checks}
@@ -48,7 +48,7 @@ def test_general_claims_draw_parameters_state_and_step() -> None:
     for claim in GENERAL:
         assert claim.experiment_text.endswith("with random parameters, state and h")
     for text in {claim.parameters["scene"] for claim in GENERAL}:
-        maps = exact_maps(Scene.read(text))
+        maps = exact_maps(LedgerScene.read(text))
         assert len(maps) >= 4
         distinct = [{tuple(map(str, one.y0)) for one in maps}, {str(one.run.h) for one in maps}]
         if maps[0].experiment.top.form != "lagrange/inertial":  # (L1), (L2) have no parameters
@@ -86,6 +86,14 @@ def test_a_special_top_or_state_does_not_make_a_law(check: str, parameters: dict
     if check in ("conserved exactly", "reversible"):
         alone = CHECKS[check].bind(parameters | {"varied": False})()
         assert (alone.figure, verdict(check, alone)) == (0.0, HOLDS)
+
+
+def test_rounding_of_an_exact_law_may_grow_with_the_steps() -> None:
+    """A thousand roundings a step, each of half a unit in the last of the 169 bits that hold 50 digits."""
+    for N in (2, 4):
+        scene = LedgerScene.read(f"euler_midpoint fifty N={N}")
+        measured = exact_checks.conservation(scene, ["m_sq"], varied=False)
+        assert measured.limit == pytest.approx(N * 1e3 * 2.0**-169, rel=1e-12)
 
 
 # identities
@@ -172,7 +180,7 @@ def test_residual_of_the_trapezoidal_rule_is_its_leading_term() -> None:
         """Euler's rule for the angle."""
         return identities.trapezoidal(c0, h, old, np.vstack([new[:2], old[2:3], new[3:]]), functions)
 
-    generic = Scene.read("kowalevski_hk generic")
+    generic = LedgerScene.read("kowalevski_hk generic")
     assert run_checks.equation_order(generic, one_sided, 2).figure == pytest.approx(1.0, abs=0.05)
 
 
@@ -186,7 +194,7 @@ def test_return_defect_of_the_hybrid_is_that_of_plain_doubles() -> None:
     assert float(note[1]) == pytest.approx(4.0, abs=0.1)
     assert float(note[2]) == pytest.approx(2.7e-13, rel=0.05)
     defects = []
-    for scheme in exact_maps(Scene.read(CLAIMS["hybrid-reversible"].parameters["scene"])):
+    for scheme in exact_maps(LedgerScene.read(CLAIMS["hybrid-reversible"].parameters["scene"])):
         start = scheme.y0.astype(float)
         there, top = start, {"kind": "kowalevski", "c0": float(scheme.run.top.c0)}
         for h in (0.1, -0.1):
@@ -256,7 +264,7 @@ def test_growth_over_a_run(ratio: float, stays: str, grows: str) -> None:
 @pytest.mark.slow
 def test_energy_of_figure_3_between_swings() -> None:
     """Read off the run at times without motion: 5.00000, 5.00128, 5.00255, 5.00384."""
-    run = Scene("kowalevski_bohlin_a").trajectory()
+    run = LedgerScene("kowalevski_bohlin_a").trajectory()
     wanted = [float(run["energy"][np.searchsorted(run.t, t)]) for t in (3.0, 22.0, 36.0, 50.0)]
     assert wanted == pytest.approx([5.00000, 5.00128, 5.00256, 5.00384], abs=6e-6)
     levels, _ = run_checks.levels_between_swings(run, "energy")
@@ -269,7 +277,7 @@ def test_reversible_schemes_as_inaccurate_as_figure_3_return() -> None:
     sizes = [float(x) for x in re.findall(r"range (\S+),", measure("fig3-cause")[0].note)]
     assert len(sizes) == 2
     assert min(sizes) > 0.0044
-    coarse = Scene.read("kowalevski_hk scheme=rk2 h=0.0625 N=800")
+    coarse = LedgerScene.read("kowalevski_hk scheme=rk2 h=0.0625 N=800")
     assert verdict("oscillation", run_checks.returns([coarse], "energy")) == FAILS
 
 

@@ -12,7 +12,7 @@ from topcli.errors import RunError
 from topcli.paper import identities, printed
 from topcli.paper.algebra import DRAWN, I_UNIT, Draws, Dual, Gauss, arguments, commutator, cross, exact, rank
 from topcli.paper.exact_checks import conservation
-from topcli.paper.scenes import Scene
+from topcli.paper.scenes import LedgerScene
 
 
 def test_gaussian_rationals_are_complex_numbers() -> None:
@@ -145,18 +145,18 @@ def test_every_formula_of_the_ledger_can_be_drawn() -> None:
 
 
 def test_scenes_are_shown_as_commands_and_overrides_replace() -> None:
-    scene = Scene("euler_hk", ("h=0.1", "initial.omega=[1, 2, 3]"))
+    scene = LedgerScene("euler_hk", ("h=0.1", "initial.omega=[1, 2, 3]"))
     assert str(scene) == "topcli run euler_hk --set h=0.1 --set 'initial.omega=[1, 2, 3]'"
     assert scene.with_sets("h=0.2", "N=3").sets == ("initial.omega=[1, 2, 3]", "h=0.2", "N=3")
-    assert Scene.read("euler_hk h=0.1 N=3") == Scene("euler_hk", ("h=0.1", "N=3"))
+    assert LedgerScene.read("euler_hk h=0.1 N=3") == LedgerScene("euler_hk", ("h=0.1", "N=3"))
 
 
 def test_a_run_that_fails_is_no_verdict() -> None:
     """The state blows up: the experiment has failed, not the claim."""
     with pytest.raises(RunError, match=r"euler_bs: stopped at step .* more digits than max_digits"):
-        conservation(Scene.read("euler_bs rational N=30 max_digits=100"), ["m_sq"])
+        conservation(LedgerScene.read("euler_bs rational N=30 max_digits=100"), ["m_sq"])
 
 
 @pytest.mark.slow
 def test_runs_in_doubles_are_carried_out_once() -> None:
-    assert Scene("euler_hk").trajectory() is Scene("euler_hk").trajectory()
+    assert LedgerScene("euler_hk").trajectory() is LedgerScene("euler_hk").trajectory()

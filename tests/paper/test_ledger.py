@@ -16,7 +16,7 @@ from topcli.paper import ledger as module
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, Bound
 from topcli.paper.decide import Claims, decide_claims
 from topcli.paper.ledger import ledger, read_ledger
-from topcli.paper.scenes import Scene
+from topcli.paper.scenes import LedgerScene
 
 SOURCES = Path(inspect.getfile(module)).parent
 TEXT = (SOURCES / module.FILE).read_text(encoding="utf-8")
@@ -89,7 +89,7 @@ def test_claims_do_not_leave_the_papers_scope() -> None:
         (command,) = re.findall(r"`topcli run (.*)`", CLAIMS[name].experiment_text)
         assert command in ("kowalevski_hk", "kowalevski_bohlin_a"), name
     for name in ("kowalevski_hk", "kowalevski_bohlin_a", "kowalevski_bohlin_b", "kowalevski_bohlin_c"):
-        experiment = Scene(name).experiment()
+        experiment = LedgerScene(name).experiment()
         assert experiment.y0 == pytest.approx((2.0, 0.0, 0.0, math.sqrt(1.0 - 1e-6), 0.0, 1e-3), abs=1e-16)
         assert (experiment.h, experiment.N) == (0.001, 50000)
 

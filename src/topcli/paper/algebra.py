@@ -20,7 +20,7 @@ Numbers = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Pair:
+class PairNumber:
     """Number ``first + second u`` with parts of any kind and u² = ``square``."""
 
     first: Any
@@ -71,13 +71,13 @@ class Pair:
         return type(self)(quotient.first / norm, quotient.second / norm)
 
 
-class Gauss(Pair):
+class Gauss(PairNumber):
     """Complex number."""
 
     square = -1
 
 
-class Dual(Pair):
+class Dual(PairNumber):
     """Value of a function of the state and its rate of change along the motion; also a multiple of epsilon, e² = 0."""
 
     square = 0
@@ -95,7 +95,7 @@ def rates(values: Any) -> list[Any]:
 
 def size_of(value: Any) -> float:
     """Magnitude of an exact number; the sum of those of its parts if it is a pair."""
-    return size_of(value.first) + size_of(value.second) if isinstance(value, Pair) else float(abs(value))
+    return size_of(value.first) + size_of(value.second) if isinstance(value, PairNumber) else float(abs(value))
 
 
 def largest(values: Any) -> float:
@@ -213,8 +213,8 @@ class Draws:
     def point(self, function: Callable[..., Any], **known: Any) -> dict[str, Any]:
         """Arguments of a function: those in ``known``, the others drawn as its parameters' names say, in their order.
 
-        >>> Draws(1).point(lambda h, turn: 0)
-        {'h': Fraction(-3, 1), 'turn': array([Fraction(-3, 5), Fraction(-4, 5)], dtype=object)}
+        >>> Draws(1).point(lambda h, x0: 0)
+        {'h': Fraction(-19, 3), 'x0': Fraction(4, 7)}
         """
         return {name: known[name] if name in known else DRAWN[name](self) for name in arguments(function)}
 

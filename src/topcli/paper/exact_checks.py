@@ -19,7 +19,7 @@ from topcli.engine.precise.loop import longest
 from topcli.paper import identities, printed
 from topcli.paper.algebra import Draws, arguments, dual, exact, largest, rank, rates
 from topcli.paper.claim import Measurement
-from topcli.paper.scenes import DIGITS, OVERRIDES, ExactMap, Scene, exact_map, exact_maps
+from topcli.paper.scenes import DIGITS, OVERRIDES, ExactMap, LedgerScene, exact_map, exact_maps
 
 POINTS = 20
 """Points at which an identity is tried.
@@ -104,7 +104,7 @@ def independence(integrals: Formula, count: int) -> Measurement:
 ELLIPTIC_STEPS = 9
 
 
-def elliptic(scene: Scene, component: int) -> Measurement:
+def elliptic(scene: LedgerScene, component: int) -> Measurement:
     """Largest rank of the symmetric biquadratic monomials of successive values u, v of a component, along some orbits.
 
     A translation on an elliptic curve, and a function of order 2 on it, obey one symmetric biquadratic relation
@@ -126,7 +126,7 @@ def _rounding(scheme: ExactMap, steps: int) -> dict[str, Any]:
     return {"limit": scheme.eps * ROUNDINGS * steps, "reason": reason}
 
 
-def conservation(scene: Scene, invariants: list[str], varied: bool = True) -> Measurement:
+def conservation(scene: LedgerScene, invariants: list[str], varied: bool = True) -> Measurement:
     """Smallest among the largest relative deviations of some invariants; of several variants, the largest of all."""
     maps = exact_maps(scene, varied)
     figures = []
@@ -149,7 +149,7 @@ ALONG = 100
 """States along a run of the paper at which the defect of reversal is measured too."""
 
 
-def reversal(scene: Scene, paper: Scene | None = None, varied: bool = True) -> Measurement:
+def reversal(scene: LedgerScene, paper: LedgerScene | None = None, varied: bool = True) -> Measurement:
     """Largest error after a step of 0.1 and one of -0.1, from the initial states of a scene and its variants.
 
     The note adds the order in h, and the largest error at states along the scene ``paper``, in doubles, with its h.
@@ -174,7 +174,10 @@ VECTORS = {"moments": ("A", "B", "C"), "g": ("x0", "y0", "z0")}
 
 
 def equal_maps(
-    scene: Scene, equation: Formula | None = None, other: Scene | None = None, parameters: dict[str, Any] | None = None
+    scene: LedgerScene,
+    equation: Formula | None = None,
+    other: LedgerScene | None = None,
+    parameters: dict[str, Any] | None = None,
 ) -> Measurement:
     """Largest difference between a scheme, with its variants, and another map, in rational numbers.
 
@@ -199,7 +202,7 @@ def equal_maps(
     return Measurement(figure)
 
 
-def formula(scene: Scene, quantity: Formula, corrected: Formula | None = None) -> Measurement:
+def formula(scene: LedgerScene, quantity: Formula, corrected: Formula | None = None) -> Measurement:
     """Largest deviation of a printed formula along a run, and that of a corrected reading."""
     scheme = exact_map(scene)
     states = scheme.orbit(scheme.y0, scheme.run.h, scheme.experiment.N)
@@ -216,7 +219,7 @@ def formula(scene: Scene, quantity: Formula, corrected: Formula | None = None) -
     )
 
 
-def exchange(scene: Scene, equation: Formula) -> Measurement:
+def exchange(scene: LedgerScene, equation: Formula) -> Measurement:
     """Largest residual of an equation after steps of a scheme and its variants, also exchanged and with h reversed."""
     maps, figure = exact_maps(scene), 0.0
     for scheme in maps:
@@ -232,7 +235,7 @@ def exchange(scene: Scene, equation: Formula) -> Measurement:
 GROWTH_STEPS = 5
 
 
-def digits(scene: Scene) -> Measurement:
+def digits(scene: LedgerScene) -> Measurement:
     """Growth of the length of rational numbers in the last step of an orbit."""
     scheme = exact_map(scene)
     before, last = (longest(state) for state in scheme.orbit(scheme.y0, scheme.run.h, GROWTH_STEPS)[-2:])

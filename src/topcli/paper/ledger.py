@@ -25,14 +25,16 @@ from topcli.config.yaml_text import parse_yaml
 from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
 from topcli.paper import exact_checks, root_checks, run_checks
 from topcli.paper.claim import Bound, Measurement
-from topcli.paper.scenes import AND_VARIED, Scene
+from topcli.paper.scenes import AND_VARIED, LedgerScene
 
 FILE = "ledger.yaml"
 PAPER = "paper"
 OURS = "ours"
 
 
-class _Entry(BaseModel):
+class LedgerEntry(BaseModel):
+    """Part of the ledger, without further keys."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
 
 
@@ -49,11 +51,11 @@ def _function(name: str) -> tuple[Callable[..., Measurement], type[BaseModel]]:
                 )
                 for parameter in inspect.signature(function).parameters.values()
             }
-            return function, create_model(name, __config__=_Entry.model_config, **fields)
+            return function, create_model(name, __config__=LedgerEntry.model_config, **fields)
     raise ValueError(f"no check function {name!r}")
 
 
-class Check(_Entry):
+class Check(LedgerEntry):
     """A kind of check: a function that measures a figure, and the bound of the figure of a true statement.
 
     ``control`` holds the parameters of a known ``defect``, on which the verdict must be "does not hold as stated".
@@ -117,7 +119,7 @@ def _known_check(name: Any, info: ValidationInfo) -> Check:
     return checks[name]
 
 
-class Claim(_Entry):
+class Claim(LedgerEntry):
     """A checkable statement and the experiment that decides it.
 
     A claim of the paper is decided on the paper's own scope: its figure, initial state, window, step and symbols. A
@@ -149,13 +151,13 @@ class Claim(_Entry):
     @property
     def experiment_text(self) -> str:
         """The experiment in a line, with names of scenes and commands between backticks."""
-        scene = Scene.read(self.parameters["scene"]).code if "scene" in self.parameters else ""
+        scene = LedgerScene.read(self.parameters["scene"]).code if "scene" in self.parameters else ""
         return (self.experiment or self.check.experiment).format(
             **self.parameters | {"scene": scene}, varied=AND_VARIED
         )
 
 
-class Excluded(_Entry):
+class Excluded(LedgerEntry):
     """A statement that no experiment decides: its ``source`` in the paper and the ``reason``."""
 
     id: str
@@ -164,7 +166,7 @@ class Excluded(_Entry):
     reason: str
 
 
-class Section(_Entry):
+class PaperSection(LedgerEntry):
     """Claims of one part of the paper."""
 
     title: str
@@ -172,11 +174,11 @@ class Section(_Entry):
     claims: tuple[Claim, ...]
 
 
-class Ledger(_Entry):
+class Ledger(LedgerEntry):
     """Kinds of checks, claims in the order of the paper with findings beyond it, and what is left out."""
 
     checks: tuple[Check, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[PaperSection, ...]
     excluded: tuple[Excluded, ...]
 
     @model_validator(mode="after")

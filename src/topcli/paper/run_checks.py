@@ -22,7 +22,7 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Top, checked_equations
 from topcli.paper.claim import Measurement
 from topcli.paper.exact_checks import Formula
-from topcli.paper.scenes import Scene, invariant_named
+from topcli.paper.scenes import LedgerScene, invariant_named
 from topcli.runs.simulate_ensemble import simulate_ensemble
 from topcli.tops import TOPS
 
@@ -41,18 +41,18 @@ def _order(errors: Sequence[float]) -> float:
     return math.nan if order is None else order
 
 
-def _runs(scene: Scene) -> list[Trajectory]:
+def _runs(scene: LedgerScene) -> list[Trajectory]:
     """Runs over a fixed time at the steps of ``LADDER``."""
     return [scene.with_sets(f"h={h:g}", f"N={round(ORDER_TIME / h)}").trajectory() for h in LADDER]
 
 
-def deviation_order(scene: Scene, invariant: str, order: int) -> Measurement:
+def deviation_order(scene: LedgerScene, invariant: str, order: int) -> Measurement:
     """Order in h of the largest deviation of an invariant over a fixed time."""
     errors = [float(np.abs(run[invariant] - run[invariant][0]).max()) for run in _runs(scene)]
     return Measurement(_order(errors), order, note=f"deviation {errors[-1]:.1e} at h = {LADDER[-1]:g}")
 
 
-def convergence_order(scene: Scene, order: int) -> Measurement:
+def convergence_order(scene: LedgerScene, order: int) -> Measurement:
     """Order in h of the error at t = 10 against the reference, which has to be ``order`` at least."""
     errors = []
     for run in _runs(scene):
@@ -61,7 +61,7 @@ def convergence_order(scene: Scene, order: int) -> Measurement:
     return Measurement(_order(errors), order - TOLERANCE, note=f"error {errors[-1]:.1e} at h = {LADDER[-1]:g}")
 
 
-def equation_order(scene: Scene, equation: Formula, order: int) -> Measurement:
+def equation_order(scene: LedgerScene, equation: Formula, order: int) -> Measurement:
     """Exponent of h in the residual of an equation along the motion to t = 10, less one."""
     experiment = scene.experiment()
     residuals = []
@@ -79,7 +79,7 @@ JACOBIANS = 200
 """States of a run at which the rates of change of the field are looked at."""
 
 
-def stated_range(scene: Scene, column: str, low: float, high: float, last_digit: float) -> Measurement:
+def stated_range(scene: LedgerScene, column: str, low: float, high: float, last_digit: float) -> Measurement:
     """Largest difference between the range of a column and a stated one, rounded to ``last_digit``."""
     values = scene.trajectory()[column]
     figure = max(abs(float(values.min()) - low), abs(float(values.max()) - high))
@@ -96,7 +96,7 @@ def rate_of_change(top: Top, states: Array) -> float:
     return max(norms)
 
 
-def small(scene: Scene, invariants: list[str]) -> Measurement:
+def small(scene: LedgerScene, invariants: list[str]) -> Measurement:
     """Largest relative deviation of several invariants, against what a step of order 2 may show."""
     run = scene.trajectory()
     figures = []
@@ -107,7 +107,7 @@ def small(scene: Scene, invariants: list[str]) -> Measurement:
     return Measurement(max(figures), (run.h * rate_of_change(run.top, run.states)) ** 2)
 
 
-def quality(scenes: list[Scene], invariants: list[str]) -> Measurement:
+def quality(scenes: list[LedgerScene], invariants: list[str]) -> Measurement:
     """Largest ratio of the deviations of an invariant under several schemes."""
     ratios, notes = [], []
     runs = [scene.trajectory() for scene in scenes]
@@ -151,7 +151,7 @@ def _listed(levels: Array) -> str:
     return "between swings " + ", ".join(f"{value:.10g}" for value in np.round(levels, 9))
 
 
-def returns(scenes: list[Scene], column: str) -> Measurement:
+def returns(scenes: list[LedgerScene], column: str) -> Measurement:
     """Largest deviation of the levels of a column between swings from the first, in units of its range."""
     figures, notes = [], []
     for scene in scenes:
@@ -161,13 +161,13 @@ def returns(scenes: list[Scene], column: str) -> Measurement:
     return Measurement(max(figures), note="; ".join(notes))
 
 
-def rises(scene: Scene, column: str) -> Measurement:
+def rises(scene: LedgerScene, column: str) -> Measurement:
     """Smallest rise of a column from one level between swings to the next, in units of the mean rise of its range."""
     levels, size = levels_between_swings(scene.trajectory(), column)
     return Measurement(float(np.diff(levels).min()) * (len(levels) - 1) / size, note=_listed(levels))
 
 
-def growth(scene: Scene, column: str) -> Measurement:
+def growth(scene: LedgerScene, column: str) -> Measurement:
     """Range of a column over a run, in units of that of the first tenth, and its extremes."""
     values = scene.trajectory()[column]
     figure = float(np.ptp(values) / np.ptp(values[: len(values) // TENTH]))
@@ -206,7 +206,7 @@ def _curves(runs: Sequence[Trajectory], columns: Sequence[str]) -> list[list[Arr
     return [[resampled(run.t / span * WIDTH, run[name] / np.ptp(values) * height) for name in columns] for run in runs]
 
 
-def pictures(scene: Scene, others: list[Scene]) -> Measurement:
+def pictures(scene: LedgerScene, others: list[LedgerScene]) -> Measurement:
     """Largest distance in print between the curves of gamma and omega of one scene and of the others."""
     figure = 0.0
     for other in others:
@@ -216,18 +216,18 @@ def pictures(scene: Scene, others: list[Scene]) -> Measurement:
     return Measurement(figure, LINE)
 
 
-def height(scenes: list[Scene], column: str, axis: float | Scene) -> Measurement:
+def height(scenes: list[LedgerScene], column: str, axis: float | LedgerScene) -> Measurement:
     """Largest height in print of the range of a column, on an axis that covers ``axis`` or the range of that scene."""
-    span = float(np.ptp(axis.trajectory()[column])) if isinstance(axis, Scene) else axis
+    span = float(np.ptp(axis.trajectory()[column])) if isinstance(axis, LedgerScene) else axis
     runs = [scene.trajectory() for scene in scenes]
     heights = {run.scheme: float(np.ptp(run[column])) / span * HEIGHT for run in runs}
     note = ", ".join(f"{scheme} {size:.2g}" for scheme, size in heights.items())
-    if not isinstance(axis, Scene):
+    if not isinstance(axis, LedgerScene):
         note = f"{runs[0][column].min():.6g} to {runs[0][column].max():.6g}"
     return Measurement(max(heights.values()), LINE, note=note)
 
 
-def period(scenes: list[Scene]) -> Measurement:
+def period(scenes: list[LedgerScene]) -> Measurement:
     """Smallest relative difference between the time between swings and that of the motion."""
     runs = [scene.trajectory() for scene in scenes]
     law = float(spacing_law(runs[0]["gamma3"][:1])[0])
@@ -249,7 +249,7 @@ def _decades(a: Trajectory, b: Trajectory) -> float:
     return math.log10(float(np.abs(a.states[-1] - b.states[-1]).max()) / NEAR)
 
 
-def neighbours(scene: Scene) -> Measurement:
+def neighbours(scene: LedgerScene) -> Measurement:
     """Decades by which two neighbouring motions part over a run."""
     experiment = scene.experiment()
     y0 = list(experiment.y0)

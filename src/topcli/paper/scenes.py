@@ -42,17 +42,17 @@ TIED = {"lagrange": "B", "kowalevski": "A"}
 
 
 @dataclass(frozen=True)
-class Scene:
+class LedgerScene:
     """Packaged scene ``config`` with the overrides ``sets``, each ``key=value``."""
 
     config: str
     sets: tuple[str, ...] = ()
 
     @classmethod
-    def read(cls, text: str) -> Scene:
+    def read(cls, text: str) -> LedgerScene:
         """Scene of a name and overrides, each ``key=value`` or a name of ``OVERRIDES``, between blanks.
 
-        >>> str(Scene.read("euler_hk rational N=20"))
+        >>> str(LedgerScene.read("euler_hk rational N=20"))
         'topcli run euler_hk --set precision=rational --set h=1/10 --set N=20'
         """
         config, *words = text.split()
@@ -76,10 +76,10 @@ class Scene:
         """Command of the scene, marked as code."""
         return f"`{self}`"
 
-    def with_sets(self, *sets: str) -> Scene:
+    def with_sets(self, *sets: str) -> LedgerScene:
         """The same scene with more overrides, which replace those of the same keys."""
         keys = {text.partition("=")[0] for text in sets}
-        return Scene(self.config, (*(text for text in self.sets if text.partition("=")[0] not in keys), *sets))
+        return LedgerScene(self.config, (*(text for text in self.sets if text.partition("=")[0] not in keys), *sets))
 
     def experiment(self) -> Experiment:
         """Experiment of the scene."""
@@ -89,7 +89,7 @@ class Scene:
         """Run of the scene in doubles; kept, because several claims look at it."""
         return _trajectory(self)
 
-    def varied(self, draws: Draws) -> Scene:
+    def varied(self, draws: Draws) -> LedgerScene:
         """The same scene with random rational parameters of the top, initial state and h, and fewer steps."""
         top = self.experiment().top
         sets = [f"h={draws.step()}", f"N={min(self.experiment().N, VARIED_STEPS)}"]
@@ -103,7 +103,7 @@ class Scene:
 
 
 @cache
-def _trajectory(scene: Scene) -> Trajectory:
+def _trajectory(scene: LedgerScene) -> Trajectory:
     return trajectory_of(scene.experiment())
 
 
@@ -169,7 +169,7 @@ class ExactMap:
         return np.array([self.number(Fraction(value)) for value in values], dtype=np.object_)
 
 
-def exact_map(scene: Scene) -> ExactMap:
+def exact_map(scene: LedgerScene) -> ExactMap:
     """Step of a scene that has a precision other than double."""
     experiment = scene.experiment()
     run = precise_run(experiment)
@@ -177,7 +177,7 @@ def exact_map(scene: Scene) -> ExactMap:
     return ExactMap(experiment, run)
 
 
-def exact_maps(scene: Scene, varied: bool = True) -> list[ExactMap]:
+def exact_maps(scene: LedgerScene, varied: bool = True) -> list[ExactMap]:
     """Steps of a scene and, if ``varied``, of its variants, all in the arithmetic of the scene."""
     draws = Draws(1)
     return [exact_map(scene), *(exact_map(scene.varied(draws)) for _ in range(VARIED if varied else 0))]
