@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from topcli.store.checkpoint import read_checkpoint
-from topcli.store.manifest import DamagedRun, StoredRun, all_runs, stored_run
+from topcli.store.manifest import DamagedRun, all_runs, stored_run
 from topcli.store.parts import Part, all_parts
 
 RUNNING, KILLED, DAMAGED = "running", "killed", "damaged"
@@ -19,16 +20,21 @@ def listed_runs(out: Path) -> list[dict[str, Any]]:
     ``step`` is the last step of a single run that is kept, ``resumable`` is true if ``--resume`` continues it. What is
     not known is None. Nothing in the folder is changed.
     """
-    items = [_damaged(run) if isinstance(run, DamagedRun) else _stored(run) for run in all_runs(out)]
-    items += [_unfinished(part) for part in all_parts(out)]
-    return sorted(items, key=lambda item: item["name"])
+    items = []
+    for run in all_runs(out):
+        name = run.folder.name
+        if isinstance(run, DamagedRun):
+            items.append({**_item(name, DAMAGED, {}, None, False), "reason": run.reason})
+        else:
+            resumable = run.interrupted and read_checkpoint(run.folder) is not None
+            items.append(_item(name, run.manifest["outcome"], run.manifest, run.manifest.get("step"), resumable))
+    return sorted([*items, *map(_unfinished, all_parts(out))], key=lambda item: item["name"])
 
 
-def _item(name: str, outcome: object, about: dict[str, Any], step: object, resumable: bool) -> dict[str, Any]:
+def _item(name: str, outcome: object, about: Mapping[str, Any], step: object, resumable: bool) -> dict[str, Any]:
     """Entry of a run from its manifest or the data of its checkpoint, ``about``."""
     config = about.get("config") or {}
-    scheme = config.get("scheme")
-    digest = about.get("digest")
+    scheme, digest = config.get("scheme"), about.get("digest")
     return {
         "name": name,
         "outcome": outcome,
@@ -42,22 +48,13 @@ def _item(name: str, outcome: object, about: dict[str, Any], step: object, resum
     }
 
 
-def _damaged(run: DamagedRun) -> dict[str, Any]:
-    return {**_item(run.folder.name, DAMAGED, {}, None, False), "reason": run.reason}
-
-
-def _stored(run: StoredRun) -> dict[str, Any]:
-    resumable = run.interrupted and read_checkpoint(run.folder) is not None
-    return _item(run.folder.name, run.manifest["outcome"], run.manifest, run.manifest.get("step"), resumable)
-
-
 def _unfinished(part: Part) -> dict[str, Any]:
     """Entry of a part folder; one with a complete run only has to be renamed, which ``--resume`` does."""
-    outcome = RUNNING if part.alive else KILLED
+    about, step, resumable = part.owner, None, not part.alive
     if complete := stored_run(part.folder):
-        about = {**complete.manifest, "ended": None}
-        return _item(part.name, outcome, about, about.get("step"), not part.alive)
-    checkpoint = read_checkpoint(part.folder)
-    if checkpoint is None:
-        return _item(part.name, outcome, part.owner, None, False)
-    return _item(part.name, outcome, checkpoint.about, checkpoint.done, not part.alive)
+        about, step = {**complete.manifest, "ended": None}, complete.manifest.get("step")
+    elif checkpoint := read_checkpoint(part.folder):
+        about, step = checkpoint.about, checkpoint.done
+    else:
+        resumable = False
+    return _item(part.name, RUNNING if part.alive else KILLED, about, step, resumable)

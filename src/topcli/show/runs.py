@@ -69,12 +69,7 @@ class RunReport(Report):
         """DataFrame of the invariants, one row each, indexed by name."""
         import pandas as pd
 
-        rows = []
-        for row in self.result.report["invariants"]:
-            measures = {key: value for key, value in row.items() if isinstance(value, dict)}
-            plain = {key: value for key, value in row.items() if key not in measures}
-            rows.append(plain | {f"{key}, {one}": x for key, found in measures.items() for one, x in found.items()})
-        return pd.DataFrame(rows).set_index("name")
+        return pd.json_normalize(self.result.report["invariants"], sep=", ").set_index("name")
 
     @property
     def series(self) -> pd.DataFrame:
@@ -87,12 +82,20 @@ class RunReport(Report):
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Column of the series by name, shape (m,). Raises UsageError for an unknown name."""
-        from topcli.store.series import read_series, series_names
+        from topcli.store.series import read_series
+
+        self._require([name])
+        return read_series(self.result.stored.series, [name])[name]
+
+    def _require(self, names: Sequence[str], place: str = "") -> list[str]:
+        """Columns of the series. Raises UsageError if one of the ``names`` is not among them."""
+        from topcli.store.series import series_names
 
         known = series_names(self.result.stored.series)
-        if name not in known:
-            raise UsageError(f"unknown column {quoted(name)}; {nearest(name, known)}")
-        return read_series(self.result.stored.series, [name])[name]
+        for name in names:
+            if name not in known:
+                raise UsageError(f"{place}unknown column {quoted(name)}; {nearest(name, known)}")
+        return known
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
@@ -126,38 +129,27 @@ class RunReport(Report):
         UsageError
             For an unknown column, or columns of an ensemble.
         """
-        if self.is_ensemble:
-            return self._plot_ensemble(ax, columns)
         from topcli.pages import pictures
         from topcli.store.envelope import envelope
-        from topcli.store.series import series_names
 
-        config = self.result.stored.manifest["config"]
-        experiment = any_from(config)
+        stored = self.result.stored
+        if self.is_ensemble:
+            if columns:
+                raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
+            return draw_panel(*pictures.stored_quantiles(self.folder, self.result.report), ax)
+        known = self._require(columns, "plot: ")
+        experiment = any_from(stored.manifest["config"])
         assert isinstance(experiment, Experiment)
-        path = self.result.stored.series
-        known = series_names(path)
-        for name in columns:
-            if name not in known:
-                raise UsageError(f"plot: unknown column {quoted(name)}; {nearest(name, known)}")
         vectors = list(pictures.vectors_of(known, experiment).values())
         integrals = [one.name for one in (*experiment.top.invariants(), *experiment.modified) if one.name in known]
         chosen = list(columns) or (integrals if deviation else (vectors or [integrals])[-1])
         time = "t" if "t" in known else "n"
-        data = envelope(path, list(dict.fromkeys([time, *chosen])))
-        data.setdefault("t", data[time] * config["h"])
-        if not deviation:
-            return draw_panel(pictures.time_panel(chosen, experiment), data, ax)
-        moved = pictures.deviations(data, chosen)
-        return draw_panel(pictures.time_panel(list(moved), experiment, deviation=True), data | moved, ax)
-
-    def _plot_ensemble(self, ax: Axes | None, columns: Sequence[str]) -> Axes:
-        from topcli.pages.pictures import stored_quantiles
-
-        if columns:
-            raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
-        panel, data = stored_quantiles(self.folder, self.result.report)
-        return draw_panel(panel, data, ax)
+        data = envelope(stored.series, list(dict.fromkeys([time, *chosen])))
+        data.setdefault("t", data[time] * experiment.h)
+        if deviation:
+            moved = pictures.deviations(data, chosen)
+            chosen, data = list(moved), data | moved
+        return draw_panel(pictures.time_panel(chosen, experiment, deviation), data, ax)
 
 
 def run(
