@@ -12,7 +12,7 @@ import pytest
 import topcli
 from reading_html import read_html
 from topcli.analysis.motion.of_top import motion_of
-from topcli.analysis.motion.result import Motion, neighbour_rows, quantity_rows
+from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, Motion
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError
@@ -271,7 +271,7 @@ def test_result_is_a_table() -> None:
     table = found.table
     assert list(table.index) == list(found)
     assert table.loc["period.nutation", "value"] == found["period.nutation"]
-    assert len(quantity_rows(found)) == len(table)
+    assert len(QUANTITIES.cells(found).lines) == len(table)
     html = found._repr_html_()
     assert all(name in html for name in found)
     assert found.title in html
@@ -285,9 +285,9 @@ def test_result_is_a_table() -> None:
 @pytest.mark.slow
 def test_page_shows_the_neighbours(tmp_path: Path) -> None:
     found = motion("kowalevski_generic_hk")
-    assert len(neighbour_rows(found)) == len(found.neighbours) == 3
+    assert len(NEIGHBOURS.cells(found).lines) == len(found.neighbours) == 3
     page = read_html(found.save(tmp_path / "motion.html").read_text(encoding="utf-8"))
     _, neighbours = page.all("table")
-    assert neighbours.cells()[1:] == neighbour_rows(found)
+    assert neighbours.cells()[1:] == NEIGHBOURS.cells(found).lines
     assert [row[3] for row in neighbours.cells()[1:]] == ["separatrix"] * 3
     assert found.as_dict()["neighbours"][0]["kind"] == "separatrix"

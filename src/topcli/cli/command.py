@@ -66,7 +66,8 @@ class StudyCommand(TyperCommand):
         """Context of the command itself."""
         from topcli.cli.study import command
 
-        return _typer_command(command(find_study(self.name)), self.name).make_context(info_name, args, parent, **extra)
+        name = str(self.name)
+        return _typer_command(command(find_study(name)), name).make_context(info_name, args, parent, **extra)
 
 
 def _imported(name: str, place: str) -> Any:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from topcli.cli.output import emit, emit_prose, print_json, print_table
+from topcli.cli.output import emit, emit_prose, print_cells, print_json
 from topcli.errors import UsageError
 
 
 def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool) -> None:
     """Print what the closed form says about the motion of a config. Raises UsageError for a sweep or an ensemble."""
     from topcli.analysis.motion.of_top import motion_of
-    from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, neighbour_rows, quantity_rows
+    from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES
     from topcli.config.load import load_experiment
 
     if row is not None or Path(config).is_dir():
@@ -25,9 +25,9 @@ def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "motion": motion.as_dict()})
         return
-    print_table(QUANTITIES, quantity_rows(motion), f"{experiment.name}: {motion.title}", numbers=[1])
+    print_cells(QUANTITIES.cells(motion), f"{experiment.name}: {motion.title}")
     if motion.neighbours:
         emit()
-        print_table(NEIGHBOURS, neighbour_rows(motion), "nearest critical motions", numbers=[1, 2])
+        print_cells(NEIGHBOURS.cells(motion), NEIGHBOURS.title_of(motion))
     for note in motion.notes:
         emit_prose(note)

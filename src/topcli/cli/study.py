@@ -231,4 +231,4 @@ def _helps(doc: str | None) -> dict[str, str]:
     section = re.split(r"\n *\n *\w+\n *-{3,}", section)[0]
     entries = re.split(r"^ {4}\*{0,2}(\w+)(?: : .*)?\n", section, flags=re.MULTILINE)[1:]
     texts = (" ".join(text.split()) for text in entries[1::2])
-    return dict(zip(entries[::2], (re.match(r".*?\.(?= [A-Z]|$)|.*", text)[0] for text in texts), strict=True))
+    return dict(zip(entries[::2], (re.split(r"(?<=\.) (?=[A-Z])", text)[0] for text in texts), strict=True))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from topcli.analysis.motion.of_top import closed_form_top
-from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, Motion, neighbour_rows, quantity_rows
+from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, Motion
 from topcli.config.models import Experiment
 from topcli.figures.motion import motion_drawn
-from topcli.pages.contents import Cells, Chapter, Notes, Picture, Pictures
+from topcli.pages.contents import Chapter, Notes, Picture, Pictures
 from topcli.pages.origin import citation_block, config_block
 
 SIZE = (5.6, 4.0)
@@ -20,9 +22,9 @@ def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> 
     from topcli import __version__
 
     chapter = Chapter(experiment.name, "motion", motion.top, motion.kind, message=motion.title)
-    chapter.blocks.append(Cells("Quantities", QUANTITIES, quantity_rows(motion), numbers=False))
+    chapter.blocks.append(replace(QUANTITIES.cells(motion), numbers=False))
     if motion.neighbours:
-        chapter.blocks.append(Cells("Nearest critical motions", NEIGHBOURS, neighbour_rows(motion)))
+        chapter.blocks.append(NEIGHBOURS.cells(motion))
     if motion.notes:
         chapter.blocks.append(Notes("Notes", motion.notes))
     if name:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.analysis.motion.of_top import closed_form_top, motion_of
-from topcli.analysis.motion.result import Motion
+from topcli.analysis.motion.result import QUANTITIES, Motion
 from topcli.config.duration import changed
 from topcli.config.load import experiment_from, load_experiment
 from topcli.config.models import Experiment
@@ -41,9 +41,7 @@ class MotionReport(Motion, Report):
     @property
     def table(self) -> pd.DataFrame:
         """DataFrame of the quantities, one row each, indexed by name."""
-        import pandas as pd
-
-        return pd.DataFrame(self.quantities).set_index("name")
+        return QUANTITIES.frame(self)
 
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page."""

@@ -79,7 +79,8 @@ class StudyReport(Report):
     def plot(self, ax: Axes | None = None, **options: Any) -> Axes:
         """Draw the result into ``ax``, by default new axes, and return the axes; some studies take ``options``."""
         if self.declaration.plotted:
-            return draw_panel(*imported(self.declaration.plotted)(self.result, **options), ax)
+            panel, data = imported(self.declaration.plotted)(self.result, **options)
+            return draw_panel(panel, data, ax)
         if not self.declaration.figure:
             raise UsageError(f"plot: {self.declaration.name} has no picture; see its table")
         loaded = imported(self.declaration.figure)(self.result)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.entries import parts_of, top_title, under_scheme
 from topcli.studies.study import (
     SILENT,
-    ConfigSource,
+    ConfigFile,
     Data,
     Faults,
     Flag,
@@ -66,7 +67,7 @@ NO_PAIR = (
 )
 
 
-def lax_experiment(name: str, config: str | None, sets: Sequence[str]) -> Experiment:
+def lax_experiment(name: str, config: str | Path | None, sets: Sequence[str]) -> Experiment:
     """Experiment to check: that of ``config``, of the top ``name``, or one that starts in general position.
 
     Raises UsageError for a config of another top or a state that is not omega, gamma.
@@ -75,7 +76,7 @@ def lax_experiment(name: str, config: str | None, sets: Sequence[str]) -> Experi
     if config is not None:
         experiment = load_experiment(config, sets)
         if experiment.top.kind != top.kind:
-            raise UsageError(f"lax: {shortened(config)} is of the top {experiment.top.kind!r}, not {top.kind!r}")
+            raise UsageError(f"lax: {shortened(str(config))} is of the top {experiment.top.kind!r}, not {top.kind!r}")
     else:
         _require_body(top)
         names = names_for(top.form)
@@ -256,7 +257,7 @@ def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
 def measure(
     top: Annotated[str, Flag("", "TOP")],
     *schemes: SchemeNames,
-    config: ConfigSource = None,
+    config: ConfigFile = None,
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:

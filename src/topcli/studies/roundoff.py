@@ -30,7 +30,7 @@ from topcli.schemes.registry import all_schemes
 from topcli.studies.entries import parts_of, under_scheme
 from topcli.studies.study import (
     SILENT,
-    ConfigSource,
+    ConfigFile,
     Data,
     Faults,
     Flag,
@@ -286,7 +286,7 @@ def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str,
 
 def measure(
     scheme: Annotated[str, Flag("", "SCHEME")],
-    config: ConfigSource = None,
+    config: ConfigFile = None,
     steps: Annotated[float, Flag("--steps", "N")] = 1e7,
     copies: Annotated[int, Flag("--copies", "K")] = 8,
     max_exponent: Annotated[float | None, Flag("--max-exponent", "X")] = None,

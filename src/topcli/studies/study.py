@@ -62,6 +62,7 @@ PYTHON_ONLY = Flag("-")
 SchemeNames = Annotated[str, Flag("", "SCHEME")]
 TopName = Annotated[str | None, Flag("--top", "TOP")]
 ConfigSource = Annotated[str | Path | Mapping[str, Any] | None, Flag("--config", "CONFIG")]
+ConfigFile = Annotated[str | Path | None, Flag("--config", "CONFIG")]
 Overrides = Annotated[Sequence[str], Flag("--set", "KEY=VALUE")]
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
+from topcli.table import Column, Table, exact_number
 
 
 class Quantity(NamedTuple):
@@ -110,19 +111,26 @@ def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
     return tuple(Quantity(one.name, float(one.value(row)[0]), one.meaning) for one in top.invariants())
 
 
-QUANTITIES = ("quantity", "value", "meaning")
-NEIGHBOURS = ("along", "critical value", "distance", "kind")
-
-
-def quantity_rows(motion: Motion) -> list[list[str]]:
-    """Cells of the quantities."""
-    return [[one.name, _text(one.value), one.meaning] for one in motion.quantities]
-
-
-def neighbour_rows(motion: Motion) -> list[list[str]]:
-    """Cells of the neighbours."""
-    return [[one.along, _text(one.value), f"{one.distance:+.6g}", one.kind] for one in motion.neighbours]
-
-
 def _text(value: float) -> str:
-    return "∞" if value == math.inf else f"{value:.10g}"
+    return "∞" if value == math.inf else exact_number(value)
+
+
+QUANTITIES = Table(
+    lambda motion: [quantity._asdict() for quantity in motion.quantities],
+    (Column("quantity", "name"), Column("value", "value", _text), Column("meaning", "meaning")),
+    heading="Quantities",
+    index="name",
+    numbers=(1,),
+)
+NEIGHBOURS = Table(
+    lambda motion: [neighbour._asdict() for neighbour in motion.neighbours],
+    (
+        Column("along", "along"),
+        Column("critical value", "value", _text),
+        Column("distance", "distance", "{:+.6g}".format),
+        Column("kind", "kind"),
+    ),
+    heading="Nearest critical motions",
+    title="nearest critical motions",
+    numbers=(1, 2),
+)
