@@ -13,8 +13,7 @@ from conftest import ROOT
 from shown import cells_of, cells_under
 from topcli.errors import RunError
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import NothingMeasuredError, Request
-from topcli.figures.make import MadeFigure, make_figure
+from topcli.figures.figure import MadeFigure, NothingMeasuredError, Request, make_figure
 from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes
 from topcli.studies.scheme_page import schemes_page

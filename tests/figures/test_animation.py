@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from conftest import Said
 from topcli.errors import RunError, UsageError
 from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
-from topcli.studies.body_motion import BodyMotion, stored_body_motion
+from topcli.figures.body_motion import BodyMotion, stored_body_motion
 from turning import TURNED, stored, turned_apart
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from topcli.contracts import Top
 from topcli.figures.body import body_of, shown_faces, surface_distance, view_azimuth
-from topcli.figures.sphere import projection
+from topcli.figures.scene3d import projection
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

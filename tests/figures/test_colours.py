@@ -10,9 +10,9 @@ from matplotlib.colors import to_hex
 from matplotlib.lines import Line2D
 
 from seen_colours import difference, lightness, pattern
-from topcli.figures.picture import REFERENCE, _styles, line_styles, styled
+from topcli.figures.picture import REFERENCE_LOOK, looks, styled
 from topcli.figures.polhodes import RUN
-from topcli.figures.sphere import BAND, BAND_FAR, TRACE, TRACE_FAR
+from topcli.figures.scene3d import BAND, BAND_FAR, TRACE, TRACE_FAR
 from topcli.figures.stress import SHADES
 
 
@@ -50,7 +50,7 @@ def test_shades_and_traces_differ_for_the_colour_blind_and_in_grey() -> None:
 
 def test_49_lines_differ_in_colour_and_dashes_and_7_in_dashes_alone() -> None:
     with styled():
-        lines = [Line2D([], [], **style) for style in line_styles(49)]
+        lines = [Line2D([], [], **style) for style in looks(map(str, range(49))).values()]
     assert len({(to_hex(line.get_color()), pattern(line)) for line in lines}) == 49
     for first in range(0, 49, 7):
         assert len({pattern(line) for line in lines[first : first + 7]}) == 7
@@ -58,7 +58,6 @@ def test_49_lines_differ_in_colour_and_dashes_and_7_in_dashes_alone() -> None:
 
 def test_lines_stand_out_from_the_reference_behind_them() -> None:
     """In grey print too: the palest coloured line is darker by 10 and the reference is no white."""
-    with styled():
-        reference = _styles(["a"])[REFERENCE]["color"]
+    reference = REFERENCE_LOOK["color"]
     assert lightness(reference) - max(map(lightness, cycle())) > 10.0
     assert lightness(reference) < 90.0

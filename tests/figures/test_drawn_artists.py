@@ -14,9 +14,9 @@ from matplotlib.colors import same_color
 from drawn_artists import data_of, in_sight, keys_are_true, look, series_of
 from test_figures import drawn_from
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Request
-from topcli.figures.make import make_figure
-from topcli.figures.picture import number_text
+from topcli.figures.figure import Figure, Loaded, Request, make_figure
+from topcli.figures.picture import Grid, Line, Panel, number_text
+from topcli.figures.scenes import scene_figure
 
 GAMMA = [("gamma1", r"$\gamma_1$"), ("gamma2", r"$\gamma_2$"), ("gamma3", r"$\gamma_3$")]
 OMEGA = [("omega1", r"$\omega_1$"), ("omega2", r"$\omega_2$"), ("omega3", r"$\omega_3$")]
@@ -233,22 +233,18 @@ def test_every_figure_of_the_catalogue_is_inspected() -> None:
 
 def test_another_panel_is_drawn_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A change of its panels or of the code of its study redraws a figure."""
-    from dataclasses import replace
-
-    monkeypatch.setattr("topcli.figures.make.save", lambda figure, path: path.touch())
+    monkeypatch.setattr("topcli.figures.figure.save", lambda figure, path: path.touch())
     options: tuple[Any, ...] = (Request(tmp_path / "r", tmp_path), tmp_path, ["png"])
-    spec: Any = FIGURES["fig1"]
-    first, second = spec.panels
-    states = [make_figure(one, *options).status for one in (spec, spec, replace(spec, panels=(second, first)))]
-    assert states == ["drawn", "up to date", "drawn"]
-    spec = FIGURES["roundoff"]
-    code = ["a"]
-    columns = {name: np.arange(1.0, 9.0) for panel in spec.panels for name in panel.columns}
-    monkeypatch.setattr("topcli.studies.growth.growth_columns", lambda: columns)
-    monkeypatch.setattr("topcli.studies.growth.growth_code", lambda: code[0])
-    assert [make_figure(spec, *options).status for _ in range(2)] == ["drawn", "up to date"]
-    code[0] = "b"
-    assert make_figure(spec, *options).status == "drawn"
+    panels = Panel((Line("gamma1"),)), Panel((Line("gamma2"),))
+    first, other = (scene_figure("x", "X", "kowalevski_hk", order, Grid()) for order in (panels, panels[::-1]))
+    assert [make_figure(each, *options).status for each in (first, first, other)] == ["drawn", "up to date", "drawn"]
+    columns = {"t": np.arange(1.0, 9.0), "y": np.arange(8.0)}
+
+    def status(code: str) -> str:
+        loaded = Loaded((Panel((Line("y", "y"),)),), lambda: columns, {"study": code})
+        return make_figure(Figure("y", "Y", "none", lambda request: loaded), *options).status
+
+    assert [status(code) for code in "aab"] == ["drawn", "up to date", "drawn"]
 
 
 def test_the_ellipsoid_is_lit_and_tinted_by_its_formula(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

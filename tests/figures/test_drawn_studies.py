@@ -12,10 +12,11 @@ from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 
 from drawn_artists import data_of, drawn, in_sight, keys_are_true, look
-from topcli.figures.analysis import loaded_analysis
+from seen_colours import pattern
+from topcli.figures import long_energy, roundoff
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.comparison import loaded_comparison
-from topcli.figures.contract import Request
+from topcli.figures.comparison import loaded_analysis, loaded_comparison
+from topcli.figures.figure import Request
 from topcli.figures.picture import draw
 from topcli.studies.study import Result
 
@@ -30,7 +31,7 @@ def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
     sizes = {"a_sq:matrix": 1e-15, "a_sq:plain": 3e-16, "a_sq:compensated": 2e-17}
     sizes |= {"k_sq:hybrid": 1e-14, "k_sq:hybrid-xi": 5e-16}
     data = {"steps": steps} | {name: size * steps ** (0.3 + 0.1 * i) for i, (name, size) in enumerate(sizes.items())}
-    figure = draw(FIGURES["roundoff"].panels, data)  # type: ignore[attr-defined]
+    figure = draw(roundoff.PANELS, data)
     for axes, lines in zip(figure.axes, GROWTH, strict=True):
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
         labels = {text.get_text(): text for text in axes.texts}
@@ -51,7 +52,8 @@ def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
 def test_energies_are_drawn_logarithmically_against_time(tmp_path: Path) -> None:
     loaded = FIGURES["integrable"].load(Request(tmp_path, tmp_path))
     times = 0.1 * 2.0 ** np.arange(20)
-    names = [column for panel in loaded.panels for column in panel.columns]
+    names = [f"t:{scene}" for scene in long_energy.SCHEMES]
+    names += [f"{scene}:{name}" for scene, schemes in long_energy.SCHEMES.items() for name in schemes]
     data = {name: times if name.startswith("t:") else 1e-9 * (i + 1.0) * times for i, name in enumerate(names)}
     figure = draw(loaded.panels, data, loaded.layout)
     scenes = ("kowalevski_generic_hk", "euler_hk")
@@ -64,35 +66,32 @@ def test_energies_are_drawn_logarithmically_against_time(tmp_path: Path) -> None
         for line in axes.lines:
             np.testing.assert_array_equal(data_of(line), np.column_stack([times, data[f"{scene}:{line.get_label()}"]]))
             assert in_sight(axes, line)
-            assert same_color(colours.setdefault(str(line.get_label()), line.get_color()), line.get_color())
-    assert len({to_rgb(colour) for colour in colours.values()}) == len(colours)
+            assert same_color(colours.setdefault(str(line.get_label()), line).get_color(), line.get_color())
+    assert len({(to_rgb(line.get_color()), pattern(line)) for line in colours.values()}) == len(colours)
 
 
 def test_the_period_is_drawn_over_the_step_and_the_motions_in_rows(tmp_path: Path) -> None:
     """Row i lies 2.6 i lower; the right scale is 2 sqrt 2 ln(8 sqrt 7/eps); irreversible: open markers."""
     loaded = FIGURES["period"].load(Request(tmp_path, tmp_path))
-    rows = loaded.panels[0]
     t = np.linspace(0.0, 50.0, 101)
     data: dict[str, np.ndarray] = {"t": t, "swings": np.array([14.0, 42.0])}
-    data |= {name: np.cos(t + i) for i, name in enumerate(rows.columns[2:])}
     order = ["hk", "rk2", "rk4", "hybrid", "bohlin-a"]
+    names, steps = ["exact", *order, "bohlin-a", "bohlin-a"], ["1e-03"] * 6 + ["1e-05", "1e-06"]
+    motion_columns = [f"gamma1:{name}:{h}" for name, h in zip(names, steps, strict=True)]
+    data |= {name: np.cos(t + i) for i, name in enumerate(motion_columns)}
     for i, name in enumerate(order):
         data |= {f"h:{name}": np.array([1e-7, 1e-4, 1e-1]), f"spacing:{name}": np.array([27.0, 20.0 - i, 12.0 + i])}
     figure = draw(loaded.panels, data, loaded.layout)
     left, right = figure.axes
-    names = ["exact", *order, "bohlin-a", "bohlin-a"]
-    assert list(rows.columns[2:]) == [
-        f"gamma1:{name}:{h}" for name, h in zip(names, ["1e-03"] * 6 + ["1e-05", "1e-07"], strict=True)
-    ]
     swings, motions = left.lines[:2], left.lines[2:]
     assert [line.get_xdata()[0] for line in swings] == [14.0, 42.0]
-    for i, (line, column) in enumerate(zip(motions, rows.columns[2:], strict=True)):
+    for i, (line, column) in enumerate(zip(motions, motion_columns, strict=True)):
         np.testing.assert_allclose(data_of(line), np.column_stack([t, data[column] - 2.6 * i]), atol=1e-12)
         assert in_sight(left, line)
     labels = [label.get_text().replace("\n", ", ") for label in left.get_yticklabels()]
     assert labels[1] == "HK, $h = 10^{-3}$, order 2, reversible"
     assert labels[4] == "hybrid, $h = 10^{-3}$, order 2, not reversible"
-    assert labels[-1] == "Bohlin A, $h = 10^{-7}$, order 1, not reversible"
+    assert labels[-1] == "Bohlin A, $h = 10^{-6}$, order 1, not reversible"
     assert (right.get_xscale(), right.get_yscale()) == ("log", "linear")
     law, *curves, paper = right.lines
     assert law.get_ydata() == pytest.approx([28.1716, 28.1716], abs=1e-4)

@@ -12,15 +12,15 @@ import pytest
 
 import topcli
 from topcli.errors import UsageError
-from topcli.figures import torus_points as torus_figure
+from topcli.figures import errors as error_and_cost
+from topcli.figures import torus_points
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Request
-from topcli.figures.error_and_cost import LOOKS, loaded_study
-from topcli.figures.picture import draw
+from topcli.figures.errors import loaded_study
+from topcli.figures.figure import Request
+from topcli.figures.picture import draw, looks
 from topcli.figures.torus_points import TorusSection, TorusView
 from topcli.runs.identity import method_fingerprint
 from topcli.schemes.registry import find_scheme
-from topcli.studies import error_and_cost, torus_points
 from topcli.studies.entries import scheme_with
 
 STUDY: dict[str, Any] = {
@@ -59,10 +59,9 @@ def test_errors_are_drawn_over_step_and_time() -> None:
 
 def test_every_scheme_of_the_study_looks_different() -> None:
     names = [one.name for one in error_and_cost.compared_schemes()]
-    assert set(names) <= set(LOOKS)
     assert names[:8] == [*error_and_cost.OTHERS, *error_and_cost.FAMILY]
-    looks = [(colour, marker) for colour, marker, _ in LOOKS.values()]
-    assert len(set(looks)) == len(looks)
+    styles = [(look["color"], look["marker"]) for look in looks(names, markers=True).values()]
+    assert len(set(styles)) == len(names)
 
 
 def test_exact_nodes_are_compared_as_a_scheme_of_their_own() -> None:
@@ -149,7 +148,7 @@ def test_the_torus_is_drawn_as_it_is_seen() -> None:
     data |= {"flow:u": np.array([1.0, -1.0]), "flow:v": np.array([0.0, 0.5])}
     view, section = draw((TorusView("backlund", "a", 4), TorusSection("backlund", "c")), data).axes
     (spots,) = view.collections
-    e, a = math.radians(torus_figure.ELEVATION), math.radians(torus_figure.AZIMUTH)
+    e, a = math.radians(torus_points.ELEVATION), math.radians(torus_points.AZIMUTH)
     expected = []
     for x, y, z in points[:3]:
         x, y, z = 2 * (x + 1.2) / 2.65 - 1, 2 * (y + 1.6) / 3.2 - 1, 2 * (z + 1.1) / 2.25 - 1

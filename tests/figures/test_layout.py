@@ -13,10 +13,9 @@ from figure_studies import figure_named
 from layout import drawn_texts, layout_faults, smallest_size
 from seen_colours import lines_alike
 from sweep_rows import write_rows
-from topcli.figures.analysis import loaded_analysis
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.comparison import loaded_comparison
-from topcli.figures.contract import Request
+from topcli.figures.comparison import loaded_analysis, loaded_comparison
+from topcli.figures.figure import Request
 from topcli.figures.picture import Grid, Line, Panel, draw, styled
 from topcli.figures.roundoff import loaded_roundoff
 from topcli.figures.sweep import Choice, sweep_figure

@@ -17,7 +17,7 @@ from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Request
+from topcli.figures.figure import Request
 from topcli.figures.picture import draw
 from topcli.tops.kowalevski import Kowalevski
 

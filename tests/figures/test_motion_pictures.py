@@ -15,7 +15,7 @@ from topcli.analysis.reference import reference_states
 from topcli.figures.motion import AXIS, MOST_NUTATIONS, motion_drawn
 from topcli.figures.picture import Panel
 from topcli.figures.polhodes import Polhodes
-from topcli.figures.sphere import Sphere
+from topcli.figures.scene3d import Sphere
 from topcli.show.motions import MotionReport
 from topcli.tops.lagrange import LagrangeInertial
 

@@ -17,10 +17,8 @@ from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Request
-from topcli.figures.make import make_figure
-from topcli.figures.picture import draw, styled
-from topcli.figures.style import read_style
+from topcli.figures.figure import Request, make_figure
+from topcli.figures.picture import draw, read_style, styled
 
 GREY = "0.8"
 
@@ -61,7 +59,9 @@ def test_overrides_reach_every_scene_of_a_figure_and_comparisons(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loaded = FIGURES["nutation"].load(Request(tmp_path, ROOT / "configs", overrides=("N=50",)))
-    assert {len(values) for values in loaded.data().values()} == {51}
+    data = loaded.data()
+    draw(loaded.panels, data, loaded.layout)
+    assert {len(values) for values in data.values()} == {51}
     assert loaded.variant == load_experiment("lagrange_cusps", ["N=50"]).digest[:6]
     compared = []
     monkeypatch.setattr("topcli.studies.compare.compare_schemes", lambda experiment, names: compared.append(experiment))
@@ -147,7 +147,7 @@ def test_a_motion_without_exact_solution_is_refused(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("topcli.studies.exact_motion.CLOSED_FORM", "nothing")
     loaded = FIGURES["fig1"].load(Request(tmp_path, ROOT / "configs", overrides=("N=10",), overlay=True))
     with pytest.raises(UsageError, match="no exact motion: no equations, and there is no closed form"):
-        loaded.data()
+        draw(loaded.panels, loaded.data())
 
 
 @pytest.mark.slow

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from topcli.errors import RunError
-from topcli.figures.catalogue import find_figure
 from topcli.figures.picture import draw
 from topcli.figures.polhodes import Polhodes, _curves
-from topcli.figures.sphere import projection
+from topcli.figures.scene3d import projection
 from topcli.tops.euler import Euler, field
 
 
@@ -35,15 +34,6 @@ def test_the_camera_is_a_rotation() -> None:
     camera = projection(elevation=24.0, azimuth=52.0)
     assert camera @ camera.T == pytest.approx(np.eye(3), abs=1e-15)
     assert np.linalg.det(camera) == pytest.approx(1.0)
-
-
-def test_the_figure_has_the_moments_of_its_scene() -> None:
-    from topcli.config.load import load_experiment
-
-    spec = find_figure("polhodes")
-    (panel,) = spec.panels
-    assert isinstance(panel, Polhodes)
-    assert panel.moments == load_experiment(spec.scene).top.euler_poisson().moments
 
 
 def test_a_run_of_another_top_is_refused() -> None:

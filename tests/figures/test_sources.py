@@ -14,14 +14,24 @@ from figure_studies import PREPARE
 from sweep_rows import write_rows
 from topcli.analysis import order as analysis_of_orders
 from topcli.analysis import pareto, reference, roundoff, swings
-from topcli.figures import comparison, curves, order, period, picture, stress, sweep, work_precision
+from topcli.figures import (
+    comparison,
+    curves,
+    errors,
+    long_energy,
+    period,
+    picture,
+    stress,
+    sweep,
+    torus_points,
+    work_precision,
+)
+from topcli.figures import roundoff as growth
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Loaded, Request
-from topcli.figures.heat import HeatPanel
-from topcli.figures.make import _source
+from topcli.figures.curves import HeatPanel
+from topcli.figures.figure import Loaded, Request, _source
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.schemes.kowalevski import hk
-from topcli.studies import error_and_cost, growth, long_energy, torus_points
 from topcli.studies import order as study_of_orders
 from topcli.studies import roundoff as study_of_roundoff
 from topcli.studies.bench import competitors, measure
@@ -50,8 +60,8 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
         [HK_STEP, suite.verdict_of, checks.keeps_order, case.claim_violated],
     ),
     "error-and-cost": (
-        error_and_cost.study_source,
-        [HK_STEP, error_and_cost.error_and_cost, measure.time_all, measure.as_rows, competitors.SchemeCompetitor.run],
+        errors.study_source,
+        [HK_STEP, errors.error_and_cost, measure.time_all, measure.as_rows, competitors.SchemeCompetitor.run],
     ),
     "roundoff": (
         growth.growth_code,
@@ -101,11 +111,11 @@ def source_of(loaded: Loaded) -> str:
 
 
 DRAWING: dict[str, list[Any]] = {
-    "order": [order.order_data, curves.CurvePanel._curve, analysis_of_orders.convergence, picture.draw],
+    "order": [errors.order_data, curves.CurvePanel._curve, analysis_of_orders.convergence, picture.draw],
     "stress": [stress.figure_data, stress._step_text, stress.StressGrid.annotate],
     "work-precision": [work_precision._curves, work_precision._shown, pareto.pareto_front],
     "compare": [comparison._data, comparison.ErrorPanel.paint, reference.distances, HK_STEP],
-    "swings": [sweep._points, table.summary, curves.SlopeLegend.annotate],
+    "swings": [sweep._points, table.summary, picture.Grid.annotate],
 }
 """Functions between the results of a study and its picture."""
 

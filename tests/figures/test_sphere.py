@@ -7,7 +7,7 @@ import pytest
 
 from topcli.figures.catalogue import find_figure
 from topcli.figures.picture import draw
-from topcli.figures.sphere import TRACE, TRACE_FAR, Sphere, projection
+from topcli.figures.scene3d import TRACE, TRACE_FAR, Sphere, projection
 
 
 def test_projection_is_a_rotation_that_looks_from_where_it_says() -> None:
@@ -30,11 +30,10 @@ def test_far_side_of_the_sphere_is_drawn_lighter() -> None:
     assert (np.isnan(lines[TRACE]) != np.isnan(lines[TRACE_FAR])).all()
 
 
-def test_a_figure_reads_the_scenes_that_its_columns_name() -> None:
-    sources = find_figure("nutation").sources
-    assert list(sources) == ["lagrange_cusps", "lagrange_loops", "lagrange_waves"]
-    assert sources["lagrange_loops"] == {f"a{i}": f"lagrange_loops:a{i}" for i in (1, 2, 3)}
-    assert find_figure("fig3").sources == {"kowalevski_bohlin_a": {"t": "t", "energy": "energy", "two_l": "two_l"}}
+def test_a_figure_needs_the_scenes_that_its_columns_name() -> None:
+    """Other figures that need one of them are drawn by no other process at the same time."""
+    assert find_figure("nutation").needs == ("lagrange_cusps", "lagrange_loops", "lagrange_waves")
+    assert find_figure("fig3").needs == find_figure("fig2").needs == ("kowalevski_bohlin_a",)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])

@@ -12,11 +12,9 @@ import pytest
 
 from sweep_rows import write_rows
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Request
-from topcli.figures.make import make_figure
-from topcli.figures.picture import draw
-from topcli.figures.sweep import Choice
-from topcli.figures.sweep_studies import SweepStudyFigure, View
+from topcli.figures.figure import Figure, Request, make_figure
+from topcli.figures.picture import Grid, draw
+from topcli.figures.sweep import Choice, View, sweep_views
 
 SWEEP = """
 name: small
@@ -26,27 +24,34 @@ measure: [error.max, deviation.m_sq]
 """
 
 
-@pytest.fixture
-def figure(tmp_path: Path) -> SweepStudyFigure:
+VIEWS = (
+    View(
+        "upper",
+        Choice("h", "error.max", "scheme"),
+        ("top.A=2.5",),
+        "$h$",
+        "error",
+        xlog=True,
+        law=np.square,
+        law_label="law",
+    ),
+    View("lower", Choice("top.A", "deviation.m_sq", "scheme", aggregate="max"), ("scheme=hk",)),
+)
+
+
+def small(tmp_path: Path, views: tuple[View, ...]) -> Figure:
+    """Figure of a small sweep."""
     path = tmp_path / "small.yaml"
     path.write_text(SWEEP, encoding="utf-8")
-    views = (
-        View(
-            "upper",
-            Choice("h", "error.max", "scheme"),
-            ("top.A=2.5",),
-            "$h$",
-            "error",
-            xlog=True,
-            law=lambda x: x**2,
-            law_label="law",
-        ),
-        View("lower", Choice("top.A", "deviation.m_sq", "scheme", aggregate="max"), ("scheme=hk",)),
-    )
-    return SweepStudyFigure("small", "a small sweep", str(path), views)
+    return sweep_views("small", "a small sweep", str(path), views, Grid())
 
 
-def test_views_draw_their_rows(figure: SweepStudyFigure, tmp_path: Path) -> None:
+@pytest.fixture
+def figure(tmp_path: Path) -> Figure:
+    return small(tmp_path, VIEWS)
+
+
+def test_views_draw_their_rows(figure: Figure, tmp_path: Path) -> None:
     loaded = figure.load(Request(tmp_path / "results"))
     picture = draw(loaded.panels, loaded.data(), loaded.layout)
     rows = pq.read_table(tmp_path / "results" / "small" / "rows.parquet").to_pylist()
@@ -70,7 +75,7 @@ def test_views_draw_their_rows(figure: SweepStudyFigure, tmp_path: Path) -> None
         assert value == max(over_h)
 
 
-def test_a_second_request_runs_and_draws_nothing(figure: SweepStudyFigure, tmp_path: Path) -> None:
+def test_a_second_request_runs_and_draws_nothing(figure: Figure, tmp_path: Path) -> None:
     request = Request(tmp_path / "results")
     assert make_figure(figure, request, tmp_path / "figures", ["png"]).status == "drawn"
     journal = (tmp_path / "results" / "small" / "journal.jsonl").read_bytes()
@@ -78,21 +83,12 @@ def test_a_second_request_runs_and_draws_nothing(figure: SweepStudyFigure, tmp_p
     assert (tmp_path / "results" / "small" / "journal.jsonl").read_bytes() == journal
 
 
-def test_the_law_of_the_swings() -> None:
-    """28.1716 between swings at eps = 1e-3, from the closed form of the motion."""
-    figure = FIGURES["swings"]
-    assert isinstance(figure, SweepStudyFigure)
-    law = figure.views[0].law
-    assert law is not None
-    assert law(np.array([1e-3])) == pytest.approx([28.1716], abs=1e-4)
-
-
 @pytest.mark.slow
-def test_a_view_may_ask_for_a_logarithmic_axis(figure: SweepStudyFigure, tmp_path: Path) -> None:
+def test_a_view_may_ask_for_a_logarithmic_axis(tmp_path: Path) -> None:
     """The few values of top.A alone would not."""
-    lower = figure.views[1]
+    lower = VIEWS[1]
     for xlog, scale in ((False, "linear"), (True, "log")):
-        loaded = replace(figure, views=(replace(lower, xlog=xlog),)).load(Request(tmp_path / "results"))
+        loaded = small(tmp_path, (replace(lower, xlog=xlog),)).load(Request(tmp_path / "results"))
         (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
         assert axes.get_xscale() == scale
 

@@ -12,7 +12,7 @@ import pytest
 
 from topcli.errors import RunError
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Request
+from topcli.figures.figure import Request
 from topcli.studies.bench.front import DECADES
 from topcli.studies.bench.line_up import choose
 from topcli.studies.bench.measure import Effort

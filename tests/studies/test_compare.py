@@ -142,7 +142,7 @@ def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
 @pytest.mark.slow
 def test_pictures_of_a_comparison(tmp_path: Path) -> None:
     from topcli.figures.comparison import loaded_comparison
-    from topcli.figures.make import write_figure
+    from topcli.figures.figure import write_figure
 
     comparison = compare_schemes(load_experiment(HK, ["N=2000", "h=0.01"]), ["hk", "hybrid"])
     files = write_figure("compare", loaded_comparison(comparison), tmp_path)

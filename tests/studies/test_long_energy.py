@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.studies import long_energy
+from topcli.figures import long_energy
 
 
 def test_octaves_are_cut_at_powers_of_two() -> None:

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from topcli.figures.contract import Loaded
+from topcli.figures.figure import Loaded
 from topcli.figures.picture import draw
 
 

@@ -15,8 +15,10 @@ from matplotlib.figure import Figure
 
 from conftest import ROOT
 from sweep_rows import write_rows
+from topcli.figures import period
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.contract import Request
+from topcli.figures.figure import Request
+from topcli.figures.long_energy import SCHEMES
 from topcli.figures.picture import draw
 from topcli.studies.stress.suite import CASES, chosen
 
@@ -72,11 +74,11 @@ def _sweep(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
 
 
 def _energies(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    figure = FIGURES["integrable"]
-    columns = [name for panel in figure.load(Request(folder)).panels for name in panel.columns]
+    columns = [f"t:{scene}" for scene in SCHEMES]
+    columns += [f"{scene}:{name}" for scene, names in SCHEMES.items() for name in names]
     t = 0.1 * 2.0 ** np.arange(20)
     data = {name: t if name.startswith("t:") else _size(name.rpartition(":")[2], 0.05) * t**0.1 for name in columns}
-    patch.setattr("topcli.studies.long_energy.energy_columns", lambda: data)
+    patch.setattr("topcli.figures.long_energy.energy_columns", lambda: data)
 
 
 def _growth(patch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -84,7 +86,7 @@ def _growth(patch: pytest.MonkeyPatch, folder: Path) -> None:
     powers = {"a_sq:matrix": (1e-16, 1.0), "a_sq:plain": (6e-17, 0.5), "a_sq:compensated": (2e-18, 0.4)}
     powers |= {"k_sq:hybrid": (3e-16, 0.5), "k_sq:hybrid-xi": (2e-16, 0.0)}
     data = {"steps": steps} | {name: size * steps**power for name, (size, power) in powers.items()}
-    patch.setattr("topcli.studies.growth.growth_columns", lambda: data)
+    patch.setattr("topcli.figures.roundoff.growth_columns", lambda: data)
 
 
 PEERS = ("scipy dop853", "scipy dop853 numba", "heyoka", "heyoka high-accuracy", "diffrax Dopri8", "diffrax Tsit5")
@@ -134,12 +136,12 @@ def _period(patch: pytest.MonkeyPatch, folder: Path) -> None:
     t, sizes = np.linspace(0.0, 50.0, 1001), 10.0 ** np.arange(-7.0, 0.0)
 
     def columns(on_progress: object) -> dict[str, np.ndarray]:
-        rows, curves = FIGURES["period"].load(Request(folder, ROOT / "configs")).panels
         data = {"t": t, "swings": np.array([14.0, 42.0])}
-        data |= {name: 1.0 - 2.0 / np.cosh((t - 14.0) % 28.0) for name in rows.columns[2:]}
-        for name in curves.columns:
-            slope = 1.4 if name.endswith("bohlin-a") else 0.1
-            data[name] = sizes if name.startswith("h:") else 28.17 - slope * np.log(sizes / sizes[0])
+        motions = (period.motion_column(name, h) for name, h in period.SHOWN)
+        data |= {name: 1.0 - 2.0 / np.cosh((t - 14.0) % 28.0) for name in motions}
+        for name in (scheme.name for scheme in period.SCHEMES):
+            slope = 1.4 if name == "bohlin-a" else 0.1
+            data |= {f"h:{name}": sizes, f"spacing:{name}": 28.17 - slope * np.log(sizes / sizes[0])}
         return data
 
     patch.setattr("topcli.figures.period.period_columns", columns)

@@ -15,7 +15,7 @@ from topcli.cli.output import ProgressDisplay, emit, print_json, print_message
 from topcli.cli.table import Aggregate, Where
 
 if TYPE_CHECKING:
-    from topcli.figures.contract import Figure
+    from topcli.figures.figure import Figure
 
 EXACT = "exact"
 SWEEP = "sweep"
@@ -178,10 +178,8 @@ def plot(
     from topcli.engine.ensemble import default_threads
     from topcli.errors import TopcliError, UsageError, shortened
     from topcli.figures.catalogue import FIGURES
-    from topcli.figures.contract import NothingMeasuredError, Request
-    from topcli.figures.make import make_figures
-    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
-    from topcli.figures.style import read_style
+    from topcli.figures.figure import NothingMeasuredError, Request, make_figures
+    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS, read_style
 
     if bool(names) == every:
         raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")

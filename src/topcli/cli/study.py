@@ -149,7 +149,7 @@ def _written(study: Study, result: Result, out: Path | None, plot: bool) -> list
     if out is not None and result.file is not None:
         files.append(write_study(out / result.file, result.data, result.source()))
     if out is not None and plot:
-        from topcli.figures.make import write_figure
+        from topcli.figures.figure import write_figure
 
         loaded = imported(study.figure)(result)
         folder = out / "figures" if study.file else out

@@ -276,20 +276,26 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
     if known is not None:
         return known
     _ready_numba()
-    try:
-        compiled = _compile(function, signature, inline)
-    except (TopcliError, MemoryError):
-        raise
-    except Exception as error:  # numba raises its own kinds and plain ones
-        lines = [line.strip() for line in str(error).splitlines()]
-        reasons = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
-        raise CompileError((reasons or [type(error).__name__])[0]) from error
-    ir = compiled.inspect_llvm()
-    prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
-    call, keep = prototype(compiled.address), (compiled,)
-    if not _has_addresses(compiled, ir):
-        with suppress(OSError):  # a symbol to link is missing here: use numba's own code, unstored
-            call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, words)
+    from numba.core.compiler_lock import global_compiler_lock
+
+    with global_compiler_lock:  # a thread that needs the same code finds it stored afterwards
+        known = _known(words, signature, start)
+        if known is not None:
+            return known
+        try:
+            compiled = _compile(function, signature, inline)
+        except (TopcliError, MemoryError):
+            raise
+        except Exception as error:  # numba raises its own kinds and plain ones
+            lines = [line.strip() for line in str(error).splitlines()]
+            reasons = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
+            raise CompileError((reasons or [type(error).__name__])[0]) from error
+        ir = compiled.inspect_llvm()
+        prototype = ctypes.CFUNCTYPE(ctypes.c_int64, *(_CTYPES[c] for c in signature))
+        call, keep = prototype(compiled.address), (compiled,)
+        if not _has_addresses(compiled, ir):
+            with suppress(OSError):  # a symbol to link is missing here: use numba's own code, unstored
+                call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, words)
     return Native(call, signature, time.perf_counter() - start, False, keep)
 
 

@@ -29,9 +29,9 @@ from topcli.figures.body import (
     BodyArtist,
     body_of,
 )
+from topcli.figures.body_motion import BodyMotion
 from topcli.figures.picture import STYLE, scheme_label
 from topcli.store.run_folder import io_failure, require_writable, write_whole
-from topcli.studies.body_motion import BodyMotion
 
 FORMATS = (".gif", ".mp4")
 SMOOTH_TURN = 0.12

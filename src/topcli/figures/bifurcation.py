@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
-from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.picture import Grid, Styles
+from topcli.figures.figure import Loaded, Request
+from topcli.figures.picture import Grid, Styles, halo
 from topcli.figures.scenes import scene_config
 
 TINTS = ("#FFFFFF", "#DCE9F5", "#E3F0DC", "#F6EBD3", "#F5DDD9", "#E4DCEF")
@@ -51,12 +51,6 @@ class Diagram:
     tori: Mapping[str, int]
     title: str = ""
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        names = (*self.kinds, *(("scene",) if self.scene else ()))
-        return tuple(f"{self.number}:{name}:{axis}" for name in names for axis in AXES)
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw regions, curves and the point of the scene into ``axes``."""
         point = None
@@ -77,12 +71,10 @@ class Diagram:
 
     def _mark(self, axes: Any, E: float, k_sq: float) -> None:
         """Draw the point of the scene and its name."""
-        from matplotlib.patheffects import withStroke
-
         axes.plot([E], [k_sq], "o", color="0.05", markersize=5.0, markeredgecolor="white", zorder=6, label="_scene")
         look = {"textcoords": "offset points", "fontsize": 8, "zorder": 7, "va": "center"}
         text = axes.annotate(self.scene, (E, k_sq), xytext=(6, 0), **look)
-        text.set_path_effects([withStroke(linewidth=2.5, foreground="white", alpha=0.8)])
+        halo(text)
 
     def _tint(self, axes: Any, point: tuple[float, float] | None) -> None:
         """Tint the regions, and write their names and numbers of tori into those that are large enough."""
@@ -127,12 +119,12 @@ def _middles(mask: np.ndarray, free: np.ndarray) -> list[tuple[int, int, float]]
 
     parts: Any
     parts, count = label(mask)  # type: ignore[misc]
-    found = []
+    middles = []
     for part in range(1, count + 1):
         distance: Any = distance_transform_edt(np.pad((parts == part) & free, 1))
         row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
-        found.append((int(row) - 1, int(column) - 1, float(distance[row, column])))
-    return found
+        middles.append((int(row) - 1, int(column) - 1, float(distance[row, column])))
+    return middles
 
 
 @dataclass(frozen=True)
@@ -145,40 +137,41 @@ class Window:
     two_l: float = 0.0
 
 
-@dataclass(frozen=True)
-class BifurcationFigure(Figure):
-    """Bifurcation diagrams at the 2l of scenes, with the scenes' points."""
+def load_bifurcation(windows: Sequence[Window], layout: Grid, request: Request) -> Loaded:
+    """Load a panel for each window. Raises UsageError for a scene of another top."""
+    from topcli.analysis.motion.chart import branches, regions
+    from topcli.config.load import load_experiment
+    from topcli.schemes.kowalevski.separation import integrals
 
-    windows: Sequence[Window]
-    layout: Grid = field(default_factory=Grid)
+    panels, data = [], {}
+    for number, window in enumerate(windows):
+        two_l, name = window.two_l, ""
+        if window.scene:
+            experiment = load_experiment(scene_config(window.scene, request.configs))
+            name = experiment.name
+            if experiment.top.kind != "kowalevski":
+                raise UsageError(f"bifurcation: {name} is of the top {experiment.top.kind}, not kowalevski")
+            of = integrals(experiment.y0, experiment.top.constants()[0])
+            two_l = 2.0 * float(of.L)
+            data |= curve_columns(number, {"scene": np.array([[3.0 * float(of.l1)], [float(of.k_sq)]])})
+        curves = critical_curves(two_l, window.energies, window.k_sq)
+        data |= curve_columns(number, curves)
+        panels.append(Diagram(number, two_l, window.energies, window.k_sq, name, tuple(curves), numbers_of_tori()))
+    code = fingerprint(regions, branches, _middles, compiled=False)
+    source = {"panels": [repr(panel) for panel in panels], "code": code}
+    return Loaded(tuple(panels), lambda: data, source, layout)
 
-    def load(self, request: Request) -> Loaded:
-        """Return a panel for each scene. Raises UsageError for a scene of another top."""
-        from topcli.analysis.motion.chart import branches, regions
-        from topcli.analysis.motion.diagram import REGIONS
-        from topcli.config.load import load_experiment
-        from topcli.schemes.kowalevski.separation import integrals
 
-        panels, data = [], {}
-        tori = {name: one.tori for name, one in REGIONS.items()}
-        for number, window in enumerate(self.windows):
-            two_l, name = window.two_l, ""
-            if window.scene:
-                experiment = load_experiment(scene_config(window.scene, request.configs))
-                name = experiment.name
-                if experiment.top.kind != "kowalevski":
-                    raise UsageError(f"{self.name}: {name} is of the top {experiment.top.kind}, not kowalevski")
-                of = integrals(experiment.y0, experiment.top.constants()[0])
-                two_l = 2.0 * float(of.L)
-                data[f"{number}:scene:E"] = np.array([3.0 * float(of.l1)])
-                data[f"{number}:scene:k_sq"] = np.array([float(of.k_sq)])
-            curves = critical_curves(two_l, window.energies, window.k_sq)
-            for kind, both in curves.items():
-                data |= {f"{number}:{kind}:{axis}": both[i] for i, axis in enumerate(AXES)}
-            panels.append(Diagram(number, two_l, window.energies, window.k_sq, name, tuple(curves), tori))
-        code = fingerprint(regions, branches, _middles, compiled=False)
-        source = {"panels": [repr(panel) for panel in panels], "code": code}
-        return Loaded(tuple(panels), lambda: data, source, self.layout)
+def curve_columns(number: int, curves: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns of curves (2, m) of the panel ``number``."""
+    return {f"{number}:{kind}:{axis}": curve[i] for kind, curve in curves.items() for i, axis in enumerate(AXES)}
+
+
+def numbers_of_tori() -> dict[str, int]:
+    """Number of tori in each region."""
+    from topcli.analysis.motion.diagram import REGIONS
+
+    return {name: region.tori for name, region in REGIONS.items()}
 
 
 def critical_curves(two_l: float, energies: tuple[float, float], k_sq: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -186,20 +179,7 @@ def critical_curves(two_l: float, energies: tuple[float, float], k_sq: tuple[flo
     from topcli.analysis.motion.chart import branches
 
     parts: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
-    for one in branches(0.5 * two_l, 1.0, energies, k_sq):
-        if one.kind in parts:
-            parts[one.kind] += [np.array([one.E, one.k_sq]), np.full((2, 1), np.nan)]
+    for branch in branches(0.5 * two_l, 1.0, energies, k_sq):
+        if branch.kind in parts:
+            parts[branch.kind] += [np.array([branch.E, branch.k_sq]), np.full((2, 1), np.nan)]
     return {kind: np.hstack(some) for kind, some in parts.items() if some}
-
-
-@dataclass(frozen=True)
-class BelowGrid(Grid):
-    """Panels with one legend of all curves below."""
-
-    def annotate(self, figure: Any) -> None:
-        """Add the legend."""
-        handles: dict[str, Any] = {}
-        for axes in figure.axes:
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                handles.setdefault(label, handle)
-        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles), fontsize=9)

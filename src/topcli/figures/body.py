@@ -1,20 +1,22 @@
-"""A spinning body in orthographic projection: its shape from the moments of inertia, its axis, the vertical.
+"""A spinning body: its shape from the moments of inertia, its axis, the vertical; and curves of vectors.
 
-Matplotlib's three-dimensional axes sort whole surfaces and not their parts. The body is therefore convex, of which the
-faces turned to the viewer hide all others, and everything else is drawn behind or in front of it by its depth.
+The body is convex: the faces turned to the viewer hide all others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from topcli.analysis.attitude import ATTITUDES, QUATERNION
+from topcli.arithmetic.quaternions import matrices
 from topcli.contracts import Array, Top, checked_equations
-from topcli.figures.sphere import projection
+from topcli.figures.picture import Runs, halo
+from topcli.figures.scene3d import arrow, lit, pair_of_lines, parallel, projection, split
 
 LONGITUDES, LATITUDES = 56, 28
 LIGHT = (-0.45, 0.35, 0.82)
@@ -154,12 +156,9 @@ def shown_faces(body: Body, view: Array, rotation: Array) -> tuple[Array, Array]
     seen = view @ rotation
     normals = body.normals @ seen.T
     near = normals[:, 2] > 0.0
-    corners, normals = (body.faces[near] @ seen.T)[:, :, :2], normals[near]
-    light = np.array(LIGHT) / np.linalg.norm(LIGHT)
-    halfway = (light + np.array([0.0, 0.0, 1.0])) / np.linalg.norm(light + np.array([0.0, 0.0, 1.0]))
-    shade = 0.50 + 0.52 * np.maximum(normals @ light, 0.0)
-    gloss = 0.16 * np.maximum(normals @ halfway, 0.0) ** 12
-    return corners, np.clip(body.colours[near] * shade[:, None] + gloss[:, None], 0.0, 1.0)
+    corners = (body.faces[near] @ seen.T)[:, :, :2]
+    eye = np.array([0.0, 0.0, 1.0])
+    return corners, lit(body.colours[near], normals[near], np.array(LIGHT), eye, (0.50, 0.52), (0.16, 12))
 
 
 def view_azimuth(axis: Array) -> float:
@@ -185,7 +184,6 @@ class BodyArtist:
         self, axes: Any, body: Body, path: Array, elevation: float = 22.0, azimuth: float | None = None
     ) -> None:
         from matplotlib.collections import PolyCollection
-        from matplotlib.patheffects import withStroke
 
         self.body, self.view = body, projection(elevation, view_azimuth(path[0]) if azimuth is None else azimuth)
         self.reach = surface_distance(body)
@@ -202,7 +200,7 @@ class BodyArtist:
         self.rod = axes.plot([], [], color="0.1", lw=1.6, ls="-", solid_capstyle="round")[0]
         self.dot = axes.plot([], [], "o", color=DOT, ms=5.5, mec="white", mew=0.8)[0]
         self.name = axes.text(0.0, 0.0, body.label, ha="center", va="center", zorder=30)
-        self.name.set_path_effects([withStroke(linewidth=2.2, foreground="white")])
+        halo(self.name, 2.2)
         self._vertical(axes)
 
     def _globe(self, axes: Any) -> None:
@@ -210,15 +208,12 @@ class BodyArtist:
         angle = np.linspace(0.0, 2.0 * math.pi, 361)
         axes.fill(np.cos(angle), np.sin(angle), facecolor="0.975", edgecolor="0.75", lw=0.6, zorder=0)
         for height in (0.0, math.sqrt(0.5), -math.sqrt(0.5)):
-            radius = math.sqrt(1.0 - height * height)
-            ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full_like(angle, height)])
-            self._place(self._pair(axes, "0.80", "0.89", 0.5), ring @ self.view.T)
+            self._place(self._pair(axes, "0.80", "0.89", 0.5), parallel(height) @ self.view.T)
 
     def _vertical(self, axes: Any) -> None:
         """Arrow of the direction fixed in space, from the sphere outwards."""
         foot, tip = self.view @ np.array([0.0, 0.0, 1.0]), self.view @ np.array([0.0, 0.0, 1.38])
-        arrow = {"arrowstyle": "-|>", "color": VERTICAL, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
-        axes.annotate("", tip[:2], foot[:2], arrowprops=arrow, zorder=31)
+        arrow(axes, foot[:2], tip[:2], VERTICAL, 1.1, zorder=31)
         axes.text(tip[0] + 0.06, tip[1] - 0.03, self.body.vertical, va="top", zorder=31)
 
     @staticmethod
@@ -239,9 +234,8 @@ class BodyArtist:
     @staticmethod
     def _place(pair: tuple[Any, Any], points: Array) -> None:
         """Move a pair of lines to the curve (m, 3): its near part, and its far part."""
-        far = points[:, 2:] < 0.0
-        pair[0].set_data(*np.where(far, np.nan, points[:, :2]).T)
-        pair[1].set_data(*np.where(far, points[:, :2], np.nan).T)
+        for line, part in zip(pair, split(points, points[:, 2] >= 0.0), strict=True):
+            line.set_data(*part.T)
 
     def show(self, row: int, since: int, rotation: Array) -> None:
         """Show the attitude ``rotation`` (3, 3) after the trace up to ``row``, whose part from ``since`` is strong."""
@@ -261,3 +255,101 @@ class BodyArtist:
         if abs(tip[0]) < 0.2 and abs(tip[1]) > 0.7:  # beside the arrow of the vertical, within the picture
             out = np.array([-1.0, 0.35])
         self.name.set_position(tuple(tip[:2] + 0.14 * out))
+
+
+SHADOW, FRAME, START = "0.80", "0.45", "#D55E00"
+LENGTH = 1.18
+"""Length of the axes of a frame, relative to the longest vector."""
+VECTORS = {"omega": r"\omega", "gamma": r"\gamma"}
+
+
+def _finite(data: Mapping[str, np.ndarray], scene: str, names: Sequence[str]) -> Array:
+    """Columns (m, k) of the run of ``scene``, of the figure's own if it is empty; rows padded with nan are left out."""
+    values = np.column_stack([data[f"{scene}:{name}" if scene else name] for name in names])
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def _rotations(data: Mapping[str, np.ndarray], scene: str) -> Array:
+    """Attitudes (m, 3, 3) of the rows of a run."""
+    return matrices(_finite(data, scene, ATTITUDES[QUATERNION]))
+
+
+@dataclass(frozen=True)
+class BodyPanel:
+    """Body of the run of ``scene`` after the part ``until`` of its rows, with the trace of its axis until then."""
+
+    title: str
+    scene: str = ""
+    until: float = 1.0
+    elevation: float = 22.0
+    azimuth: float | None = None
+    body: Body | None = field(default=None, repr=False)
+
+    def of_runs(self, runs: Runs) -> BodyPanel:
+        """Return the panel with the body of the run's top, and the run's name if its motion is not the packaged one."""
+        run = runs.by_scene[self.scene]
+        body = body_of(run.experiment.top, run.experiment.y0)
+        return replace(self, body=body, title=self.title if run.as_packaged else run.experiment.name)
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
+        """Draw into ``axes``; ``styles`` is not used."""
+        assert self.body is not None
+        rotations = _rotations(data, self.scene)
+        last = round(self.until * (len(rotations) - 1))
+        path = rotations[: last + 1] @ self.body.axis
+        artist = BodyArtist(axes, self.body, path, self.elevation, self.azimuth)
+        artist.show(last, 0, rotations[last])
+        for line in artist.new:
+            line.set_linewidth(0.8 * line.get_linewidth() / 1.9)
+        axes.set_title(self.title)
+
+
+@dataclass(frozen=True)
+class VectorPanel:
+    """Curve of the vector ``vector`` of the run of ``scene``, seen from the body or, ``in_space``, from outside.
+
+    It is drawn in parallel projection with the three axes of its frame and its shadow on the plane below.
+    """
+
+    title: str
+    vector: str
+    scene: str = ""
+    in_space: bool = False
+    view: tuple[float, float] = (24.0, 32.0)
+
+    def of_runs(self, runs: Runs) -> VectorPanel:
+        """Return the panel, with the name of the run in its title if the motion is not the packaged one."""
+        run = runs.by_scene[self.scene]
+        return self if run.as_packaged else replace(self, title=f"{run.experiment.name}: {self.title}")
+
+    def curve(self, data: Mapping[str, np.ndarray]) -> Array:
+        """Points (m, 3) of the curve in its frame."""
+        points = _finite(data, self.scene, [f"{self.vector}{i}" for i in (1, 2, 3)])
+        return np.einsum("mij,mj->mi", _rotations(data, self.scene), points) if self.in_space else points
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
+        """Draw into ``axes``; ``styles`` is not used."""
+        points = self.curve(data)
+        size = float(np.linalg.norm(points, axis=1).max())
+        points, camera = points / size, projection(*self.view)
+        flat = points @ camera.T
+        floor = np.column_stack([points[:, :2], np.full(len(points), min(0.0, points[:, 2].min() - 0.1))])
+        floor = floor @ camera.T
+        axes.plot(floor[:, 0], floor[:, 1], "-", color=SHADOW, lw=0.6, zorder=1)
+        self._frame(axes, camera)
+        looks = {"color": TRACE, "lw": 1.1, "zorder": 6}, {"color": TRACE_FAR, "lw": 0.8, "zorder": 3}
+        pair_of_lines(axes, flat, flat[:, 2] >= 0.0, looks)
+        axes.plot([flat[0, 0]], [flat[0, 1]], "o", color=START, ms=4.0, mec="white", mew=0.6, zorder=8)
+        shown = np.vstack([flat[:, :2], floor[:, :2], 1.1 * LENGTH * camera[:2].T, np.zeros((1, 2))])
+        low, high = shown.min(axis=0) - 0.1, shown.max(axis=0) + 0.1
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        axes.set_axis_off()
+        axes.set_title(self.title)
+
+    def _frame(self, axes: Any, camera: Array) -> None:
+        """Draw the three axes of the frame, labelled by the components of the vector or of space."""
+        for i, axis in enumerate(LENGTH * np.eye(3)):
+            tip = camera @ axis
+            arrow(axes, (0.0, 0.0), tip[:2], FRAME, 0.7, zorder=2)
+            name = rf"${VECTORS[self.vector]}_{i + 1}$" if not self.in_space else ("$x$", "$y$", "$z$")[i]
+            axes.text(*(1.1 * tip[:2]), name, ha="center", va="center", color="0.25", zorder=9)

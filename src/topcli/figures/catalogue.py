@@ -5,29 +5,27 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
+from functools import partial
+
 from topcli.analysis.swings import spacing_law
 from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.figures.bifurcation import BelowGrid, BifurcationFigure, Window
-from topcli.figures.comparison import ComparisonFigure
-from topcli.figures.contract import Figure
-from topcli.figures.curves import SlopeLegend
-from topcli.figures.error_and_cost import ErrorAndCostFigure
-from topcli.figures.growth import GrowthPanel
-from topcli.figures.long_energy import LongEnergyFigure
-from topcli.figures.order import OrderFigure
-from topcli.figures.period import LAW, PeriodFigure
+from topcli.figures.bifurcation import Window, load_bifurcation
+from topcli.figures.body import BodyPanel, VectorPanel
+from topcli.figures.comparison import load_comparison
+from topcli.figures.errors import load_error_and_cost, load_order
+from topcli.figures.figure import Figure
+from topcli.figures.long_energy import load_long_energy
+from topcli.figures.period import LAW, load_period
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.polhodes import Polhodes
-from topcli.figures.roundoff import GrowthFigure
-from topcli.figures.scenes import PaperFigure, SceneFigure
-from topcli.figures.sphere import Sphere
-from topcli.figures.stress import StressFigure
-from topcli.figures.sweep import Choice
-from topcli.figures.sweep_studies import SweepStudyFigure, View
-from topcli.figures.torus import TorusFigure
-from topcli.figures.torus_points import TorusPointsFigure
-from topcli.figures.traces import BodyPanel, VectorPanel
-from topcli.figures.work_precision import WorkPrecisionFigure
+from topcli.figures.roundoff import load_growth
+from topcli.figures.scene3d import Sphere
+from topcli.figures.scenes import scene_figure
+from topcli.figures.stress import load_stress
+from topcli.figures.sweep import Choice, View, sweep_views
+from topcli.figures.torus import TorusPanel, load_torus
+from topcli.figures.torus_points import load_torus_points
+from topcli.figures.work_precision import load_work_precision
 
 
 def _headed(figsize: tuple[float, float]) -> Grid:
@@ -35,17 +33,28 @@ def _headed(figsize: tuple[float, float]) -> Grid:
     return Grid(figsize=figsize, heading=r"{scheme}, $h = {h}$, $\epsilon = \gamma_3(0) = {gamma3}$")
 
 
-def _motion_figure(name: str, method: str, scene: str) -> SceneFigure:
+def _components(vector: str) -> tuple[str, str, str]:
+    return f"{vector}1", f"{vector}2", f"{vector}3"
+
+
+def _motion_figure(name: str, method: str, scene: str) -> Figure:
     """Figure of gamma on the left and omega on the right."""
-
-    def lines(vector: str) -> tuple[Line, ...]:
-        return tuple(Line(f"{vector}{i}") for i in (1, 2, 3))
-
     panels = (
-        Panel(lines("gamma"), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
-        Panel(lines("omega"), r"$\boldsymbol{\omega}$", title="(b)"),
+        Panel(tuple(map(Line, _components("gamma"))), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
+        Panel(tuple(map(Line, _components("omega"))), r"$\boldsymbol{\omega}$", title="(b)"),
     )
-    return PaperFigure(name, f"Kowalevski top, {method}: gamma and omega", scene, panels, _headed((7.0, 2.9)))
+    title = f"Kowalevski top, {method}: gamma and omega"
+    return scene_figure(name, title, scene, panels, _headed((7.0, 2.9)), rank=0)
+
+
+def _spheres() -> tuple[Sphere, Sphere]:
+    """Traces of gamma, seen from the body."""
+    alike = {"azimuth": 35.0, "axes": ("e_1", "e_2", "e_3"), "band": False}
+    near = "near the homoclinic orbit, dots at $t = 0, 1, 2, ...$"
+    return (
+        Sphere(near, _components("gamma"), elevation=-55.0, time="t", **alike),
+        Sphere("generic", _components("kowalevski_generic_hk:gamma"), elevation=25.0, width=0.5, **alike),
+    )
 
 
 _TO_100 = "$0 \\leq t \\leq 100$"
@@ -56,30 +65,35 @@ _SWINGING = tuple(
     f"scheme={name}" for name in ("hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor")
 )
 """Schemes of the figure of swings: one of each kind."""
-_GAMMA = ("gamma1", "gamma2", "gamma3")
-_BODY = ("e_1", "e_2", "e_3")
+_WINDOWS = (
+    Window((-0.9, 4.9), (0.0, 3.0), "kowalevski_generic_hk"),
+    Window((-0.9, 2.9), (0.0, 2.0), "kowalevski_torus"),
+    Window((1.66, 2.06), (0.0, 0.1), two_l=1.85),
+    Window((3.0, 12.5), (0.0, 20.0), "kowalevski_hk"),
+)
 
 FIGURES: dict[str, Figure] = {
     figure.name: figure
     for figure in (
         _motion_figure("fig1", "HK scheme", "kowalevski_hk"),
         _motion_figure("fig2", "Bohlin A", "kowalevski_bohlin_a"),
-        PaperFigure(
+        scene_figure(
             "fig3",
             "Kowalevski top, Bohlin A: E and 2l, and their changes",
             "kowalevski_bohlin_a",
             (Panel((Line("energy"), Line("two_l")), change=True, whole=(0.0, 6.0)),),
             _headed((7.0, 3.1)),
+            rank=0,
         ),
         _motion_figure("fig4", "hybrid scheme", "kowalevski_hybrid"),
-        SceneFigure(
+        scene_figure(
             "polhodes",
             "Euler top: polhodes on the energy ellipsoid, and the tennis racket's",
             "euler_tennis_racket",
             (Polhodes((3.0, 2.0, 1.0)),),
             Grid(figsize=(4.6, 5.6)),
         ),
-        SceneFigure(
+        scene_figure(
             "modified",
             "Euler top, HK scheme: physical and modified integrals",
             "euler_modified",
@@ -96,63 +110,39 @@ FIGURES: dict[str, Figure] = {
             ),
             Grid(figsize=(7.0, 2.9), heading="{scheme}, $h = {h}$"),
         ),
-        SceneFigure(
+        scene_figure(
             "sphere",
             "Kowalevski top: the vertical seen from the body, near the homoclinic orbit and on a generic one",
             "kowalevski_hybrid",
-            (
-                Sphere(
-                    "near the homoclinic orbit, dots at $t = 0, 1, 2, ...$",
-                    _GAMMA,
-                    elevation=-55.0,
-                    azimuth=35.0,
-                    axes=_BODY,
-                    band=False,
-                    time="t",
-                ),
-                Sphere(
-                    "generic",
-                    ("kowalevski_generic_hk:gamma1", "kowalevski_generic_hk:gamma2", "kowalevski_generic_hk:gamma3"),
-                    elevation=25.0,
-                    azimuth=35.0,
-                    axes=_BODY,
-                    band=False,
-                    width=0.5,
-                ),
-            ),
+            _spheres(),
             Grid(figsize=(6.4, 3.3)),
+            ("kowalevski_generic_hk",),
         ),
-        SceneFigure(
+        scene_figure(
             "nutation",
             "Lagrange top: the trace of its axis with cusps, loops and waves",
             "lagrange_cusps",
-            tuple(
-                Sphere(name, (f"lagrange_{name}:a1", f"lagrange_{name}:a2", f"lagrange_{name}:a3"))
-                for name in ("cusps", "loops", "waves")
+            (
+                Sphere("cusps", _components("lagrange_cusps:a")),
+                Sphere("loops", _components("lagrange_loops:a")),
+                Sphere("waves", _components("lagrange_waves:a")),
             ),
             Grid(figsize=(7.0, 2.5)),
+            ("lagrange_loops", "lagrange_waves"),
         ),
-        BifurcationFigure(
+        Figure(
             "bifurcation",
             "Kowalevski top: bifurcation diagrams with the classes of tori, and the scenes",
             "kowalevski_hk",
-            (
-                Window((-0.9, 4.9), (0.0, 3.0), "kowalevski_generic_hk"),
-                Window((-0.9, 2.9), (0.0, 2.0), "kowalevski_torus"),
-                Window((1.66, 2.06), (0.0, 0.1), two_l=1.85),
-                Window((3.0, 12.5), (0.0, 20.0), "kowalevski_hk"),
-            ),
-            BelowGrid(2, figsize=(7.0, 6.2)),
+            partial(load_bifurcation, _WINDOWS, Grid(2, (7.0, 6.2), ncols=5, fontsize=9.0)),
         ),
-        TorusFigure(
+        Figure(
             "torus",
             "Kowalevski top: a torus with the lines of the flows of E and k²",
             "kowalevski_torus",
-            elevation=32.0,
-            azimuth=165.0,
-            layout=Grid(figsize=(5.4, 4.8)),
+            partial(load_torus, "torus", "kowalevski_torus", TorusPanel(elevation=32.0, azimuth=165.0)),
         ),
-        SceneFigure(
+        scene_figure(
             "body",
             "Bodies in space with the traces of their axes: free, Lagrange, Kowalevski",
             "euler_attitude",
@@ -162,8 +152,9 @@ FIGURES: dict[str, Figure] = {
                 BodyPanel("(c) Kowalevski", "kowalevski_attitude", until=0.5),
             ),
             Grid(figsize=(7.0, 2.6)),
+            ("lagrange_attitude", "kowalevski_attitude"),
         ),
-        SceneFigure(
+        scene_figure(
             "traces",
             "Traces of omega and gamma, seen from the body and from space",
             "euler_attitude",
@@ -176,43 +167,35 @@ FIGURES: dict[str, Figure] = {
                 ),
             ),
             Grid(2, figsize=(7.0, 6.4)),
+            ("kowalevski_attitude",),
         ),
-        GrowthFigure(
+        Figure(
             "roundoff",
             "Growth of round-off: biased, a random walk, compensated, and not at all",
             "lagrange_bs",
-            (
-                GrowthPanel(
-                    (
-                        ("a_sq:matrix", "matrix"),
-                        ("a_sq:plain", "old + change"),
-                        ("a_sq:compensated", "compensated"),
-                    ),
-                    r"(a) $\boldsymbol{a}^2$, Lagrange top, BS",
-                ),
-                GrowthPanel(
-                    (("k_sq:hybrid", r"$\xi$ recomputed"), ("k_sq:hybrid-xi", r"$\xi$ carried")),
-                    "(b) $k^2$, Kowalevski top, hybrid",
-                ),
-            ),
-            Grid(figsize=(7.0, 3.0)),
+            load_growth,
         ),
-        ComparisonFigure(
+        Figure(
             "compare",
             "Kowalevski top: errors and swings of five schemes",
             "kowalevski_hk",
-            ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid"),
+            partial(load_comparison, "kowalevski_hk", ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")),
+            takes_overrides=True,
         ),
-        PeriodFigure(
+        Figure(
             "period",
             "Kowalevski top: why Figure 2 has another period than Figure 1",
             "kowalevski_hk",
-            Grid(figsize=(7.0, 4.4)),
+            load_period,
+            rank=1,
         ),
-        OrderFigure(
-            "order", "Kowalevski top, generic: error over h, orders and the plateau of round-off", "topcli order"
+        Figure(
+            "order",
+            "Kowalevski top, generic: error over h, orders and the plateau of round-off",
+            "topcli order",
+            load_order,
         ),
-        SweepStudyFigure(
+        sweep_views(
             "swings",
             "Kowalevski top: time between swings over eps and h, and each scheme's floor",
             "kowalevski_swings",
@@ -235,9 +218,9 @@ FIGURES: dict[str, Figure] = {
                     xlog=True,
                 ),
             ),
-            SlopeLegend(figsize=(7.0, 3.7), title="scheme"),
+            Grid(figsize=(7.0, 3.7), ncols=4, title="scheme"),
         ),
-        SweepStudyFigure(
+        sweep_views(
             "errors",
             "Kowalevski top, generic: error and drift of the energy of all schemes over h",
             "kowalevski_errors",
@@ -245,9 +228,9 @@ FIGURES: dict[str, Figure] = {
                 View("", Choice("h", "error.max", "scheme"), (), "$h$", "largest error"),
                 View("", Choice("h", "deviation.energy", "scheme"), (), "$h$", "deviation of $E$"),
             ),
-            SlopeLegend(figsize=(7.0, 5.2), ncols=4, title="scheme: slopes in (a), (b)", heading=_GENERIC),
+            Grid(figsize=(7.0, 5.2), ncols=4, title="scheme: slopes in (a), (b)", heading=_GENERIC),
         ),
-        SweepStudyFigure(
+        sweep_views(
             "heavy-drift",
             "Heavy tops, 100 at random: energy of five schemes",
             "heavy_drift",
@@ -257,25 +240,28 @@ FIGURES: dict[str, Figure] = {
             ),
             Grid(figsize=(7.0, 3.1), heading=_HEAVY),
         ),
-        LongEnergyFigure(
+        Figure(
             "integrable",
             "Energy over a long time: integrable and canonical maps, exact conservation, drift",
             "euler_hk",
-            (("kowalevski_generic_hk", "(a) Kowalevski top, $h = 0.05$"), ("euler_hk", "(b) Euler top, $h = 0.05$")),
-            Grid(figsize=(7.0, 3.2)),
+            load_long_energy,
         ),
-        ErrorAndCostFigure(
+        Figure(
             "error-and-cost",
             "Kowalevski top, generic: error of the integrable map and others over h and over time",
             "kowalevski_generic_hk",
+            load_error_and_cost,
+            rank=1,
         ),
-        TorusPointsFigure(
+        Figure(
             "torus-points",
             "Kowalevski top: a million points of the integrable map at h = 1 on the torus, and HK's",
             "kowalevski_generic_backlund",
+            load_torus_points,
+            rank=1,
         ),
-        WorkPrecisionFigure("work-precision", "Speed against error of schemes and peers", "topcli bench"),
-        StressFigure("stress", "Every scheme in the hard cases of its top", "topcli stress"),
+        Figure("work-precision", "Speed against error of schemes and peers", "topcli bench", load_work_precision),
+        Figure("stress", "Every scheme in the hard cases of its top", "topcli stress", load_stress, rank=1),
     )
 }
 

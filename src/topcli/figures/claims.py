@@ -38,11 +38,6 @@ class VerdictPanel:
     subjects: tuple[str, ...]
     verdicts: tuple[str, ...]
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return self.verdicts
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the bars into ``axes``, the first subject on top."""
         rows = np.arange(len(self.subjects))

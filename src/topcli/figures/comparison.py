@@ -1,17 +1,28 @@
-"""Figures of comparisons: errors and swings of several schemes over time."""
+"""Figures of ``topcli compare`` and ``topcli analyse``: errors and swings over time, of schemes and of a series."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from topcli.analysis.swings import minima_times
+from topcli.config.load import experiment_from
 from topcli.errors import UsageError
-from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.picture import REFERENCE, Grid, Line, Panel, Styles, component_symbol, line_styles, number_text
+from topcli.figures.figure import Loaded, Request
+from topcli.figures.picture import (
+    REFERENCE,
+    Grid,
+    Line,
+    Panel,
+    Styles,
+    below_panels,
+    component_symbol,
+    looks,
+    number_text,
+)
 from topcli.figures.scenes import scene_config
 from topcli.studies.study import Result
 
@@ -23,17 +34,17 @@ LAST = 3
 
 def groups(labels: Sequence[str], data: Mapping[str, np.ndarray]) -> list[list[str]]:
     """Labels whose errors coincide, in the order of the first of each group."""
-    found: list[list[str]] = []
+    alike: list[list[str]] = []
     for label in labels:
         mine = data[f"error:{label}"]
-        for group in found:
+        for group in alike:
             other = data[f"error:{group[0]}"]
             if (np.isnan(mine) == np.isnan(other)).all() and np.nanmax(np.abs(mine / other - 1.0), initial=0.0) < SAME:
                 group.append(label)
                 break
         else:
-            found.append([label])
-    return found
+            alike.append([label])
+    return alike
 
 
 def last_swings(t: np.ndarray, values: np.ndarray) -> tuple[float, str]:
@@ -50,19 +61,15 @@ class ErrorPanel:
 
     labels: tuple[str, ...]
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return ("t", *(f"error:{label}" for label in self.labels))
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the curves into ``axes``, and a legend below all panels."""
-        found = groups(self.labels, data)
-        for group, style in zip(found, line_styles(len(found)), strict=True):
-            axes.plot(data["t"], data[f"error:{group[0]}"], label=" ≈ ".join(group), **style)
+        alike = groups(self.labels, data)
+        own = looks(group[0] for group in alike)
+        for group in alike:
+            axes.plot(data["t"], data[f"error:{group[0]}"], label=" ≈ ".join(group), **own[group[0]])
         axes.set(xlabel="$t$", ylabel="error of the state", yscale="log", xlim=(data["t"][0], data["t"][-1]))
         axes.set_title("(a)", loc="left")
-        axes.figure.legend(loc="outside lower center", ncols=min(5, len(found)), fontsize="small")
+        below_panels(axes.figure, *axes.get_legend_handles_labels(), min(5, len(alike)))
 
 
 @dataclass(frozen=True)
@@ -76,28 +83,23 @@ class SwingPanel:
     labels: tuple[str, ...]
     symbol: str
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        errors = (f"error:{label}" for label in self.labels)
-        return ("t", *errors, *(f"swing:{label}" for label in (REFERENCE, *self.labels)))
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the rows into ``axes``, the first scheme at the top."""
         t, exact = data["t"], data[f"swing:{REFERENCE}"]
-        found = groups(self.labels, data)
+        alike = groups(self.labels, data)
+        own = looks(group[0] for group in alike)
         start, note = last_swings(t, exact)
         low, high = float(np.nanmin(exact)), float(np.nanmax(exact))
         size = 1.35 * (high - low or 1.0)
         names = []
-        for i, (group, style) in enumerate(zip(found, line_styles(len(found)), strict=True)):
-            up = (len(found) - 1 - i) * size
+        for i, group in enumerate(alike):
+            up = (len(alike) - 1 - i) * size
             near = np.clip(data[f"swing:{group[0]}"], low - 0.1 * size, high + 0.1 * size)
             axes.plot(t, exact + up, **styles[REFERENCE])
-            axes.plot(t, near + up, **{**style, "linestyle": "-"})
+            axes.plot(t, near + up, **{**own[group[0]], "linestyle": "-"})
             names.append((up + 0.5 * (low + high), "\n≈ ".join(group)))
         axes.set_yticks(*zip(*names, strict=True), fontsize="small")
-        axes.set(xlabel="$t$", xlim=(start, t[-1]), ylim=(low - 0.2 * size, high + (len(found) - 0.8) * size))
+        axes.set(xlabel="$t$", xlim=(start, t[-1]), ylim=(low - 0.2 * size, high + (len(alike) - 0.8) * size))
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
         axes.set_title(f"(b) {self.symbol}, reference in grey{note}", loc="left")
@@ -153,38 +155,66 @@ def comparison_curves(comparison: Result, what: str = "error") -> tuple[Panel, M
     raise UsageError(f"plot: what={what!r} must be 'error' or 'swing'")
 
 
-@dataclass(frozen=True)
-class ComparisonFigure(Figure):
-    """The experiment of ``scene`` under several schemes."""
+def load_comparison(scene: str, schemes: tuple[str, ...], request: Request) -> Loaded:
+    """Load the experiment of ``scene`` under several schemes. Raises UsageError and RunError."""
+    from inspect import getsource
 
-    schemes: tuple[str, ...]
-    takes_overrides: ClassVar[bool] = True
+    from topcli.analysis.reference import distances, reference_states
+    from topcli.config.load import load_experiment
+    from topcli.engine.fingerprint import fingerprint
+    from topcli.runs.identity import method_fingerprint
+    from topcli.studies.compare import compare_schemes
+    from topcli.studies.entries import under_scheme
 
-    def load(self, request: Request) -> Loaded:
-        """Return the panels and the comparison that makes their columns. Raises UsageError and RunError."""
-        from inspect import getsource
+    config = scene_config(scene, request.configs)
+    experiment = load_experiment(config, request.overrides)
+    compared = [under_scheme(experiment, name) for name in schemes]
+    source = {
+        "study": [fingerprint(reference_states, distances, _data, compiled=False), getsource(compare_schemes)],
+        "runs": [[each.digest, method_fingerprint(each.method())] for each in compared],
+    }
+    labels = [each.scheme.name for each in compared]
+    changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
+    return Loaded(
+        _panels(labels, experiment.top.swing),
+        lambda: _data(compare_schemes(experiment, schemes)),
+        source,
+        _layout(labels, experiment.h),
+        variant=experiment.digest[:6] if changed else "",
+    )
 
-        from topcli.analysis.reference import distances, reference_states
-        from topcli.config.load import load_experiment
-        from topcli.engine.fingerprint import fingerprint
-        from topcli.runs.identity import method_fingerprint
-        from topcli.studies.compare import compare_schemes
-        from topcli.studies.entries import under_scheme
 
-        config = scene_config(self.scene, request.configs)
-        experiment = load_experiment(config, request.overrides)
-        compared = [under_scheme(experiment, name) for name in self.schemes]
-        source = {
-            "study": [fingerprint(reference_states, distances, _data, compiled=False), getsource(compare_schemes)],
-            "runs": [[one.digest, method_fingerprint(one.method())] for one in compared],
-        }
-        labels = [one.scheme.name for one in compared]
-        panels = _panels(labels, experiment.top.swing)
-        changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
-        return Loaded(
-            panels,
-            lambda: _data(compare_schemes(experiment, self.schemes)),
-            source,
-            _layout(labels, experiment.h),
-            variant=experiment.digest[:6] if changed else "",
-        )
+SERIES = "series"
+"""Label of the analysed series."""
+
+
+def _analysis_data(analysis: Result) -> dict[str, np.ndarray]:
+    """Columns of the figure; zeros of logarithmic panels become nan."""
+    linear = ("t", "swing", "swing:reference")
+    return {
+        name: values if name in linear else np.where(values > 0.0, values, np.nan)
+        for name, values in analysis.arrays.items()
+    }
+
+
+def loaded_analysis(analysis: Result) -> Loaded:
+    """The figure of ``topcli analyse``, without lines that are zero throughout or need a missing reference.
+
+    Raises UsageError for a stored result without its series.
+    """
+    if not analysis.arrays:
+        raise UsageError("the series is not in this file")
+    data, report = _analysis_data(analysis), analysis.data
+    top = experiment_from(report["config"]).top
+    swings = [Line("swing", SERIES)]
+    panels = []
+    if "error" in data:
+        swings.insert(0, Line("swing:reference", REFERENCE))
+        if np.isfinite(data["error"]).any():
+            panels.append(Panel((Line("error", SERIES),), "error of the state", log=True))
+    panels.append(Panel(tuple(swings), component_symbol(top.swing)))
+    moving = [each for each in top.invariants() if np.isfinite(data[f"deviation:{each.name}"]).any()]
+    if moving:
+        lines = tuple(Line(f"deviation:{each.name}", f"${each.tex}$") for each in moving)
+        panels.append(Panel(lines, "deviation of the invariants", log=True))
+    return Loaded(tuple(panels), lambda: data, {key: report[key] for key in ("config", "file", "sha256")})

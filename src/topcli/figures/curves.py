@@ -1,4 +1,4 @@
-"""Panels of curves over a step size or another key, with observed slopes and the plateau of round-off."""
+"""Panels of curves over a key, with observed slopes and the plateau of round-off, and of colours over two keys."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.order import convergence
-from topcli.figures.picture import REFERENCE, SharedLegend, Styles
+from topcli.contracts import Array
+from topcli.figures.picture import REFERENCE, Styles, looks
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
-MARKERS = "os^Dv<"
-DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))
-"""Markers of successive curves, and dashes of successive rounds of markers: 24 curves differ without colour."""
 NOTHING = "no value"
 PLATEAU = "round-off"
 
@@ -50,7 +48,7 @@ class CurvePanel:
     ``log`` a value above ``ceiling``, as of a run that explodes, is an arrowhead at the upper edge.
     ``words`` are the names of the values 0, 1, ... of x if they are not numbers. ``guide`` is the label of one more
     curve, a law, drawn broad and grey behind the others. ``prefix`` distinguishes the columns of several panels. A
-    panel that is not ``alone`` leaves its legend to the layout (``SlopeLegend``). Curves in ``flat`` have no slope:
+    panel that is not ``alone`` leaves its legend to the layout. Curves in ``flat`` have no slope:
     their x is not what limits the error.
     """
 
@@ -70,30 +68,16 @@ class CurvePanel:
     alone: bool = True
     flat: tuple[str, ...] = ()
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        kinds = ("x", "y", *(("low", "high") if self.band else ()))
-        curves = [curve_column(label, kind) for label in self.labels for kind in kinds]
-        guide = [curve_column(self.guide, kind) for kind in ("x", "y")] if self.guide else []
-        return tuple(self.prefix + name for name in (*curves, *guide))
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the curves and, if there is more than one, a legend to their right into ``axes``."""
-        import matplotlib as mpl
-
-        cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
-        data = {name.removeprefix(self.prefix): data[name] for name in self.columns}
         axes.set_xscale(LOG if self.xlog else LINEAR)
         axes.set_yscale(self.yscale, **({"linthresh": self.threshold} if self.yscale == SYMLOG else {}))
         extra: dict[str, Any] = {}
-        for i, label in enumerate(self.labels):
+        for i, (label, style) in enumerate(looks(self.labels, markers=True).items()):
             size = 4.6 - 1.8 * i / max(1, len(self.labels) - 1)  # so that markers at one place are seen
-            style = {"color": cycle[i % len(cycle)], "marker": MARKERS[i % len(MARKERS)], "markersize": size}
-            style["linestyle"] = DASHES[i // len(MARKERS) % len(DASHES)]
-            self._curve(axes, data, label, style, extra)
+            self._curve(axes, data, label, style | {"markersize": size}, extra)
         if self.guide:
-            law = [data[curve_column(self.guide, kind)] for kind in ("x", "y")]
+            law = [data[self.column(self.guide, kind)] for kind in ("x", "y")]
             axes.plot(*law, **styles[REFERENCE], label=self.guide)
         if self.yscale == SYMLOG:
             axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
@@ -122,13 +106,17 @@ class CurvePanel:
             ncols=-(-len(texts) // rows),
         )
 
+    def column(self, label: str, kind: str) -> str:
+        """Name of a column of a curve of this panel."""
+        return self.prefix + curve_column(label, kind)
+
     def _curve(
         self, axes: Any, data: Mapping[str, np.ndarray], label: str, style: dict[str, Any], extra: dict[str, Any]
     ) -> None:
         """Draw one curve in colour and marker of ``style``; new entries of the legend are put into ``extra``."""
         from matplotlib.lines import Line2D
 
-        x, y = data[curve_column(label, "x")], data[curve_column(label, "y")]
+        x, y = data[self.column(label, "x")], data[self.column(label, "y")]
         missing = np.isfinite(x) & np.isnan(y)
         ylog = self.yscale == LOG
         drawn = np.isfinite(x) & np.isfinite(y) & (((y > 0.0) & (y <= self.ceiling)) | (not ylog))
@@ -141,7 +129,7 @@ class CurvePanel:
         line = {"linestyle": "none"} if self.words else {}
         axes.plot(x[drawn], y[drawn], label=text, gid=shown, **(style | line))
         if self.band:
-            low, high = (data[curve_column(label, kind)][drawn] for kind in ("low", "high"))
+            low, high = (data[self.column(label, kind)][drawn] for kind in ("low", "high"))
             if ylog:
                 low, high = np.maximum(low, np.finfo(float).tiny), np.minimum(high, self.ceiling)
             if self.words:
@@ -166,20 +154,79 @@ class CurvePanel:
 
 
 @dataclass(frozen=True)
-class SlopeLegend(SharedLegend):
-    """One legend for several panels of curves: each name once, with its slopes in the panels that have any."""
+class Axis:
+    """Key along one side: its label, scale, and the names of the values 0, 1, ... if they are not numbers."""
 
+    label: str
+    log: bool = False
+    words: tuple[str, ...] = ()
+
+
+def cell_edges(centres: Array, log: bool) -> Array:
+    """Edges (m + 1,) of cells about the ascending ``centres`` (m,): their means, geometric ones on a log axis."""
+    at = np.log(centres) if log else centres
+    if len(at) == 1:
+        half = 0.5
+        edges = np.array([at[0] - half, at[0] + half])
+    else:
+        inner = 0.5 * (at[1:] + at[:-1])
+        edges = np.concatenate([[2.0 * at[0] - inner[0]], inner, [2.0 * at[-1] - inner[-1]]])
+    return np.exp(edges) if log else edges
+
+
+@dataclass(frozen=True)
+class HeatPanel:
+    """Cells at the columns ``x`` and ``y`` coloured by the column ``value``.
+
+    The colours are ``linear``, ``log``, or ``symlog`` beyond ``threshold``; values of both signs have two hues. A cell
+    without a value has a cross; where there is no row, the ground stays white. Names along y run from top to bottom.
+    """
+
+    x: Axis
+    y: Axis
+    colour: str
+    scale: str = LINEAR
+    threshold: float = 0.0
     title: str = ""
 
-    def annotate(self, figure: Any) -> None:
-        """Add the legend."""
-        handles: dict[str, Any] = {}
-        slopes: dict[str, list[str]] = {}
-        for axes in figure.axes:
-            for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
-                name = handle.get_gid() or text
-                handles.setdefault(name, handle)
-                slopes.setdefault(name, []).append(text.removeprefix(name).removeprefix(": ") or "–")
-        texts = [name + (f": {', '.join(found)}" if set(found) != {"–"} else "") for name, found in slopes.items()]
-        where: dict[str, Any] = {"loc": "outside lower center", "ncols": self.ncols, "fontsize": "small"}
-        figure.legend(handles.values(), texts, title=self.title or None, title_fontsize="small", **where)
+    def _norm(self, cells: Any) -> Any:
+        """Map of the values to colours: symmetric for values of both signs."""
+        from matplotlib.colors import LogNorm, Normalize, SymLogNorm
+
+        low, high = (float(cells.min()), float(cells.max())) if cells.count() else (0.0, 1.0)
+        bound = max(-low, high)
+        if self.scale == SYMLOG:
+            return SymLogNorm(self.threshold, vmin=-bound, vmax=bound)
+        if self.scale == LOG:
+            return LogNorm(low, high)
+        return Normalize(-bound, bound) if low < 0.0 < high else Normalize(low, high)
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the cells and the scale of colours into ``axes``."""
+        x, y, value = (data[name] for name in ("x", "y", "value"))
+        across, up = np.unique(x), np.unique(y)
+        values = np.full((len(up), len(across)), np.nan)
+        values[np.searchsorted(up, y), np.searchsorted(across, x)] = value
+        cells = np.ma.masked_where(~(np.isfinite(values) & ((values > 0.0) | (self.scale != LOG))), values)
+        norm = self._norm(cells)
+        edges = cell_edges(across, self.x.log), cell_edges(up, self.y.log)
+        axes.set(xscale="log" if self.x.log else "linear", yscale="log" if self.y.log else "linear")
+        axes.grid(False)
+        axes.tick_params(which="both", direction="out", top=False, right=False)  # the cells would cover them
+        mesh = axes.pcolormesh(
+            *edges, cells, norm=norm, cmap="RdBu_r" if norm.vmin == -norm.vmax else "viridis", shading="flat"
+        )
+        ticks = symlog_ticks(self.threshold, norm.vmin, norm.vmax) if self.scale == SYMLOG else None
+        axes.figure.colorbar(mesh, ax=axes, label=self.colour, pad=0.02, ticks=ticks)
+        missing = np.isnan(value) & np.isfinite(x)
+        if missing.any():
+            axes.plot(x[missing], y[missing], "x", color="0.35", markersize=6.0, label="no value")
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        for axis, side in ((self.x, "x"), (self.y, "y")):
+            getattr(axes, f"set_{side}label")(axis.label)
+            if axis.words:
+                turned = {"rotation": 90} if side == "x" and len(axis.words) > 5 else {}
+                getattr(axes, f"set_{side}ticks")(range(len(axis.words)), axis.words, **turned)
+        axes.set_xlim(edges[0][0], edges[0][-1])
+        axes.set_ylim(*(edges[1][[-1, 0]] if self.y.words else edges[1][[0, -1]]))  # names from top to bottom
+        axes.set_title(self.title, loc="left")

@@ -11,11 +11,11 @@ import numpy as np
 
 from topcli.analysis.motion.result import Motion
 from topcli.contracts import Array, Top
-from topcli.figures.bifurcation import AXES, Diagram, critical_curves
+from topcli.figures.bifurcation import Diagram, critical_curves, curve_columns, numbers_of_tori
 from topcli.figures.curves import plain
 from topcli.figures.picture import Drawable, Line, Panel, Styles, component_symbol
 from topcli.figures.polhodes import Polhodes
-from topcli.figures.sphere import Sphere
+from topcli.figures.scene3d import Sphere
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
@@ -68,7 +68,6 @@ class PlaceDiagram(Diagram):
 
 def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
     """Place in the plane of E and k², in units in which c |gamma| = 1."""
-    from topcli.analysis.motion.diagram import REGIONS
     from topcli.schemes.kowalevski.separation import integrals
 
     of = integrals(motion.state, top.constants()[0])
@@ -80,12 +79,10 @@ def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
     width = math.sqrt(high)
     energies = middle - LEFT * width, max(middle + RIGHT * width, E + BESIDE * width)
     curves = critical_curves(two_l, energies, (0.0, high))
-    data = {f"0:{kind}:{axis}": both[i] for kind, both in curves.items() for i, axis in enumerate(AXES)}
-    data |= {"0:scene:E": np.array([E]), "0:scene:k_sq": np.array([k_sq])}
+    data = curve_columns(0, {**curves, "scene": np.array([[E], [k_sq]])})
     units = "" if unit == top.C == top.c0 == 1.0 else r" in units in which $C = c_0 = |\boldsymbol{\gamma}| = 1$"
     title = rf"$2\ell = {two_l:.6g}${units}"
-    tori = {one: part.tori for one, part in REGIONS.items()}
-    panel = PlaceDiagram(0, two_l, energies, (0.0, high), plain(name), tuple(curves), tori, title)
+    panel = PlaceDiagram(0, two_l, energies, (0.0, high), plain(name), tuple(curves), numbers_of_tori(), title)
     return panel, data
 
 

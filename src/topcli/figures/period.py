@@ -9,15 +9,15 @@ the hybrid are not.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
 from topcli.contracts import Array
-from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.picture import Grid, Styles
+from topcli.figures.figure import Loaded, Request
+from topcli.figures.picture import Grid, Styles, looks
 
 if TYPE_CHECKING:
     from topcli.config.models import Experiment
@@ -60,7 +60,6 @@ SHOWN: tuple[tuple[str, float], ...] = (
 
 
 LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
-MARKERS = "os^Dv"
 ROW = 2.6
 """Distance between two rows, in units of gamma_1."""
 TITLES = {"hk": "HK", "rk2": "RK2", "rk4": "RK4", "hybrid": "hybrid", "bohlin-a": "Bohlin A"}
@@ -79,16 +78,8 @@ def _row_label(name: str, h: float) -> str:
     """Text at the left of a row."""
     if name == EXACT:
         return "motion\n(closed form)"
-    scheme = next(one for one in SCHEMES if one.name == name)
+    scheme = next(scheme for scheme in SCHEMES if scheme.name == name)
     return f"{TITLES[name]}, {_power(h)}\n{_kind(scheme)}"
-
-
-def _colours() -> dict[str, str]:
-    import matplotlib as mpl
-
-    cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
-    order = ("hk", "bohlin-a", "rk2", "rk4", "hybrid")
-    return {EXACT: "black", **dict(zip(order, cycle, strict=False))}
 
 
 @dataclass(frozen=True)
@@ -97,19 +88,14 @@ class MotionRows:
 
     title: str
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return ("t", "swings", *(motion_column(name, h) for name, h in SHOWN))
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the rows into ``axes``, the first one at the top."""
-        colours = _colours()
+        styles_of = {**looks(scheme.name for scheme in SCHEMES), EXACT: {"color": "black"}}
         heights = [-ROW * i for i in range(len(SHOWN))]
         for swing in data["swings"]:
             axes.axvline(float(swing), color="0.6", linewidth=0.9, linestyle="--", zorder=1.0)
         for height, (name, h) in zip(heights, SHOWN, strict=True):
-            axes.plot(data["t"], data[motion_column(name, h)] + height, color=colours[name], linestyle="-")
+            axes.plot(data["t"], data[motion_column(name, h)] + height, **{**styles_of[name], "linestyle": "-"})
         axes.set_xlim(0.0, float(data["t"][-1]))
         axes.set_ylim(heights[-1] - 1.4, 1.4)
         axes.set_yticks([height + 0.4 for height in heights], [_row_label(name, h) for name, h in SHOWN], fontsize=8.6)
@@ -125,21 +111,17 @@ class SpacingOverStep:
 
     title: str
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return tuple(f"{kind}:{scheme.name}" for scheme in SCHEMES for kind in ("h", "spacing"))
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the points, the law and the second scale into ``axes``."""
-        colours = _colours()
+        styles_of = looks((scheme.name for scheme in SCHEMES), markers=True)
         law = float(spacing_law(np.array(EPS)))
         axes.axhline(law, color="black", linewidth=1.0, linestyle="--", zorder=1.0)
-        for scheme, marker in zip(SCHEMES, MARKERS, strict=True):
+        for scheme in SCHEMES:
             h, spacing = data[f"h:{scheme.name}"], data[f"spacing:{scheme.name}"]
             hollow = {} if scheme.reversible else {"markerfacecolor": "white"}
             label = f"{TITLES[scheme.name]}: {_kind(scheme)}"
-            axes.plot(h, spacing, "-", marker=marker, markersize=4.0, color=colours[scheme.name], label=label, **hollow)
+            look = {**styles_of[scheme.name], "markersize": 4.0, **hollow}
+            axes.plot(h, spacing, label=label, **look)
         axes.axvline(PAPER_STEP, color="0.75", linewidth=0.9, linestyle=":", zorder=1.0)
         axes.text(PAPER_STEP * 1.15, 31.6, "the paper's $h$", fontsize=8, color="0.35", va="center")
         axes.text(1.2e-6, law + 0.35, LAW + r", $\epsilon = 10^{-3}$", fontsize=9, va="bottom")
@@ -151,7 +133,7 @@ class SpacingOverStep:
             ha="right",
             va="top",
             fontsize=9,
-            color=colours["bohlin-a"],
+            color=styles_of["bohlin-a"]["color"],
         )
         axes.set_xscale("log")
         axes.tick_params(axis="y", right=False)
@@ -166,21 +148,16 @@ class SpacingOverStep:
         scale.set_ylabel(r"distance $\epsilon$ of a motion with this time, by the law")
 
 
-@dataclass(frozen=True)
-class PeriodFigure(Figure):
-    """Motions of the paper's scene, and the time between swings over h."""
+PANELS = (
+    MotionRows(r"(a) $\gamma_1$ of the paper's Figures 1 and 2"),
+    SpacingOverStep("(b) the same scene, other steps"),
+)
 
-    rank: ClassVar[int] = 1
-    layout: Grid = field(default_factory=Grid)
 
-    def load(self, request: Request) -> Loaded:
-        """Return the panels and the study that makes their columns."""
-        panels = (
-            MotionRows(r"(a) $\gamma_1$ of the paper's Figures 1 and 2"),
-            SpacingOverStep("(b) the same scene, other steps"),
-        )
-        source = {"study": period_code()}
-        return Loaded(panels, lambda: period_columns(request.on_progress), source, self.layout)
+def load_period(request: Request) -> Loaded:
+    """Load the motions of the paper's scene, and the time between swings over h."""
+    source = {"study": period_code()}
+    return Loaded(PANELS, lambda: period_columns(request.on_progress), source, Grid(figsize=(7.0, 4.4)))
 
 
 def motion_column(name: str, h: float) -> str:
@@ -223,18 +200,18 @@ def period_columns(
     """
     todo = _steps(schemes, shown)
     total = sum(N for _, N in todo)
-    done, found = 0, {}
+    done, runs = 0, {}
     for name, N in todo:
-        found[name, N] = _gamma1(_experiment(name), N)
+        runs[name, N] = _gamma1(_experiment(name), N)
         done += N
         on_progress(done, total)
     columns: dict[str, Array] = {"t": SAMPLING * np.arange(round(TIME / SAMPLING) + 1)}
     for name, h in shown:
-        columns[motion_column(name, h)] = np.interp(columns["t"], *found[name, round(TIME / h)])
-    columns["swings"] = minima_times(*found[EXACT, round(TIME / PAPER_STEP)])
+        columns[motion_column(name, h)] = np.interp(columns["t"], *runs[name, round(TIME / h)])
+    columns["swings"] = minima_times(*runs[EXACT, round(TIME / PAPER_STEP)])
     for scheme in schemes:
-        runs = {N: run for (name, N), run in found.items() if name == scheme.name}
-        spacings = {N: swing_spacing(*run) for N, run in sorted(runs.items())}
+        own = {N: run for (name, N), run in runs.items() if name == scheme.name}
+        spacings = {N: swing_spacing(*run) for N, run in sorted(own.items())}
         columns[f"h:{scheme.name}"] = np.array([TIME / N for N in spacings])
         columns[f"spacing:{scheme.name}"] = np.array([np.nan if s is None else s for s in spacings.values()])
     return columns
@@ -247,5 +224,5 @@ def period_code() -> str:
 
     steps = _steps(SCHEMES, SHOWN)
     names = dict.fromkeys(name for name, _ in steps)
-    digests = [method_fingerprint(one.method()) + one.digest for one in map(_experiment, names)]
+    digests = [method_fingerprint(each.method()) + each.digest for each in map(_experiment, names)]
     return fingerprint(_gamma1, swing_spacing, compiled=False) + "".join(digests) + repr(steps)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from topcli.analysis.attitude import SYMBOLS
+from topcli.errors import UsageError, clipped, nearest, quoted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,11 +30,6 @@ Styles = Mapping[str, dict[str, Any]]
 
 class Drawable(Protocol):
     """Content of one pair of axes, drawn from the columns of a table."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that it draws."""
-        ...
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw into matplotlib's ``axes``."""
@@ -50,8 +48,28 @@ class DrawnRun:
     changed: str = ""
 
 
-Runs = Mapping[str, DrawnRun]
-"""Run that each column of a figure comes from."""
+@dataclass(frozen=True)
+class Runs:
+    """Runs that the columns of a figure come from.
+
+    A column ``scene:name`` is that of the run of ``scene``, a ``name`` alone that of the run of the figure's own scene,
+    whose name is empty here. ``overlay`` if the exact motion is drawn behind them.
+    """
+
+    by_scene: Mapping[str, DrawnRun]
+    overlay: bool = False
+
+    def of(self, column: str) -> DrawnRun:
+        """Run that a column comes from."""
+        return self.by_scene[column.rpartition(":")[0]]
+
+    def overlaid(self, columns: Iterable[str]) -> tuple[str, ...]:
+        """Columns behind which the exact motion is drawn, as far as it is known."""
+        from topcli.studies.exact_motion import exact_names
+
+        if not self.overlay:
+            return ()
+        return tuple(name for name in columns if name.rpartition(":")[2] in exact_names(self.of(name).experiment))
 
 
 def component_symbol(name: str) -> str:
@@ -112,12 +130,12 @@ class Line:
 class Panel:
     """One pair of axes with lines.
 
-    ``ylim`` is the smallest vertical range, ``log`` makes the vertical axis logarithmic. ``title`` is above the axes on
-    the left; ``{scheme}``, ``{h}`` and components of the state in it become the run's (``described``). An empty
-    ``ylabel`` becomes the labels of the lines. ``deviation`` draws the absolute deviation from the first value,
-    relative to it; ``change`` the value minus the first one. With ``whole`` a small pair of axes in the upper left
-    corner shows the values themselves over this vertical range. Columns in ``exact`` have another, ``exact:<column>``,
-    of the exact motion, which is drawn in grey behind the lines.
+    ``ylim`` is the smallest vertical range, ``log`` makes the vertical axis logarithmic, ``xlog`` the other one.
+    ``title`` is above the axes on the left; ``{scheme}``, ``{h}`` and components of the state in it become the run's
+    (``described``). An empty ``ylabel`` becomes the labels of the lines. ``deviation`` draws the absolute deviation
+    from the first value, relative to it; ``change`` the value minus the first one. With ``whole`` a small pair of axes
+    in the upper left corner shows the values themselves over this vertical range. Columns in ``exact`` have another,
+    ``exact:<column>``, of the exact motion, which is drawn in grey behind the lines.
     """
 
     lines: tuple[Line, ...]
@@ -126,32 +144,24 @@ class Panel:
     x: str = "t"
     ylim: tuple[float, float] | None = None
     log: bool = False
+    xlog: bool = False
     title: str = ""
     deviation: bool = False
     change: bool = False
     whole: tuple[float, float] | None = None
     exact: tuple[str, ...] = ()
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return (self.x, *(line.column for line in self.lines), *map(exact_column, self.exact))
-
-    def overlaid(self, known: frozenset[str]) -> Panel:
-        """Return the panel with the exact motion behind those of its columns that are ``known``."""
-        drawn = tuple(line.column for line in self.lines if line.column in known)
-        return self if self.deviation else replace(self, exact=drawn)
-
     def of_runs(self, runs: Runs) -> Panel:
-        """Return the panel with title and labels of the runs that its columns come from."""
-        first = runs[self.x].experiment
+        """Return the panel with title and labels of the runs that its columns come from, and the exact motion."""
         lines = tuple(
-            replace(line, label=line.label or column_label(runs[line.column].experiment, line.column))
+            replace(line, label=line.label or column_label(runs.of(line.column).experiment, line.column))
             for line in self.lines
         )
+        exact = () if self.deviation else runs.overlaid(line.column for line in lines)
         named = (f"{line.label} − {line.label}$(0)$" if self.change else line.label for line in lines)
         ylabel = self.ylabel or ", ".join(named)
-        return replace(self, lines=lines, ylabel=ylabel, title=described(self.title, first))
+        title = described(self.title, runs.of(self.x).experiment)
+        return replace(self, lines=lines, ylabel=ylabel, title=title, exact=exact)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the lines into ``axes``."""
@@ -170,6 +180,8 @@ class Panel:
         axes.set_xlim(float(finite.min()), float(finite.max()))
         if self.log:
             axes.set_yscale("log")
+        if self.xlog:
+            axes.set_xscale("log")
         if self.ylim:
             axes.set_ylim(float(low), float(high))  # values outside ``ylim`` widen the range
         if self.whole:
@@ -214,33 +226,80 @@ REFERENCE = "reference"
 """Label of the line that others are compared with: broad, grey, and behind them."""
 
 
-def line_styles(count: int) -> list[dict[str, Any]]:
-    """Colours and dashes of ``count`` lines, all different up to the square of the number of colours."""
+REFERENCE_LOOK: dict[str, Any] = {"color": "0.8", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}
+FAMILIES = (
+    ("hk", "hk-projected", "hk-symproj", "hk-exact"),
+    ("bohlin-a", "bohlin-b", "bohlin-c", "bs", "bs-implicit"),
+    ("dg4", "midpoint4", "midpoint"),
+    ("rk2", "rk4", "taylor", "dop853"),
+    ("hybrid", "hybrid-sym", "hybrid-xi"),
+    ("splitting", "dmv"),
+    ("exact", "backlund:nodes=exact", "backlund", "backlund+suzuki4", "backlund+kahan-li6", "backlund+kahan-li8"),
+)
+"""Related schemes, for each colour of the style in its order; those of a family differ in marker and dashes."""
+MARKERS = "os^Dv<>"
+DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)), ":", (0, (2, 1)))
+"""Dashes of the first, second, ... line of a colour, where lines have markers too."""
+
+
+def looks(labels: Iterable[str], markers: bool = False) -> dict[str, dict[str, Any]]:
+    """Look of each different label: that of a scheme is the same in all figures, any other has the next free one.
+
+    Lines of one figure differ in colour and dashes, those with ``markers`` also in marker and dashes.
+    """
     import matplotlib as mpl
 
     cycle = list(mpl.rcParams["axes.prop_cycle"])
-    turns = [(i % len(cycle), i // len(cycle)) for i in range(count)]
-    return [{**cycle[at], **_dash(cycle[(at + turn) % len(cycle)])} for at, turn in turns]
+    places: dict[str, tuple[int, int]] = {}
+    free = ((i % len(cycle), i // len(cycle)) for i in itertools.count())
+    own = {name: (i % len(cycle), k) for i, family in enumerate(FAMILIES) for k, name in enumerate(family)}
+    different = list(dict.fromkeys(labels))
+    for label in sorted(different, key=lambda label: label not in own):
+        place = own.get(label) or next(free)
+        while place in places.values():
+            place = next(free)
+        places[label] = place
+    places = {label: places[label] for label in different}
+    if markers:
+        return {label: _marked(cycle[colour]["color"], colour, turn) for label, (colour, turn) in places.items()}
+    dashes: dict[str, int] = {}
+    for label, (colour, turn) in places.items():
+        wanted = [(colour + turn + k) % len(cycle) for k in range(len(cycle))]
+        dashes[label] = next((at for at in wanted if at not in dashes.values()), wanted[0])
+    styles = {label: cycle[at].get("linestyle", "-") for label, at in dashes.items()}
+    return {label: {**cycle[colour], "linestyle": styles[label]} for label, (colour, _) in places.items()}
 
 
-def _dash(style: Mapping[str, Any]) -> dict[str, Any]:
-    return {"linestyle": style.get("linestyle", "-")}
+def _marked(shade: Any, colour: int, turn: int) -> dict[str, Any]:
+    """Look of a line with markers, number ``turn`` of its colour."""
+    marker = MARKERS[(colour + turn) % len(MARKERS)]
+    return {"color": shade, "marker": marker, "linestyle": DASHES[turn % len(DASHES)]}
 
 
-def _styles(labels: Sequence[str]) -> Styles:
-    """Line style of each label: the same for equal labels, different for different ones."""
-    different = dict.fromkeys(label for label in labels if label != REFERENCE)
-    styles = dict(zip(different, line_styles(len(different)), strict=True))
-    return {**styles, REFERENCE: {"color": "0.8", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}}
+def legend_entries(figure: Any) -> dict[str, Any]:
+    """Handle of each different label in the panels of a figure."""
+    found: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    return found
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Layout of panels in ``rows`` of equal axes; ``figsize`` is in inches, ``heading`` a line above all panels."""
+    """Layout of panels in ``rows`` of equal axes; ``figsize`` is in inches, ``heading`` a line above all panels.
+
+    With ``ncols`` one legend in so many columns is below all panels, under the ``title``: each label once, those in
+    ``first`` first. Curves that have slopes are named by their ``gid``, with the slopes in all panels behind it.
+    """
 
     rows: int = 1
     figsize: tuple[float, float] | None = None
     heading: str = ""
+    ncols: int = 0
+    first: tuple[str, ...] = ()
+    title: str = ""
+    fontsize: float | str = "small"
 
     def axes(self, figure: Any, panels: Sequence[Drawable]) -> Sequence[Any]:
         """Axes of the panels in their order."""
@@ -250,28 +309,39 @@ class Grid:
         return places[: len(panels)]
 
     def annotate(self, figure: Any) -> None:
-        """Add parts that belong to no panel."""
-
-
-@dataclass(frozen=True)
-class SharedLegend(Grid):
-    """Layout with one legend below all panels, in ``ncols`` columns, with an entry for each label.
-
-    Labels in ``first`` come first, in this order.
-    """
-
-    ncols: int = 4
-    first: tuple[str, ...] = ()
-
-    def annotate(self, figure: Any) -> None:
         """Add the legend."""
-        found: dict[str, Any] = {}
+        if not self.ncols:
+            return
+        handles: dict[str, Any] = {}
+        slopes: dict[str, list[str]] = {}
         for axes in figure.axes:
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                found.setdefault(label, handle)
-        ordered = {label: found[label] for label in (*self.first, *found) if label in found}
-        where: dict[str, Any] = {"loc": "outside lower center", "ncols": self.ncols, "fontsize": "small"}
-        figure.legend(ordered.values(), ordered.keys(), **where)
+            for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
+                name = handle.get_gid() or text
+                handles.setdefault(name, handle)
+                slopes.setdefault(name, []).append(text.removeprefix(name).removeprefix(": ") or "–")
+        ordered = dict.fromkeys(name for name in (*self.first, *handles) if name in handles)
+        texts = [f"{name}: {', '.join(slopes[name])}" if set(slopes[name]) != {"–"} else name for name in ordered]
+        below_panels(
+            figure,
+            [handles[name] for name in ordered],
+            texts,
+            self.ncols,
+            title=self.title or None,
+            fontsize=self.fontsize,
+        )
+
+
+def below_panels(figure: Any, handles: Sequence[Any], texts: Sequence[str], ncols: int, **options: Any) -> None:
+    """Add a legend below all panels of a figure."""
+    look = {"fontsize": "small", "title_fontsize": "small", **options}
+    figure.legend(handles, texts, loc="outside lower center", ncols=ncols, **look)
+
+
+def halo(text: Any, width: float = 2.5) -> None:
+    """Surround a text by white, so that it can be read over lines."""
+    from matplotlib.patheffects import withStroke
+
+    text.set_path_effects([withStroke(linewidth=width, foreground="white")])
 
 
 @contextmanager
@@ -300,24 +370,20 @@ def draw(
     from matplotlib.figure import Figure
 
     layout = layout or Grid()
-    lines = [panel.lines for panel in panels if isinstance(panel, Panel)]
-    labels = [line.label for one in lines for line in one]
-    shared = REFERENCE in labels or any(len(one) > 4 for one in lines)
+    labels = [[line.label for line in panel.lines] if isinstance(panel, Panel) else [] for panel in panels]
+    every = list(itertools.chain(*labels))
+    shared = REFERENCE in every or any(len(own) > 4 for own in labels)
     with styled(style):
         figure = Figure(figsize=(style or {}).get("figure.figsize") or layout.figsize)
         FigureCanvasAgg(figure)
-        handles: dict[str, Any] = {}
-        for axes, panel in zip(layout.axes(figure, panels), panels, strict=True):
-            own = [line.label for line in panel.lines] if isinstance(panel, Panel) else []
-            panel.paint(axes, data, _styles(labels if shared else own))
-            if own:
-                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                    handles.setdefault(label, handle)
-                if not shared:
-                    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
+        for axes, panel, own in zip(layout.axes(figure, panels), panels, labels, strict=True):
+            panel.paint(axes, data, {**looks(every if shared else own), REFERENCE: REFERENCE_LOOK})
+            if own and not shared:
+                axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
         if shared:
+            entries = legend_entries(figure)
             place = "outside lower center" if layout.heading else "outside upper center"
-            figure.legend(handles.values(), handles.keys(), loc=place, ncols=min(6, len(handles)))
+            figure.legend(entries.values(), entries.keys(), loc=place, ncols=min(6, len(entries)))
         if layout.heading:
             figure.suptitle(layout.heading, fontsize="medium")
         layout.annotate(figure)
@@ -329,3 +395,80 @@ def save(figure: Figure, path: Path, style: Mapping[str, Any] | None = None) -> 
     dates = {"pdf": ("CreationDate", "ModDate"), "svg": ("Date",)}.get(path.suffix[1:], ())
     with styled({"svg.hashsalt": "topcli", **(style or {})}):
         figure.savefig(path, metadata=dict.fromkeys(dates))
+
+
+FONTS = ("font.family", "font.serif", "font.sans-serif", "font.monospace", "font.cursive", "font.fantasy")
+"""Parameters that are lists of fonts; those that are missing would be replaced without a word in the picture."""
+
+
+def read_style(path: Path) -> dict[str, Any]:
+    """Return the parameters of a style file (``key: value`` lines) by their names.
+
+    Raises UsageError with file and line for what matplotlib refuses, and for parameters that are not part of a style,
+    such as ``backend``.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise UsageError(f"--style {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"--style {path}: not a text file in UTF-8") from error
+    found: dict[str, Any] = {}
+    for number, line in enumerate(lines, 1):
+        text = _without_comment(line).strip()
+        if text:
+            key, value = _parameter(text, f"--style {path}:{number}")
+            found[key] = value
+    return found
+
+
+def _installed(key: str, names: list[str], where: str) -> list[str]:
+    """The fonts of a list that this machine has. Raises UsageError if there are none."""
+    from matplotlib.font_manager import get_font_names
+
+    known = {*get_font_names(), *(font.partition(".")[2] for font in FONTS)}
+    found = [name for name in names if name in known]
+    if not found:
+        hint = nearest(names[0], get_font_names())
+        hint = hint if hint.startswith("did you mean") else "see matplotlib.font_manager.get_font_names()"
+        raise UsageError(f"{where}: {key}: no font {quoted(', '.join(names))} on this machine; {hint}")
+    return found
+
+
+def _without_comment(line: str) -> str:
+    """The line up to a ``#`` outside of double quotes, as matplotlib reads it."""
+    quotes = False
+    for at, letter in enumerate(line):
+        if letter == '"':
+            quotes = not quotes
+        elif letter == "#" and not quotes:
+            return line[:at]
+    return line
+
+
+def _parameter(text: str, where: str) -> tuple[str, Any]:
+    """Name and checked value of a line. Raises UsageError."""
+    import matplotlib as mpl
+    from matplotlib.style.core import STYLE_BLACKLIST
+
+    key, colon, value = (part.strip() for part in text.partition(":"))
+    if not colon:
+        raise UsageError(f"{where}: {quoted(text)} is not a line KEY: VALUE, as in font.size: 9")
+    if key in STYLE_BLACKLIST:
+        raise UsageError(f"{where}: {key} is not part of a style; remove the line")
+    if key not in mpl.rcParams:
+        hint = nearest(key, mpl.rcParams)
+        hint = hint if hint.startswith("did you mean") else "see matplotlib.rcParams for all"
+        raise UsageError(f"{where}: matplotlib has no parameter {quoted(key)}; {hint}")
+    value = value[1:-1] if value[:1] == value[-1:] == '"' and len(value) > 1 else value
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            parameters: Any = mpl.RcParams({key: value})
+            checked = parameters[key]
+    except (ValueError, TypeError, Warning) as error:
+        reason = " ".join(str(error).split()).removeprefix(f"Key {key}: ")
+        raise UsageError(f"{where}: {key}: {clipped(reason)}") from error
+    if key == "axes.prop_cycle" and "color" not in checked.keys:
+        raise UsageError(f"{where}: {key}: a cycle without colours; add cycler('color', [...])")
+    return key, _installed(key, checked, where) if key in FONTS else checked

@@ -1,7 +1,6 @@
 """The energy ellipsoid of the Euler top in the space of omega, with polhodes: curves of constant m².
 
-Matplotlib's three-dimensional axes cannot hide the far side of a curve on a surface. Therefore the ellipsoid is shaded
-pixel by pixel in parallel projection, and every curve is cut at the outline.
+The ellipsoid is shaded pixel by pixel, and every curve is cut at its outline.
 """
 
 from __future__ import annotations
@@ -14,8 +13,8 @@ import numpy as np
 
 from topcli.contracts import checked_equations
 from topcli.errors import RunError, UsageError
-from topcli.figures.picture import REFERENCE, Runs, Styles, exact_column
-from topcli.figures.sphere import projection
+from topcli.figures.picture import REFERENCE, Runs, Styles, exact_column, halo
+from topcli.figures.scene3d import arrow, lit, pair_of_lines, projection
 
 Curve = np.ndarray
 """Points (m, 3)."""
@@ -41,23 +40,14 @@ class Polhodes:
     exact: tuple[str, ...] = ()
     label: str = "run"
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws: the components of omega, and those of the exact motion if it has any."""
-        return (*self.omega, *map(exact_column, self.exact))
-
-    def overlaid(self, known: frozenset[str]) -> Polhodes:
-        """Return the panel with the curve of the exact motion if all components are ``known``."""
-        return replace(self, exact=self.omega) if known.issuperset(self.omega) else self
-
     def of_runs(self, runs: Runs) -> Polhodes:
-        """Return the panel with the moments of the run's top. Raises UsageError if two of them are equal."""
-        experiment = runs[self.omega[0]].experiment
+        """Return the panel with the moments of the run's top and the exact motion; UsageError for equal moments."""
+        experiment, exact = runs.of(self.omega[0]).experiment, runs.overlaid(self.omega)
         moments = checked_equations(experiment.top, "the figure polhodes").moments
         if len(set(moments)) < 3:
             given = ", ".join(f"{moment:g}" for moment in moments)
             raise UsageError(f"polhodes: {experiment.name} has the moments {given}; use three different ones")
-        return replace(self, moments=moments)
+        return replace(self, moments=moments, exact=exact if exact == self.omega else ())
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw into ``axes``. Raises RunError if the data are not on the ellipsoid of the moments."""
@@ -120,16 +110,10 @@ def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> N
     level = np.clip(level, -1.0, 1.0)[..., None]
     white, blue, ochre = (np.array(rgb) for rgb in ((0.985, 0.975, 0.955), (0.44, 0.63, 0.80), (0.93, 0.72, 0.42)))
     colour = white + np.where(level > 0.0, level * (blue - white), -level * (ochre - white))
-    light = np.array([-0.45, 0.55, 0.75]) @ camera
-    light /= np.linalg.norm(light)
-    glint = light + camera[2]
-    glint /= np.linalg.norm(glint)
-    diffuse = np.maximum(normal @ light, 0.0)
-    shine = np.maximum(normal @ glint, 0.0) ** 24
-    lit = colour * (0.70 + 0.31 * diffuse)[..., None] + 0.07 * shine[..., None]
+    image = lit(colour, normal, np.array([-0.45, 0.55, 0.75]) @ camera, camera[2], (0.70, 0.31), (0.07, 24))
     slope = np.maximum((normal @ camera[2]), 0.0)
     edge = np.clip(slope * pixels / 60.0, 0.0, 1.0)  # the outline fades within some pixels
-    image = np.dstack([np.clip(lit, 0.0, 1.0), np.where(inside > 0.0, edge, 0.0)])
+    image = np.dstack([image, np.where(inside > 0.0, edge, 0.0)])
     outline = np.linalg.cholesky((camera[:2] / moments) @ camera[:2].T)
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     axes.plot(*(outline @ [np.cos(turn), np.sin(turn)]), color="0.35", linestyle="-", linewidth=0.6, zorder=3.5)
@@ -168,12 +152,8 @@ def _facing(curve: Curve, moments: np.ndarray, camera: np.ndarray) -> np.ndarray
 
 def _trace(axes: Any, seen_curve: Curve, facing: np.ndarray, color: str, width: float, far: float) -> None:
     """Draw a curve as the camera sees it: solid in front, thin and of the opacity ``far`` behind."""
-    flat = seen_curve[:, :2]
-    for seen, style in (
-        (facing >= 0.0, {"lw": width, "zorder": 3}),
-        (facing < 0.0, {"lw": 0.6 * width, "alpha": far, "zorder": 2}),
-    ):
-        axes.plot(*np.where(seen[:, None], flat, np.nan).T, color=color, ls="-", solid_capstyle="round", **style)
+    pair = {"lw": width, "zorder": 3}, {"lw": 0.6 * width, "alpha": far, "zorder": 2}
+    pair_of_lines(axes, seen_curve, facing >= 0.0, pair, color=color)
 
 
 def _arrow(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray) -> None:
@@ -183,20 +163,11 @@ def _arrow(axes: Any, curve: Curve, moments: np.ndarray, camera: np.ndarray) -> 
     if facing[at] < FACING:
         return
     start, end = (curve[[at, at + 6]]) @ camera[:2].T
-    arrow = {
-        "arrowstyle": "-|>,head_width=0.17,head_length=0.34",
-        "color": "0.15",
-        "lw": 0.6,
-        "shrinkA": 0,
-        "shrinkB": 0,
-    }
-    axes.annotate("", xy=end, xytext=start, arrowprops=arrow, zorder=4)
+    arrow(axes, start, end, "0.15", 0.6, zorder=4, head=0.17)
 
 
 def _landmarks(axes: Any, moments: np.ndarray, camera: np.ndarray) -> np.ndarray:
     """Draw the axes and the steady rotations, filled if stable, open if unstable; the places (m, 2) of the names."""
-    from matplotlib.patheffects import withStroke
-
     middle = int(np.argsort(moments)[1])
     labels = []
     for i in range(3):
@@ -205,28 +176,13 @@ def _landmarks(axes: Any, moments: np.ndarray, camera: np.ndarray) -> np.ndarray
         for sign in (1.0, -1.0):
             if sign * camera[2][i] > 0.0:
                 stable = i != middle
-                axes.plot(
-                    *(sign * tip @ camera[:2].T),
-                    "o",
-                    ms=5.0,
-                    mew=1.0,
-                    mec="0.1",
-                    mfc="0.1" if stable else "white",
-                    zorder=5,
-                )
+                look = {"ms": 5.0, "mew": 1.0, "mec": "0.1", "mfc": "0.1" if stable else "white", "zorder": 5}
+                axes.plot(*(sign * tip @ camera[:2].T), "o", **look)
         if camera[2][i] > 0.0:
             start = tip @ camera[:2].T
             along = start / np.hypot(*start) * np.sqrt(1.0 / moments.min())
-            arrow = {
-                "arrowstyle": "-|>,head_width=0.2,head_length=0.4",
-                "color": "0.25",
-                "lw": 0.9,
-                "shrinkA": 3,
-                "shrinkB": 0,
-            }
-            axes.annotate("", xy=start + 0.2 * along, xytext=start, arrowprops=arrow, zorder=4)
+            arrow(axes, start, start + 0.2 * along, "0.25", 0.9, zorder=4, head=0.2, shrinkA=3)
             labels.append(start + 0.27 * along)
             style = {"ha": "center", "va": "center", "fontsize": "large", "zorder": 6}
-            label = axes.text(*labels[-1], rf"$\omega_{i + 1}$", **style)
-            label.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
+            halo(axes.text(*labels[-1], rf"$\omega_{i + 1}$", **style), 3.0)
     return np.array(labels)

@@ -1,31 +1,111 @@
-"""Figures of the growth of round-off: of the catalogue, and of ``topcli roundoff``."""
+"""Growth of round-off: the figure of several ways to write a step, and that of ``topcli roundoff``.
+
+The BS scheme of Lagrange's top turns the axis by Cayley's rotation. Written as a product of matrix and vector, it is
+biased; as axis + change, its errors are a random walk; with compensated sums, a smaller one. The hybrid recomputes xi
+from the state in every step; hybrid-xi carries it as a unit number that turns, and its errors do not add up.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.growth import GrowthPanel
-from topcli.figures.picture import Grid
+from topcli.analysis.roundoff import doubling_lags, structure
+from topcli.arithmetic.rotations import cayley_increment, cayley_matrix_product
+from topcli.config.load import load_experiment
+from topcli.contracts import Array, Floats, Stepper
+from topcli.engine.fingerprint import fingerprint
+from topcli.figures.figure import Loaded, Request
+from topcli.figures.picture import MARKERS, Grid, Styles, halo
+from topcli.runs.identity import method_fingerprint
+from topcli.schemes.layout import stepper
+from topcli.studies.roundoff import copies_followed, sampling_of
 from topcli.studies.study import Result
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
+
+ULP = 2.0**-52
+CROWDED = 8.0
+"""If a curve is within this factor above a guide line, the line's label is put below."""
+STYLES = {"plain": "-", "compensated": "--"}
+LINE = 11.5
+"""Distance of the lines of labels in points."""
 
 
 @dataclass(frozen=True)
-class GrowthFigure(Figure):
-    """The growth of round-off under several ways to write a step, measured by ``studies.growth``."""
+class GrowthPanel:
+    """Drifts, columns named ``invariant:form`` with their labels, against the column ``steps``, logarithmically.
 
-    panels: tuple[GrowthPanel, ...]
-    layout: Grid = field(default_factory=Grid)
+    Invariants differ in colour and forms in line style; if there is one invariant only, forms differ in colour. Labels
+    are at the right ends of the lines. Grey guide lines, from a common point, grow as sqrt(N) with one ulp per step and
+    as N.
+    """
 
-    def load(self, request: Request) -> Loaded:
-        """Return the panels and the study that makes their columns."""
-        from topcli.studies.growth import growth_code, growth_columns
+    lines: tuple[tuple[str, str], ...]
+    title: str = ""
+    steps: str = "steps"
 
-        return Loaded(self.panels, growth_columns, {"study": growth_code()}, self.layout)
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw curves, guide lines and labels into ``axes``."""
+        from matplotlib.ticker import NullFormatter
+
+        n = data[self.steps]
+        alone = len({column.partition(":")[0] for column, _ in self.lines}) == 1
+        colours: dict[str, str] = {}
+        ends = []
+        for i, (column, label) in enumerate(self.lines):
+            name, _, form = column.partition(":")
+            colour = colours.setdefault(column if alone else name, f"C{len(colours)}")
+            drift = np.where(data[column] > 0.0, data[column], np.nan)  # a logarithmic axis has no zero
+            look = {"linestyle": "-" if alone else STYLES[form], "marker": MARKERS[i % len(MARKERS)], "markersize": 3.0}
+            axes.plot(n, drift, color=colour, **look)
+            ends.append((float(drift[-1]), label, colour))
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlim(float(n[0]) / 1.3, float(n[-1]) * 1.3)
+        low, high = axes.get_ylim()
+        corner = ULP * float(np.sqrt(n[0]))
+        low, high = min(low, 0.6 * corner), max(high, 1.6 * ULP * float(np.sqrt(n[-1])))
+        axes.set_ylim(low, high)
+        self._guide(axes, data, corner, high)
+        self._label(axes, ends, float(axes.get_xlim()[1]))
+        axes.set_xlabel("number of steps $N$")
+        axes.set_ylabel("drift over $N$ steps (rms)")
+        axes.set_title(self.title, loc="left")
+
+    def _guide(self, axes: Any, data: Mapping[str, np.ndarray], corner: float, high: float) -> None:
+        """Draw the guide lines from ``corner``, labelled below ``high``."""
+        n = data[self.steps]
+        for power, label in ((0.5, r"$\epsilon\sqrt{N}$"), (1.0, r"$\propto N$")):
+            axes.plot(n, corner * (n / n[0]) ** power, color="0.75", linestyle="-", linewidth=0.9, zorder=1.0)
+            last = min(float(n[-1]), float(n[0]) * (0.35 * high / corner) ** (1.0 / power))
+            at = (last, corner * (last / float(n[0])) ** power)
+            near = int(np.argmin(np.abs(np.log(n / last))))
+            crowded = any(1.0 < data[column][near] / at[1] < CROWDED for column, _ in self.lines)
+            place: dict[str, Any] = {"xytext": (-2, -6), "va": "top"} if crowded else {"xytext": (-2, 3)}
+            text = axes.annotate(label, at, textcoords="offset points", ha="right", color="0.5", **place)
+            halo(text, 2.0)
+
+    def _label(self, axes: Any, ends: list[tuple[float, str, str]], x: float) -> None:
+        """Label the lines at the right of the axes, moved apart if labels would overlap."""
+        low, high = np.log(axes.get_ylim())
+        gap = (high - low) * LINE / (72.0 * 0.72 * axes.figure.get_figheight())
+        ends = sorted(ends, key=lambda end: end[0])
+        places: list[float] = []
+        for drift, _, _ in ends:
+            places.append(max(float(np.log(drift)), places[-1] + gap if places else -np.inf))
+        limit = float(high)
+        for i in range(len(places) - 1, -1, -1):  # back below the upper edge
+            places[i] = min(places[i], limit)
+            limit = places[i] - gap
+        style: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": "small"}
+        for (_, label, colour), y in zip(ends, places, strict=True):
+            axes.annotate(label, (x, np.exp(y)), xytext=(4, 0), color=colour, **style)
 
 
 def growth_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], tuple[tuple[str, str], ...]]:
@@ -49,3 +129,80 @@ def loaded_roundoff(result: Result) -> Loaded:
     source = {key: study[key] for key in ("config", "steps", "copies")}
     completed = all(form["outcome"] == "completed" for form in study["forms"])
     return Loaded((panel,) if completed else (), lambda: data, source, Grid(figsize=(5.4, 3.2)))
+
+
+STEPS = 1 << 19
+COPIES = 4
+H = 0.01
+
+
+def turned_step(s: Floats, h: float, p: Floats) -> Floats:
+    """BS step with the axis turned by the matrix of Cayley's rotation: the biased form."""
+    m1, m2, m3, a1, a2, a3 = s
+    d = -0.5 * h
+    n1, n2 = m1 - h * a2, m2 + h * a1
+    b1, b2, b3 = cayley_matrix_product(d * n1, d * n2, d * m3, a1, a2, a3)
+    return (n1, n2, m3, b1, b2, b3)
+
+
+def bs_change(s: Floats, h: float, p: Floats) -> Floats:
+    """Change in a BS step."""
+    m1, m2, m3, a1, a2, a3 = s
+    d = -0.5 * h
+    x1, x2 = -(h * a2), h * a1
+    y1, y2, y3 = cayley_increment(d * (m1 + x1), d * (m2 + x2), d * m3, a1, a2, a3)
+    return (x1, x2, 0.0, y1, y2, y3)
+
+
+def _under(experiment: Experiment, method: Stepper) -> Experiment:
+    """Experiment under a step that is not registered as a scheme."""
+    return experiment.model_copy(update={"scheme": replace(experiment.scheme, build=lambda top, options: method)})
+
+
+def _variants() -> dict[str, tuple[Experiment, str]]:
+    """Experiment and invariant of each curve, by the name of its column."""
+    lagrange = load_experiment("lagrange_bs", [f"h={H}"])
+    compensated = stepper(bs_change, 6, lost=range(6), checked=6)
+    found = {
+        "a_sq:matrix": (_under(lagrange, Stepper(turned_step, 6)), "a_sq"),
+        "a_sq:plain": (lagrange, "a_sq"),
+        "a_sq:compensated": (_under(lagrange, compensated), "a_sq"),
+    }
+    for name in ("hybrid", "hybrid-xi"):
+        found[f"k_sq:{name}"] = (load_experiment("kowalevski_generic_hk", [f"h={H}", f"scheme={name}"]), "k_sq")
+    return found
+
+
+def growth_columns() -> Mapping[str, Array]:
+    """Columns of the figure: ``steps``, and for each curve the root mean square of the drift over that many steps."""
+    sampling = sampling_of(STEPS, H, exact=True)
+    lags = doubling_lags(sampling.blocks)
+    columns: dict[str, Array] = {"steps": lags * float(sampling.block_steps)}
+    for name, (experiment, invariant) in _variants().items():
+        watched = [one for one in experiment.top.invariants() if one.name == invariant]
+        columns[name] = structure(copies_followed(experiment, watched, sampling, COPIES).means[0], lags)
+    return columns
+
+
+def growth_code() -> str:
+    """Digest of everything that the columns depend on; equal digests mean equal columns."""
+    digests = [method_fingerprint(experiment.method()) + experiment.digest for experiment, _ in _variants().values()]
+    code = fingerprint(sampling_of, copies_followed, doubling_lags, structure, compiled=False)
+    return code + "".join(digests) + f"{STEPS} {COPIES}"
+
+
+PANELS = (
+    GrowthPanel(
+        (("a_sq:matrix", "matrix"), ("a_sq:plain", "old + change"), ("a_sq:compensated", "compensated")),
+        r"(a) $\boldsymbol{a}^2$, Lagrange top, BS",
+    ),
+    GrowthPanel(
+        (("k_sq:hybrid", r"$\xi$ recomputed"), ("k_sq:hybrid-xi", r"$\xi$ carried")),
+        "(b) $k^2$, Kowalevski top, hybrid",
+    ),
+)
+
+
+def load_growth(request: Request) -> Loaded:
+    """Load the growth of round-off under several ways to write a step."""
+    return Loaded(PANELS, growth_columns, {"study": growth_code()}, Grid(figsize=(7.0, 3.0)))

@@ -6,13 +6,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
-from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
-from topcli.figures.picture import Grid, Styles
+from topcli.figures.figure import Loaded, NothingMeasuredError, Request
+from topcli.figures.picture import Grid, Styles, below_panels
 from topcli.studies.stress.study import UNEXPLAINED, known_top
 from topcli.studies.study import Result
 
@@ -34,11 +34,11 @@ Names = Mapping[str, Sequence[str]]
 def figure_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, list[str]]]:
     """Plotted numbers, one row a trial, and the names that the numbers stand for."""
     trials = study["trials"]
-    names = {key: list(dict.fromkeys(one[key] for one in trials)) for key in ("top", "scheme", "case")}
+    names = {key: list(dict.fromkeys(trial[key] for trial in trials)) for key in ("top", "scheme", "case")}
     names["outcome"] = list(OUTCOMES)
-    data = {key: np.array([float(known.index(one[key])) for one in trials]) for key, known in names.items()}
-    data["step"] = np.array([np.nan if one["step"] is None else float(one["step"]) for one in trials])
-    data["unexplained"] = np.array([float(one["verdict"] in UNEXPLAINED) for one in trials])
+    data = {key: np.array([float(known.index(trial[key])) for trial in trials]) for key, known in names.items()}
+    data["step"] = np.array([np.nan if trial["step"] is None else float(trial["step"]) for trial in trials])
+    data["unexplained"] = np.array([float(trial["verdict"] in UNEXPLAINED) for trial in trials])
     return data, names
 
 
@@ -75,11 +75,6 @@ class StressPanel:
     def rows(self) -> tuple[str, ...]:
         """Names of the rows."""
         return (*self.cases, *([f"{self.others} other{'s' * (self.others > 1)}"] if self.others else []))
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return ("top", "scheme", "case", "outcome", "step", "unexplained")
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the cells into ``axes``."""
@@ -132,11 +127,13 @@ class StressGrid(Grid):
         columns = [[by_top[top] for top in column] for column in _in_columns(list(by_top))]
         widths = [max(len(panel.schemes) for panel in column) for column in columns]
         outer = figure.add_gridspec(1, len(columns), width_ratios=widths)
-        found: dict[str, Any] = {}
+        places: dict[str, Any] = {}
         for index, column in enumerate(columns):
-            inner = outer[0, index].subgridspec(len(column), 1, height_ratios=[len(one.rows) + HEAD for one in column])
-            found |= {panel.top: figure.add_subplot(inner[row, 0]) for row, panel in enumerate(column)}
-        return [found[panel.top] for panel in panels]
+            inner = outer[0, index].subgridspec(
+                len(column), 1, height_ratios=[len(panel.rows) + HEAD for panel in column]
+            )
+            places |= {panel.top: figure.add_subplot(inner[row, 0]) for row, panel in enumerate(column)}
+        return [places[panel.top] for panel in panels]
 
     def annotate(self, figure: Any) -> None:
         """Add the legend of the shades."""
@@ -147,9 +144,9 @@ class StressGrid(Grid):
             "degraded: claims kept, accuracy lost": SHADES[2],
             "broke, at the step in the cell (! undeclared)": SHADES[3],
         }
-        handles = [Patch(facecolor=shade, edgecolor="0.6", label=text) for text, shade in meanings.items()]
-        handles.append(Patch(label="not tried", **HATCH))
-        figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7.5, handlelength=1.0)
+        handles = [Patch(facecolor=shade, edgecolor="0.6") for shade in meanings.values()]
+        handles.append(Patch(**HATCH))
+        below_panels(figure, handles, [*meanings, "not tried"], 4, fontsize=7.5, handlelength=1.0)
 
 
 def _study(request: Request) -> tuple[dict[str, Any], str]:
@@ -175,25 +172,26 @@ def _missing(found: str, results: Path) -> str:
     return f"{found} in {results}; topcli plot stress makes one in a few minutes"
 
 
-class StressFigure(Figure):
-    """The whole stress study."""
+def load_stress(request: Request) -> Loaded:
+    """Load the whole stress study, stored or run. Raises UsageError and RunError."""
+    return loaded_stress(*_study(request))
 
-    rank: ClassVar[int] = 1
 
-    def load(self, request: Request) -> Loaded:
-        """Return the stored study, or run it. Raises UsageError and RunError."""
-        study, source = _study(request)
-        data, names = figure_data(study)
-        panels = [self._panel(study["trials"], top, names) for column in _in_columns(names["top"]) for top in column]
-        by_top = {panel.top: panel for panel in panels}
-        heights = [sum(len(by_top[top].rows) + HEAD for top in column) for column in _in_columns(names["top"])]
-        layout = StressGrid(figsize=(7.0, 0.4 + CELL * max(heights)))
-        made_from = {"study": source, "code": fingerprint(figure_data, compiled=False)}
-        return Loaded(panels, lambda: data, made_from, layout, {"topcli.names": json.dumps(names)})
+def loaded_stress(study: Mapping[str, Any], source: str) -> Loaded:
+    """The figure of a stress study."""
+    data, names = figure_data(study)
+    panels = [_panel(study["trials"], top, names) for column in _in_columns(names["top"]) for top in column]
+    by_top = {panel.top: panel for panel in panels}
+    heights = [sum(len(by_top[top].rows) + HEAD for top in column) for column in _in_columns(names["top"])]
+    layout = StressGrid(figsize=(7.0, 0.4 + CELL * max(heights)))
+    made_from = {"study": source, "code": fingerprint(figure_data, compiled=False)}
+    return Loaded(panels, lambda: data, made_from, layout, {"topcli.names": json.dumps(names)})
 
-    def _panel(self, trials: Sequence[Mapping[str, Any]], top: str, names: Names) -> StressPanel:
-        mine = [one for one in trials if one["top"] == top]
-        schemes, cases = (tuple(dict.fromkeys(one[key] for one in mine)) for key in ("scheme", "case"))
-        tried = {(one["scheme"], one["case"]): one["outcome"] for one in mine}
-        hard = tuple(case for case in cases if any(tried.get((name, case)) != "held" for name in schemes))
-        return StressPanel(top, schemes, hard, names, len(cases) - len(hard))
+
+def _panel(trials: Sequence[Mapping[str, Any]], top: str, names: Names) -> StressPanel:
+    """Panel of the trials of one top."""
+    own = [trial for trial in trials if trial["top"] == top]
+    schemes, cases = (tuple(dict.fromkeys(trial[key] for trial in own)) for key in ("scheme", "case"))
+    outcomes = {(trial["scheme"], trial["case"]): trial["outcome"] for trial in own}
+    hard = tuple(case for case in cases if any(outcomes.get((name, case)) != "held" for name in schemes))
+    return StressPanel(top, schemes, hard, names, len(cases) - len(hard))

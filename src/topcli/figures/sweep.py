@@ -1,23 +1,32 @@
-"""Figures of sweeps: a measure over a key, with a curve for each value of another, or as colours over two keys."""
+"""Figures of sweeps: a measure over a key, with a curve for each value of another, or as colours over two keys.
+
+A figure of the catalogue shows several views of a packaged sweep, and runs the rows that these show.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import isclose
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
-from topcli.errors import UsageError
-from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, curve_column, plain
-from topcli.figures.heat import Axis, HeatPanel
+from topcli.errors import RunError, UsageError
+from topcli.figures.curves import LINEAR, LOG, SYMLOG, Axis, CurvePanel, HeatPanel, curve_column, plain
+from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid
 from topcli.store.manifest import sha256_of
-from topcli.sweeps.rows import SweepRows, key_labels
+from topcli.sweeps.rows import SweepRows, key_labels, read_rows
 from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_groups
 from topcli.sweeps.table_text import left_out
+
+if TYPE_CHECKING:
+    from topcli.config.sweep.rows import Row
+    from topcli.sweeps.evaluate import Results, Work
 
 DECADES = 2.0
 """Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""
@@ -110,25 +119,17 @@ def _axis(rows: SweepRows, key: str) -> tuple[Axis, dict[Any, float]]:
     return Axis(plain(key), log), {value: np.nan if value is None else float(value) for value in labels}
 
 
-@dataclass(frozen=True)
-class Point:
-    """Value of one combination of keys: ``low`` and ``high`` are its spread; all are nan without a value."""
+def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], tuple[float, float, float]]:
+    """Value of each combination of the keys, and the ends of its spread; nan without a value.
 
-    value: float
-    low: float
-    high: float
-
-
-def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], Point]:
-    """Value of each combination of the keys. Raises UsageError for several rows without an aggregate."""
-    found = require_groups(rows, choice.keys, "point", () if choice.colour else ("--by",), choice.aggregate)
+    Raises UsageError for several rows without an aggregate.
+    """
+    grouped = require_groups(rows, choice.keys, "point", () if choice.colour else ("--by",), choice.aggregate)
     points = {}
-    for keys, indices in found.items():
-        one = aggregated(rows, indices, choice.measure, choice.aggregate)
-        value = one.value if one else np.nan
-        spread = (one.low, one.high) if one else (np.nan, np.nan)
-        low, high = (value if end is None else end for end in spread)
-        points[keys] = Point(value, low, high)
+    for keys, indices in grouped.items():
+        cell = aggregated(rows, indices, choice.measure, choice.aggregate)
+        low, value, high = (cell.low, cell.value, cell.high) if cell else (np.nan, np.nan, np.nan)
+        points[keys] = value, value if low is None else low, value if high is None else high
     return points
 
 
@@ -165,14 +166,15 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
     points = {keys: point for keys, point in _points(rows, choice).items() if not np.isnan(place[keys[0]])}
     labels, legend = _labels(rows, choice)
     data = {}
+    band = bool(choice.aggregate and SPREADS[choice.aggregate])
     for i, (value, label) in enumerate(labels.items()):
         beside = (i - 0.5 * (len(labels) - 1)) * min(0.12, 0.7 / len(labels)) if axis.words else 0.0
         mine = [(place[keys[0]] + beside, point) for keys, point in points.items() if not choice.by or keys[1] == value]
-        mine.sort(key=lambda one: one[0])
+        mine.sort(key=lambda pair: pair[0])
         data[curve_column(label, "x")] = np.array([x for x, _ in mine])
-        for kind, name in (("y", "value"), ("low", "low"), ("high", "high")):
-            data[curve_column(label, kind)] = np.array([getattr(point, name) for _, point in mine])
-    every = np.array([point.value for point in points.values()])
+        for part, kind in enumerate(("y", "low", "high") if band else ("y",)):
+            data[curve_column(label, kind)] = np.array([point[part] for _, point in mine])
+    every = np.array([point[0] for point in points.values()])
     scale, threshold = scale_of(every)
     panel = CurvePanel(
         tuple(labels.values()),
@@ -182,13 +184,13 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
         scale,
         threshold,
         CEILING,
-        band=bool(choice.aggregate and SPREADS[choice.aggregate]),
+        band=band,
         words=axis.words,
         title=_title(rows),
         legend=": ".join([one for one in (legend, "slope" * (axis.log and scale == LOG)) if one]),
         flat=_adaptive() if choice.by == "scheme" and choice.x == "h" else (),
     )
-    return panel, {name: data[name] for name in panel.columns}
+    return panel, data
 
 
 def _heat(rows: SweepRows, choice: Choice) -> tuple[HeatPanel, dict[str, np.ndarray]]:
@@ -202,7 +204,7 @@ def _heat(rows: SweepRows, choice: Choice) -> tuple[HeatPanel, dict[str, np.ndar
     data = {
         "x": np.array([x_place[keys[0]] for keys in points]),
         "y": np.array([y_place[keys[1]] for keys in points]),
-        "value": np.array([point.value for point in points.values()]),
+        "value": np.array([point[0] for point in points.values()]),
     }
     return HeatPanel(x, y, _measure_label(choice), *scale_of(data["value"]), _title(rows)), data
 
@@ -233,28 +235,125 @@ def figure_name(rows: SweepRows, choice: Choice) -> str:
     return "_".join(parts).replace("/", "-")
 
 
+def sweep_figure(rows: SweepRows, choice: Choice) -> Figure:
+    """The figure of ``topcli plot sweep``: the part of the ``rows`` of a sweep that ``choice`` names."""
+    title = f"{choice.measure} of {rows.name}"
+    return Figure(figure_name(rows, choice), title, "topcli sweep", partial(_load_rows, rows, choice))
+
+
+def _load_rows(rows: SweepRows, choice: Choice, request: Request) -> Loaded:
+    """Load panel and data. Raises UsageError for a choice that the rows do not have."""
+    choice.require(rows)
+    prepare = _heat if choice.colour else curves
+    panel, data = prepare(rows, choice)
+    source = {"rows": sha256_of(rows.path), "choice": repr(choice), "code": fingerprint(prepare, compiled=False)}
+    for line in sweep_notes(rows, choice):
+        request.on_message(line)
+    return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, 3.8)))
+
+
 @dataclass(frozen=True)
-class SweepFigure(Figure):
-    """Figure of the part of the ``rows`` of a sweep that ``choice`` names."""
+class View:
+    """A panel of curves: a ``choice`` from the rows that satisfy ``where``, under a ``title``.
 
-    rows: SweepRows
+    ``xlabel`` and ``ylabel`` replace the names of the key and the measure, ``xlog`` makes the horizontal axis
+    logarithmic. ``law`` maps x (m,) to the values of a dashed line labelled ``law_label``.
+    """
+
+    title: str
     choice: Choice
-
-    def load(self, request: Request) -> Loaded:
-        """Return panel and data. Raises UsageError for a choice that the rows do not have."""
-        self.choice.require(self.rows)
-        prepare = _heat if self.choice.colour else curves
-        panel, data = prepare(self.rows, self.choice)
-        source = {
-            "rows": sha256_of(self.rows.path),
-            "choice": repr(self.choice),
-            "code": fingerprint(prepare, compiled=False),
-        }
-        for line in sweep_notes(self.rows, self.choice):
-            request.on_message(line)
-        return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, 3.8)))
+    where: tuple[str, ...] = ()
+    xlabel: str = ""
+    ylabel: str = ""
+    xlog: bool = False
+    law: Callable[[Array], Array] | None = None
+    law_label: str = ""
 
 
-def sweep_figure(rows: SweepRows, choice: Choice) -> SweepFigure:
-    """The figure of ``topcli plot sweep``."""
-    return SweepFigure(figure_name(rows, choice), f"{choice.measure} of {rows.name}", "topcli sweep", rows, choice)
+@dataclass(frozen=True)
+class _Shown:
+    """Back end of a sweep that evaluates the rows that a view shows; others stay unfinished.
+
+    ``keys`` are those of the sweep, ``views`` the conditions of each view.
+    """
+
+    keys: tuple[str, ...]
+    views: tuple[tuple[str, ...], ...]
+    on_progress: Callable[[int, int], None]
+
+    def __call__(
+        self, made: Iterable[list[Row]], work: Work, stop: Callable[[], bool]
+    ) -> Iterator[tuple[list[Row], Results]]:
+        """Yield batches with their results."""
+        from topcli.sweeps.run import default_threads, in_threads
+
+        wanted = [shown for batch in made if (shown := [row for row in batch if self._is_shown(row)])]
+        done, total = 0, sum(map(len, wanted))
+        for batch, results in in_threads(default_threads())(wanted, work, stop):
+            yield batch, results
+            done += sum(results.done)
+            self.on_progress(done, total)
+
+    def _is_shown(self, row: Row) -> bool:
+        values = dict(zip(self.keys, row.keys, strict=True))
+        return any(satisfies(values, conditions) for conditions in self.views)
+
+
+def satisfies(values: Mapping[str, Any], conditions: Sequence[str]) -> bool:
+    """True if the values of a row's keys satisfy the ``conditions``, as ``SweepRows.where`` reads them."""
+    wanted: dict[str, list[str]] = {}
+    for name, _, value in (condition.partition("=") for condition in conditions):
+        wanted.setdefault(name, []).append(value)
+    return all(
+        any(
+            text == values[name] if isinstance(values[name], str) else isclose(float(text), values[name])
+            for text in texts
+        )
+        for name, texts in wanted.items()
+    )
+
+
+def sweep_views(name: str, title: str, scene: str, views: tuple[View, ...], layout: Grid) -> Figure:
+    """Views of the packaged sweep ``scene``, of which missing rows that they show are run; finished ones never again.
+
+    ``topcli sweep`` runs the others.
+    """
+    return Figure(name, title, scene, partial(_load_views, name, scene, views, layout), needs=(scene,), rank=1)
+
+
+def _load_views(name: str, scene: str, views: tuple[View, ...], layout: Grid, request: Request) -> Loaded:
+    """Load panels and data. Raises UsageError and RunError."""
+    from topcli.config.sweep.document import load_sweep
+    from topcli.sweeps.run import Watcher, run_sweep
+
+    sweep = load_sweep(scene)
+    shown = _Shown(sweep.keys, tuple(view.where for view in views), request.on_progress)
+    result = run_sweep(sweep, request.results, watcher=Watcher(message=request.on_message), backend=shown)
+    rows = read_rows(result.folder)
+    if not result.outcomes.get("completed"):
+        raise RunError(f"{name}: no run of the sweep {result.folder} was completed")
+    panels: list[CurvePanel] = []
+    data: dict[str, np.ndarray] = {}
+    for letter, view in zip("abcdefgh", views, strict=False):
+        panel, columns = _drawn(view, *curves(rows.where(view.where), view.choice))
+        panels.append(replace(panel, prefix=f"{letter}:", title=f"({letter}) {view.title}".rstrip(), alone=False))
+        data |= {f"{letter}:{column}": values for column, values in columns.items()}
+    source = {"rows": sha256_of(rows.path), "code": fingerprint(curves, _drawn, compiled=False)}
+    return Loaded(tuple(panels), lambda: data, source, layout)
+
+
+def _drawn(
+    view: View, panel: CurvePanel, columns: Mapping[str, np.ndarray]
+) -> tuple[CurvePanel, Mapping[str, np.ndarray]]:
+    """Panel and columns of a view, with its labels and its law."""
+    panel = replace(
+        panel,
+        xlabel=view.xlabel or panel.xlabel,
+        ylabel=view.ylabel or panel.ylabel,
+        xlog=view.xlog or panel.xlog,
+    )
+    if view.law is None:
+        return panel, columns
+    x = np.unique(np.concatenate([columns[curve_column(label, "x")] for label in panel.labels]))
+    law = {curve_column(view.law_label, "x"): x, curve_column(view.law_label, "y"): view.law(x)}
+    return replace(panel, guide=view.law_label), {**columns, **law}

@@ -6,7 +6,7 @@ The surface is drawn as small facets from back to front. A line is cut where the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -14,10 +14,10 @@ import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
-from topcli.figures.contract import Figure, Loaded, Request
+from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import Grid, Styles
+from topcli.figures.scene3d import arrow, lit, projection, split
 from topcli.figures.scenes import scene_config
-from topcli.figures.sphere import projection
 
 AXES = ("x", "y", "z")
 PROJECTION = np.array([[2.0, 0, 0, 0, 0, 0], [0, 1.0, 0.5, 0, 0, 0], [0, 0, 0, 0, -1.0, 1.0]])
@@ -53,11 +53,6 @@ class TorusPanel:
     elevation: float
     azimuth: float
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return tuple(f"{part}:{name}" for part in ("surface", *LINES, "motion") for name in AXES)
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the torus into ``axes``."""
         view = projection(self.elevation, self.azimuth)
@@ -66,8 +61,7 @@ class TorusPanel:
         _facets(axes, _refined(surface, FINER), view)
         for part, (label, colour, dashes) in LINES.items():
             line = _points(data, part) @ view.T
-            flat = np.where(depths.visible(line)[:, None], line[:, :2], np.nan)
-            axes.plot(*flat.T, color=colour, ls=dashes, lw=0.8, label=label, zorder=4)
+            axes.plot(*split(line, depths.visible(line))[0].T, color=colour, ls=dashes, lw=0.8, label=label, zorder=4)
         _motion(axes, _points(data, "motion") @ view.T, depths)
         _triad(axes, view, depths)
         axes.set_aspect("equal")
@@ -131,10 +125,7 @@ def _facets(axes: Any, fine: np.ndarray, view: np.ndarray) -> None:
     towards = normal @ view[2]
     normal *= np.where(towards < 0.0, -1.0, 1.0)[:, None]
     light = np.array([-0.45, 0.55, 0.75]) @ view
-    light /= np.linalg.norm(light)
-    glint = (light + view[2]) / np.linalg.norm(light + view[2])
-    diffuse, shine = np.maximum(normal @ light, 0.0), np.maximum(normal @ glint, 0.0) ** 30
-    colours = np.clip(SURFACE * (0.62 + 0.40 * diffuse)[:, None] + 0.08 * shine[:, None], 0.0, 1.0)
+    colours = lit(SURFACE, normal, light, view[2], (0.62, 0.40), (0.08, 30))
     flat = corners @ view.T
     order = np.argsort(flat[:, :, 2].mean(axis=1))
     look: dict[str, Any] = {"facecolors": colours[order], "edgecolors": colours[order], "linewidths": 0.3}
@@ -146,20 +137,15 @@ def _facets(axes: Any, fine: np.ndarray, view: np.ndarray) -> None:
 def _motion(axes: Any, line: np.ndarray, depths: _Depths) -> None:
     """Draw the motion as a broader line with its start and arrows."""
     seen, colour = depths.visible(line), LINES["energy"][1]
-    flat = np.where(seen[:, None], line[:, :2], np.nan)
-    axes.plot(*flat.T, color=colour, ls="-", lw=2.6, zorder=5, label="the motion")
+    axes.plot(*split(line, seen)[0].T, color=colour, ls="-", lw=2.6, zorder=5, label="the motion")
     if seen[0]:
         look = {"color": colour, "markersize": 5.0, "markeredgecolor": "white"}
         axes.plot(*line[0, :2], "o", zorder=7, label="initial state", **look)
     edges = [0, *(np.flatnonzero(np.diff(seen.astype(int))) + 1), len(seen)]
     for begin, end in pairwise(edges):
         if seen[begin] and end - begin > 40:
-            _arrow(axes, line[(begin + end) // 2 + np.array([0, 6]), :2], colour, 1.5, 0.25, zorder=6)
-
-
-def _arrow(axes: Any, ends: np.ndarray, colour: str, width: float, head: float, zorder: int) -> None:
-    style = {"arrowstyle": f"-|>,head_width={head},head_length={2 * head}", "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", xy=ends[1], xytext=ends[0], arrowprops={**style, "color": colour, "lw": width}, zorder=zorder)
+            foot, tip = line[(begin + end) // 2 + np.array([0, 6]), :2]
+            arrow(axes, foot, tip, colour, 1.5, zorder=6, head=0.25)
 
 
 def _triad(axes: Any, view: np.ndarray, depths: _Depths) -> None:
@@ -170,7 +156,7 @@ def _triad(axes: Any, view: np.ndarray, depths: _Depths) -> None:
     right, lowest = max(0.0, tips[:, 0].max()), min(0.0, tips[:, 1].min())
     corner = low + np.array([-0.2 * size - right, 0.3 * size - lowest])
     for tip, label in zip(tips, LABELS, strict=True):
-        _arrow(axes, np.array([corner, corner + tip]), "0.2", 0.8, 0.15, zorder=8)
+        arrow(axes, corner, corner + tip, "0.2", 0.8, zorder=8, head=0.15)
         across = abs(tip[0]) > abs(tip[1])
         place = {
             "ha": ("left" if tip[0] > 0.0 else "right") if across else "center",
@@ -183,31 +169,22 @@ def _triad(axes: Any, view: np.ndarray, depths: _Depths) -> None:
     axes.set_ylim(low[1] - 0.05 * size, high[1] + 0.05 * size)
 
 
-@dataclass(frozen=True)
-class TorusFigure(Figure):
-    """The torus of a scene, seen from ``elevation`` and ``azimuth`` in degrees."""
+def load_torus(name: str, scene: str, panel: TorusPanel, request: Request) -> Loaded:
+    """Load the torus of a scene. Raises UsageError for a scene of another top or without a torus."""
+    from topcli.analysis.motion.torus import Torus
+    from topcli.config.load import load_experiment
 
-    elevation: float
-    azimuth: float
-    layout: Grid = field(default_factory=Grid)
-
-    def load(self, request: Request) -> Loaded:
-        """Return the panel and the columns. Raises UsageError for a scene of another top or without a torus."""
-        from topcli.analysis.motion.torus import Torus
-        from topcli.config.load import load_experiment
-
-        experiment = load_experiment(scene_config(self.scene, request.configs))
-        if experiment.top.kind != "kowalevski":
-            raise UsageError(f"{self.name}: {experiment.name} is of the top {experiment.top.kind}, not kowalevski")
-        y, c = tuple(experiment.y0), float(experiment.top.constants()[0])
-        panel = TorusPanel(self.elevation, self.azimuth)
-        source = {
-            "state": [*y, c],
-            "size": [ROWS, COLUMNS, COUNT, POINTS, MIDDLE, RETURNS],
-            "projection": PROJECTION.tolist(),
-            "code": fingerprint(Torus.states, Torus.surface, Torus.motion_line, Torus._lines, compiled=False),
-        }
-        return Loaded((panel,), lambda: _data(self.name, y, c), source, self.layout)
+    experiment = load_experiment(scene_config(scene, request.configs))
+    if experiment.top.kind != "kowalevski":
+        raise UsageError(f"{name}: {experiment.name} is of the top {experiment.top.kind}, not kowalevski")
+    y, c = tuple(experiment.y0), float(experiment.top.constants()[0])
+    source = {
+        "state": [*y, c],
+        "size": [ROWS, COLUMNS, COUNT, POINTS, MIDDLE, RETURNS],
+        "projection": PROJECTION.tolist(),
+        "code": fingerprint(Torus.states, Torus.surface, Torus.motion_line, Torus._lines, compiled=False),
+    }
+    return Loaded((panel,), lambda: _data(name, y, c), source, Grid(figsize=(5.4, 4.8)))
 
 
 def _data(name: str, y: tuple[float, ...], c: float) -> dict[str, np.ndarray]:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
-from topcli.figures.contract import Figure, Loaded, NothingMeasuredError, Request
-from topcli.figures.picture import SharedLegend, Styles
+from topcli.figures.figure import Loaded, NothingMeasuredError, Request
+from topcli.figures.picture import MARKERS, Grid, Styles, looks
 
 FOLDER = "bench"
 """Folder of the results in the folder of the run folders."""
@@ -19,8 +19,6 @@ WORST_ERROR = 1.0
 """Largest error that is drawn."""
 MOST_OF_OURS = 7
 """Number of our schemes that are drawn, the nearest to the front; there are no more distinct colours."""
-MARKERS = "os^Dv<>"
-"""Markers of successive schemes and of successive peers, whose markers are open."""
 
 
 @dataclass(frozen=True)
@@ -49,28 +47,21 @@ class WorkPrecision:
     peers: tuple[str, ...] = ()
     """Names of the other integrators in the figure, by marker."""
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns that the panel draws."""
-        return tuple(column_name(self.scene, curve.name, kind) for curve in self.curves for kind in ("error", "time"))
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the curves into ``axes``: our schemes in colours, others in grey, all with different markers."""
-        import matplotlib as mpl
-
-        cycle = [style["color"] for style in mpl.rcParams["axes.prop_cycle"]]
+        own = looks(self.colours, markers=True)
         axes.set(xscale="log", yscale="log")
         least = WORST_ERROR
         for curve in sorted(self.curves, key=lambda curve: curve.ours):
             error, time = (data[column_name(self.scene, curve.name, kind)] for kind in ("error", "time"))
             error, time = error[np.isfinite(error)], 1e6 * time[np.isfinite(error)]
             least = min(least, float(error.min()))
-            known = self.colours if curve.ours else self.peers
-            at = known.index(curve.name)
-            look: dict[str, Any] = {"color": "0.55", "lw": 0.8, "mfc": "white", "marker": MARKERS[at % len(MARKERS)]}
             if curve.ours:
-                look = {"color": cycle[at % len(cycle)], "lw": 1.2, "marker": MARKERS[at % len(MARKERS)]}
-            axes.plot(error, time, "-", ms=3.2, mew=0.7, zorder=2 + curve.ours, label=curve.label, **look)
+                look: dict[str, Any] = {**own[curve.name], "lw": 1.2}
+            else:
+                marker = MARKERS[self.peers.index(curve.name) % len(MARKERS)]
+                look = {"color": "0.55", "linestyle": "-", "lw": 0.8, "mfc": "white", "marker": marker}
+            axes.plot(error, time, ms=3.2, mew=0.7, zorder=2 + curve.ours, label=curve.label, **look)
         axes.set_xlim(2.0 * WORST_ERROR, least / 3.0)
         axes.set_xlabel("largest error over the run; more accurate →")
         axes.set_ylabel("CPU time per unit of time, µs")
@@ -123,35 +114,35 @@ def _shown(reports: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     return tuple(sorted(nearness, key=lambda name: (nearness[name], name))[:MOST_OF_OURS])
 
 
-class WorkPrecisionFigure(Figure):
-    """Finished results of ``topcli bench``; nothing is measured for the figure."""
+def load_work_precision(request: Request) -> Loaded:
+    """Load finished results of ``topcli bench``; nothing is measured for the figure.
 
-    def load(self, request: Request) -> Loaded:
-        """Return panels and data of the results. Raises NothingMeasuredError if there are none, and RunError."""
-        from topcli.studies.bench.scenes import SCENES
-        from topcli.studies.bench.stored import stored_benches
+    Raises NothingMeasuredError if there are none, and RunError.
+    """
+    from topcli.studies.bench.scenes import SCENES
+    from topcli.studies.bench.stored import stored_benches
 
-        folder = request.results / FOLDER
-        benches = stored_benches(folder)
-        if not benches:
-            raise NothingMeasuredError(f"no finished result in {folder}; topcli bench makes one in a few minutes")
-        order = list(SCENES)
-        benches.sort(key=lambda bench: order.index(bench[1]["name"]) if bench[1]["name"] in order else len(order))
-        reports = [report for _, report in benches]
-        shown = _shown(reports)
-        drawn = [(report, curves) for report in reports if (curves := _curves(report, shown))]
-        peers = tuple(dict.fromkeys(curve.name for _, curves in drawn for curve in curves if not curve.ours))
-        panels: list[WorkPrecision] = []
-        data: dict[str, np.ndarray] = {}
-        for report, curves in drawn:
-            panels.append(WorkPrecision(report["name"], report["title"], tuple(curves), shown, peers))
-            for curve, values in curves.items():
-                for kind, column in zip(("error", "time"), values, strict=True):
-                    data[column_name(report["name"], curve.name, kind)] = column
-        made_from = [[run.manifest[key] for key in ("name", "digest", "code", "ended")] for run, _ in benches]
-        rows = -(-len(panels) // 2)
-        labels = {curve.name: curve.label for _, curves in drawn for curve in curves}
-        first = tuple(labels.get(name, name) for name in (*shown, *peers))
-        layout = SharedLegend(rows, (7.0, 1.0 + 2.8 * rows), ncols=3, first=first)
-        code = fingerprint(_shown, _curves, compiled=False)
-        return Loaded(panels, lambda: data, {"benches": made_from, "code": code}, layout)
+    folder = request.results / FOLDER
+    benches = stored_benches(folder)
+    if not benches:
+        raise NothingMeasuredError(f"no finished result in {folder}; topcli bench makes one in a few minutes")
+    order = list(SCENES)
+    benches.sort(key=lambda bench: order.index(bench[1]["name"]) if bench[1]["name"] in order else len(order))
+    reports = [report for _, report in benches]
+    shown = _shown(reports)
+    drawn = [(report, curves) for report in reports if (curves := _curves(report, shown))]
+    peers = tuple(dict.fromkeys(curve.name for _, curves in drawn for curve in curves if not curve.ours))
+    panels: list[WorkPrecision] = []
+    data: dict[str, np.ndarray] = {}
+    for report, curves in drawn:
+        panels.append(WorkPrecision(report["name"], report["title"], tuple(curves), shown, peers))
+        for curve, values in curves.items():
+            for kind, column in zip(("error", "time"), values, strict=True):
+                data[column_name(report["name"], curve.name, kind)] = column
+    made_from = [[run.manifest[key] for key in ("name", "digest", "code", "ended")] for run, _ in benches]
+    rows = -(-len(panels) // 2)
+    labels = {curve.name: curve.label for _, curves in drawn for curve in curves}
+    first = tuple(labels.get(name, name) for name in (*shown, *peers))
+    layout = Grid(rows, (7.0, 1.0 + 2.8 * rows), ncols=3, first=first)
+    code = fingerprint(_shown, _curves, compiled=False)
+    return Loaded(panels, lambda: data, {"benches": made_from, "code": code}, layout)

@@ -415,7 +415,7 @@ ANALYSE = Study(
     head,
     (SUMMARY, INVARIANTS),
     notes=notes,
-    figure="topcli.figures.analysis:loaded_analysis",
+    figure="topcli.figures.comparison:loaded_analysis",
     draws="errors, swings and deviations",
     captions=_captions,
     stem=lambda data: f"{data['config']['name']}_{Path(data['file']).stem}",

@@ -447,7 +447,7 @@ ORDER = Study(
     (ORDERS, ERRORS),
     notes=notes,
     faults=faults,
-    figure="topcli.figures.order:loaded_order",
+    figure="topcli.figures.errors:loaded_order",
     draws="the errors over h into DIR/figures",
     captions=("largest error over the step size h, with observed orders",),
     parts=cited_parts,

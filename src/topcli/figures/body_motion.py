@@ -137,7 +137,7 @@ def _invariants(
 ) -> dict[str, Array]:
     """Invariants of the top along the rows, recorded or evaluated."""
     known = experiment.top.invariants()
-    found = {one.name: np.asarray(series[one.name], dtype=float) for one in known if one.name in series}
+    values = {each.name: np.asarray(series[each.name], dtype=float) for each in known if each.name in series}
     if states is not None:
-        found |= invariant_values([one for one in known if one.name not in found], states)
-    return {one.name: found[one.name][:rows] for one in known if one.name in found}
+        values |= invariant_values([each for each in known if each.name not in values], states)
+    return {each.name: values[each.name][:rows] for each in known if each.name in values}

@@ -1,4 +1,4 @@
-"""Make figures: load them, draw those that are not up to date, write data and pictures; several at the same time."""
+"""A figure: a record with a function that loads it. Figures are drawn if they are not up to date, several at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -20,8 +20,7 @@ import numpy as np
 from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import RunError, TopcliError, UsageError, clipped
-from topcli.figures.contract import Figure, Loaded, Request
-from topcli.figures.picture import DEFAULT_FORMATS, STYLE, draw, save
+from topcli.figures.picture import DEFAULT_FORMATS, STYLE, Drawable, Grid, draw, exact_column, save
 from topcli.store.run_folder import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, write_parquet
 
@@ -33,6 +32,84 @@ PROGRESS_SECONDS = 0.2
 
 OnProgress = Callable[[str, int, int], None]
 """Function called with the name of a figure, and the parts of its data that are done and all of them."""
+
+
+class NothingMeasuredError(UsageError):
+    """A figure of measurements that have not been taken yet (exit code 2)."""
+
+
+def ignored(*news: object) -> None:
+    """Ignore progress or a message."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """Folders of results and configs, and permissions to produce missing results.
+
+    With ``force`` existing results are produced again. With ``stored_only`` a figure whose results take minutes is
+    loaded from existing results or raises NothingMeasuredError. ``overrides`` are ``key=value`` texts for the configs
+    of the runs that are drawn, ``overlay`` draws the exact motion behind them, and the parameters of matplotlib in
+    ``style`` replace those of the print style.
+    """
+
+    results: Path = Path("results")
+    configs: Path = Path("configs")
+    force: bool = False
+    stored_only: bool = False
+    on_progress: Callable[[int, int], None] = ignored
+    on_message: Callable[[str], None] = ignored
+    overrides: tuple[str, ...] = ()
+    overlay: bool = False
+    style: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Content of a figure.
+
+    ``source`` is plain data that identifies what the figure is made from; ``data`` is called only if the figure must be
+    drawn, and has the columns of the data file, at the latest once the panels are drawn. ``metadata`` is stored with
+    the plotted data. ``variant`` distinguishes the files of a figure that overrides have changed.
+    """
+
+    panels: Sequence[Drawable]
+    data: Callable[[], Mapping[str, np.ndarray]]
+    source: Mapping[str, Any]
+    layout: Grid = field(default_factory=Grid)
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    variant: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure.
+
+    Attributes
+    ----------
+    name : str
+        Name on the command line and of the files.
+    title : str
+        Description in one line.
+    scene : str
+        Scene or command that the results come from.
+    load : callable
+        Function of a ``Request`` that returns panels, data and source; it raises UsageError and RunError.
+    needs : tuple of str
+        Stored results that it reads or makes, which no other process may make at the same time.
+    rank : int
+        When it begins among several: 0 for the paper's figures, 1 for those that take longest.
+    takes_overrides, takes_overlay : bool
+        Whether ``Request.overrides`` and ``Request.overlay`` have a meaning.
+    """
+
+    name: str
+    title: str
+    scene: str
+    load: Callable[[Request], Loaded]
+    needs: tuple[str, ...] = ()
+    rank: int = 2
+    takes_overrides: bool = False
+    takes_overlay: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,9 +141,10 @@ def _files(name: str, out: Path, formats: Sequence[str]) -> tuple[Path, ...]:
 
 
 def _padded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Columns of equal length, with nan after the end of shorter ones."""
+    """Columns of equal length, with nan after the end of shorter ones; those of the exact motion are last."""
     rows = max(map(len, columns.values()))
-    return {name: np.append(values, np.full(rows - len(values), np.nan)) for name, values in columns.items()}
+    names = sorted(columns, key=lambda name: name.startswith(exact_column("")))
+    return {name: np.append(columns[name], np.full(rows - len(columns[name]), np.nan)) for name in names}
 
 
 def write_figure(
@@ -83,15 +161,16 @@ def write_figure(
     style = style or {}
     write = partial(save, style=style) if style else save
     *pictures, data_path = files = _files(name, out, formats)
-    data = _padded(loaded.data())
+    data = loaded.data()
+    data = _padded(data) if data else data  # the columns of runs are read when they are drawn
     metadata = {SOURCE: _source(loaded, style), **loaded.metadata}
     try:
         out.mkdir(parents=True, exist_ok=True)
-        data_path.unlink(missing_ok=True)  # written last: it vouches for the pictures
         figure = draw(loaded.panels, data, loaded.layout, style)
+        data_path.unlink(missing_ok=True)  # written last: it vouches for the pictures
         for path in pictures:
             write_whole(path, lambda temporary: write(figure, temporary))
-        write_whole(data_path, lambda temporary: write_parquet(temporary, data, metadata))
+        write_whole(data_path, lambda temporary: write_parquet(temporary, _padded(data), metadata))
     except OSError as error:
         raise io_failure(error, out, "the figure was not drawn") from error
     except (ValueError, TypeError, RuntimeError, MemoryError) as error:
@@ -165,9 +244,9 @@ class _Processes:
         self.arguments = (silent, out, formats)
         self.running: dict[Connection, tuple[Figure, Any]] = {}
 
-    def are_free(self, needs: frozenset[str]) -> bool:
+    def are_free(self, needs: Sequence[str]) -> bool:
         """True if no running process uses one of the stored results ``needs``."""
-        return all(needs.isdisjoint(figure.needs) for figure, _ in self.running.values())
+        return all(set(needs).isdisjoint(figure.needs) for figure, _ in self.running.values())
 
     def start(self, figure: Figure) -> None:
         """Start the process of a figure."""
