@@ -44,6 +44,8 @@ def test_json_has_one_list_of_claims(cli) -> None:
     assert [row["verdict"] for row in document["claims"]] == [HOLDS, MISPRINT, FAILS]
     assert document["claims"][1]["bound"] == {"low": 0.0, "high": 0.0}
     assert document["claims"][1]["corrected"] == 0.0
+    reasons = [row["bound_reason"] for row in document["claims"]]
+    assert reasons == [*2 * ["an identity leaves exactly 0 in rational numbers"], "rounding with 50 digits"]
     assert set(document["controls"]) == {"identity", "reversible"}
 
 
