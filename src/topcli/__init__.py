@@ -27,7 +27,7 @@ HOMES = {
     "run": "topcli.show.runs",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.runs.simulate",
-    "simulate_ensemble": "topcli.runs.simulate_ensemble",
+    "simulate_ensemble": "topcli.runs.simulate",
     "stress": "topcli.show.study",
     "sweep": "topcli.show.sweeps",
 }

@@ -2,7 +2,7 @@ from topcli.analysis.ensemble import Ensemble as Ensemble
 from topcli.analysis.motion.result import Motion as Motion
 from topcli.analysis.trajectory import Trajectory as Trajectory
 from topcli.runs.simulate import simulate as simulate
-from topcli.runs.simulate_ensemble import simulate_ensemble as simulate_ensemble
+from topcli.runs.simulate import simulate_ensemble as simulate_ensemble
 from topcli.schemes.registry import scheme as scheme
 from topcli.show.claims import claims as claims
 from topcli.show.motions import motion as motion

@@ -23,8 +23,7 @@ from topcli.contracts import Invariant, Outcome, Top
 from topcli.runs.ensemble import run_ensemble
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.runs.simulate import simulate
-from topcli.runs.simulate_ensemble import simulate_ensemble
+from topcli.runs.simulate import simulate, simulate_ensemble
 from topcli.schemes.registry import find_scheme
 from topcli.studies.stress.case import Case, CaseCache, Result
 from topcli.studies.stress.checks import stays_bounded

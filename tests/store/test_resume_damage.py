@@ -22,10 +22,9 @@ from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.growing import GrowingFile
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.parts import lock_left, lock_new, new_part, parts_of
-from topcli.store.series import SeriesWriter, read_metadata, read_series
+from topcli.store.series import GrowingFile, SeriesWriter, read_metadata, read_series
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 

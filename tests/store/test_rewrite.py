@@ -149,7 +149,7 @@ def test_a_failure_keeps_the_earlier_format(tmp_path: Path, at: str, monkeypatch
 
     with monkeypatch.context() as patch:
         if at == "series":
-            patch.setattr("topcli.store.growing.GrowingFile.append", fail)
+            patch.setattr("topcli.store.series.GrowingFile.append", fail)
         elif at == "manifest":
             patch.setattr(run_folder, "write_whole", fail)
         else:

@@ -17,8 +17,8 @@ from topcli.engine import ensemble as engine
 from topcli.engine.endings import CODES, Endings
 from topcli.runs import ensemble as study
 from topcli.runs.ensemble import run_ensemble
-from topcli.runs.ensemble_report import SHOWN, EndingTally
 from topcli.runs.plan import RunOptions
+from topcli.runs.report import SHOWN, EndingTally
 from topcli.tops.kowalevski import Kowalevski
 
 START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}

@@ -69,12 +69,11 @@ def _print_result(result: RunResult, labelled: bool) -> None:
     """Print the message and the table of a run."""
     report, warning, notes = result.report, "", []
     if report.get("kind") == "ensemble":
-        from topcli.runs.ensemble_report import ensemble_table
+        from topcli.runs.report import ensemble_table
 
         header, *lines = ensemble_table(report)
     else:
-        from topcli.runs.accuracy import accuracy_note
-        from topcli.runs.report import INVARIANTS, precision_note, warning_of
+        from topcli.runs.report import INVARIANTS, accuracy_note, precision_note, warning_of
 
         warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
         cells = INVARIANTS.cells(report)

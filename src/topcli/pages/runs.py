@@ -11,8 +11,7 @@ from topcli.contracts import Outcome
 from topcli.pages.contents import UNFINISHED, Chapter, Facts, Notes
 from topcli.pages.origin import add_files, add_origin, experiment_of, parts_of, text_block, value_text
 from topcli.pages.pictures import quantile_pictures, series_pictures
-from topcli.runs.ensemble_report import ensemble_table
-from topcli.runs.report import INVARIANTS, comparison_lines, precision_note, warning_of
+from topcli.runs.report import INVARIANTS, comparison_lines, ensemble_table, precision_note, warning_of
 from topcli.runs.resume import OUTSIDE_IDENTITY, flattened
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import MANIFEST, REPORT, DamagedError, DamagedRun, StoredRun, read_json

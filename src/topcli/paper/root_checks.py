@@ -12,7 +12,7 @@ import numpy as np
 from topcli.paper import printed
 from topcli.paper.algebra import Draws, Numbers, exact, plane
 from topcli.paper.claim import Measurement
-from topcli.runs.simulate_ensemble import simulate_ensemble
+from topcli.runs.simulate import simulate_ensemble
 from topcli.schemes.kowalevski.bohlin import direct
 
 ROOT_POINTS = 50

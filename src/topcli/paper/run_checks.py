@@ -23,7 +23,7 @@ from topcli.contracts import Array, Top, checked_equations
 from topcli.paper.claim import Measurement
 from topcli.paper.exact_checks import Formula
 from topcli.paper.scenes import LedgerScene, invariant_named
-from topcli.runs.simulate_ensemble import simulate_ensemble
+from topcli.runs.simulate import simulate_ensemble
 from topcli.tops import TOPS
 
 # orders in h

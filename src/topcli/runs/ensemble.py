@@ -18,10 +18,9 @@ from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
 from topcli.errors import UsageError
-from topcli.runs.accuracy import setup_message
-from topcli.runs.ensemble_report import EndingTally, ensemble_markdown, ensemble_report
 from topcli.runs.identity import Identity, Origin, store_run
 from topcli.runs.plan import Plan, RunOptions, plan_run
+from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report, setup_message
 from topcli.runs.run import RunResult, existing_result
 from topcli.store.provenance import Commit, environment, now
 from topcli.store.run_folder import RunWriter

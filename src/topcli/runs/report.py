@@ -1,20 +1,25 @@
-"""Report of a run: plain data for ``report.json``, Markdown for ``report.md``, cells for tables."""
+"""Reports of runs and ensembles: plain data for ``report.json``, Markdown for ``report.md``, cells for tables."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from topcli.analysis.tally import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
-from topcli.contracts import Ending
-from topcli.runs.accuracy import accuracy_note, seconds_note
-from topcli.table import Column, Table, exact_number, number, two_digits
+import numpy as np
+
+from topcli.analysis.tally import LOST, QUANTILES, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
+from topcli.contracts import Ending, Method, Outcome, Sampler
+from topcli.engine.endings import NO_FAILURE, Endings
+from topcli.table import Column, Table, exact_number, markdown_table, number, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.digit_growth import DigitGrowth
+    from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
+    from topcli.engine.setups import SetupTime
 
 SCHEMA_VERSION = 1
 
@@ -189,6 +194,212 @@ def report_markdown(report: dict[str, Any]) -> str:
         "",
         seconds_note(report["seconds"]),
         *(["", f"{note[0].upper()}{note[1:]}."] if (note := accuracy_note(report)) else []),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+SAMPLES = 200
+"""Largest number of times at which the sensitivity of a motion is evaluated."""
+
+
+class Timed(Protocol):
+    """A run or an ensemble, with its times in seconds."""
+
+    @property
+    def compile_seconds(self) -> float:
+        """Time to compile or load the code."""
+        ...
+
+    @property
+    def cached(self) -> bool:
+        """True if all code came from disk."""
+        ...
+
+    run_seconds: float
+    setup: SetupTime | None
+
+
+def seconds_of(run: Timed) -> dict[str, Any]:
+    """Times of a run, as ``report.json`` holds them; that of the set-up only for closed forms that have one."""
+    setup = run.setup
+    return {
+        "compile": run.compile_seconds,
+        "compile_cached": run.cached,
+        **({} if setup is None else {"setup": setup.seconds, "setup_cached": setup.cached}),
+        "run": run.run_seconds,
+    }
+
+
+def seconds_note(seconds: Mapping[str, Any]) -> str:
+    """Times of a run in a sentence."""
+    parts = [f"Compiled or loaded in {seconds['compile']:.3g} s"]
+    if "setup" in seconds:
+        parts.append(f"{'loaded the set-up' if seconds['setup_cached'] else 'set up'} in {seconds['setup']:.3g} s")
+    parts.append(f"ran in {seconds['run']:.3g} s")
+    return f"{', '.join(parts)}."
+
+
+def setup_message(experiment: EnsembleExperiment, threads: int | None = None) -> str:
+    """Expected time of the set-ups of an ensemble, in one line; empty if it is below a second."""
+    from topcli.engine.ensemble import default_threads
+    from topcli.engine.setups import setup_estimate, setup_processes
+
+    method = experiment.first.method()
+    if not isinstance(method, Sampler) or method.setup is None:
+        return ""
+    count = experiment.count
+    processes = setup_processes(method.setup, count, threads or default_threads())
+    if processes == 0:
+        return ""
+    seconds = setup_estimate(method.setup, count) / processes
+    where = "1 process" if processes == 1 else f"{processes} processes"
+    return f"the set-up of {count} closed forms takes about {seconds:.0f} s in {where}, less if some are stored"
+
+
+def accuracy_data(method: Method, experiment: Experiment, steps: int) -> dict[str, Any]:
+    """Entry of ``report.json`` on the accuracy of a closed form over ``steps`` steps; none for other methods."""
+    if not isinstance(method, Sampler) or method.accuracy is None:
+        return {}
+    n = np.unique(np.linspace(0, max(steps, 1), SAMPLES).astype(np.int64))
+    found = method.accuracy(np.array(experiment.y0), experiment.h, n, experiment.top.constants())
+    return {"accuracy": found._asdict()}
+
+
+def accuracy_note(report: Mapping[str, Any]) -> str:
+    """Accuracy of a closed form, in one line; empty for other methods."""
+    found = report.get("accuracy")
+    if not found:
+        return ""
+    change = found["sensitivity"]
+    then = (
+        "the sensitivity to the initial state is unknown, because a state one ulp away is not covered"
+        if change is None
+        else f"one ulp in the initial state, which is taken as exact, changes the states by up to {change:.0e}"
+    )
+    return f"round-off at most about {found['round_off']:.0e} ({found['reason']}); {then}"
+
+
+SHOWN = 20
+"""Failures listed in the report; the table of trajectories contains all of them."""
+TITLES = {"max_deviation": "max deviation", "rms_deviation": "rms deviation", "final_deviation": "deviation at the end"}
+
+
+WORDS = {
+    Outcome.COMPLETED: "completed",
+    Outcome.LEFT_MOTION: "left their energy surface",
+    Outcome.BLEW_UP: "blew up",
+    Outcome.NO_CONVERGENCE: "did not converge",
+    Outcome.INTERRUPTED: "interrupted",
+    Outcome.DIGIT_LIMIT: "reached the limit of digits",
+}
+"""Outcomes as words of a sentence."""
+
+
+def _failure(ending: Ending) -> dict[str, Any]:
+    """Outcome of a failed trajectory, with the step and time at which it ended or first left its energy surface."""
+    at = (ending.left, ending.left_t) if ending.outcome is Outcome.LEFT_MOTION else (ending.step, ending.t)
+    return {"outcome": ending.outcome.value, "step": at[0], "t": at[1]}
+
+
+class EndingTally:
+    """Counts of outcomes over the trajectories of an ensemble of N steps, added up block by block."""
+
+    def __init__(self, N: int) -> None:
+        self.N, self.total = N, 0
+        self.counters: Counter[str] = Counter()
+        self.failures: list[tuple[int, Ending]] = []
+        """The first SHOWN trajectories that failed."""
+        self._counts: Counter[Outcome] = Counter()
+
+    def add(self, endings: Endings) -> None:
+        """Add the endings of the next trajectories."""
+        self._counts.update(endings.outcomes)
+        self.counters.update(endings.totals)
+        for i in endings.failed[: SHOWN - len(self.failures)].tolist():
+            self.failures.append((self.total + i, endings[i]))
+        self.total += len(endings)
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """Number of trajectories for each outcome that occurs."""
+        return {outcome.value: self._counts[outcome] for outcome in Outcome if self._counts[outcome]}
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the ensemble: interrupted if any trajectory is; else that of the first failure; else completed."""
+        if self._counts[Outcome.INTERRUPTED]:
+            return Outcome.INTERRUPTED
+        return self.failures[0][1].outcome if self.failures else Outcome.COMPLETED
+
+    @property
+    def message(self) -> str:
+        """Outcomes of the trajectories, and the first failure, in one line."""
+        if self._counts[Outcome.COMPLETED] == self.total:
+            return f"all {self.total} trajectories completed {self.N} step{'s' * (self.N != 1)}"
+        counted = ", ".join(f"{count} {WORDS[Outcome(name)]}" for name, count in self.outcomes.items())
+        message = f"of {self.total} trajectories {counted}"
+        if self.failures:
+            number, ending = self.failures[0]
+            message += f"; the first of them, trajectory {number}, {ending.message}"
+        return message
+
+
+def ensemble_report(
+    experiment: EnsembleExperiment,
+    digest: str,
+    endings: EndingTally,
+    invariants: Sequence[dict[str, Any]],
+    seconds: dict[str, Any],
+) -> dict[str, Any]:
+    """Content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
+    return finite(
+        {
+            "schema_version": SCHEMA_VERSION,
+            "kind": "ensemble",
+            **heading(experiment.first, experiment.name, digest),
+            "trajectories": endings.total,
+            "store": experiment.store,
+            "outcome": endings.outcome.value,
+            "message": endings.message,
+            "outcomes": endings.outcomes,
+            "failures": [{"trajectory": i, **_failure(ending)} for i, ending in endings.failures],
+            "counters": dict(endings.counters),
+            "seconds": seconds,
+            "round_off_ulps": ROUND_OFF_ULPS,
+            "invariants": list(invariants),
+        }
+    )
+
+
+def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
+    """Ensemble report as lines of cells, a column for each invariant; the first line is the header."""
+    rows = report["invariants"]
+    lines = [
+        ["invariant", *(row["symbol"] for row in rows)],
+        ["within round-off", *(f"{row['within_round_off']} of {row['judged']}" for row in rows)],
+    ]
+    for measure, title in TITLES.items():
+        names = QUANTILES if measure == "max_deviation" else ("median", "max")
+        lines += [[f"{title}, {name}", *(number(row[measure][name]) for row in rows)] for name in names]
+    return lines
+
+
+def ensemble_markdown(report: dict[str, Any]) -> str:
+    """Content of ``report.md``."""
+    listed = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
+    failed = sum(count for outcome, count in report["outcomes"].items() if outcome not in NO_FAILURE)
+    if failed > len(listed):
+        listed.append(f"- and {failed - len(listed)} more")
+    lines = [
+        *report_head(report, f"{report['trajectories']} trajectories, ", listed, ", all trajectories together"),
+        *markdown_table(ensemble_table(report)),
+        "",
+        "Deviations of each trajectory are from its own first value, over its recorded rows; the lines give quantiles "
+        "over the trajectories. *Within round-off*: trajectories whose largest deviation stays below "
+        f"{ROUND_OFF_ULPS:g} ulp × √steps of the invariant's terms.",
+        "",
+        seconds_note(report["seconds"]),
         "",
     ]
     return "\n".join(lines)

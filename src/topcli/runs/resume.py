@@ -16,11 +16,11 @@ from topcli.errors import UsageError
 from topcli.runs.identity import Identity
 from topcli.runs.recorder import Recorder
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, write_checkpoint
-from topcli.store.growing import damaged
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.parts import Part, parts_of, release_reserve, reserve
 from topcli.store.provenance import environment, now
 from topcli.store.run_folder import RunWriter, require_place
+from topcli.store.series import damaged
 
 CHECKPOINT_SECONDS = 10.0
 """Seconds between two checkpoints; the first one comes after half of it."""

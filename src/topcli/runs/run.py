@@ -13,12 +13,19 @@ from topcli.config.models import Experiment
 from topcli.contracts import Method, Outcome
 from topcli.engine.loop import Run
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.runs.accuracy import accuracy_data, seconds_of
 from topcli.runs.identity import Identity, Origin, store_run
 from topcli.runs.plan import Plan, Progress, RunOptions, plan_run
 from topcli.runs.prepare import run_of
 from topcli.runs.recorder import Recorder
-from topcli.runs.report import heading, left_motion, precision_data, report_data, report_markdown
+from topcli.runs.report import (
+    accuracy_data,
+    heading,
+    left_motion,
+    precision_data,
+    report_data,
+    report_markdown,
+    seconds_of,
+)
 from topcli.runs.resume import (
     Checkpoints,
     checked_start,

@@ -1,4 +1,4 @@
-"""Python interface for single runs: from a config, a scene or keywords to a Trajectory."""
+"""Python interface without a folder: from a config, a scene or keywords to a Trajectory or an Ensemble."""
 
 from __future__ import annotations
 
@@ -6,11 +6,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from topcli.analysis.ensemble import Ensemble
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.duration import changed
-from topcli.config.load import experiment_from, load_experiment
-from topcli.config.models import Experiment
+from topcli.config.ensemble import EnsembleExperiment, Group, Listed, Members
+from topcli.config.load import any_from, config_data, experiment_from, load_any, load_experiment
+from topcli.config.members import SOURCES
+from topcli.config.models import UNIT_TOLERANCE, Experiment
+from topcli.contracts import Array, Top
+from topcli.engine.endings import Endings
+from topcli.engine.ensemble import Piece
+from topcli.errors import UsageError
+from topcli.runs.ensemble import GroupRun, varied_parameters
 from topcli.runs.prepare import run_of
+from topcli.tops import TOPS
 
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
@@ -77,3 +88,175 @@ def simulate(
     if config is None or isinstance(config, Mapping):
         return trajectory_of(experiment_from({"name": "simulation", **changed(config or {}, changes)}, overrides))
     return trajectory_of(load_experiment(config, overrides, changes, any_precision=True))
+
+
+MAX_NUMBERS = 5 * 10**8
+"""Largest count of numbers in the recorded states: four gigabytes."""
+
+
+def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> Ensemble:
+    """Run an ensemble in memory. Raises UsageError if its rows would not fit."""
+    first, d = experiment.first, len(experiment.top.components)
+    each = first.N // first.output.every + 1 if experiment.store == "trajectories" else 0
+    if experiment.count * each * d > MAX_NUMBERS:
+        raise UsageError(
+            f"{experiment.count} trajectories of {each} rows do not fit in memory; record fewer with output.every, "
+            "or keep less with store: final or statistics"
+        )
+    states = np.full((experiment.count, each, d), np.nan)
+
+    def keep(group: GroupRun[None], piece: Piece, values: object) -> None:
+        if each and len(piece.n):
+            where = group.offset + piece.first
+            start = int(piece.n[0]) // first.output.every
+            for i, kept in enumerate(piece.kept):
+                states[where + i, start : start + kept] = piece.states[i, :kept]
+
+    runs: list[GroupRun[None]] = []
+    offset = 0
+    for group in experiment.members.groups:
+        one = GroupRun(experiment, group, offset, keep, lambda: False, threads)
+        for _ in one.block(group.states):
+            pass
+        runs.append(one)
+        offset += group.count
+    varied = varied_parameters(experiment)
+    tables = [one.trajectories(varied) for one in runs]
+    return Ensemble(
+        tops=tuple(one.group.top for one in runs for _ in range(one.group.count)),
+        scheme=first.scheme.name,
+        h=first.h,
+        n=np.arange(each, dtype=np.int64) * first.output.every,
+        states=states,
+        initial=np.concatenate([one.run.y0 for one in runs]),
+        last=np.concatenate([one.run.last for one in runs]),
+        last_n=np.concatenate([one.run.last_n for one in runs]),
+        endings=Endings.joined([one.run.endings for one in runs]),
+        tallies=tuple(one.tally for one in runs),
+        table={name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
+        modified=tuple(one.modified for one in runs for _ in range(one.group.count)),
+        compile_seconds=sum(one.run.compile_seconds for one in runs),
+        run_seconds=sum(one.run.run_seconds for one in runs),
+        setup_seconds=sum(one.run.setup.seconds for one in runs if one.run.setup),
+    )
+
+
+def simulate_ensemble(
+    config: str | Path | Mapping[str, Any] | None = None,
+    *,
+    states: Array | Sequence[Sequence[float]] | None = None,
+    overrides: Sequence[str] = (),
+    threads: int | None = None,
+    **changes: Any,
+) -> Ensemble:
+    """Run one experiment from many initial states in memory.
+
+    A trajectory has the same bits as a single run from its initial state.
+
+    Parameters
+    ----------
+    config : path, str or mapping, optional
+        Config file, name of a packaged scene, or the content of a config, as for ``topcli.simulate``.
+    states : array_like of float, shape (trajectories, d), optional
+        Initial states, with the components in the order of the top's. By default those of the config's ``ensemble``:
+        a list ``states``, a ``grid``, or ``random`` draws.
+    overrides : sequence of str
+        Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
+    threads : int, optional
+        Number of threads, which does not change the results; all CPUs by default.
+    **changes
+        Values that replace whole top-level keys of the config. ``ensemble={"store": "final"}`` keeps only the last
+        states, ``"statistics"`` only the deviations of the invariants.
+
+    Returns
+    -------
+    Ensemble
+        Recorded states (trajectories, m, d), initial and last states (trajectories, d), endings, and a table of the
+        deviations of all invariants. A trajectory that fails does not disturb the others.
+
+    Raises
+    ------
+    ConfigError
+        If the config has a fault.
+    UsageError
+        If there are no initial states or unsuitable ones, or if the rows would not fit in memory.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> random = {"count": 50, "seed": 7, "gamma": "sphere"}
+    >>> ensemble = topcli.simulate_ensemble("kowalevski_hk", ensemble={"random": random}, N=100)
+    >>> ensemble.states.shape
+    (50, 101, 6)
+    >>> single = topcli.simulate("kowalevski_hk", N=100)
+    >>> same = topcli.simulate_ensemble("kowalevski_hk", states=single.states[:1], N=100)
+    >>> bool((same.states[0] == single.states).all())
+    True
+    """
+    if threads is not None and threads < 1:
+        raise UsageError(f"threads must be at least 1, not {threads}")
+    return ensemble_of(_experiment(config, states, overrides, changes), threads)
+
+
+def _experiment(
+    config: str | Path | Mapping[str, Any] | None, states: Any, overrides: Sequence[str], changes: Mapping[str, Any]
+) -> EnsembleExperiment:
+    if config is None or isinstance(config, Mapping):
+        data = {"name": "simulation", **changed(config or {}, changes)}
+    elif states is None:
+        return _ensemble(load_any(config, overrides, changes))
+    else:
+        data = config_data(config, overrides, changes)
+        overrides = ()
+    return _ensemble(any_from(data, overrides)) if states is None else _from_states(data, states, overrides)
+
+
+def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
+    if isinstance(found, EnsembleExperiment):
+        return found
+    raise UsageError(
+        "simulate_ensemble: no initial states; give states=..., or ensemble={'states' or 'grid' or 'random': ...}"
+    )
+
+
+def _from_states(data: dict[str, Any], states: Any, overrides: Sequence[str]) -> EnsembleExperiment:
+    """Ensemble from an array of states; the section ``ensemble`` may only say what to store."""
+    section = dict(data.pop("ensemble", None) or {})
+    if given := [key for key in SOURCES if section.get(key) is not None]:
+        raise UsageError(f"simulate_ensemble: initial states are given by states= and by ensemble.{given[0]}; keep one")
+    try:
+        array = np.array(states, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"simulate_ensemble: states must be an array of numbers: {error}") from None
+    if array.ndim != 2 or not len(array) or not np.isfinite(array).all():
+        raise UsageError("simulate_ensemble: states must be finite numbers of shape (trajectories, components)")
+    kind = data.get("top")
+    kind = kind.get("kind") if isinstance(kind, dict) else kind
+    initial = data.get("initial")
+    named = [key for key in initial if key != "normalize"] if isinstance(initial, dict) else None
+    fits = [top for top in TOPS.values() if top.kind == str(kind).lower() and len(top.components) == array.shape[1]]
+    top = next((top for top in fits if named is None or set(top.vectors) == set(named)), fits[0] if fits else None)
+    if top is not None:
+        _check_units(top, array)
+        data["initial"] = {name: array[0, start:stop].tolist() for name, (start, stop) in top.vectors.items()}
+    # an ensemble of the first state alone, so that ``store`` is checked like any other key
+    found = any_from({**data, "ensemble": {**section, "states": [{}]}}, overrides)
+    assert isinstance(found, EnsembleExperiment)
+    d = len(found.top.components)
+    if array.shape[1] != d:
+        raise UsageError(f"simulate_ensemble: a state of {found.top.kind} has {d} components, not {array.shape[1]}")
+    members = Members(
+        (Group(found.top, Listed(array)),), {**found.members.section, "states": []}, found.members.initial
+    )
+    return EnsembleExperiment(found.first, members, found.top)
+
+
+def _check_units(top: type[Top], states: Array) -> None:
+    for name in top.unit_vectors:
+        excess = (states[:, slice(*top.vectors[name])] ** 2).sum(axis=1) - 1.0
+        worst = int(np.argmax(np.abs(excess)))
+        if abs(excess[worst]) > UNIT_TOLERANCE:
+            raise UsageError(
+                f"simulate_ensemble: states[{worst}]: {name} must be a unit vector; {name}² is off by "
+                f"{excess[worst]:.3g} (allowed: {UNIT_TOLERANCE:g})"
+            )

@@ -17,7 +17,6 @@ from typing import Any
 
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, sync
-from topcli.store.growing import damaged, named
 from topcli.store.manifest import (
     MANIFEST,
     MANIFEST_VERSION,
@@ -44,6 +43,7 @@ from topcli.store.parts import (
     remove_own,
     take_lock,
 )
+from topcli.store.series import damaged, named
 
 _KEPT = "what its last checkpoint holds is kept, and --resume continues it when writing is possible again"
 

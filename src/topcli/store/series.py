@@ -8,16 +8,18 @@ Numbers in CSV are the shortest that read back to the same bits.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from topcli.errors import RunError
 from topcli.store.footer import MAGIC, UNFINISHED, merged_footer
-from topcli.store.growing import GrowingFile, damaged
 
 ROW_GROUP = 131_072
 """Rows of a Parquet row group, which are held in memory until written."""
@@ -339,3 +341,103 @@ def read_metadata(path: Path) -> dict[str, str]:
     except (OSError, pa.ArrowException):
         return {}
     return {key.decode(): value.decode() for key, value in found.items()}
+
+
+_BLOCK = 1 << 20
+
+
+def damaged(path: Path, reason: str) -> RunError:
+    """Error for a file of rows that cannot be resumed."""
+    return RunError(
+        f"{path}: damaged ({reason[:120]}); nothing was deleted; run without --resume to start again from step 0"
+    )
+
+
+def named(error: OSError, path: Path) -> OSError:
+    """The same error, with ``path`` as its file name if it has none."""
+    error.filename = error.filename or str(path)
+    return error
+
+
+class GrowingFile:
+    """File at ``path`` to append to, after the first ``length`` bytes, whose SHA-256 is ``sha256``.
+
+    Raises RunError if these bytes are damaged, and OSError.
+    """
+
+    def __init__(self, path: Path, length: int = 0, sha256: str = "") -> None:
+        self.path, self.length = path, length
+        self._digest = hashlib.sha256()
+        self._synced = length
+        try:
+            self._file: BinaryIO = path.open("r+b" if length else "w+b", buffering=0)
+            if length:
+                self._verify(sha256)
+            self._file.truncate(length)
+        except FileNotFoundError:
+            raise (damaged(path, "missing") if length else FileNotFoundError(2, "no such folder", str(path))) from None
+        except OSError as error:
+            raise named(error, path) from None
+
+    def _verify(self, sha256: str) -> None:
+        left = self.length
+        while left and (block := self._file.read(min(_BLOCK, left))):
+            self._digest.update(block)
+            left -= len(block)
+        if left or self._digest.hexdigest() != sha256:
+            self._file.close()
+            reason = f"ends at byte {self.length - left} of {self.length}" if left else "its SHA-256 differs"
+            raise damaged(self.path, reason)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the file so far."""
+        return self._digest.hexdigest()
+
+    @property
+    def file(self) -> BinaryIO:
+        """Open file, for reading."""
+        return self._file
+
+    def append(self, *pieces: bytes | memoryview) -> None:
+        """Append all of the pieces or none. Raises OSError."""
+        try:
+            self._file.seek(self.length)
+            for piece in pieces:
+                rest = memoryview(piece)
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self.length)
+            raise named(error, self.path) from None
+        for piece in pieces:
+            self._digest.update(piece)
+            self.length += len(piece)
+
+    def sync(self) -> None:
+        """Flush the file to the disk. Raises OSError."""
+        if self._synced != self.length:
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                raise named(error, self.path) from None
+            self._synced = self.length
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def write_table(path: Path, columns: Mapping[str, Sequence[Any]], metadata: Mapping[str, str]) -> None:
+    """Write ``columns`` of text or numbers, of equal lengths, with ``metadata`` in the schema. Raises OSError."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays, fields = [], []
+    for name, values in columns.items():
+        kind = pa.string() if any(isinstance(value, str) for value in values) else pa.float64()
+        arrays.append(pa.array(list(values), kind))
+        fields.append(pa.field(name, kind))
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=dict(metadata)))
+    pq.write_table(table, path, write_page_checksum=True)

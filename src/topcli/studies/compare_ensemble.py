@@ -13,8 +13,7 @@ from topcli.analysis.tally import quantiles
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
-from topcli.runs.ensemble_report import EndingTally
-from topcli.runs.report import finite
+from topcli.runs.report import EndingTally, finite
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
 from topcli.sweeps.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
 from topcli.sweeps.measures.references import METHODS, TAYLOR, reference_form

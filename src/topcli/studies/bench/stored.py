@@ -12,7 +12,7 @@ from topcli.errors import RunError, UsageError
 from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
 from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter, require_real
-from topcli.store.table import write_table
+from topcli.store.series import write_table
 from topcli.studies.bench.front import ratio_text, setting
 from topcli.table import markdown_table, number
 
