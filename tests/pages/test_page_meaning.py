@@ -191,8 +191,10 @@ def test_rows_of_a_sweep_are_listed_with_their_values_and_outcomes(tmp_path: Pat
     outcomes = ["completed", "blew_up", "left_motion"]
     keys = {"scheme": ["hk", "rk4", "hk"], "h": [0.1, 0.05, 0.025]}
     folder = write_rows(tmp_path / "s", keys, {"a": [1.25, 2.5, 3.75], "b": [4.0, 5.0, 6.0]}, outcome=outcomes)
+    stored = read_rows(folder)
+    assert [choice.aggregate for choice in sweep_choices(stored)] == [None, None], "each row is a point of its own"
     chapter = Chapter("s", "sweep")
-    chapter.blocks.append(rows_table(read_rows(folder)))
+    chapter.blocks.append(rows_table(stored))
     page = shown(chapter)
     header, *rows = page.all("table")[0].cells()
     assert header == ["row", "scheme", "h", "outcome", "a", "b"]
