@@ -69,7 +69,8 @@ class ErrorPanel:
             axes.plot(data["t"], data[f"error:{group[0]}"], label=" ≈ ".join(group), **own[group[0]])
         axes.set(xlabel="$t$", ylabel="error of the state", yscale="log", xlim=(data["t"][0], data["t"][-1]))
         axes.set_title("(a)", loc="left")
-        below_panels(axes.figure, *axes.get_legend_handles_labels(), min(5, len(alike)))
+        handles, texts = axes.get_legend_handles_labels()
+        below_panels(axes.figure, handles, texts, min(5, len(alike)))
 
 
 @dataclass(frozen=True)

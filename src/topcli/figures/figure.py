@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing.connection import Connection, wait
@@ -205,7 +205,7 @@ def make_figures(
     formats: Sequence[str] = DEFAULT_FORMATS,
     jobs: int = 1,
     on_progress: OnProgress = lambda name, done, total: None,
-) -> Iterator[tuple[Figure, MadeFigure | TopcliError]]:
+) -> Generator[tuple[Figure, MadeFigure | TopcliError], None, None]:
     """Make figures as ``make_figure``, and yield each with its files, or with the error that it ended with.
 
     Several ``jobs`` are processes that draw one figure each; figures that need the same stored results are drawn one
@@ -242,7 +242,7 @@ class _Processes:
         self.on_message, self.on_progress = request.on_message, on_progress
         silent = replace(request, on_progress=Request.on_progress, on_message=Request.on_message)
         self.arguments = (silent, out, formats)
-        self.running: dict[Connection, tuple[Figure, Any]] = {}
+        self.running: dict[Any, tuple[Figure, Any]] = {}
 
     def are_free(self, needs: Sequence[str]) -> bool:
         """True if no running process uses one of the stored results ``needs``."""
@@ -259,8 +259,8 @@ class _Processes:
 
     def ended(self) -> Iterator[tuple[Figure, MadeFigure | TopcliError]]:
         """Wait for news, pass on progress and messages, and yield the figures whose processes have ended."""
-        for pipe in wait(list(self.running)):
-            assert isinstance(pipe, Connection)
+        ready: list[Any] = wait(list(self.running))
+        for pipe in ready:
             figure, process = self.running[pipe]
             try:
                 news = pipe.recv()

@@ -129,7 +129,7 @@ class _Columns(dict[str, Any]):
         experiment = self.drawn[key].experiment
         if plain != name:
             if key not in self.exact:
-                self.exact[key] = exact_columns(experiment, exact_names(experiment))
+                self.exact[key] = exact_columns(experiment, sorted(exact_names(experiment)))
             self[name] = self.exact[key][column]
         elif column in experiment.recorded:
             self[name] = read_series(self.finished[key].stored.series, [column])[column]
