@@ -42,77 +42,59 @@ _TRUE, _FALSE, _BYTE, _I64, _DOUBLE, _BINARY, _LIST, _SET, _STRUCT = 1, 2, 3, 6,
 _VARINTS = (4, 5, 6)
 
 
-class _Mover:
-    """Copy data in Thrift's compact protocol, adding ``shift`` to every offset."""
+def shifted(data: bytes, shift: int) -> bytes:
+    """Copy of a struct in Thrift's compact protocol, with ``shift`` added to every offset in it."""
+    source, out = io.BytesIO(data), bytearray()
 
-    def __init__(self, data: bytes, shift: int) -> None:
-        self._data, self._at, self._shift = data, 0, shift
-        self.out = bytearray()
+    def copy(count: int) -> bytes:
+        piece = source.read(count)
+        out.extend(piece)
+        return piece
 
-    def _byte(self) -> int:
-        self._at += 1
-        return self._data[self._at - 1]
-
-    def _varint(self) -> int:
+    def varint(shift: int = 0) -> int:
         value = place = 0
-        while True:
-            byte = self._byte()
+        byte = 0x80
+        while byte & 0x80:
+            (byte,) = source.read(1)
             value |= (byte & 0x7F) << place
             place += 7
-            if byte < 0x80:
-                return value
+        value += shift if value else 0  # 0: not set
+        rest = value
+        while rest >= 0x80:
+            out.append(rest & 0x7F | 0x80)
+            rest >>= 7
+        out.append(rest)
+        return value
 
-    def _put_varint(self, value: int) -> None:
-        while value >= 0x80:
-            self.out.append(value & 0x7F | 0x80)
-            value >>= 7
-        self.out.append(value)
-
-    def _copy(self, count: int) -> None:
-        self.out += self._data[self._at : self._at + count]
-        self._at += count
-
-    def _value(self, kind: int, path: tuple[int, ...]) -> None:
+    def value_of(kind: int, path: tuple[int, ...]) -> None:
         if kind in _VARINTS:
-            value = self._varint()
-            if kind == _I64 and path in _OFFSETS and value:  # 0: not set; zigzag encoding doubles the shift
-                value += 2 * self._shift
-            self._put_varint(value)
+            varint(2 * shift if kind == _I64 and path in _OFFSETS else 0)  # zigzag encoding doubles the shift
         elif kind == _STRUCT:
-            self.struct(path)
+            struct(path)
         elif kind == _BINARY:
-            length = self._varint()
-            self._put_varint(length)
-            self._copy(length)
+            copy(varint())
         elif kind in (_LIST, _SET):
-            head = self._byte()
-            self.out.append(head)
+            (head,) = copy(1)
             count, inner = head >> 4, head & 0x0F
-            if count == 15:
-                count = self._varint()
-                self._put_varint(count)
-            for _ in range(count):
-                self._value(_BYTE if inner in (_TRUE, _FALSE) else inner, path)
+            for _ in range(varint() if count == 15 else count):
+                value_of(_BYTE if inner in (_TRUE, _FALSE) else inner, path)
         elif kind in (_BYTE, _DOUBLE):
-            self._copy(1 if kind == _BYTE else 8)
+            copy(1 if kind == _BYTE else 8)
         elif kind not in (_TRUE, _FALSE):  # the kind of a boolean field is its value
             raise ValueError(f"a Parquet footer holds a field of the unknown kind {kind}")
 
-    def struct(self, path: tuple[int, ...] = ()) -> None:
-        """Copy one struct; the paths of its fields begin with ``path``."""
+    def struct(path: tuple[int, ...]) -> None:
         number = 0
-        while True:
-            head = self._byte()
-            self.out.append(head)
-            if not head:
-                return
+        while head := copy(1)[0]:
             if head >> 4:
                 number += head >> 4
             else:
-                zigzag = self._varint()
-                self._put_varint(zigzag)
+                zigzag = varint()
                 number = (zigzag >> 1) ^ -(zigzag & 1)
-            self._value(head & 0x0F, (*path, number))
+            value_of(head & 0x0F, (*path, number))
+
+    struct(())
+    return bytes(out)
 
 
 def _metadata(thrift: bytes) -> Any:
@@ -139,9 +121,7 @@ def _segments(file: BinaryIO, length: int) -> Iterator[Any]:
         file.seek(max(end, 0))
         if end < 0 or file.read(4) != MAGIC:
             raise ValueError(f"no Parquet data begin at byte {end}")
-        mover = _Mover(thrift, end)
-        mover.struct()
-        yield _metadata(bytes(mover.out))
+        yield _metadata(shifted(thrift, end))
 
 
 def merged_footer(file: BinaryIO, length: int, last: bytes) -> bytes:
