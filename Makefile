@@ -63,7 +63,7 @@ attack: $(VENV)/.installed-dev
 
 # a peer that cannot be installed is left out: the bench names it
 $(VENV)/.installed-peers: $(VENV)/.installed-dev
-	@for peer in heyoka diffrax numbalsoda; do \
+	@for peer in heyoka diffrax; do \
 		PYTHON="$(PYTHON)" sh install.sh $(VENV) ".[$$peer]" >$(VENV)/install-$$peer.log 2>&1 || \
 			echo "$$peer could not be installed (see $(VENV)/install-$$peer.log); topcli bench runs without it" >&2; \
 	done

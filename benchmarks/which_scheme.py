@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
 
 from topcli.runs.report import markdown_table, number  # noqa: E402
-from topcli.studies.bench.stored import decade_lines, microseconds, stored_benches  # noqa: E402
+from topcli.studies.bench.result import DECADE_TABLE, microseconds, stored_benches  # noqa: E402
 
 PAGE = ROOT / "docs" / "which-scheme.md"
 
@@ -48,8 +48,12 @@ def filled(page: str, results: dict[str, dict[str, Any]]) -> str:
         kind, scene, h = match["kind"], match["scene"], match["h"]
         if scene not in results:
             return match[0]
-        header, rows = decade_lines(results[scene]) if kind == "decades" else drift_lines(results[scene], float(h))
-        return "\n".join([match["head"], *markdown_table([header, *rows]), "<!-- end -->"])
+        if kind == "decades":
+            lines = DECADE_TABLE.cells(results[scene]).markdown()
+        else:
+            header, rows = drift_lines(results[scene], float(h))
+            lines = markdown_table([header, *rows])
+        return "\n".join([match["head"], *lines, "<!-- end -->"])
 
     pattern = r"(?P<head><!-- (?P<kind>decades|drift) (?P<scene>\S+)(?: (?P<h>\S+))? -->)\n.*?<!-- end -->"
     return re.sub(pattern, table, page, flags=re.DOTALL)

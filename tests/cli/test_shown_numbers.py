@@ -14,7 +14,7 @@ import pytest
 
 from shown import cells_of, cells_under, changed_result, distinct, named_differently, shows, table_of
 from topcli.studies import analyse, compare, lax, order, roundoff
-from topcli.studies.bench import run as bench
+from topcli.studies.bench import measure as bench
 
 
 def expect(row: list[str], label: str, values: list[tuple[Any, ...]]) -> None:

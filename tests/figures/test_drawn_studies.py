@@ -153,7 +153,7 @@ def test_work_and_precision_are_drawn_in_microseconds(monkeypatch: pytest.Monkey
     class Run:
         manifest: dict[str, str] = dict.fromkeys(("name", "digest", "code", "ended"), "")
 
-    monkeypatch.setattr("topcli.studies.bench.stored.stored_benches", lambda out: [(Run, one) for one in reports])
+    monkeypatch.setattr("topcli.studies.bench.result.stored_benches", lambda out: [(Run, one) for one in reports])
     figure = drawn(FIGURES["work-precision"].load(Request(tmp_path)))
     looks: dict[str, Any] = {}
     for axes in figure.axes:

@@ -34,7 +34,7 @@ from topcli.figures.sweep import Choice, sweep_figure
 from topcli.schemes.kowalevski import hk
 from topcli.studies import order as study_of_orders
 from topcli.studies import roundoff as study_of_roundoff
-from topcli.studies.bench import competitors, measure
+from topcli.studies.bench import measure
 from topcli.studies.stress import case, checks, record, suite
 from topcli.sweeps import table
 from topcli.sweeps.rows import read_rows
@@ -51,7 +51,7 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
             analysis_of_orders.convergence,
             analysis_of_orders.observed_order,
             measure.explore,
-            competitors.SchemeCompetitor.run,
+            measure.SchemeCompetitor.run,
             reference.reference_states,
         ],
     ),
@@ -61,7 +61,7 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
     ),
     "error-and-cost": (
         errors.study_source,
-        [HK_STEP, errors.error_and_cost, measure.time_all, measure.as_rows, competitors.SchemeCompetitor.run],
+        [HK_STEP, errors.error_and_cost, measure.time_all, measure.as_rows, measure.SchemeCompetitor.run],
     ),
     "roundoff": (
         growth.growth_code,

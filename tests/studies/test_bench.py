@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 import math
+import os
 import statistics
-import subprocess
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,14 +19,20 @@ from topcli.contracts import Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import find_scheme
-from topcli.studies.bench import competitors as entrants
-from topcli.studies.bench.competitors import FirstCall, NoResultError, SchemeCompetitor
-from topcli.studies.bench.ladder import Rung
-from topcli.studies.bench.line_up import LineUp, choose
-from topcli.studies.bench.measure import Effort, Measured, Measurements, as_rows, explore, time_all
-from topcli.studies.bench.peers import PEERS, Peer, find_peers, missing
-from topcli.studies.bench.run import bench
-from topcli.studies.bench.scenes import Problem, bench_problems
+from topcli.studies.bench import measure
+from topcli.studies.bench.contest import LineUp, Problem, Rung, bench_problems, choose
+from topcli.studies.bench.measure import (
+    Effort,
+    FirstCall,
+    Measured,
+    Measurements,
+    SchemeCompetitor,
+    as_rows,
+    bench,
+    explore,
+    time_all,
+)
+from topcli.studies.bench.peers import PEERS, NoResultError, Peer, find_peers, missing
 
 # what is measured
 
@@ -171,22 +175,34 @@ def test_a_missing_peer_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch
     assert talk == [f"kowalevski_generic_hk: peer absent is skipped: {missing(absent)}"]
 
 
-def test_a_peer_that_fails_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PEERS, "broken", Peer("broken", "", "topcli.no_such_module", ("numpy",)))
-    monkeypatch.setattr(entrants.subprocess, "Popen", _worker_that_dies)
+@pytest.fixture
+def peer_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Peer]:
+    """Function that returns the peer of a file with this text."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+
+    def write(text: str) -> Peer:
+        (tmp_path / "peer_of_mine.py").write_text(text)
+        return Peer("mine", "", "peer_of_mine", ("numpy",))
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("import os, sys; print('no luck', file=sys.stderr, flush=True); os._exit(7)", "died with code 7: no luck"),
+        ("raise ImportError('wants gold\\nand more')", "ImportError: wants gold"),
+        ("print('noise')", "AttributeError: module 'peer_of_mine' has no attribute 'variants'"),
+    ],
+)
+def test_a_peer_that_fails_is_named(short: Problem, peer_file: Callable[[str], Peer], text: str, reason: str) -> None:
     talk: list[str] = []
-    result = bench(short, choose(short, ("hk",)), [PEERS["broken"]], Effort(0.001, 1), on_message=talk.append)
-    assert [row["name"] for row in result["failed_peers"]] == ["broken"]
-    assert "died with code 7: no luck" in result["failed_peers"][0]["reason"]
-    assert "broken failed" in talk[0]
-
-
-def _worker_that_dies(command: list[str], **options: Any) -> Any:
-    text = "import sys; print('no luck', file=sys.stderr); sys.exit(7)"
-    return _popen([sys.executable, "-c", text], **options)
-
-
-_popen = subprocess.Popen
+    result = bench(short, choose(short, ("hk",)), [peer_file(text)], Effort(0.001, 1), on_message=talk.append)
+    (failed,) = result["failed_peers"]
+    assert failed["name"] == "mine"
+    assert failed["reason"].endswith(reason)
+    assert "mine failed" in talk[0]
+    assert [row["name"] for row in result["competitors"]] == ["hk"]
 
 
 def test_wrong_names_of_peers_are_refused() -> None:
@@ -249,34 +265,33 @@ class Answering:
     """A process of a peer that answers with made-up seconds."""
 
     def __init__(self, seconds: float, states: np.ndarray) -> None:
-        self.seconds, self.states = seconds, base64.b64encode(states.tobytes()).decode()
-        self.asked: list[dict[str, Any]] = []
+        self.spent, self.states = seconds, states
+        self.asked: list[Any] = []
 
-    def send(self, request: dict[str, Any]) -> None:
+    def send(self, *request: Any) -> None:
         self.asked.append(request)
 
-    def answer(self) -> dict[str, Any]:
-        return {"seconds": self.seconds, "compile_seconds": 10.0 * self.seconds, "states": self.states}
+    def answer(self) -> Any:
+        return self.spent if self.asked[-1][0] == "seconds" else (self.states, self.spent, 10.0 * self.spent)
 
 
 def test_the_first_call_of_a_peer_counts_its_fastest_process(short: Problem) -> None:
     states = np.arange(6.0 * (short.intervals + 1)).reshape(-1, 6)
     processes: Any = [Answering(3.0, states), Answering(2.0, states + 1.0), Answering(5.0, states)]
-    peer = Peer("mine", "", "nowhere", ())
-    mine = entrants.PeerCompetitor(peer, {"name": "v", "parameter": "tol", "values": [1e-3]}, processes, short)
+    mine = measure.PeerCompetitor("v", "tol", [1e-3], processes)
     first = mine.run(Rung(1e-3))
     assert (first.seconds, first.compile_seconds) == (2.0, 20.0)
     assert np.array_equal(first.states, states)
     assert mine.seconds(Rung(1e-3), 4) == [3.0, 2.0, 5.0]
-    assert processes[1].asked == [{"run": ["v", 1e-3]}, {"time": ["v", 1e-3, 4]}]
+    assert processes[1].asked == [("run", "v", 1e-3), ("seconds", "v", 1e-3, 4)]
 
 
 @pytest.mark.slow
 def test_the_seconds_of_a_closed_form_are_those_of_many_states(monkeypatch: pytest.MonkeyPatch) -> None:
     (racket,) = bench_problems((), ("euler_hk",), ("h=0.01", "N=100"), 10)
     clock = iter([100.0, 107.0])
-    monkeypatch.setattr(entrants.time, "process_time", lambda: next(clock))
-    states, seconds, setup = entrants.closed_form(find_scheme("exact", "euler"), racket)
+    monkeypatch.setattr(measure.time, "process_time", lambda: next(clock))
+    states, seconds, setup = measure.closed_form(find_scheme("exact", "euler"), racket)
     assert (seconds, setup) == (7.0 / 200_000, None)
     reference = reference_states(racket.top, racket.experiment.y0, racket.times)
     np.testing.assert_allclose(states, reference, atol=1e-13)  # typically 2e-15
@@ -286,41 +301,39 @@ def test_the_seconds_of_a_closed_form_are_those_of_many_states(monkeypatch: pyte
 def test_the_set_up_of_a_closed_form_is_timed_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     (paper,) = bench_problems((), ("kowalevski_hk",), ("h=0.01", "N=100"), 10)
     clock = iter([100.0, 107.0, 200.0, 200.25])
-    monkeypatch.setattr(entrants.time, "process_time", lambda: next(clock))
-    found = entrants.closed_form(find_scheme("exact", "kowalevski"), paper)
+    monkeypatch.setattr(measure.time, "process_time", lambda: next(clock))
+    found = measure.closed_form(find_scheme("exact", "kowalevski"), paper)
     assert (found.seconds_per_state, found.setup_seconds) == (7.0 / 200_000, 0.25)
 
 
 PEER = """
 import numpy as np
-from topcli.studies.bench.peers.contract import Variant, checked
+from topcli.studies.bench.peers import NoResultError
+from topcli.studies.bench.peers.worker import Variant, checked
 
 def variants(problem):
     def prepare(value):
+        if value < 0.2:
+            raise NoResultError("too small")
         def call():
             y = np.tile(problem.y0, (len(problem.times), 1))
             return checked(y + value, problem)
         return call
-    return [Variant("mine still", "offset", [0.5, 0.25], prepare)]
+    return [Variant("mine still", "offset", [0.5, 0.25, 0.125], prepare)]
 """
 
 
 @pytest.mark.slow
-def test_a_peer_is_a_file_and_one_entry(short: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """``--against`` finds it, and its variants are measured in a process of its own, which has the entry too."""
-    (tmp_path / "peer_of_mine.py").write_text(PEER)
-    monkeypatch.setitem(PEERS, "mine", Peer("mine", "a peer that stands still", "peer_of_mine", ("numpy",)))
-    peers = "from topcli.studies.bench.peers import PEERS, Peer"
-    entry = f"{peers}; PEERS['mine'] = Peer('mine', '', 'peer_of_mine', ('numpy',))"
-    lines = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {entry}"
-    start = f"{lines}; from topcli.studies.bench.peers.worker import main; main()"
-    monkeypatch.setattr(
-        entrants.subprocess, "Popen", lambda _, **options: _popen([sys.executable, "-c", start], **options)
-    )
+def test_a_peer_is_a_file_and_one_entry(
+    short: Problem, peer_file: Callable[[str], Peer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``--against`` finds it, and its variants are measured in a process of its own."""
+    monkeypatch.setitem(PEERS, "mine", peer_file(PEER))
     result = bench(short, choose(short, ("rk4",)), find_peers(["MINE"]), Effort(0.002, 1))
-    (mine,) = [one for one in result["competitors"] if one["name"] == "mine still"]
+    (mine,) = [row for row in result["competitors"] if row["name"] == "mine still"]
     still = np.abs(reference_states(short.top, short.experiment.y0, short.times) - np.array(short.experiment.y0))
     assert [row["value"] for row in mine["points"]] == [0.5, 0.25]
+    assert mine["failed"] == [{"value": 0.125, "reason": "too small"}]
     assert all(row["error"] > still.max() - 0.5 for row in mine["points"])
     assert mine["points"][0]["invariants"]["gamma_sq"] == pytest.approx(0.0, abs=1e-15)
     assert all(row["peer"] is None or row["peer"]["name"] != "rk4" for row in result["decades"])

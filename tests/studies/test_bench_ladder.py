@@ -12,8 +12,7 @@ from pydantic import BaseModel, Field
 from topcli.contracts import Scheme
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.bench.ladder import ladder, tolerance_option
-from topcli.studies.bench.scenes import SCENES, bench_problems
+from topcli.studies.bench.contest import SCENES, bench_problems, ladder, tolerance_option
 
 # the ladders
 

@@ -14,10 +14,8 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Stepper
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import all_schemes, composable_names, find_scheme
-from topcli.studies.bench.competitors import SchemeCompetitor
-from topcli.studies.bench.ladder import Rung
-from topcli.studies.bench.line_up import COMPOSED, choose, default_names
-from topcli.studies.bench.scenes import bench_problems
+from topcli.studies.bench.contest import COMPOSED, Rung, bench_problems, choose, default_names
+from topcli.studies.bench.measure import SchemeCompetitor
 from topcli.studies.entries import scheme_with
 from topcli.studies.operations import operations_of
 from topcli.tops import TOPS

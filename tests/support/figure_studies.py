@@ -109,7 +109,7 @@ def _benches(patch: pytest.MonkeyPatch, folder: Path) -> None:
     ]
     run = SimpleNamespace(manifest=dict.fromkeys(("name", "digest", "code", "ended"), ""))
     reports = [{"name": title, "title": title, "competitors": competitors} for title in TITLES]
-    patch.setattr("topcli.studies.bench.stored.stored_benches", lambda out: [(run, one) for one in reports])
+    patch.setattr("topcli.studies.bench.result.stored_benches", lambda out: [(run, one) for one in reports])
 
 
 def _stress(patch: pytest.MonkeyPatch, folder: Path) -> None:

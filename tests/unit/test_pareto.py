@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from topcli.analysis.pareto import MAX_GAP, Point, at_error, pareto_front
-from topcli.studies.bench.front import DECADES, decade_rows, front, ranking, setting
+from topcli.studies.bench.result import DECADES, decade_rows, front, ranking, setting
 
 # the front
 

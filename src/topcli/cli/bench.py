@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, config_option, load_scheme_files
-from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_json, print_message, print_table, print_warnings
+from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
 
 if TYPE_CHECKING:
-    from topcli.studies.bench.line_up import LineUp
+    from topcli.studies.bench.contest import LineUp, Problem
     from topcli.studies.bench.peers import Peer
-    from topcli.studies.bench.scenes import Problem
 
 
 def _complete_scene(incomplete: str) -> list[str]:
-    from topcli.studies.bench.scenes import SCENES
+    from topcli.studies.bench.contest import SCENES
 
     return [name for name in SCENES if name.startswith(incomplete.lower())]
 
 
 def _print_result(result: dict[str, Any], all_points: bool) -> None:
     """Print the result of one scene: the table of decades, the front in words, and with ``all_points`` every point."""
-    from topcli.studies.bench.stored import decade_lines, ladder_lines, microseconds, point_lines, setup_words
+    from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE, ladder_lines, microseconds, setup_words
     from topcli.table import number
 
     span = f"t from 0 to {result['duration']:g}, CPU time per unit of time"
-    print_table(*decade_lines(result), numbers=(0, 3, 6, 7, 8), title=f"{result['name']}: {result['title']}, {span}")
+    title = f"{result['name']}: {result['title']}, {span}"
+    print_cells(replace(DECADE_TABLE.cells(result), numbers=(0, 3, 6, 7, 8)), title)
     emit()
     for row in result["decades"]:
         emit_prose(row["words"])
@@ -46,7 +47,7 @@ def _print_result(result: dict[str, Any], all_points: bool) -> None:
         )
     emit()
     if all_points:
-        print_table(*point_lines(result), numbers=(2, 3, 4, 5, 6), keys=2, title=f"{result['name']}: every point")
+        print_cells(replace(POINT_TABLE.cells(result), numbers=range(2, 7), keys=2), f"{result['name']}: every point")
         emit()
         for line in ladder_lines(result):
             emit_prose(line)
@@ -56,7 +57,7 @@ def _print_result(result: dict[str, Any], all_points: bool) -> None:
 def _contest(problems: Sequence[Problem], schemes: Sequence[str]) -> list[LineUp]:
     """Competitors of each problem. Raises UsageError for a scheme that takes part in none."""
     from topcli.errors import UsageError, quoted
-    from topcli.studies.bench.line_up import choose
+    from topcli.studies.bench.contest import choose
     from topcli.studies.entries import scheme_with
 
     fields = [choose(problem, schemes) for problem in problems]
@@ -124,11 +125,10 @@ def bench(
     """
     from topcli.store.provenance import now
     from topcli.store.run_folder import require_writable
-    from topcli.studies.bench.measure import Effort
-    from topcli.studies.bench.run import bench as measure
-    from topcli.studies.bench.run import code_of
-    from topcli.studies.bench.scenes import bench_problems
-    from topcli.studies.bench.stored import require_bench_folder, store_bench
+    from topcli.studies.bench.contest import bench_problems
+    from topcli.studies.bench.measure import Effort, code_of
+    from topcli.studies.bench.measure import bench as measure
+    from topcli.studies.bench.result import require_bench_folder, store_bench
 
     load_scheme_files(scheme_files)
     peers = _peers(against)
@@ -162,5 +162,5 @@ def bench(
             print_message(f"wrote {stored.folder}")
     if as_json:
         print_json("bench", {"scenes": results})
-    if any(one["failed_peers"] or any(row["broken"] for row in one["competitors"]) for one in results):
+    if any(result["failed_peers"] or any(row["broken"] for row in result["competitors"]) for result in results):
         raise typer.Exit(3)

@@ -25,9 +25,8 @@ from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study, write_study
-from topcli.studies.bench.competitors import SchemeCompetitor
-from topcli.studies.bench.measure import Effort, as_rows, explore, time_all
-from topcli.studies.bench.scenes import Problem
+from topcli.studies.bench.contest import Problem
+from topcli.studies.bench.measure import Effort, SchemeCompetitor, as_rows, explore, time_all
 from topcli.studies.entries import scheme_with
 from topcli.studies.study import Result
 

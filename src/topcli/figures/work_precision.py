@@ -75,7 +75,7 @@ def column_name(scene: str, competitor: str, kind: str) -> str:
 
 def _nearest_to_front(report: dict[str, Any]) -> dict[str, float]:
     """Smallest ratio of the time of each of our schemes to the fastest, over the decades of error: 1 or more."""
-    from topcli.studies.bench.front import DECADES, ranking
+    from topcli.studies.bench.result import DECADES, ranking
 
     found: dict[str, float] = {}
     ours = {competitor["name"] for competitor in report["competitors"] if competitor["kind"] == "topcli"}
@@ -91,7 +91,7 @@ def _nearest_to_front(report: dict[str, Any]) -> dict[str, float]:
 def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[Curve, tuple[np.ndarray, np.ndarray]]:
     """Errors and seconds of the curves of one result: every peer, and our schemes that are ``shown``."""
     from topcli.analysis.pareto import pareto_front
-    from topcli.studies.bench.front import SETUP, points_of
+    from topcli.studies.bench.result import SETUP, points_of
 
     found = {}
     for competitor in report["competitors"]:
@@ -119,8 +119,8 @@ def load_work_precision(request: Request) -> Loaded:
 
     Raises NothingMeasuredError if there are none, and RunError.
     """
-    from topcli.studies.bench.scenes import SCENES
-    from topcli.studies.bench.stored import stored_benches
+    from topcli.studies.bench.contest import SCENES
+    from topcli.studies.bench.result import stored_benches
 
     folder = request.results / FOLDER
     benches = stored_benches(folder)

@@ -11,7 +11,7 @@ from topcli.pages.contents import Cells, Chapter, Picture, Pictures
 from topcli.pages.origin import add_files, add_origin, value_text
 from topcli.paper.ledger import OURS, PAPER
 from topcli.store.manifest import StoredRun
-from topcli.studies.bench.stored import decade_lines, point_lines
+from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.table import number
 
 
@@ -56,8 +56,8 @@ def bench_chapter(run: StoredRun) -> Chapter:
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "bench", "speed against error", "measured")
     damage = chapter.check(run)
-    chapter.attempt("best by decade", lambda: Cells("Fastest in each decade of error", *decade_lines(run.report())))
-    chapter.attempt("all points", lambda: Cells("All points", *point_lines(run.report())))
+    chapter.attempt("best by decade", lambda: DECADE_TABLE.cells(run.report()))
+    chapter.attempt("all points", lambda: POINT_TABLE.cells(run.report()))
     add_origin(chapter, manifest)
     add_files(chapter, run.folder, manifest, damage)
     return chapter

@@ -25,11 +25,8 @@ from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import environment
 from topcli.store.study import stored_study
-from topcli.studies.bench.competitors import SchemeCompetitor
-from topcli.studies.bench.ladder import Rung
-from topcli.studies.bench.line_up import choose
-from topcli.studies.bench.measure import Effort, Measurements, explore
-from topcli.studies.bench.scenes import Problem
+from topcli.studies.bench.contest import Problem, Rung, choose
+from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor, explore
 from topcli.studies.entries import cited_parts, scheme_with
 from topcli.studies.roundoff import GENERIC, SCENES
 from topcli.studies.study import (

@@ -1,25 +1,271 @@
 """Measure competitors on one problem: errors once, then times in interleaved repetitions.
 
-Errors are Euclidean norms of the difference of states from the Taylor reference in double-double arithmetic at the
-common times. Times are CPU seconds of the working process, which depend least on the load of the machine.
+Competitors are our schemes in this process, and peers in one or several processes of their own. Errors are Euclidean
+norms of the difference of states from the Taylor reference in double-double arithmetic at the common times. Times are
+CPU seconds of the working process, which depend least on the load of the machine.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Callable, Sequence
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
+from pydantic import BaseModel
 
 from topcli.analysis.pareto import Point
-from topcli.contracts import Array, Invariant
+from topcli.analysis.reference import reference_states
+from topcli.contracts import Array, Invariant, Sampler, Scheme
+from topcli.engine.driver import Loop, loop_of
 from topcli.errors import UsageError
+from topcli.runs.identity import scheme_code
+from topcli.runs.report import finite
 from topcli.schemes.user_code import users_error
-from topcli.studies.bench.competitors import Competitor, NoResultError
-from topcli.studies.bench.ladder import Rung
-from topcli.studies.bench.scenes import Problem
+from topcli.store.provenance import environment, installed
+from topcli.studies.bench.contest import LineUp, Problem, Rung, ladder, tolerance_option
+from topcli.studies.bench.peers import NoResultError, Peer, missing
+from topcli.studies.bench.result import decade_rows, front
+
+
+@dataclass(frozen=True)
+class FirstCall:
+    """Result of the first call of a setting: ``states`` (m, d) at the problem's times, and its CPU seconds.
+
+    ``setup_seconds`` are those of what a scheme computes once for an initial state, before the steps.
+    """
+
+    states: Array
+    seconds: float
+    compile_seconds: float
+    setup_seconds: float = 0.0
+
+
+class Competitor(Protocol):
+    """One way to solve a problem, over a ladder of settings; ``kind`` is ``topcli`` or ``peer``."""
+
+    name: str
+    kind: str
+    parameter: str
+    order: int | None
+    patience: float
+
+    def rungs(self) -> Iterator[Rung]:
+        """Yield the settings, coarse to fine."""
+        ...
+
+    def run(self, rung: Rung) -> FirstCall:
+        """Prepare and call once. Raises NoResultError."""
+        ...
+
+    def seconds(self, rung: Rung, calls: int) -> list[float]:
+        """Return the mean CPU seconds of a warm call over ``calls`` calls, for each process. Raises NoResultError."""
+        ...
+
+
+class SchemeCompetitor:
+    """A scheme in the engine's own loop, driven over the whole run."""
+
+    kind = "topcli"
+    patience = 1.0
+
+    def __init__(self, scheme: Scheme, problem: Problem) -> None:
+        self.name = scheme.name
+        self.parameter = tolerance_option(scheme) or "h"
+        self._scheme, self._problem = scheme, problem
+        self._y0 = np.array(problem.experiment.y0)
+        self._p = np.array(problem.top.constants(), dtype=np.float64)
+        self.order: int | None = scheme.order_for(self._defaults())
+        self._out = np.empty(problem.intervals * len(self._y0))
+        self._loops: dict[Rung, tuple[Loop, Array, Array]] = {}
+        self._fixed: Loop | None = None
+
+    def rungs(self) -> Iterator[Rung]:
+        """Yield the rungs of ``ladder``."""
+        return ladder(self._scheme, self._y0, self._problem.interval)
+
+    def _loop(self, rung: Rung) -> Loop:
+        """Return the loop for a rung; rungs without options share one."""
+        if rung.options or self._fixed is None:
+            options = self._scheme.options.model_validate({**self._defaults().model_dump(), **dict(rung.options)})
+            method = self._scheme.build(self._problem.top, options)
+            loop = loop_of(method, len(self._y0), len(self._p))
+            if rung.options:
+                return loop
+            self._fixed = loop
+        return self._fixed
+
+    def _defaults(self) -> BaseModel:
+        """Options of the problem's config if this is its scheme, else the defaults of the scheme."""
+        experiment = self._problem.experiment
+        return experiment.options if experiment.scheme.name == self._scheme.name else self._scheme.options()
+
+    def _drive(self, rung: Rung) -> int:
+        loop, work, start = self._loops[rung]
+        np.copyto(work, start)
+        steps = rung.steps * self._problem.intervals
+        return loop.drive(work, self._out, self._p, self._h(rung), steps, rung.steps, rung.steps)
+
+    def _h(self, rung: Rung) -> float:
+        return self._problem.interval / rung.steps
+
+    def run(self, rung: Rung) -> FirstCall:
+        """Compile or load, enter the working state, and drive once.
+
+        The entered initial state is kept: a timed call starts from a copy of it, as the peers' calls do.
+        """
+        known = self._fixed is not None and not rung.options
+        loop = self._loop(rung)
+        start = np.zeros(loop.width)
+        begun = time.process_time()
+        loop.enter(self._y0, start, self._p, self._h(rung))
+        setup_seconds = time.process_time() - begun
+        self._loops[rung] = loop, start.copy(), start
+        started = time.process_time()
+        taken = self._drive(rung)
+        seconds = time.process_time() - started
+        if taken < 0:
+            raise NoResultError(f"fails at step {-taken} of {rung.steps * self._problem.intervals}")
+        states = np.vstack([self._y0, self._out.reshape(self._problem.intervals, len(self._y0))])
+        return FirstCall(states, seconds, 0.0 if known else loop.seconds, setup_seconds)
+
+    def seconds(self, rung: Rung, calls: int) -> list[float]:
+        """Drive again, warm, and return the mean CPU seconds of a call."""
+        started = time.process_time()
+        for _ in range(calls):
+            self._drive(rung)
+        return [(time.process_time() - started) / calls]
+
+
+_ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "JAX_PLATFORMS": "cpu",
+}
+
+
+class PeerProcess:
+    """A running worker that answers each request once."""
+
+    def __init__(self, peer: Peer, problem: Problem) -> None:
+        self._log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-c", "from topcli.studies.bench.peers.worker import main; main()"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            env={**os.environ, **_ONE_THREAD},
+        )
+        self.send("start", peer.module, problem.experiment.resolved(), problem.duration, problem.intervals)
+
+    def send(self, method: str, *arguments: Any) -> None:
+        """Send a request, a method of ``Worker``, without waiting for the answer."""
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # reading the answer reports it
+            pickle.dump((method, *arguments), self._process.stdin)
+            self._process.stdin.flush()
+
+    def answer(self) -> Any:
+        """Return the answer to the last request. Raises NoResultError if it failed or the process died."""
+        assert self._process.stdout is not None
+        try:
+            answer = pickle.load(self._process.stdout)
+        except (EOFError, pickle.UnpicklingError):
+            code = self._process.wait()
+            self._log.seek(0)
+            lines = self._log.read().decode(errors="replace").strip().splitlines()
+            raise NoResultError(f"its process died with code {code}" + (f": {lines[-1]}" if lines else "")) from None
+        if isinstance(answer, NoResultError):
+            raise answer
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.communicate()
+        self._log.close()
+
+
+@dataclass
+class PeerCompetitor:
+    """One variant of a peer, in all of its processes; the states are those of the first."""
+
+    name: str
+    parameter: str
+    values: Sequence[float]
+    processes: Sequence[PeerProcess]
+    patience: float = 1.0
+    kind = "peer"
+    order: int | None = None
+
+    def rungs(self) -> Iterator[Rung]:
+        """Yield the values that the peer's file gives."""
+        return (Rung(value) for value in self.values)
+
+    def run(self, rung: Rung) -> FirstCall:
+        """Prepare and call once in every process, in parallel."""
+        for process in self.processes:
+            process.send("run", self.name, rung.value)
+        answers, failure = [], None
+        for process in self.processes:  # every answer is read, also after a failure
+            try:
+                answers.append(process.answer())
+            except NoResultError as failed:
+                failure = failed
+        if failure is not None:
+            raise failure
+        states, seconds, compile_seconds = zip(*answers, strict=True)
+        return FirstCall(states[0], min(seconds), min(compile_seconds))
+
+    def seconds(self, rung: Rung, calls: int) -> list[float]:
+        """Call again, warm, in one process after the other, and return the CPU seconds of each."""
+        spent = []
+        for process in self.processes:
+            process.send("seconds", self.name, rung.value, calls)
+            spent.append(float(process.answer()))
+        return spent
+
+
+MANY = 200_000
+"""Number of states over which the time of a closed form is measured, so that the cost of a call does not count."""
+
+
+class ClosedForm(NamedTuple):
+    """States of a closed form at a problem's times, and the CPU seconds for each of ``MANY`` states.
+
+    ``setup_seconds`` is the time to compute the set-up, whether it is stored or not; None if there is none.
+    """
+
+    states: Array
+    seconds_per_state: float
+    setup_seconds: float | None
+
+
+def closed_form(scheme: Scheme, problem: Problem) -> ClosedForm:
+    """Evaluate a closed form at the problem's times; time it at many, and its set-up apart."""
+    method = scheme.build(problem.top, scheme.options())
+    assert isinstance(method, Sampler)
+    y0, n, p = np.array(problem.experiment.y0), np.arange(problem.intervals + 1), problem.top.constants()
+    states = method.states(y0, problem.interval, n, p)
+    started = time.process_time()
+    method.states(y0, problem.duration / MANY, np.arange(MANY), p)
+    seconds = (time.process_time() - started) / MANY
+    if method.setup is None:
+        return ClosedForm(states, seconds, None)
+    started = time.process_time()
+    method.setup.compute(y0, p)
+    return ClosedForm(states, seconds, time.process_time() - started)
+
 
 ROUND_OFF = 1e-6
 """Below this error a ladder ends when two finer rungs in a row gain less than a factor of two."""
@@ -56,7 +302,7 @@ class Measured:
 
     def best(self) -> list[float]:
         """Repetitions in the process with the smallest median; the first call if there are none."""
-        return min(self.samples, key=lambda one: float(np.median(one))) if self.samples else [self.first]
+        return min(self.samples, key=np.median) if self.samples else [self.first]
 
     def point(self) -> Point:
         """Point of the rung in the plane of error and seconds."""
@@ -81,12 +327,12 @@ class Measurements:
 
 def deviations(invariants: Sequence[Invariant], states: Array) -> dict[str, float]:
     """Return the largest deviation of each invariant from its first value, relative to the size of its terms."""
-    found = {}
+    largest = {}
     with np.errstate(all="ignore"):
         for invariant in invariants:
             values, scale = invariant.value(states), float(invariant.scale(states[:1])[0])
-            found[invariant.name] = float(np.abs(values - values[0]).max()) / (scale or 1.0)
-    return found
+            largest[invariant.name] = float(np.abs(values - values[0]).max()) / (scale or 1.0)
+    return largest
 
 
 def _estimate(rung: Rung, before: Sequence[Measured]) -> float:
@@ -127,14 +373,11 @@ def explore(competitor: Competitor, problem: Problem, reference: Array, effort: 
         except NoResultError as failure:
             measured.failed.append((rung.value, str(failure)))
             continue
-        except UsageError as error:  # a step that cannot be compiled fails at every rung
-            measured.ended = measured.broken = str(error)
-            break
-        except Exception as error:
-            found = users_error(error)
-            if found is None:
+        except Exception as error:  # such as a step that cannot be compiled, which fails at every rung
+            known = error if isinstance(error, UsageError) else users_error(error)
+            if known is None:
                 raise
-            measured.ended = measured.broken = str(found)
+            measured.ended = measured.broken = str(known)
             break
         with np.errstate(over="ignore", invalid="ignore"):
             errors = np.linalg.norm(first.states - reference, axis=1)
@@ -207,7 +450,134 @@ def as_rows(measured: Measurements, duration: float) -> list[dict[str, Any]]:
                 "fastest": float(spent.min()),
                 "quartiles": [float(q) for q in np.quantile(spent, [0.25, 0.75])],
                 "repetitions": len(spent) if rung.samples else 0,
-                "processes": [float(np.median(one)) / duration for one in rung.samples],
+                "processes": [float(np.median(process)) / duration for process in rung.samples],
             }
         )
     return rows
+
+
+def code_of(line_up: LineUp, problem: Problem) -> str:
+    """Digest of the code of all schemes that take part."""
+    codes = [scheme_code(scheme, problem.top) for scheme in line_up.schemes]
+    return hashlib.sha256(" ".join(codes).encode()).hexdigest()
+
+
+def _peer_competitors(
+    peers: Sequence[Peer], problem: Problem, processes: int, stack: ExitStack
+) -> tuple[list[PeerCompetitor], list[tuple[str, str]], list[tuple[str, str]]]:
+    """Start the peers; return their variants, and the peers not installed and failed, with the reasons."""
+    absent = [(peer.name, reason) for peer in peers if (reason := missing(peer))]
+    started: list[tuple[Peer, list[PeerProcess]]] = []
+    for peer in peers:
+        if not missing(peer):
+            started.append((peer, []))
+            for _ in range(processes if peer.varies else 1):
+                started[-1][1].append(process := PeerProcess(peer, problem))
+                stack.callback(process.close)
+    competitors, failed = [], []
+    for peer, group in started:
+        try:
+            answers = [process.answer() for process in group]
+        except NoResultError as failure:
+            failed.append((peer.name, str(failure)))
+            continue
+        competitors += [PeerCompetitor(*variant, group, peer.patience) for variant in answers[0]]
+    return competitors, absent, failed
+
+
+def _row(measured: Measurements, duration: float) -> dict[str, Any]:
+    competitor = measured.competitor
+    return {
+        "name": competitor.name,
+        "kind": competitor.kind,
+        "order": competitor.order,
+        "parameter": competitor.parameter,
+        "compile_seconds": sum(rung.compile_seconds for rung in measured.rungs),
+        "setup_seconds": min((rung.setup_seconds for rung in measured.rungs), default=0.0),
+        "ended": measured.ended,
+        "failed": [{"value": value, "reason": reason} for value, reason in measured.failed],
+        "broken": measured.broken or None,
+        "points": as_rows(measured, duration),
+    }
+
+
+def _closed_forms(schemes: Sequence[Scheme], problem: Problem, reference: Array) -> list[dict[str, Any]]:
+    """Return rows for the closed forms, whose cost depends on the number of evaluations, not on the duration."""
+    rows = []
+    for scheme in schemes:
+        states, seconds_per_state, setup = closed_form(scheme, problem)
+        errors = np.linalg.norm(states - reference, axis=1)
+        rows.append(
+            {
+                "name": scheme.name,
+                "title": scheme.title,
+                "error": float(errors.max()),
+                "end_error": float(errors[-1]),
+                "invariants": deviations(problem.top.invariants(), states),
+                "seconds_per_state": seconds_per_state,
+                "states": MANY,
+                "setup_seconds": setup,
+            }
+        )
+    return rows
+
+
+def bench(
+    problem: Problem,
+    line_up: LineUp,
+    peers: Sequence[Peer],
+    effort: Effort,
+    *,
+    processes: int = 5,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    on_message: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """Measure the schemes of ``line_up`` and the ``peers`` on ``problem``; return the result as plain data.
+
+    A peer whose speed varies from process to process is measured in this many ``processes``. ``on_message`` receives
+    one line for each peer that is skipped or fails. Raises RunError if the reference cannot follow the motion.
+    """
+    reference = reference_states(problem.top, problem.experiment.y0, problem.times)
+    with ExitStack() as stack:
+        others, absent, failed = _peer_competitors(peers, problem, processes, stack)
+        for name, reason in absent:
+            on_message(f"{problem.name}: peer {name} is skipped: {reason}")
+        for name, reason in failed:
+            on_message(f"error: {problem.name}: peer {name} failed: {reason}")
+        taking_part: list[Competitor] = [*(SchemeCompetitor(scheme, problem) for scheme in line_up.schemes), *others]
+        measurements = []
+        for i, competitor in enumerate(taking_part):
+            measurements.append(explore(competitor, problem, reference, effort))
+            on_progress(i + 1, 2 * len(taking_part))
+        time_all(measurements, effort, lambda done, total: on_progress(total + done, 2 * total))
+    rows = [_row(measured, problem.duration) for measured in measurements]
+    for row in rows:
+        if row["broken"]:
+            on_message(f"error: {problem.name}: {row['name']} failed: {row['broken']}")
+        elif not row["points"]:
+            reason = row["failed"][0]["reason"] if row["failed"] else row["ended"]
+            on_message(f"{problem.name}: {row['name']} gave no result: {reason}")
+    return finite(
+        {
+            "name": problem.name,
+            "title": problem.title,
+            "top": problem.top.title,
+            "config": problem.experiment.resolved(),
+            "duration": problem.duration,
+            "intervals": problem.intervals,
+            "goal": problem.goal,
+            "reference": "Taylor series in double-double arithmetic",
+            "effort": {"budget": effort.budget, "repetitions": effort.repetitions, "processes": processes},
+            "competitors": rows,
+            "closed_forms": _closed_forms(line_up.exact, problem, reference),
+            "left_out": [{"name": name, "reason": reason} for name, reason in line_up.left_out],
+            "skipped_peers": [{"name": name, "reason": reason} for name, reason in absent],
+            "failed_peers": [{"name": name, "reason": reason} for name, reason in failed],
+            "front": front(rows),
+            "decades": decade_rows(rows),
+            "environment": {
+                **environment(),
+                "peers": {package: installed(package) for peer in peers for package in peer.requires},
+            },
+        }
+    )

@@ -13,13 +13,17 @@ from importlib.util import find_spec
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 
+class NoResultError(Exception):
+    """One setting of a competitor gave no trajectory; the message is the reason."""
+
+
 @dataclass(frozen=True)
 class Peer:
     """One peer: its ``name`` on the command line, the ``module`` with its settings, the packages it ``requires``.
 
     ``varies`` is True if its speed differs between processes; the best of several then counts. ``patience`` multiplies
     the usual time allowed for a call, for a peer that runs in the interpreter. The extra of the same name installs the
-    required packages; ``needs`` names the prerequisites of that installation.
+    required packages.
     """
 
     name: str
@@ -28,7 +32,6 @@ class Peer:
     requires: tuple[str, ...]
     varies: bool = False
     patience: float = 1.0
-    needs: str = ""
 
 
 PEERS: dict[str, Peer] = {
@@ -51,34 +54,22 @@ PEERS: dict[str, Peer] = {
             ("diffrax", "jax"),
             patience=5.0,
         ),
-        Peer(
-            "numbalsoda",
-            "numbalsoda's dop853 and lsoda, right-hand side compiled by numba",
-            "topcli.studies.bench.peers.numbalsoda_ode",
-            ("numbalsoda", "numba"),
-            patience=5.0,
-            needs="needs CMake and a Fortran compiler",
-        ),
     )
 }
 
 
 def find_peers(names: Sequence[str]) -> list[Peer]:
     """Return the peers called ``names``, matched without case. Raises UnknownNameError or UsageError."""
-    found = []
-    for name in names:
-        if name.lower() not in PEERS:
-            raise UnknownNameError(f"--against: unknown peer {quoted(name)}; {nearest(name, PEERS)}")
-        if PEERS[name.lower()] in found:
-            raise UsageError(f"--against: peer {quoted(name)} is named twice")
-        found.append(PEERS[name.lower()])
-    return found
+    keys = [name.lower() for name in names]
+    for i, key in enumerate(keys):
+        if key not in PEERS:
+            raise UnknownNameError(f"--against: unknown peer {quoted(names[i])}; {nearest(names[i], PEERS)}")
+        if key in keys[:i]:
+            raise UsageError(f"--against: peer {quoted(names[i])} is named twice")
+    return [PEERS[key] for key in keys]
 
 
 def missing(peer: Peer) -> str:
     """Reason why ``peer`` cannot be measured here; empty if its packages are installed."""
     absent = [package for package in peer.requires if find_spec(package) is None]
-    if not absent:
-        return ""
-    needs = f" ({peer.needs})" if peer.needs else ""
-    return f"{' and '.join(absent)} not installed; run pip install 'topcli[{peer.name}]'{needs}"
+    return f"{' and '.join(absent)} not installed; run pip install 'topcli[{peer.name}]'" if absent else ""

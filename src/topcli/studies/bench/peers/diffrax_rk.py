@@ -9,12 +9,13 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from topcli.studies.bench.peers.contract import Call, PeerError, Problem, Variant, checked, decades
+from topcli.studies.bench.peers import NoResultError
+from topcli.studies.bench.peers.worker import Call, PeerProblem, Variant, checked, decades
 
 MAX_STEPS = 1_000_000
 
 
-def _solver(problem: Problem, method: str) -> Any:
+def _solver(problem: PeerProblem, method: str) -> Any:
     """Return the compiled ``solve(y0, times, rtol) -> (states, succeeded)``."""
     import diffrax  # pyright: ignore[reportMissingImports]
     import jax  # pyright: ignore[reportMissingImports]
@@ -43,7 +44,7 @@ def _solver(problem: Problem, method: str) -> Any:
     return jax.jit(solve).lower(jnp.asarray(problem.y0), jnp.asarray(problem.times), jnp.asarray(1e-6)).compile()
 
 
-def variants(problem: Problem) -> list[Variant]:
+def variants(problem: PeerProblem) -> list[Variant]:
     """Return a pair of order 8 and one of order 5."""
     import jax  # pyright: ignore[reportMissingImports]
     import numpy as np
@@ -59,7 +60,7 @@ def variants(problem: Problem) -> list[Variant]:
             states, succeeded = solve(y0, times, tolerance)
             states.block_until_ready()
             if not succeeded:
-                raise PeerError("did not succeed")
+                raise NoResultError("did not succeed")
             return checked(np.asarray(states), problem)
 
         return call

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from topcli.studies.bench.peers.contract import Call, PeerError, Problem, Variant, checked, decades
+from topcli.studies.bench.peers import NoResultError
+from topcli.studies.bench.peers.worker import Call, PeerProblem, Variant, checked, decades
 
 
-def _prepare(problem: Problem, high_accuracy: bool, tol: float) -> Call:
+def _prepare(problem: PeerProblem, high_accuracy: bool, tol: float) -> Call:
     import heyoka  # pyright: ignore[reportMissingImports]
 
     names = problem.top.components
@@ -29,13 +30,13 @@ def _prepare(problem: Problem, high_accuracy: bool, tol: float) -> Call:
         series.state[:] = y0
         ending, *_, states = series.propagate_grid(times)
         if ending != heyoka.taylor_outcome.time_limit:
-            raise PeerError(f"ended with {ending}")
+            raise NoResultError(f"ended with {ending}")
         return checked(states, problem)
 
     return call
 
 
-def variants(problem: Problem) -> list[Variant]:
+def variants(problem: PeerProblem) -> list[Variant]:
     """Return the series with and without compensated summation."""
     tolerances = [*decades(-2, -16), 1e-18]
     return [

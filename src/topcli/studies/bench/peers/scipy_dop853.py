@@ -13,7 +13,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from topcli.studies.bench.peers.contract import Call, PeerError, Problem, Variant, checked, compilable_rates, decades
+from topcli.studies.bench.peers import NoResultError
+from topcli.studies.bench.peers.worker import Call, PeerProblem, Variant, checked, decades
 
 _TEMPLATE = """
 def rates(t, y):
@@ -24,29 +25,39 @@ def rates(t, y):
 """
 
 
-def _compiled(problem: Problem) -> Callable[[float, Any], Any]:
+def _compiled(problem: PeerProblem) -> Callable[[float, Any], Any]:
     """Return the right-hand side ``rates(t, y) -> array`` as machine code."""
     import numpy as np
     from numba import float64, njit
 
-    rates = compilable_rates(problem, _TEMPLATE, empty=np.empty)
-    return njit(float64[::1](float64, float64[::1]), error_model="numpy")(rates)
+    from topcli.engine.source import compilable_copy
+
+    d, jit = len(problem.y0), njit(forceinline=True, error_model="numpy")
+    text = _TEMPLATE.format(
+        items="".join(f"y[{i}], " for i in range(d)),
+        p=repr(tuple(map(float, problem.top.constants()))),
+        d=d,
+        store="\n    ".join(f"out[{i}] = f[{i}]" for i in range(d)),
+    )
+    scope: dict[str, Any] = {"field": jit(compilable_copy(problem.top.field, jit)), "empty": np.empty}
+    exec(compile(text, "<right-hand side>", "exec"), scope)
+    return njit(float64[::1](float64, float64[::1]), error_model="numpy")(scope["rates"])
 
 
-def _prepare(problem: Problem, rates: Callable[[float, Any], Any], rtol: float) -> Call:
+def _prepare(problem: PeerProblem, rates: Callable[[float, Any], Any], rtol: float) -> Call:
     from scipy.integrate import solve_ivp
 
     def call() -> Any:
         span = (0.0, float(problem.times[-1]))
         solved = solve_ivp(rates, span, problem.y0, method="DOP853", t_eval=problem.times, rtol=rtol, atol=1e-2 * rtol)
         if not solved.success:
-            raise PeerError(solved.message)
+            raise NoResultError(solved.message)
         return checked(solved.y.T, problem)
 
     return call
 
 
-def variants(problem: Problem) -> list[Variant]:
+def variants(problem: PeerProblem) -> list[Variant]:
     """Return DOP853 with the right-hand side in Python, and with it compiled."""
     field, p = problem.top.field, problem.top.constants()
 

@@ -1,104 +1,117 @@
-"""One peer in a process of its own, which answers each request, a line of JSON, with a line of JSON.
+"""One peer in a process of its own, which answers requests; the contract of a peer's file.
 
-    python -m topcli.studies.bench.peers.worker
-
-First ``{"peer", "config", "times": [T, intervals]}`` is answered with its ``variants``. Then ``{"run": [variant,
-value]}`` prepares and integrates once and is answered with the states; ``{"time": [variant, value, calls]}`` with the
-mean CPU seconds of a warm call over ``calls`` calls. A failure is answered with its reason as ``failed``. Output that
-the peer prints goes to stderr.
+A peer's file has ``variants(problem)``, each with a ladder of settings and a call for each setting. Requests and
+answers are pickled: ``(method of Worker, *arguments)`` is answered with its result, or with a ``NoResultError``. Output
+that the peer prints goes to stderr.
 """
 
 from __future__ import annotations
 
-import base64
-import json
 import os
+import pickle
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import IO, Any
 
 import numpy as np
 
 from topcli.config.load import experiment_from
-from topcli.studies.bench.peers import PEERS
-from topcli.studies.bench.peers.contract import Call, PeerError, Problem, Variant
+from topcli.contracts import Array, Top
+from topcli.studies.bench.peers import NoResultError
+
+Call = Callable[[], Array]
+"""Integrate once, warm, and return the states at the problem's times, shape (m, d). Raises NoResultError."""
+
+
+@dataclass(frozen=True)
+class PeerProblem:
+    """The motion of ``top`` from ``y0`` at time zero, to be recorded at ``times`` (m,), the first of them zero."""
+
+    top: Top
+    y0: Array
+    times: Array
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to use a peer; ``prepare(value)`` compiles everything for one value of ``parameter``."""
+
+    name: str
+    parameter: str
+    values: Sequence[float]
+    prepare: Callable[[float], Call]
+
+
+def decades(first: int, last: int, step: int = 1) -> list[float]:
+    """Return 10^first, 10^(first - step), ... down to 10^last."""
+    return [float(f"1e{exponent}") for exponent in range(first, last - 1, -step)]
+
+
+def checked(states: Array, problem: PeerProblem) -> Array:
+    """Return ``states`` if they are complete and finite; raise NoResultError otherwise."""
+    expected = (len(problem.times), len(problem.y0))
+    if states.shape != expected:
+        raise NoResultError(f"gave states of shape {states.shape}; expected {expected}")
+    if not np.isfinite(states).all():
+        raise NoResultError("gave states that are not finite")
+    return states
 
 
 class Worker:
     """The variants of one peer for one problem, and the prepared calls."""
 
-    def __init__(self, request: dict[str, Any]) -> None:
-        experiment = experiment_from(request["config"])
-        span, intervals = request["times"]
+    def start(self, module: str, config: dict[str, Any], span: float, intervals: int) -> list[tuple[Any, ...]]:
+        """Load a peer for a problem; return the name, the parameter and the values of each variant."""
+        experiment = experiment_from(config)
         times = np.arange(intervals + 1) * (span / intervals)
-        problem = Problem(experiment.top, np.array(experiment.y0), times)
-        found = import_module(PEERS[request["peer"]].module).variants(problem)
-        self.variants: dict[str, Variant] = {variant.name: variant for variant in found}
+        variants = import_module(module).variants(PeerProblem(experiment.top, np.array(experiment.y0), times))
+        self._variants: dict[str, Variant] = {variant.name: variant for variant in variants}
         self._calls: dict[tuple[str, float], Call] = {}
+        return [(variant.name, variant.parameter, list(variant.values)) for variant in variants]
 
-    def run(self, name: str, value: float) -> dict[str, Any]:
-        """Prepare and call once; return the states and the CPU seconds."""
+    def run(self, name: str, value: float) -> tuple[Array, float, float]:
+        """Prepare and call once; return the states, and the CPU seconds of the call and of its preparation."""
         started = time.process_time()
-        call = self.variants[name].prepare(value)
+        call = self._variants[name].prepare(value)
         compiled = time.process_time()
         states = call()
         ended = time.process_time()
         self._calls[name, value] = call
-        text = base64.b64encode(np.ascontiguousarray(states, dtype=np.float64).tobytes()).decode()
-        return {"compile_seconds": compiled - started, "seconds": ended - compiled, "states": text}
+        return np.ascontiguousarray(states, dtype=np.float64), ended - compiled, compiled - started
 
-    def time(self, name: str, value: float, calls: int) -> dict[str, Any]:
+    def seconds(self, name: str, value: float, calls: int) -> float:
         """Call again, warm; return the mean CPU seconds of a call."""
         call = self._calls[name, value]
         started = time.process_time()
         for _ in range(calls):
             call()
-        return {"seconds": (time.process_time() - started) / calls}
+        return (time.process_time() - started) / calls
 
 
-def _answer(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    try:
-        return work()
-    except PeerError as failure:
-        return {"failed": str(failure)}
-    except Exception as error:  # any exception of a peer is its result
-        return {"failed": f"{type(error).__name__}: {error}".splitlines()[0]}
-
-
-def serve(requests: Iterable[str], answers: IO[str]) -> None:
+def serve(requests: IO[bytes], answers: IO[bytes]) -> None:
     """Answer all ``requests``."""
-    worker: Worker | None = None
-
-    def start(request: dict[str, Any]) -> dict[str, Any]:
-        nonlocal worker
-        worker = Worker(request)
-        return {
-            "variants": [
-                {"name": variant.name, "parameter": variant.parameter, "values": list(variant.values)}
-                for variant in worker.variants.values()
-            ]
-        }
-
-    for line in requests:
-        request = json.loads(line)
-        if worker is None:
-            answer = _answer(lambda request=request: start(request))
-        else:
-            (verb, arguments), *_ = request.items()
-            work = {"run": worker.run, "time": worker.time}[verb]
-            answer = _answer(lambda work=work, arguments=arguments: work(*arguments))
-        print(json.dumps(answer), file=answers, flush=True)
+    worker = Worker()
+    while True:
+        try:
+            method, *arguments = pickle.load(requests)
+        except EOFError:
+            return
+        try:
+            answer = getattr(worker, method)(*arguments)
+        except NoResultError as failure:
+            answer = failure
+        except Exception as error:  # any exception of a peer is its result
+            answer = NoResultError(f"{type(error).__name__}: {error}".splitlines()[0])
+        pickle.dump(answer, answers)
+        answers.flush()
 
 
 def main() -> None:
     """Answer on the original stdout; all other output goes to stderr."""
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
+    with os.fdopen(os.dup(1), "wb") as answers:
         os.dup2(2, 1)
-        serve(sys.stdin, answers)
+        serve(sys.stdin.buffer, answers)
     os._exit(0)  # some peers take long to shut down
-
-
-if __name__ == "__main__":
-    main()
