@@ -141,7 +141,7 @@ def distinct(schemes: Sequence[Scheme], text: Mapping[str, str]) -> Iterator[tup
 
 def scheme_page(schemes: Sequence[Scheme]) -> Page:
     """Page of the schemes of one name, one for each top."""
-    from topcli.studies.stress import case_names
+    from topcli.studies.stress.cases import case_names
 
     name, cases = schemes[0].name, case_names()
     titles = list(dict.fromkeys(one.title for one in schemes))
@@ -262,7 +262,7 @@ def options_table(model: type[BaseModel]) -> Page:
 
 def top_page(top: type[Top]) -> Page:
     """Page of one form of a top."""
-    from topcli.studies.stress import CASES
+    from topcli.studies.stress.cases import CASES
 
     made = top.new()
     lines = [f"# {top.title[:1].upper()}{top.title[1:]}", "", prose(top.__doc__ or "").replace("\n    ", "\n"), ""]

@@ -520,7 +520,7 @@ def test_a_list_in_json_has_the_fields_of_what_is_registered(cli: Callable[..., 
     from topcli.figures.catalogue import FIGURES
     from topcli.schemes.compose import COMPOSITIONS
     from topcli.schemes.registry import all_schemes
-    from topcli.studies.stress import CASES
+    from topcli.studies.stress.cases import CASES
     from topcli.tops import TOPS
 
     registered: dict[str, list[Any]] = {

@@ -17,9 +17,8 @@ from topcli.figures.figure import MadeFigure, NothingMeasuredError, Request, mak
 from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes
 from topcli.studies.scheme_page import schemes_page
-from topcli.studies.stress import CASES
-from topcli.studies.stress.record import stored_stress, stress_data, stress_source, write_stress
-from topcli.studies.stress.suite import stress
+from topcli.studies.stress.cases import CASES
+from topcli.studies.stress.suite import stored_stress, stress, stress_data, stress_source, write_stress
 
 SCHEME = '''
 import topcli

@@ -35,7 +35,7 @@ from topcli.schemes.kowalevski import hk
 from topcli.studies import order as study_of_orders
 from topcli.studies import roundoff as study_of_roundoff
 from topcli.studies.bench import measure
-from topcli.studies.stress import case, checks, record, suite
+from topcli.studies.stress import case, checks, suite
 from topcli.sweeps import table
 from topcli.sweeps.rows import read_rows
 
@@ -56,7 +56,7 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
         ],
     ),
     "stress": (
-        record.stress_source,
+        suite.stress_source,
         [HK_STEP, suite.verdict_of, checks.keeps_order, case.claim_violated],
     ),
     "error-and-cost": (

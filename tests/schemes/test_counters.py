@@ -22,8 +22,7 @@ from topcli.schemes.kowalevski.hybrid import hybrid_step
 from topcli.schemes.lagrange.hk import hk_lagrange, lagrange_determinant
 from topcli.schemes.layout import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.stress.general import singular_step
-from topcli.studies.stress.kowalevski import TORUS_E4
+from topcli.studies.stress.cases import TORUS_E4, singular_step
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy

@@ -14,10 +14,21 @@ from mpmath import mp, mpc, mpf
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Scheme, Stepper, Top
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.stress import CASES, case_names, cases_named
 from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
-from topcli.studies.stress.general import singular_step, swing_time
-from topcli.studies.stress.kowalevski import DELONE, EVENT, GENERIC, TOP, TORUS_E4, degenerate, separation
+from topcli.studies.stress.cases import (
+    CASES,
+    DELONE,
+    EVENT,
+    GENERIC,
+    TOP,
+    TORUS_E4,
+    case_names,
+    cases_named,
+    degenerate,
+    separation,
+    singular_step,
+    swing_time,
+)
 from topcli.studies.stress.suite import Judged, stress, verdict_of
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
@@ -308,10 +319,8 @@ def test_a_scheme_that_fails_in_the_interpreter_is_a_finding() -> None:
 
 
 @pytest.mark.slow
-def test_a_hard_case_is_one_entry(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hard_case_is_one_entry(cli: Callable[..., Any], request: pytest.FixtureRequest) -> None:
     """From outside: a config, a question and a check; it is listed, completed, tried, judged and can be a limit."""
-    from topcli.studies import stress as cases
-    from topcli.studies.stress import suite
 
     def upright(trial: Trial) -> Finding:
         lowest = float(trial.run(N=10).states[:, 5].min())
@@ -324,11 +333,11 @@ def test_a_hard_case_is_one_entry(cli: Callable[..., Any], monkeypatch: pytest.M
 
     mine = Case("my-case", "heavy", "does it stay upright?", config, upright)
     wrong = replace(mine, name="my-other", check=lambda trial: Finding(Result.BROKE, "never", 3))
-    for module in (cases, suite):
-        monkeypatch.setattr(module, "CASES", (*CASES, mine, wrong))
+    CASES.extend((mine, wrong))
+    request.addfinalizer(lambda: CASES.__delitem__(slice(-2, None)))
     listed = cli("list", "cases", "--top", "heavy", "--json").json()["cases"]
     assert listed[-2] == {"name": "my-case", "top": "heavy", "question": "does it stay upright?"}
-    assert {"my-case", "my-other"} <= set(cases.case_names())
+    assert {"my-case", "my-other"} <= set(case_names())
     tried = cli("stress", "rk4", "--case", "my-case", "--json")
     (trial,) = tried.json()["trials"]
     assert (tried.code, trial["scheme"], trial["top"], trial["outcome"], trial["verdict"]) == (

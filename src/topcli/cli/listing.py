@@ -194,7 +194,7 @@ def sweeps(as_json: Json = False) -> Listing:
 @_listed
 def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the hard cases of topcli stress."""
-    from topcli.studies.stress import CASES
+    from topcli.studies.stress.cases import CASES
 
     wanted = _forms(top)
     items = [{"name": case.name, "top": case.form, "question": case.question} for case in CASES if case.form in wanted]

@@ -69,7 +69,7 @@ def _traits(scheme: Scheme) -> list[tuple[str, str]]:
 
 def _limits(scheme: Scheme) -> list[tuple[str, str]]:
     """Limits of a scheme, those named after hard cases first and quoted."""
-    from topcli.studies.stress import case_names
+    from topcli.studies.stress.cases import case_names
 
     known = case_names()
     quoted = [(f"`{key}`", text) for key, text in scheme.limits.items() if key in known]

@@ -15,17 +15,22 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import experiment_from
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
+from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Sampler, Stepper, Top
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
+from topcli.schemes.registry import find_scheme
 
 PLAIN_STEPS = 400
 """Approximate number of steps of a scheme that runs in the interpreter, which takes longer ones instead."""
+
+CLAIM_ULPS = 50.0
+"""Allowed deviation of a claimed invariant, in ulp of its terms times sqrt(steps)."""
 
 
 class Result(StrEnum):
@@ -103,6 +108,7 @@ class Trial:
         factor = max(1, experiment.N // PLAIN_STEPS) if self.plain else 1
         self.h, self.N = experiment.h * factor, max(1, experiment.N // factor)
         self.counters: dict[str, int] = {}
+        self.claim_ulps = CLAIM_ULPS
 
     def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Floats | None = None) -> Trajectory:
         """Run the case, or with another step, another number of steps, or from another state."""
@@ -117,15 +123,17 @@ class Trial:
         """Return the reference motion of the case at ``times``, (m, d)."""
         return self._cache.reference(self.top, self.y0, times)
 
+    def closed_form(self, n: NDArray[np.int64]) -> Array:
+        """Return the states of the closed form of the top after ``n`` (m,) steps, (m, d)."""
+        method = find_scheme("exact", self.top.form).build(self.top, None)
+        assert isinstance(method, Sampler)
+        return method.states(np.array(self.y0), self.h, n, self.top.constants())
+
     def claimed(self, h: float) -> list[Invariant]:
         """Invariants that the scheme claims to conserve to round-off at the step ``h``."""
         kept = [invariant for invariant in self.top.invariants() if invariant.name in self.scheme.conserves]
         modified = self.scheme.modified(self.top, h, self.experiment.options) if self.scheme.modified else ()
         return [*kept, *modified]
-
-
-CLAIM_ULPS = 50.0
-"""Allowed deviation of a claimed invariant, in ulp of its terms times sqrt(steps)."""
 
 
 def ended_badly(motion: Trajectory) -> Finding | None:
@@ -150,7 +158,7 @@ def claim_violated(trial: Trial, motion: Trajectory) -> Finding | None:
             if not (np.isfinite(values).all() and np.isfinite(scale).all()):
                 continue  # terms beyond the range of a double cannot be judged
             deviation = np.abs(values - values[0])
-            bound = CLAIM_ULPS * float(np.finfo(float).eps) * np.sqrt(np.maximum(motion.n, 1)) * scale
+            bound = trial.claim_ulps * float(np.finfo(float).eps) * np.sqrt(np.maximum(motion.n, 1)) * scale
             # a denormal has an absolute error, which no relative bound covers
             over = deviation > np.maximum(bound, 1e-300)
             if over.any():

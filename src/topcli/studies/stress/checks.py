@@ -11,8 +11,7 @@ from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judg
 from topcli.analysis.swings import minima_times
 from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
-from topcli.contracts import Array, Sampler
-from topcli.schemes.registry import find_scheme
+from topcli.contracts import Array
 from topcli.studies.stress.case import Finding, Result, Trial, ended_badly, fault
 
 EPS = float(np.finfo(float).eps)
@@ -145,11 +144,8 @@ def _crossing(t: Array, values: Array) -> float | None:
 
 def flips(trial: Trial) -> Finding:
     """Check that omega2 first changes sign at the time given by the closed form."""
-    method = find_scheme("exact", trial.top.form).build(trial.top, None)
-    assert isinstance(method, Sampler)
     n = np.arange(trial.N + 1, dtype=np.int64)
-    closed = method.states(np.array(trial.y0), trial.h, n, trial.top.constants())
-    exact = _crossing(n * trial.h, closed[:, 1])
+    exact = _crossing(n * trial.h, trial.closed_form(n)[:, 1])
     assert exact is not None
     motion = trial.run()
     wrong = fault(trial, motion)

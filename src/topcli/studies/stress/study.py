@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from topcli.config.overrides import override_label, parse_override
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.studies.stress import case_names
-from topcli.studies.stress.record import FILE, stress_data, stress_source
-from topcli.studies.stress.suite import chosen, require_options, stress
+from topcli.studies.stress.cases import case_names
+from topcli.studies.stress.suite import FILE, chosen, require_options, stress, stress_data, stress_source
 from topcli.studies.study import SILENT, Data, Faults, Flag, Head, Result, SchemeNames, Study, TopName, Watch
 from topcli.table import Column, Table
 

@@ -1,20 +1,27 @@
-"""Run schemes through the hard cases and compare failures with the limits that the schemes declare."""
+"""Run schemes through the hard cases, compare failures with the declared limits, and store the results."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Scheme
+from topcli.engine.fingerprint import fingerprint
 from topcli.errors import ConfigError, RunError, SchemeCodeError, StepTooLongError, UsageError, nearest, shortened
+from topcli.runs.identity import scheme_code
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.schemes.user_code import users_error
-from topcli.studies.stress import CASES, case_names, cases_named
+from topcli.store.provenance import environment
+from topcli.store.study import stored_study, write_study
 from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
+from topcli.studies.stress.cases import CASES, case_names, cases_named
 from topcli.studies.stress.checks import false_order
 from topcli.tops import TOPS, forms
 
@@ -92,12 +99,10 @@ def tried(
                 if why:
                     finding = replace(finding, result=Result.BROKE, why=f"on a generic motion {why}")
         counters = trial.counters
-    except StepTooLongError as error:
+    except (StepTooLongError, RunError) as error:
         finding = Finding(Result.BROKE, f"refused: {str(error).splitlines()[0]}", 0)
     except ConfigError:
         raise
-    except RunError as error:
-        finding = Finding(Result.BROKE, f"refused: {str(error).splitlines()[0]}", 0)
     except (ArithmeticError, ValueError) as error:
         # the interpreter may raise where machine code returns inf or nan
         finding = Finding(Result.BROKE, f"failed: {type(error).__name__}: {error}".splitlines()[0], 0)
@@ -186,3 +191,48 @@ def stress(
         done.append(tried(case, scheme, cache, options, generic_case(case.form)))
         on_progress(len(done), len(pairs))
     return done
+
+
+FILE = "stress.json"
+SCHEMA_VERSION = 1
+
+
+def stress_data(judged: Sequence[Judged]) -> dict[str, Any]:
+    """Return the study as plain data: the cases, the trials, and the number of each outcome and verdict."""
+    asked = {(one.case.name, one.case.form): one.case for one in judged}
+    outcomes = [one.finding.result.value for one in judged]
+    verdicts = [one.verdict for one in judged]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "cases": [{"case": case.name, "top": case.form, "question": case.question} for case in asked.values()],
+        "trials": [one.as_dict() for one in judged],
+        "outcomes": {value: outcomes.count(value) for value in dict.fromkeys(outcomes)},
+        "verdicts": {value: verdicts.count(value) for value in dict.fromkeys(verdicts)},
+        "environment": environment(),
+    }
+
+
+def stress_source() -> str:
+    """Digest of everything that the results of the whole suite depend on: the code and limits of schemes and cases."""
+    schemes = []
+    for scheme in all_schemes():
+        code = scheme_code(scheme, TOPS[scheme.top].new())
+        schemes.append([scheme.name, scheme.top, code, sorted(scheme.limits.items())])
+    checks = [
+        [case.name, case.form, case.question, fingerprint(case.check, case.config, compiled=False)] for case in CASES
+    ]
+    text = json.dumps([schemes, checks, fingerprint(tried, false_order, compiled=False)])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_stress(data: dict[str, Any], out: Path, source: str | None) -> Path:
+    """Write the study to ``out/stress/stress.json`` atomically and return its path.
+
+    ``source`` is the digest of the whole suite; None for a part of it. Raises UsageError and RunError.
+    """
+    return write_study(out / "stress" / FILE, data, source)
+
+
+def stored_stress(out: Path) -> dict[str, Any] | None:
+    """Return the study stored in ``out/stress``; None if there is none. Raises RunError if it is damaged."""
+    return stored_study(out / "stress" / FILE, SCHEMA_VERSION, "topcli stress")

@@ -1,0 +1,295 @@
+"""The hard cases of all tops, ``CASES``: those that every top has, and those of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+from topcli.contracts import Floats, Top, checked_equations
+from topcli.errors import UnknownNameError, nearest, quoted
+from topcli.schemes.heavy.hk import heavy_determinant
+from topcli.studies.stress.case import Case, config, state_before
+from topcli.studies.stress.checks import (
+    Check,
+    does_not_drift,
+    flips,
+    keeps_order,
+    returns,
+    stays_bounded,
+    swings_at,
+)
+from topcli.tops.euler import Euler, EulerGamma
+from topcli.tops.heavy import Heavy
+from topcli.tops.kowalevski import Kowalevski
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
+
+LARGEST_STEP = 60.0
+OMEGA, GAMMA = (0.7, -0.4, 1.3), (0.6, 0.48, 0.64)
+GENERIC = (*OMEGA, *GAMMA)
+FAST = (3.0, -2.0, 6.0)
+"""omega of a fast rotation, with a period of about 1."""
+
+
+@cache
+def singular_step(top: Top, state: Floats) -> float:
+    """Return the least h > 0 at which the determinant of HK's linear system changes sign at ``state``, by bisection.
+
+    Raises ValueError if there is none up to ``LARGEST_STEP``.
+    """
+    equations = checked_equations(top, "the stress case singular-step")
+    p = (*equations.moments, *equations.gravity)
+    y = (*(equations.omega_sign * w for w in state[:3]), *(state[3:] or (0.0, 0.0, 0.0)))
+
+    def determinant(h: float) -> float:
+        return heavy_determinant(y, h, p)[0]
+
+    low, step = 0.0, 0.01
+    while low < LARGEST_STEP:
+        if determinant(low + step) <= 0.0:
+            high = low + step
+            while low < 0.5 * (low + high) < high:
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if determinant(middle) > 0.0 else (low, middle)
+            return low
+        low += step
+    raise ValueError(f"{top!r}: the determinant does not vanish at {state} up to h = {LARGEST_STEP:g}")
+
+
+def _case(
+    name: str,
+    question: str,
+    top: Top,
+    state: Floats | Callable[[], Floats],
+    h: float | None = 0.02,
+    N: int = 200,
+    check: Check = keeps_order,
+) -> Case:
+    """Case from a ``state``, which a function may compute when it is asked for; h is None for the singular step."""
+
+    def made() -> Mapping[str, Any]:
+        start = state() if callable(state) else state
+        step = singular_step(top, start) if h is None else h  # pyright: ignore[reportArgumentType] (hashable)
+        return config(top, start, step, N)
+
+    return Case(name, top.form, question, made, check)
+
+
+def _scaled(state: Floats, factor: float) -> Floats:
+    return tuple(value * factor if i < 3 else value for i, value in enumerate(state))
+
+
+def general_cases(top: Top, regular: Floats = (), singular: bool = True) -> tuple[Case, ...]:
+    """Return the cases for the schemes of ``top``'s form.
+
+    ``regular`` is a state of a motion that is not chaotic, by default the generic one. ``singular`` is False if HK's
+    determinant cannot vanish.
+    """
+    d = len(top.components)
+    generic, fast = GENERIC[:d], (*FAST, *GAMMA)[:d]
+    regular = regular or generic
+    bounded = "h = 1, about a turn a step: does it stay bounded, and does the iteration converge?"
+    huge, tiny = _scaled(generic, 1e150), _scaled(generic, 1e-310)
+    back = "1e5 steps forward and 1e5 back: is only round-off's growth left?"
+    slope = "t = 1e5: do the claimed invariants have a slope beyond its uncertainty?"
+    vanishes = "h at which HK's determinant vanishes in the first step: does omega stay of the motion's size?"
+    cases = (
+        _case("backwards", "h < 0: is the order what it is for h > 0?", top, generic, -0.02),
+        _case("one-step", "N = 1: does a single step have the error of its order?", top, generic, 0.1, 1),
+        _case("resonance", bounded, top, fast, 1.0, 2000, stays_bounded),
+        _case("huge", "omega of size 1e150, h of size 1e-152: is the order kept?", top, huge, 2e-152),
+        _case("denormal", "omega of size 1e-310: is the order kept?", top, tiny),
+        _case("there-and-back", back, top, regular, 0.02, 100_000, returns),
+        _case("drift", slope, top, regular, 0.1, 1_000_000, does_not_drift),
+        _case("singular-step", vanishes, top, generic, None, 50, stays_bounded),
+    )
+    return cases if singular else cases[:-1]
+
+
+def swing_time(eps: float) -> float:
+    """Time of the first swing of the Kowalevski top from gamma3 = eps near the relative equilibrium at omega1 = 2.
+
+    sqrt 2 ln(8 sqrt 7/eps), to leading order in eps, for A = B = 2, C = 1, c0 = 1.
+    """
+    return math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) / eps)
+
+
+TOP = Kowalevski()
+DELONE = (0.9, 0.3, 1.0, 0.72, 0.54, math.sqrt(1.0 - 0.72**2 - 0.54**2))
+"""xi = 0 exactly."""
+TORUS_E4 = (
+    -0.3336095391673479,
+    -0.8069759961673685,
+    1.0071602889659599,
+    -0.25098702032854125,
+    0.7545542238714854,
+    -0.6063443236844068,
+)
+"""S(e4) = 0: S(e4) >= 0 on all motions, and where it vanishes the torus has shrunk to a closed orbit and the gradients
+of the four integrals are dependent. Found by Newton's method on the gradient of S(e4) with 40 digits."""
+EVENT = 1.0
+"""Time at which the motion passes the hard place."""
+
+
+def separation(state: Floats) -> tuple[float, float, float]:
+    """``(S(e4), S(e5), g2³ - 27 g3²)`` of Kowalevski's curve for A = B = 2, C = c0 = 1: 0 on degenerate tori.
+
+    S(s) = 4 s³ - g2 s - g3; e4, e5 = (l1 ± k)/2 (Kowalevski 1889).
+    """
+    w1, w2, w3, g1, g2, g3 = state
+    l1 = (w1 * w1 + w2 * w2 + 0.5 * w3 * w3 + g1) / 3.0
+    ell = w1 * g1 + w2 * g2 + 0.5 * w3 * g3
+    k = math.hypot(w1 * w1 - w2 * w2 - g1, 2.0 * w1 * w2 - g2)
+    q2 = k * k - 1.0 + 3.0 * l1 * l1
+    q3 = l1 * (k * k - 1.0 - l1 * l1) + ell**2
+
+    def cubic(s: float) -> float:
+        return 4.0 * s**3 - q2 * s - q3
+
+    return cubic(0.5 * (l1 + k)), cubic(0.5 * (l1 - k)), q2**3 - 27.0 * q3**2
+
+
+@cache
+def degenerate(which: int, low: float, high: float) -> Floats:
+    """Scale omega of the generic state, by a factor in (low, high), to a zero of ``separation(...)[which]``."""
+
+    def at(factor: float) -> Floats:
+        return (*(factor * w for w in GENERIC[:3]), *GENERIC[3:])
+
+    sign = math.copysign(1.0, separation(at(low))[which])
+    while low < 0.5 * (low + high) < high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if sign * separation(at(middle))[which] > 0.0 else (low, middle)
+    return at(low)
+
+
+def _near_homoclinic(eps: float) -> Case:
+    exponent, due = round(math.log10(eps)), swing_time(eps)
+    question = f"gamma3(0) = 1e{exponent}: does the first swing come at sqrt 2 ln(8 sqrt 7/eps) = {due:.4f}?"
+    state = (2.0, 0.0, 0.0, math.sqrt(1.0 - eps * eps), 0.0, eps)
+    return _case(f"homoclinic-1e{exponent}", question, TOP, state, 1e-3, round((due + 6.0) / 1e-3), swings_at(due))
+
+
+def _passing(name: str, question: str, state: Floats) -> Case:
+    """Case of a motion that reaches ``state`` at ``EVENT``, in the middle and on a step."""
+    return _case(name, question, TOP, lambda: tuple(state_before(TOP, state, EVENT)), N=100)
+
+
+RATE = math.sqrt(1.0 / 3.0)
+"""Growth rate away from the middle axis for moments 3, 2, 1 and omega2 = 1."""
+
+
+def _racket(offset: float, top: Top = Euler()) -> Case:  # noqa: B008 (never changed)
+    """Case of the tennis racket; omega2 first crosses 0 after about ln(constant/offset)/rate."""
+    state = (offset, 1.0, 0.0, 0.0, 1.0, 0.0)[: len(top.components)]
+    question = f"turns about the middle axis, {offset:g} off: does it flip when the closed form says?"
+    steps = round((math.log(4.0 / offset) / RATE + 4.0) / 0.01)
+    return _case(f"racket-1e{round(math.log10(offset))}", question, top, state, 0.01, steps, flips)
+
+
+_LAGRANGE = Lagrange()
+_SLEEPING = math.sqrt(4.0 * _LAGRANGE.A * _LAGRANGE.mu) / _LAGRANGE.C
+"""omega3 at which the upright top is just stable: C omega3 = 2 sqrt(A mu)."""
+_TILT = 1e-6
+_SPACING = 2.0 * swing_time(1e-3)
+_SPACED = f"gamma3(0) = 1e-3, the paper's scene: does the second swing follow after {_SPACING:.4f}?"
+CASES = [
+    *map(_near_homoclinic, (1e-3, 1e-6, 1e-9)),
+    _case(
+        "homoclinic-spacing",
+        _SPACED,
+        TOP,
+        (2.0, 0.0, 0.0, math.sqrt(1.0 - 1e-6), 0.0, 1e-3),
+        1e-3,
+        50_000,
+        swings_at(_SPACING, spacing=True),
+    ),
+    _passing(
+        "pole", "gamma passes -e3, where the paper's stereographic z is infinite", (0.7, -0.4, 1.3, 0.0, 0.0, -1.0)
+    ),
+    _passing(
+        "branch-point",
+        "omega1 + i omega2 passes 0, where the square root is singular",
+        (0.0, 0.0, 1.3, *GAMMA),
+    ),
+    _passing(
+        "near-branch-point",
+        "omega1 + i omega2 passes 0 at a distance of 1e-3",
+        (0.0, 1e-3, 1.3, *GAMMA),
+    ),
+    _case("at-rest", "omega = 0 at the start", TOP, (0.0, 0.0, 0.0, *GAMMA)),
+    _case(
+        "rest-on-axis", "omega = 0 and gamma = e3 at the start, where xi = 0 too", TOP, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    ),
+    _passing(
+        "real-axis",
+        "omega1 + i omega2 crosses the negative real axis, where the angle has its cut; branch: sign errs there",
+        (-0.8, 0.0, 0.5, 0.6, -0.48, -0.64),
+    ),
+    _case("delone", "k = 0, Delone's motion: k² has no gradient", TOP, DELONE),
+    _case(
+        "delone-sleeping",
+        "k = 0 and E = 2 l²: gamma = omega = e3 at the start, where all gradients are dependent",
+        TOP,
+        (0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
+    ),
+    _case("torus-e4", "S(e4) = 0: the torus is a closed orbit, the gradients are dependent", TOP, TORUS_E4),
+    _case("torus-e5", "S(e5) = 0, a degenerate torus", TOP, lambda: degenerate(1, 0.585, 0.59)),
+    _case("torus-double-root", "g2³ = 27 g3², a degenerate torus", TOP, lambda: degenerate(2, 0.62, 0.625)),
+    _case("free", "c0 = 0: no gravity", Kowalevski(c0=0.0), GENERIC),
+    _case("strong-gravity", "c0 = 1e6, h = 2e-5", Kowalevski(c0=1e6), GENERIC, 2e-5),
+    _case("negative-gravity", "c0 = -1", Kowalevski(c0=-1.0), GENERIC),
+    _case("vanishing", "c0 = 0 and omega of size 1e-310", Kowalevski(c0=0.0), (7e-311, -4e-311, 1.3e-310, *GAMMA)),
+    *general_cases(TOP),
+    *map(_racket, (1e-3, 1e-6, 1e-9, 1e-12)),
+    _case("spherical", "A = B = C: omega is constant", Euler(A=1.5, B=1.5, C=1.5), OMEGA),
+    _case("middle-axis", "turns about the middle axis exactly, a fixed point", Euler(), (0.0, 1.0, 0.0)),
+    *general_cases(Euler()),
+    _racket(1e-9, EulerGamma()),
+    _case(
+        "spherical",
+        "A = B = C: omega is constant, gamma turns steadily",
+        EulerGamma(A=1.5, B=1.5, C=1.5),
+        GENERIC,
+    ),
+    *general_cases(EulerGamma()),
+    _case("at-rest", "omega = 0 at the start", Heavy(), (0.0, 0.0, 0.0, *GAMMA)),
+    _case("spherical", "A = B = C with gravity", Heavy(A=1.5, B=1.5, C=1.5), GENERIC),
+    *general_cases(Heavy(), (0.05, -0.04, 0.06, -0.70, -0.42, -0.577581)),
+    _case(
+        "sleeping-threshold",
+        "upright but for 1e-6, C omega3 = 2 sqrt(A mu): the edge of stability",
+        _LAGRANGE,
+        (0.0, 0.0, _SLEEPING, math.sin(_TILT), 0.0, math.cos(_TILT)),
+        0.02,
+        1000,
+    ),
+    _case("sleeping", "upright exactly, a fixed point", _LAGRANGE, (0.0, 0.0, 5.0, 0.0, 0.0, 1.0)),
+    _case("at-rest", "omega = 0 at the start: a plane pendulum", _LAGRANGE, (0.0, 0.0, 0.0, 0.6, 0.0, 0.8)),
+    _case("hanging", "mu < 0, gamma near e3: hangs", Lagrange(mu=-1.0), GENERIC),
+    *general_cases(_LAGRANGE),
+    _case(
+        "sleeping-threshold",
+        "upright but for 1e-6, m.a = 2: the edge of stability",
+        LagrangeInertial(),
+        (2.0 * math.sin(_TILT), 0.0, 2.0 * math.cos(_TILT), math.sin(_TILT), 0.0, math.cos(_TILT)),
+        0.02,
+        1000,
+    ),
+    *general_cases(LagrangeInertial(), singular=False),
+]
+"""All cases."""
+
+
+def case_names() -> list[str]:
+    """Names of the cases; one name may be shared by cases that ask the same question about several tops."""
+    return list(dict.fromkeys(case.name for case in CASES))
+
+
+def cases_named(name: str) -> list[Case]:
+    """Cases called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
+    named = [case for case in CASES if case.name == name.lower()]
+    if not named:
+        raise UnknownNameError(f"unknown case {quoted(name)}; {nearest(name, case_names())}")
+    return named
