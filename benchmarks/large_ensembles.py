@@ -31,13 +31,11 @@ SCHEME = "hybrid"
 def worker(members: int, steps: int, store: str) -> None:
     """Run one ensemble; print its figures as JSON."""
     from topcli.config.ensemble import EnsembleExperiment
-    from topcli.config.load import load_any
+    from topcli.config.load import load
     from topcli.runs.ensemble import run_ensemble
 
     settings = {"ensemble.random.count": members, "ensemble.store": store, "N": steps, "output.every": steps}
-    found = load_any(
-        "kowalevski_ensemble", [f"scheme={SCHEME}", *(f"{key}={value}" for key, value in settings.items())]
-    )
+    found = load("kowalevski_ensemble", [f"scheme={SCHEME}", *(f"{key}={value}" for key, value in settings.items())])
     assert isinstance(found, EnsembleExperiment)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:

@@ -62,11 +62,11 @@ def heavy(count: int) -> dict[str, Any]:
 
 def worker(count: int) -> None:
     """Run a sweep of light rows; print its figures as JSON."""
-    from topcli.config.sweep.document import sweep_from
+    from topcli.config.sweep import load_sweep
     from topcli.sweeps.run import SweepOptions, run_sweep
 
     with tempfile.TemporaryDirectory() as folder:
-        done = run_sweep(sweep_from(light(count)), Path(folder), SweepOptions(confirmed=True, threads=1))
+        done = run_sweep(load_sweep(light(count)), Path(folder), SweepOptions(confirmed=True, threads=1))
     unit = 1 if sys.platform == "darwin" else 1024
     print(
         json.dumps(
@@ -104,10 +104,10 @@ def growth(counts: list[int], repetitions: int) -> list[dict[str, Any]]:
 
 def rows_of(data: dict[str, Any]) -> list[Any]:
     """Rows of a sweep file."""
-    from topcli.config.sweep.document import sweep_from
-    from topcli.config.sweep.rows import RowReader
+    from topcli.config.rows import RowReader
+    from topcli.config.sweep import load_sweep
 
-    return list(RowReader(sweep_from(data)).rows())
+    return list(RowReader(load_sweep(data)).rows())
 
 
 def through(backend: Any, rows: list[Any], workers: int, scale: int) -> Callable[[], None]:

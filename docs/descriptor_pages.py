@@ -214,8 +214,7 @@ def keys_of(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
     """Key, type, default and description of each field of a model."""
     schema = model.model_json_schema()
     rows = []
-    for name, field in model.model_fields.items():
-        found = schema["properties"][name]
+    for (name, found), field in zip(schema["properties"].items(), model.model_fields.values(), strict=True):
         default = "required" if field.is_required() else f"`{spelled(found.get('default'))}`"
         default = "see below" if isinstance(found.get("default"), dict) else default
         rows.append((f"`{name}`", type_of(found), default, prose(field.description or "")))

@@ -43,8 +43,10 @@ def index_page(title: str, text: str, names: Sequence[str], rows: Page) -> Page:
 
 def config_page() -> Page:
     """Keys of a config, from the models that read it."""
-    from topcli.config.ensemble import Random, Section, Spaced
+    from topcli.config.draws import Random
+    from topcli.config.ensemble import Section
     from topcli.config.models import Config, Output
+    from topcli.config.ranges import Range
 
     header = ("key", "type", "default", "meaning")
     lines = [
@@ -65,7 +67,7 @@ def config_page() -> Page:
         *table(header, keys_of(Section)),
         "A list of values in `grid` may be written as",
         "",
-        *table(header, keys_of(Spaced)),
+        *table(header, keys_of(Range)),
         "and `random` holds the way each vector is drawn and",
         "",
         *table(header, keys_of(Random)),

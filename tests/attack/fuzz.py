@@ -30,7 +30,7 @@ from attack.command import HEED, LIMIT, Said, Watch, content_of, fork, in_proces
 from attack.judge import Faults, Finding, judged
 from attack.mutations import Mutant, draw_for, mutant
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import load_any, load_named
+from topcli.config.load import load, load_named
 from topcli.config.models import Experiment
 from topcli.contracts import Stepper
 from topcli.engine.driver import plain_loop
@@ -84,7 +84,7 @@ def read_back(experiment: Experiment | EnsembleExperiment, folder: Path) -> str:
     """Difference after the config is written out and read again; empty if there is none."""
     path = folder / "again.yaml"
     path.write_text(experiment.to_yaml(), encoding="utf-8")
-    again = load_any(path)
+    again = load(path)
     return "" if again.digest == experiment.digest else "read back it is another experiment"
 
 
@@ -156,7 +156,7 @@ class Trier:
         said = self.say(["run", case.file, "--dry-run", "--out", "out", *(["--json"] if draw.random() < 0.3 else [])])
         faults, checked = judged(said), draw.random() < 0.4
         if said.code == 0 and checked:
-            experiment = load_any(case.file)
+            experiment = load(case.file)
             faults += [("misread", text) for text in [misread(case, experiment)] if text]
             faults += [("misread", text) for text in [read_back(experiment, self.folder)] if text]
             if getattr(experiment, "count", 1) <= MOST_RUN and math.isfinite(step_size(experiment) * STEPS):

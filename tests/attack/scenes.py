@@ -18,7 +18,7 @@ import pyarrow.parquet  # noqa: F401 (imported once, here, and not in every fork
 from attack.command import Said, call, fork
 from attack.judge import Content, content, judged
 from attack.studies import SweepScene, sweep_scenes
-from topcli.config.load import load_any, load_experiment
+from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
 from topcli.engine import loop
@@ -82,7 +82,7 @@ def write_configs(folder: Path) -> None:
     for suffix in ("parquet", "csv"):
         (folder / suffix).mkdir(parents=True)
         (folder / suffix / f"{NAME}.yaml").write_text(experiment(suffix).to_yaml(), encoding="utf-8")
-    many = load_any(CONFIGS / f"{ENSEMBLE}.yaml", ["N=40", "ensemble.random.count=50", "ensemble.store=trajectories"])
+    many = load(CONFIGS / f"{ENSEMBLE}.yaml", ["N=40", "ensemble.random.count=50", "ensemble.store=trajectories"])
     (folder / f"{ENSEMBLE}.yaml").write_text(many.to_yaml(), encoding="utf-8")
 
 
@@ -157,7 +157,7 @@ def prepare(base: Path) -> Scenes:
         whole = base / f"reference-{suffix}"
         done_in_fork(lambda suffix=suffix, whole=whole: run_experiment(experiment(suffix), whole))
         reference[suffix] = content(whole / NAME)
-    many = load_any(configs / f"{ENSEMBLE}.yaml")
+    many = load(configs / f"{ENSEMBLE}.yaml")
     done_in_fork(lambda: run_ensemble(many, base / "reference-ensemble"))  # pyright: ignore[reportArgumentType]
     other = load_experiment(CONFIGS / f"{NAME}.yaml", ["N=30", f"name={OTHER}"])
     done_in_fork(lambda: run_experiment(other, base / "beside"))
@@ -188,7 +188,7 @@ def prepare(base: Path) -> Scenes:
         path.parent.mkdir()
         data = {"name": NAME, **SHORT, **keys}
         path.write_text(to_yaml(data), encoding="utf-8")
-        one = load_any(path)
+        one = load(path)
         done_in_fork(lambda one=one, kind=kind: run_experiment(one, base / f"reference-{kind}"))  # pyright: ignore[reportArgumentType]
         reference[kind] = content(base / f"reference-{kind}" / NAME)
         scene("finished", kind, lambda out, one=one: run_experiment(one, out))  # pyright: ignore[reportArgumentType]

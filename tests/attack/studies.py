@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from attack.command import call
 from attack.judge import content, rows_apart
-from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep import load_sweep
 from topcli.sweeps.journal import Journal
 
 SWEEP = "study"
@@ -106,7 +106,7 @@ def sweep_scenes(base: Path, configs: Path) -> list[SweepScene]:
         argv = ["sweep", str(config), "--threads", "1", "--out"]
         for out, given in ((before, earlier), (whole, data)):
             if given is not None:
-                config.write_text(sweep_from(given).to_yaml(), encoding="utf-8")
+                config.write_text(load_sweep(given).to_yaml(), encoding="utf-8")
                 if out == whole:
                     shutil.copytree(before, whole)
                 said = call([*argv, str(out)], base, [base])

@@ -18,7 +18,7 @@ from attack.judge import Finding
 from attack.scenes import Scenes
 from attack.spoil import DAMAGES, FOREIGN, HOSTILE, hostile_json
 from attack.studies import DATA, SWEEP, SweepContent, SweepScene, sweep_content
-from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep import load_sweep
 
 MOST_RUN = 60
 """Rows of an accepted file that is also run."""
@@ -159,7 +159,7 @@ def edited(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
     else:
         data["grid"]["scheme"] = [{"name": "hk", "compensated": True}, "hk"]
     config = box.folder / "edited.yaml"
-    config.write_text(sweep_from(data).to_yaml(), encoding="utf-8")
+    config.write_text(load_sweep(data).to_yaml(), encoding="utf-8")
     shutil.copytree(scenes.sweeps[0].before, box.out)
     disk = Disk(box.out, draw.randint(1, 70), draw.choice(HOW))
     box.case.label, box.case.how = f"edited file ({edit})", f"{disk.how} at {disk.at}"

@@ -15,7 +15,7 @@ from conftest import ROOT
 from kick_turn import KICK_TURN
 from test_config_schema import fits
 from topcli.cli.options import complete_scheme
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.schema import config_schema
 from topcli.config.starter import starter_config
 from topcli.contracts import Stepper, Top
@@ -77,13 +77,13 @@ def test_both_spellings_mean_the_same(tmp_path: Path) -> None:
     assert found[0].resolved()["scheme"] == {"name": "hk+kahan-li8", "compensated": False}
     again = load_experiment(write(tmp_path, found[0].to_yaml(), "again.yaml"))
     assert again == found[0]
-    assert experiment_from(again.resolved()).digest == found[0].digest
+    assert load_experiment(again.resolved()).digest == found[0].digest
 
 
 def test_default_composition_name_is_accepted(tmp_path: Path) -> None:
     data = load_experiment(HK).resolved() | {"scheme": "hk+kahan-li8"}
     del data["name"]
-    assert experiment_from(data).name == "kowalevski_hk+kahan_li8"
+    assert load_experiment(data).name == "kowalevski_hk+kahan_li8"
     assert load_experiment(write(tmp_path, starter_config(scheme="hk+suzuki4"))).scheme.name == "hk+suzuki4"
 
 

@@ -12,7 +12,8 @@ import pytest
 
 from config_texts import BASE, CONFIGS, ENSEMBLES, FILES, PAPER_GAMMA, refusal, write
 from topcli.config.document import Document
-from topcli.config.load import experiment_from, load_experiment, scene_files
+from topcli.config.files import scene_files
+from topcli.config.load import load_experiment
 from topcli.config.overrides import apply_overrides, parse_override
 from topcli.config.yaml_text import parse_yaml, resolve_scalar, to_yaml
 from topcli.contracts import Stepper
@@ -24,9 +25,9 @@ from topcli.errors import ConfigError, UnknownNameError
 def test_config_round_trips(path: Path, tmp_path: Path) -> None:
     first = load_experiment(path)
     assert first.name == path.stem
-    again = experiment_from(first.resolved())
+    again = load_experiment(first.resolved())
     from_yaml = load_experiment(write(tmp_path, first.to_yaml(), "other.yaml"))
-    from_json = experiment_from(json.loads(json.dumps(first.resolved())))
+    from_json = load_experiment(json.loads(json.dumps(first.resolved())))
     for other in (again, from_yaml, from_json):
         assert other == first
         assert other.digest == first.digest
@@ -71,7 +72,7 @@ def test_name_defaults(tmp_path: Path) -> None:
     assert load_experiment(path).name == "my scene"
     data = load_experiment(path).resolved() | {"scheme": "bohlin-a"}
     del data["name"]
-    assert experiment_from(data).name == "kowalevski_bohlin_a"
+    assert load_experiment(data).name == "kowalevski_bohlin_a"
     message = refusal(write(tmp_path, BASE.replace("name: x\n", ""), "-x.yaml"))
     assert "name: missing, and the file name cannot be used instead" in message
     assert message.count("\n") == 0
@@ -115,21 +116,21 @@ def test_python_interface() -> None:
         "N": np.int64(7),
         "output": {"columns": ("t", "k_sq"), "every": 7},
     }
-    experiment = experiment_from(data, ["scheme.branch=sign"])
+    experiment = load_experiment(data, ["scheme.branch=sign"])
     assert experiment.name == "kowalevski_bohlin_b"
     assert experiment.y0 == (2.0, 0.0, 0.0, *PAPER_GAMMA)
     assert experiment.options.model_dump() == {"branch": "sign", "chart": "single"}
     assert experiment.output.columns == ("t", "k_sq")
     assert isinstance(experiment.method(), Stepper)
-    assert experiment_from(experiment.resolved()) == experiment
+    assert load_experiment(experiment.resolved()) == experiment
     with pytest.raises(ConfigError, match=r"^h: must not be zero"):
-        experiment_from(data | {"h": 0})
+        load_experiment(data | {"h": 0})
     with pytest.raises(ConfigError, match="h: must be a number, text, list or section, not a object"):
-        experiment_from(data | {"h": object()})
+        load_experiment(data | {"h": object()})
     loop: dict[str, Any] = {}
     loop["top"] = loop
     with pytest.raises(ConfigError, match="top: nested deeper than 16 levels"):
-        experiment_from(loop)
+        load_experiment(loop)
 
 
 def test_overrides_replace_keys() -> None:

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, example, given, reject, settings
 from hypothesis import strategies as st
 
 from config_texts import CONFIGS
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import name_fault
 from topcli.config.overrides import parse_override
 from topcli.config.toml_text import key_lines
@@ -161,7 +161,7 @@ PLAIN_DATA = st.recursive(
 @given(key=st.sampled_from(["name", "top", "initial", "scheme", "h", "N", "output"]), value=PLAIN_DATA)
 def test_any_value_of_a_key_loads_or_is_refused(key: str, value: object) -> None:
     data: dict[str, Any] = load_experiment(CONFIGS / "kowalevski_hybrid.yaml").resolved() | {key: value}
-    message = refusal(lambda: experiment_from(data))
+    message = refusal(lambda: load_experiment(data))
     assert key in message or not message
     assert not message.startswith("not a message")
 
@@ -233,12 +233,12 @@ def bits(values: tuple[float, ...]) -> bytes:
 @given(data=experiments())
 def test_valid_experiments_round_trip(folder: Path, data: dict[str, Any]) -> None:
     try:
-        first = experiment_from(data)
+        first = load_experiment(data)
     except StepTooLongError:
         reject()  # a step beyond the domain of its scheme
     path = folder / "round.yaml"
     path.write_text(first.to_yaml(), encoding="utf-8")
-    for other in (load_experiment(path), experiment_from(first.resolved())):
+    for other in (load_experiment(path), load_experiment(first.resolved())):
         assert other == first
         assert other.digest == first.digest
         assert bits((*other.y0, other.h)) == bits((*first.y0, first.h))
@@ -257,9 +257,9 @@ def test_auto_gives_a_unit_vector(others: tuple[float, float], place: int, sign:
     square = others[0] ** 2 + others[1] ** 2
     if square > 1.0 + 1e-12:
         with pytest.raises(ConfigError, match="auto cannot make it a unit vector"):
-            experiment_from(data)
+            load_experiment(data)
         return
-    found = experiment_from(data).y0[3:]
+    found = load_experiment(data).y0[3:]
     assert abs(sum(value * value for value in found) - 1.0) <= 1e-12
     assert found[place] == 0.0 or (found[place] < 0.0) == (sign == "-")
     assert tuple(value for index, value in enumerate(found) if index != place) == others

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from config_texts import CONFIGS, FILES, write
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.schema import config_schema
 from topcli.config.starter import starter_config
 from topcli.config.yaml_text import parse_yaml
@@ -145,7 +145,7 @@ def test_schema_refuses_what_the_loader_refuses(key: str, value: object) -> None
     section[key.split(".")[-1]] = value
     assert not fits(config_schema(), data)
     with pytest.raises(TopcliError):
-        experiment_from(data)
+        load_experiment(data)
 
 
 def test_schema_describes_every_key() -> None:

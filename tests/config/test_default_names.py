@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import load_any, load_named
+from topcli.config.load import load, load_named
 from topcli.config.models import changed_name, name_fault
 from topcli.errors import UsageError
 
@@ -17,8 +17,8 @@ SCENE = "kowalevski_hk"
 
 def test_an_override_that_changes_the_run_changes_its_name() -> None:
     found = load_named(SCENE, ["h=0.01"])
-    assert found.name == f"{SCENE}-{load_any(SCENE, ['h=0.01']).digest[:6]}"
-    assert found.digest == load_any(SCENE, ["h=0.01"]).digest
+    assert found.name == f"{SCENE}-{load(SCENE, ['h=0.01']).digest[:6]}"
+    assert found.digest == load(SCENE, ["h=0.01"]).digest
     assert load_named(SCENE, ["h=0.02"]).name != found.name
     assert load_named(SCENE, ["h=1e-2"]).name == found.name
 
@@ -40,7 +40,7 @@ def test_a_name_that_is_given_wins(tmp_path: Path) -> None:
     assert load_named(SCENE, ["h=0.01", "name=mine"]).name == "mine"
     assert load_named(SCENE, [], "mine").name == "mine"
     file = tmp_path / "file.yaml"
-    file.write_text(load_any(SCENE).to_yaml().replace(SCENE, "inside"))
+    file.write_text(load(SCENE).to_yaml().replace(SCENE, "inside"))
     assert load_named(file, ["h=0.01"]).name.startswith("inside-")
 
 

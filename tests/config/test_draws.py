@@ -14,7 +14,8 @@ from scheme_files import loaded_file
 from test_config_schema import fits
 from test_ensemble_config import BASE, ensemble, loaded, states
 from topcli.analysis.leaving import step_of_leaving
-from topcli.config.ensemble import Combined, Drawn
+from topcli.config.draws import Drawn
+from topcli.config.ensemble import Combined
 from topcli.config.schema import config_schema
 from topcli.contracts import Array, Top
 from topcli.errors import ConfigError
@@ -159,7 +160,7 @@ def test_the_energy_of_a_top_is_the_invariant_that_it_names(tmp_path: Path) -> N
         ):
             with pytest.raises(ConfigError) as refused:
                 loaded(asked(kind))
-            assert str(refused.value) == f"ensemble.random.omega.energy: {reason}"
+            assert str(refused.value) == f"ensemble.random.omega: cannot have an energy: {reason}"
 
 
 def test_an_energy_below_the_saddle_leaves_part_of_the_sphere() -> None:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from topcli.config.load import experiment_from as single_from
-from topcli.config.load import load_any, load_experiment
+from topcli.config.load import load, load_experiment
+from topcli.config.load import load_experiment as single_from
 from topcli.schemes.registry import all_schemes
 
 PLACES = tuple[str | int, ...]
@@ -100,7 +100,7 @@ def test_every_key_of_a_run_enters_its_digest(scene: str, scheme: str) -> None:
 
 
 def test_every_scheme_and_top_has_a_digest_of_its_own() -> None:
-    digests = [load_any(*(one.values[0], [f"scheme={one.values[1]}", "name=x"])).digest for one in one_of_each()]
+    digests = [load(*(one.values[0], [f"scheme={one.values[1]}", "name=x"])).digest for one in one_of_each()]
     assert len(set(digests)) == len(digests)
 
 
@@ -119,11 +119,11 @@ def test_every_scheme_and_top_has_a_digest_of_its_own() -> None:
 )
 def test_every_key_of_an_ensemble_enters_its_digest(override: str) -> None:
     base = ["ensemble={random: {count: 4, seed: 3, gamma: sphere, omega: {near: 0.3}}, store: trajectories}"]
-    first = load_any("kowalevski_hk", base)
-    assert load_any("kowalevski_hk", [*base, override]).digest != first.digest
-    assert load_any("kowalevski_hk", base).digest == first.digest
+    first = load("kowalevski_hk", base)
+    assert load("kowalevski_hk", [*base, override]).digest != first.digest
+    assert load("kowalevski_hk", base).digest == first.digest
 
 
 def test_name_and_format_of_an_ensemble_do_not_enter_its_digest() -> None:
-    first = load_any("kowalevski_ensemble")
-    assert load_any("kowalevski_ensemble", ["name=other", "output.format=csv"]).digest == first.digest
+    first = load("kowalevski_ensemble")
+    assert load("kowalevski_ensemble", ["name=other", "output.format=csv"]).digest == first.digest

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from topcli.config.load import experiment_from, load_any, load_experiment
+from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.errors import ConfigError
 
@@ -22,7 +22,7 @@ PI = "3.14159265358979323846264338327950288"
 
 
 def exact(data: dict[str, object], *overrides: str) -> Experiment:
-    return experiment_from(data, overrides)
+    return load_experiment(data, overrides, any_precision=True)
 
 
 def test_double_is_the_default_and_no_part_of_the_identity() -> None:
@@ -121,13 +121,13 @@ def test_resolved_config_loads_to_the_same_experiment(precision: object) -> None
 )
 def test_mistakes_are_named(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        experiment_from({"name": "x", **LAGRANGE, **changes})
+        load_experiment({"name": "x", **LAGRANGE, **changes})
 
 
 def test_commands_that_compute_in_doubles_refuse_another_precision() -> None:
     with pytest.raises(ConfigError, match="precision: computed in doubles here"):
         load_experiment("kowalevski_hk", ["precision=50"])
-    assert load_any("kowalevski_hk", ["precision=50"]).digest != load_any("kowalevski_hk").digest
+    assert load("kowalevski_hk", ["precision=50"]).digest != load("kowalevski_hk").digest
 
 
 @pytest.mark.parametrize("h", ["1/1" + "0" * 5000, "0." + "1" * 5000])

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from topcli.config.load import experiment_from, load_experiment
-from topcli.config.sweep.document import load_sweep, sweep_from
-from topcli.config.sweep.rows import Row, RowReader
+from topcli.config.load import load_experiment
+from topcli.config.rows import Row, RowReader
+from topcli.config.sweep import load_sweep
 from topcli.errors import ConfigError, TopcliError
 from topcli.sweeps.plan import survey
 
@@ -36,7 +36,7 @@ base:
 
 
 def rows(**sections: Any) -> list[Row]:
-    return list(RowReader(sweep_from({"base": BASE, **sections})).rows())
+    return list(RowReader(load_sweep({"base": BASE, **sections})).rows())
 
 
 def keys(**sections: Any) -> list[tuple[Any, ...]]:
@@ -45,7 +45,7 @@ def keys(**sections: Any) -> list[tuple[Any, ...]]:
 
 BAD = {
     "an empty grid": ("grid: {}", 7, "grid: must be a section of keys and their values, not an empty one"),
-    "no values": ("grid:\n  h: []", 8, "grid.h: has no values, so the sweep would have no rows"),
+    "no values": ("grid:\n  h: []", 8, "grid.h: must be a list of values or a range, not an empty list"),
     "nothing varies": ("store: none", 1, "varies nothing"),
     "a number": ("grid:\n  h: 0.1", 8, "grid.h: must be a list of values or a range, not 0.1"),
     "an unknown key": ("grid:\n  top.c1: [1]", 8, "grid.top.c1: unknown key; did you mean 'top.c0'"),
@@ -97,7 +97,7 @@ BAD = {
         "is drawn in every row, and top.c0 is varied",
     ),
     "nothing random": ("random: {count: 3}", 7, "nothing is random"),
-    "another store": ("grid:\n  h: [0.1]\nstore: all", 9, "store: must be none or series"),
+    "another store": ("grid:\n  h: [0.1]\nstore: all", 9, "store: must be 'none' or 'series', not the text 'all'"),
     "an included unknown key": ("include:\n  - {h: 0.1, top.c9: 3}", 8, "include[0].top.c9: unknown key"),
     "a parameter that is no number": ("grid:\n  top.c0: [1, a]", 8, "top.c0: must be a number, not the text 'a'"),
 }
@@ -120,12 +120,12 @@ def test_rows_are_recorded_at_most_every_n_steps(N: int, every: int, most: int) 
     """From both sides, in a sweep and in a run."""
     base = {**BASE, "N": N}
     assert rows(base=base, grid={"output.every": [every]})[0].every == every
-    assert experiment_from({**base, "output": {"every": every}}).output.every == every
+    assert load_experiment({**base, "output": {"every": every}}).output.every == every
     wrong = rf"output.every: must be at most N = {N}, not {most + 1}"
     with pytest.raises(TopcliError, match=wrong):
         rows(base=base, grid={"output.every": [most + 1]})
     with pytest.raises(TopcliError, match=wrong):
-        experiment_from({**base, "output": {"every": most + 1}})
+        load_experiment({**base, "output": {"every": most + 1}})
 
 
 def test_a_row_records_at_most_a_hundred_million_states() -> None:
@@ -152,7 +152,7 @@ def test_a_row_records_at_most_a_hundred_million_states() -> None:
 def test_a_wrong_base_is_refused(change: dict[str, Any], message: str) -> None:
     base = {key: value for key, value in {**BASE, **change}.items() if value is not None}
     with pytest.raises(TopcliError, match=message.replace("(", r"\(").replace(")", r"\)")):
-        list(RowReader(sweep_from({"base": base, "grid": {"scheme": ["hk"]}})).rows())
+        list(RowReader(load_sweep({"base": base, "grid": {"scheme": ["hk"]}})).rows())
 
 
 def test_a_base_that_is_no_scene_is_named_with_its_line(tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_ranges_have_both_ends_and_even_spacing() -> None:
 def test_steps_of_a_range_are_moved_to_divide_the_duration() -> None:
     base = {**{key: value for key, value in BASE.items() if key != "N"}, "T": 10.0}
     data = {"base": base, "grid": {"h": {"from": 0.01, "to": 0.3, "count": 6, "spacing": "log"}}}
-    found = list(RowReader(sweep_from(data)).rows())
+    found = list(RowReader(load_sweep(data)).rows())
     assert all(row.h == 10.0 / row.N for row in found)
     wanted = [0.01 * 30.0 ** (i / 5) for i in range(6)]
     assert [row.N for row in found] == [round(10.0 / h) for h in wanted]
@@ -203,7 +203,7 @@ def test_steps_of_a_range_are_moved_to_divide_the_duration() -> None:
 
 def test_h_follows_from_the_duration_and_the_number_of_steps() -> None:
     base = {key: value for key, value in BASE.items() if key not in ("h", "N")} | {"T": 5.0}
-    found = list(RowReader(sweep_from({"base": base, "grid": {"N": [10, 40]}})).rows())
+    found = list(RowReader(load_sweep({"base": base, "grid": {"N": [10, 40]}})).rows())
     assert [(row.h, row.N) for row in found] == [(0.5, 10), (0.125, 40)]
 
 
@@ -226,7 +226,7 @@ def test_a_scheme_with_options_is_labelled_by_them() -> None:
 
 def test_the_digest_is_that_of_the_canonical_config_without_its_name() -> None:
     (row,) = rows(grid={"h": [0.02]})
-    resolved = experiment_from(row.config("any")).resolved()
+    resolved = load_experiment(row.config("any")).resolved()
     data = {key: resolved[key] for key in ("top", "initial", "scheme", "h", "N")} | {"every": 1}
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     assert row.digest == hashlib.sha256(text.encode()).hexdigest()
@@ -246,7 +246,7 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES)
 def test_everything_that_a_row_computes_enters_its_digest(change: str) -> None:
     def digest(base: dict[str, Any]) -> str:
-        sweep = sweep_from({"base": base, "include": [{"top.A": 2.0}]})
+        sweep = load_sweep({"base": base, "include": [{"top.A": 2.0}]})
         return next(RowReader(sweep).rows()).digest
 
     assert digest({**BASE, **CHANGES[change]}) != digest(BASE)
@@ -285,7 +285,7 @@ def test_seed_sample_and_top_change_what_is_drawn() -> None:
 
 def test_vectors_drawn_from_a_sphere_need_no_initial_vector_and_ignore_it() -> None:
     bare = {"base": {key: value for key, value in BASE.items() if key != "initial"}, "random": RANDOM}
-    without = [row.digest for row in RowReader(sweep_from(bare)).rows()]
+    without = [row.digest for row in RowReader(load_sweep(bare)).rows()]
     assert without == [row.digest for row in rows(random=RANDOM)]
 
 
@@ -310,13 +310,13 @@ def test_drawn_values_have_the_asked_distribution() -> None:
 
 def test_an_override_reaches_the_base_and_a_key_of_the_grid() -> None:
     data = {"base": BASE, "grid": {"h": [0.1], "top.c0": [1.0]}}
-    found = list(RowReader(sweep_from(data, ["base.N=7", "base.top.A=3", "grid.top.c0=[5, 6]"])).rows())
+    found = list(RowReader(load_sweep(data, ["base.N=7", "base.top.A=3", "grid.top.c0=[5, 6]"])).rows())
     assert [(row.N, row.keys) for row in found] == [(7, (0.1, 5.0)), (7, (0.1, 6.0))]
     assert json.loads(found[0].top)["A"] == 3.0
 
 
 def test_the_resolved_file_gives_the_same_rows(tmp_path: Path) -> None:
-    first = sweep_from(
+    first = load_sweep(
         {
             "name": "again",
             "base": "kowalevski_hk",
@@ -334,7 +334,7 @@ def test_the_resolved_file_gives_the_same_rows(tmp_path: Path) -> None:
 
 def test_a_row_is_a_config_that_loads_to_the_same_bits() -> None:
     for row in rows(random=RANDOM, grid={"scheme": ["hk", {"name": "hybrid", "branch": "sign"}]}):
-        loaded = experiment_from(row.config("one"))
+        loaded = load_experiment(row.config("one"))
         assert loaded.y0 == row.initial
         assert (loaded.h, loaded.N, loaded.output.every) == (row.h, row.N, row.every)
         assert loaded.resolved()["top"] == json.loads(row.top)
@@ -347,7 +347,7 @@ def test_a_sweep_and_an_experiment_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(TopcliError, match=r"s\.yaml:1: base: this is a sweep, and an experiment is needed here"):
         load_experiment(path)
     with pytest.raises(TopcliError, match="this is an experiment; `topcli run` takes experiments"):
-        sweep_from(BASE)
+        load_sweep(BASE)
 
 
 def test_a_packaged_sweep_needs_no_path() -> None:
@@ -365,7 +365,7 @@ def test_a_range_of_draws_with_odd_ends_is_refused(key: str, first: object) -> N
         "grid": {key: {"from": first, "to": 5}},
     }
     with pytest.raises(ConfigError, match=rf"grid\.{key}\.(from|count)"):
-        sweep_from(data)
+        load_sweep(data)
 
 
 @pytest.mark.parametrize("spacing", ["linear", "log"])
@@ -376,7 +376,7 @@ def test_the_ends_of_a_range_are_those_that_are_given(spacing: str) -> None:
         "base": {"top": "kowalevski", "scheme": "hk", "h": 0.01, "N": 10},
         "grid": {"top.c0": {"from": first, "to": last, "count": 3, "spacing": spacing}},
     }
-    values = sweep_from(data).axes[0].columns[0]
+    values = load_sweep(data).axes[0].columns[0]
     assert (values[0], values[2]) == (first, last)
 
 
@@ -386,4 +386,4 @@ def test_a_duration_of_null_is_that_of_the_base() -> None:
         "base": {"top": "kowalevski", "initial": initial, "scheme": "hk", "h": 0.5, "N": 10},
         "grid": {"T": [None]},
     }
-    assert [row.keys for row in RowReader(sweep_from(data)).rows()] == [(5.0,)]
+    assert [row.keys for row in RowReader(load_sweep(data)).rows()] == [(5.0,)]

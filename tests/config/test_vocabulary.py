@@ -16,7 +16,8 @@ from test_config_schema import fits
 from topcli.analysis.columns import spellings
 from topcli.cli import options
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import any_from, experiment_from, load_any, load_experiment, scene_files
+from topcli.config.files import scene_files
+from topcli.config.load import load, load_experiment
 from topcli.config.schema import config_schema
 from topcli.config.starter import starter_config
 from topcli.config.yaml_text import parse_yaml
@@ -35,8 +36,8 @@ PAIRS = [(form, name) for form in TOPS for name in names_for(form)]
 )
 def test_columns_are_named_as_printed(given: str, name: str) -> None:
     data = load_experiment("kowalevski_hk").resolved()
-    by_symbol = experiment_from(data | {"output": {"columns": ["t", given]}})
-    by_name = experiment_from(data | {"output": {"columns": ["t", name]}})
+    by_symbol = load_experiment(data | {"output": {"columns": ["t", given]}})
+    by_name = load_experiment(data | {"output": {"columns": ["t", name]}})
     assert by_symbol.output.columns == ("t", name)
     assert by_symbol.digest == by_name.digest
     assert fits(config_schema(), data | {"output": {"columns": ["t", given]}})
@@ -44,13 +45,13 @@ def test_columns_are_named_as_printed(given: str, name: str) -> None:
 
 def test_a_component_is_not_taken_for_a_square() -> None:
     data = load_experiment("kowalevski_hk").resolved()
-    assert experiment_from(data | {"output": {"columns": ["gamma2"]}}).output.columns == ("gamma2",)
+    assert load_experiment(data | {"output": {"columns": ["gamma2"]}}).output.columns == ("gamma2",)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("form", "name"), PAIRS)
 def test_no_two_columns_share_a_spelling(form: str, name: str) -> None:
-    experiment = experiment_from(parse_yaml(starter_config(form, name), "starter")[0])
+    experiment = load_experiment(parse_yaml(starter_config(form, name), "starter")[0])
     plain = ["n", "t", *experiment.top.components]
     texts = [
         text for one in (*experiment.top.invariants(), *experiment.modified) for text in spellings(one.name, one.symbol)
@@ -59,7 +60,7 @@ def test_no_two_columns_share_a_spelling(form: str, name: str) -> None:
     ascii_only = [text for text in texts if text.isascii()]
     assert len(ascii_only) >= len(experiment.top.invariants()) + len(experiment.modified)
     columns = experiment.resolved() | {"output": {"columns": ["t", *(one.symbol for one in experiment.modified)]}}
-    assert experiment_from(columns).output.columns == ("t", *(one.name for one in experiment.modified))
+    assert load_experiment(columns).output.columns == ("t", *(one.name for one in experiment.modified))
     assert fits(config_schema(), columns)
 
 
@@ -79,7 +80,7 @@ def test_a_form_is_a_name_of_a_top_wherever_one_is_named(cli, form: str) -> None
     assert form in cli("list", "tops").out
     data = parse_yaml(starter_config(form), "starter")[0]
     data["top"]["kind"] = form
-    experiment = experiment_from(data)
+    experiment = load_experiment(data)
     assert type(experiment.top) is cls
     assert experiment.resolved()["top"]["kind"] == cls.kind
     schema = config_schema()
@@ -100,7 +101,7 @@ def test_a_form_is_a_name_of_a_top_wherever_one_is_named(cli, form: str) -> None
 def test_a_form_says_which_vectors_it_needs() -> None:
     data = load_experiment("lagrange_hk").resolved()
     with pytest.raises(UsageError, match=r"initial\.omega: unknown key"):
-        experiment_from(data | {"top": "lagrange/inertial"})
+        load_experiment(data | {"top": "lagrange/inertial"})
     with pytest.raises(UnknownNameError, match=r"known: euler, euler\+gamma, heavy, .*lagrange/inertial"):
         top_class("zzz")
 
@@ -124,7 +125,7 @@ def test_the_commented_ensemble_of_init_loads(tmp_path: Path, form: str, suffix:
     head, block = text.split(first + "\n")
     block, tail = block.split("\n\n", 1)
     uncommented = re.sub("^# ", "", block, flags=re.MULTILINE)
-    found = load_any(write(tmp_path, f"{head}{uncommented}\n\n{tail}", f"x.{suffix}"))
+    found = load(write(tmp_path, f"{head}{uncommented}\n\n{tail}", f"x.{suffix}"))
     assert isinstance(found, EnsembleExperiment)
     assert found.count == 100
     assert set(found.resolved()["ensemble"]["random"]) == {"count", "seed", *TOPS[form].vectors}
@@ -187,25 +188,25 @@ def test_times_of_runs_are_short_and_local(cli) -> None:
             {"random": {"count": 3, "omega": {"radius": 2}}},
             "write omega: {sphere: 2}, omega: {near: 0.1} or omega: {energy: 1.5}",
         ),
-        ({"random": {"count": 3, "omega": {"sphere": "2"}}}, "write omega: {sphere: 2}"),
+        ({"random": {"count": 3, "omega": {"sphere": "2"}}}, "omega.sphere: must be a number, not the text '2'"),
         ({"random": {"count": 3, "gamma": 1}}, "write gamma: sphere or gamma: {near: 0.1}"),
         ({"random": {"count": 3}}, "for example random: {count: 100, omega: {sphere: 2}, gamma: sphere}"),
         ({"random": 3}, "for example random: {count: 100, omega: {sphere: 2}, gamma: sphere}"),
         ({}, "for example random: {count: 100, omega: {sphere: 2}, gamma: sphere}"),
         (7, "for example random: {count: 100, omega: {sphere: 2}, gamma: sphere}"),
         ({"states": 3}, "for example [{omega: [1, 0, 0]}, {omega: [0, 1, 0]}]"),
-        ({"grid": 3}, "for example {omega1: {start: 0, stop: 1, count: 11}}"),
-        ({"grid": {"omega1": 3}}, "for example [0.1, 0.2] or {start: 0, stop: 1, count: 11}"),
+        ({"grid": 3}, "for example {omega1: {from: 0, to: 1, count: 11}}"),
+        ({"grid": {"omega1": 3}}, "for example [0.1, 0.2] or {from: 0.1, to: 1, count: 10}"),
     ],
 )
 def test_mistakes_in_an_ensemble_show_an_example_that_works(section: object, says: str) -> None:
     data = load_experiment("kowalevski_hk").resolved()
     with pytest.raises(UsageError) as caught:
-        any_from(data | {"ensemble": section})
+        load(data | {"ensemble": section})
     assert says in str(caught.value)
     for example in re.findall(r"(omega: \{\w+: [\d.]+\}|gamma: (?:sphere|\{\w+: [\d.]+\}))", says):
         drawn = parse_yaml(f"{{count: 3, {example}}}", "example")[0]
-        assert any_from(data | {"ensemble": {"random": drawn}}).resolved()["ensemble"]["random"]["count"] == 3
+        assert load(data | {"ensemble": {"random": drawn}}).resolved()["ensemble"]["random"]["count"] == 3
 
 
 def test_the_schema_types_an_ensemble_of_any_top() -> None:
@@ -214,7 +215,7 @@ def test_the_schema_types_an_ensemble_of_any_top() -> None:
     for good in (
         {"random": {"count": 3, "omega": {"sphere": 2}, "gamma": "sphere"}},
         {"random": {"count": 3, "m": {"energy": 2}, "a": {"near": 0.1}}},
-        {"grid": {"omega1": [1, 2], "top.c0": {"start": 0, "stop": 1, "count": 3}}},
+        {"grid": {"omega1": [1, 2], "top.c0": {"from": 0, "to": 1, "count": 3}}},
         {"states": [{"omega": [1, 2, 3]}], "store": "final"},
         None,
     ):
@@ -240,7 +241,7 @@ DOCS = (ROOT / "docs" / "ensembles.md").read_text(encoding="utf-8")
 
 @pytest.mark.parametrize("text", re.findall(r"```yaml\n(.*?)```", DOCS, re.DOTALL))
 def test_the_configs_of_the_docs_are_ensembles(tmp_path: Path, text: str) -> None:
-    found = load_any(write(tmp_path, text))
+    found = load(write(tmp_path, text))
     assert isinstance(found, EnsembleExperiment)
     assert fits(config_schema(), parse_yaml(text, "docs")[0])
 
@@ -251,7 +252,7 @@ def test_the_draws_of_the_docs_are_all_that_exist() -> None:
     assert len(written) == 5
     for vector, draw in written:
         drawn = parse_yaml(f"{{count: 2, {vector}: {draw}}}", "docs")[0]
-        assert any_from(data | {"ensemble": {"random": drawn}}).count == 2
+        assert load(data | {"ensemble": {"random": drawn}}).count == 2
 
 
 def test_every_peer_has_an_extra_that_installs_it() -> None:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from conftest import GEN
 from resuming import after
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Stepper, StopAsked, check_stop, stop_asked
 from topcli.engine.attitude import HEAD, carry, constants_of, start_attitude, with_attitude
@@ -38,7 +38,7 @@ TURNS = {"attitude": "quaternion"}
 
 def experiment(top: str, scheme: str, h: float, N: int, **output: Any) -> Experiment:
     made = {"top": top, "initial": INITIAL[top], "scheme": scheme, "h": h, "N": N, "output": {**TURNS, **output}}
-    return experiment_from({"name": "attitude", **made})
+    return load_experiment({"name": "attitude", **made})
 
 
 def rows(one: Experiment) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from resuming import after, content, killed
 from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.tally import InvariantTally
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import load_any, load_experiment
+from topcli.config.load import load, load_experiment
 from topcli.contracts import Invariant, Outcome, Top
 from topcli.runs.ensemble import run_ensemble
 from topcli.runs.plan import RunOptions
@@ -217,7 +217,7 @@ def test_leaving_survives_an_interruption(tmp_path: Path, suffix: str, chunks: i
 
 
 def test_ensembles_count_left_motions(tmp_path: Path) -> None:
-    experiment = load_any("kowalevski_ensemble", ["h=2", "N=300", "ensemble.store=final"])
+    experiment = load("kowalevski_ensemble", ["h=2", "N=300", "ensemble.store=final"])
     assert isinstance(experiment, EnsembleExperiment)
     result = run_ensemble(experiment, tmp_path)
     report = result.report

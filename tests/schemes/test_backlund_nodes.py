@@ -14,7 +14,7 @@ from conftest import GEN, PAPER, random_states
 from test_backlund import HANGING, integrals, limit, stepper
 from test_beyond import AT_REST, DELONE, EQUILIBRIUM, deviations, ran
 from topcli.analysis.reference import reference_states
-from topcli.config.load import experiment_from
+from topcli.config.load import load_experiment
 from topcli.contracts import Floats, Outcome, Stepper
 from topcli.errors import StepTooLongError, UsageError
 from topcli.schemes.kowalevski import backlund_nodes
@@ -292,7 +292,7 @@ def test_options_that_do_not_go_together() -> None:
 def test_growth_of_round_off_without_a_compensated_form() -> None:
     """The study has one form for exact nodes, and two for plain ones."""
     for scheme, forms in ((EXACT, ["plain"]), ({"name": "backlund"}, ["plain", "compensated"])):
-        experiment = experiment_from({**CONFIG, "scheme": scheme, "h": 0.5, "N": 3})
+        experiment = load_experiment({**CONFIG, "scheme": scheme, "h": 0.5, "N": 3})
         assert list(forms_of(experiment)) == forms
 
 

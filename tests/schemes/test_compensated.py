@@ -14,7 +14,7 @@ from mpmath import mp, mpf
 from conftest import GEN, PAPER, random_states
 from declared import TRIALS, gen
 from topcli.arithmetic.double_double import compensated_sum
-from topcli.config.load import experiment_from
+from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import loop_of, plain_loop
 from topcli.engine.loop import Run
@@ -288,13 +288,13 @@ def test_option_is_accepted_in_a_config() -> None:
         "h": 0.01,
         "N": 10,
     }
-    made = experiment_from(base | {"scheme": {"name": "hk", "compensated": True}})
+    made = load_experiment(base | {"scheme": {"name": "hk", "compensated": True}})
     assert isinstance(made.options, CompensatedOption)
     assert made.options.compensated
-    assert made.digest != experiment_from(base | {"scheme": "hk"}).digest
-    assert experiment_from(made.resolved()) == made
-    assert experiment_from(base | {"scheme": {"name": "hk+kahan-li8", "compensated": True}}).scheme.order == 8
+    assert made.digest != load_experiment(base | {"scheme": "hk"}).digest
+    assert load_experiment(made.resolved()) == made
+    assert load_experiment(base | {"scheme": {"name": "hk+kahan-li8", "compensated": True}}).scheme.order == 8
     with pytest.raises(ConfigError, match=r"scheme\.compensated: must be true or false"):
-        experiment_from(base | {"scheme": {"name": "hk", "compensated": "yes"}})
+        load_experiment(base | {"scheme": {"name": "hk", "compensated": "yes"}})
     with pytest.raises(ConfigError, match=r"scheme\.compensated: unknown key"):
-        experiment_from(base | {"scheme": {"name": "rk4", "compensated": True}})
+        load_experiment(base | {"scheme": {"name": "rk4", "compensated": True}})

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from topcli.config.load import load_any, load_experiment
+from topcli.config.load import load, load_experiment
 from topcli.errors import RunError, UsageError
 from topcli.runs import ensemble, run
 from topcli.runs.ensemble import run_ensemble
@@ -119,7 +119,7 @@ def test_an_ensemble_is_rewritten_with_all_its_tables(
     tmp_path: Path, store: str, request: pytest.FixtureRequest
 ) -> None:
     def many(kind: str) -> Any:
-        return load_any("kowalevski_hk", [*MANY, f"ensemble.store={store}", f"output.format={kind}"])
+        return load("kowalevski_hk", [*MANY, f"ensemble.store={store}", f"output.format={kind}"])
 
     run_ensemble(many("parquet"), tmp_path)
     direct = contents(run_ensemble(many("csv"), tmp_path / "direct").stored.folder)

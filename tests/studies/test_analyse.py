@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.errors import UsageError
 from topcli.runs.run import run_experiment
@@ -40,7 +40,7 @@ def analysed(
 ) -> Result:
     path = folder / "series.parquet"
     pq.write_table(pa.table(data), path)
-    return analyse_series(experiment or experiment_from(SYMMETRIC), ForeignSeries(path), {}, steps)
+    return analyse_series(experiment or load_experiment(SYMMETRIC), ForeignSeries(path), {}, steps)
 
 
 def refusal(folder: Path, data: dict[str, np.ndarray], experiment: Experiment | None = None) -> str:
@@ -145,7 +145,7 @@ def test_times_are_even_within_a_millionth_of_their_spacing(tmp_path: Path, fact
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_unit_vector_begins_with_unit_length_within_a_thousandth(tmp_path: Path, factor: float, sign: float) -> None:
-    experiment = experiment_from({**SYMMETRIC, "initial": {**SYMMETRIC["initial"], "gamma": [0, 0, 1]}})
+    experiment = load_experiment({**SYMMETRIC, "initial": {**SYMMETRIC["initial"], "gamma": [0, 0, 1]}})
     data = motion(EVEN[:100])
     length = 1.0 + sign * factor * 1e-3
     gamma = {"gamma1": 0.6 * length, "gamma2": 0.0, "gamma3": 0.8 * length}
@@ -213,7 +213,7 @@ def test_wrong_columns_and_rows_are_named(tmp_path: Path) -> None:
     assert refusal(tmp_path, renamed) == (
         "no columns omega2, omega3; did you mean 'omega_2' or 'omega1'?; --columns omega2=COLUMN names it"
     )
-    with_gamma = experiment_from({**SYMMETRIC, "initial": {**SYMMETRIC["initial"], "gamma": [0, 0, 1]}})
+    with_gamma = load_experiment({**SYMMETRIC, "initial": {**SYMMETRIC["initial"], "gamma": [0, 0, 1]}})
     assert refusal(tmp_path, data, with_gamma) == (
         "no columns gamma1, gamma2, gamma3; the file has the state of 'euler', "
         "which a config with initial.omega alone describes"
@@ -225,13 +225,13 @@ def test_wrong_columns_and_rows_are_named(tmp_path: Path) -> None:
 
 
 def test_columns_are_renamed(tmp_path: Path) -> None:
-    top = experiment_from(SYMMETRIC).top
+    top = load_experiment(SYMMETRIC).top
     given = column_map(["t=time, omega1=w_x", "omega2=w_y"], top)
     assert given == {"t": "time", "omega1": "w_x", "omega2": "w_y"}
     path = tmp_path / "x.csv"
     data = motion(EVEN)
     np.savetxt(path, np.column_stack(list(data.values())), delimiter=",", header="time,w_x,w_y,omega3", comments="")
-    assert analyse_series(experiment_from(SYMMETRIC), ForeignSeries(path), given).data["max_error"] < 1e-14
+    assert analyse_series(load_experiment(SYMMETRIC), ForeignSeries(path), given).data["max_error"] < 1e-14
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_columns_are_renamed(tmp_path: Path) -> None:
 def test_wrong_renaming_is_named(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "x.parquet"
     pq.write_table(pa.table(motion(EVEN)), path)
-    experiment = experiment_from(SYMMETRIC)
+    experiment = load_experiment(SYMMETRIC)
     with pytest.raises(UsageError) as caught:
         analyse_series(experiment, ForeignSeries(path), column_map([text], experiment.top))
     assert str(caught.value) == message.format(path=path)
@@ -326,9 +326,9 @@ def test_modified_integrals_need_the_steps_of_the_config(
     tmp_path: Path, change: dict[str, float], modified: bool
 ) -> None:
     """They depend on h: another program's rows, or another h, have none."""
-    experiment = experiment_from(SYMMETRIC)
+    experiment = load_experiment(SYMMETRIC)
     stored = run_experiment(experiment, tmp_path).stored
-    report = analyse_series(experiment_from({**SYMMETRIC, **change}), ForeignSeries(stored.series), {}).data
+    report = analyse_series(load_experiment({**SYMMETRIC, **change}), ForeignSeries(stored.series), {}).data
     names = [row["name"] for row in report["invariants"]]
     assert names[:2] == ["m_sq", "m_omega"]
     assert ("modified_m_sq" in names) == modified

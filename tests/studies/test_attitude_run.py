@@ -13,9 +13,9 @@ import topcli
 from config_texts import BASE, refusal, write
 from conftest import Said
 from resuming import HK, after, content, small
-from topcli.config.load import experiment_from, load_any, load_experiment
-from topcli.config.sweep.document import sweep_from
-from topcli.config.sweep.rows import RowReader
+from topcli.config.load import load, load_experiment
+from topcli.config.rows import RowReader
+from topcli.config.sweep import load_sweep
 from topcli.contracts import Outcome
 from topcli.errors import UsageError
 from topcli.runs.identity import Identity
@@ -81,7 +81,7 @@ def test_the_attitude_enters_the_identity_only_if_recorded() -> None:
     assert "attitude" not in plain.resolved()["output"]
     assert small("output.attitude=null").digest == plain.digest
     assert len({plain.digest, turned.digest, angles.digest}) == 3
-    assert experiment_from(turned.resolved()).digest == turned.digest
+    assert load_experiment(turned.resolved()).digest == turned.digest
     codes = {Identity.of(one, [one.method()]).code for one in (plain, turned)}
     assert len(codes) == 2
 
@@ -130,12 +130,12 @@ def test_other_kinds_of_runs_refuse_it_by_name(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=r"output\.attitude: the attitude is computed in doubles only"):
             load_experiment(HK, [QUATERNION, f"precision={precision}"], any_precision=True)
     with pytest.raises(UsageError, match=r"output\.attitude: an ensemble records no attitude"):
-        load_any("kowalevski_ensemble", [QUATERNION])
+        load("kowalevski_ensemble", [QUATERNION])
     with pytest.raises(UsageError, match=r"output\.attitude: a comparison records no attitude; add --set"):
         read_entries(small(QUATERNION), ["hk", "taylor"])
     base = small(QUATERNION).resolved()
     del base["name"]
-    sweep = sweep_from({"name": "s", "base": base, "grid": {"h": [0.1, 0.2]}})
+    sweep = load_sweep({"name": "s", "base": base, "grid": {"h": [0.1, 0.2]}})
     with pytest.raises(UsageError, match=r"output\.attitude: a sweep records no attitude"):
         list(RowReader(sweep).rows())
 
@@ -162,7 +162,7 @@ def test_a_top_that_the_equations_do_not_describe_is_refused(own_registry: None)
         return topcli.Stepper(lambda s, h, p: s, 6)
 
     with pytest.raises(UsageError, match=r"output\.attitude: top 'gyrostat': the attitude needs"):
-        experiment_from({**config, "scheme": "still", "output": {"attitude": "quaternion"}})
+        load_experiment({**config, "scheme": "still", "output": {"attitude": "quaternion"}})
 
 
 def test_the_command_records_it(in_tmp: Path, cli: Callable[..., Said]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import load_any
+from topcli.config.load import load
 from topcli.studies import compare_ensemble as module
 from topcli.studies.compare import compare_schemes
 from topcli.studies.compare_ensemble import compare_ensemble
@@ -18,7 +18,7 @@ ENTRIES = ["hk", "hybrid:branch=sign", "hk:h=0.04"]
 
 
 def ensemble(*overrides: str) -> EnsembleExperiment:
-    found = load_any("kowalevski_generic_hk", overrides)
+    found = load("kowalevski_generic_hk", overrides)
     assert isinstance(found, EnsembleExperiment)
     return found
 
@@ -78,7 +78,7 @@ def test_batches_do_not_change_the_figures(figures: dict[str, Any], monkeypatch:
 
 def test_the_tops_of_a_grid_are_those_of_its_members() -> None:
     grid = ["ensemble={grid: {top.B: [1.5, 2.5], omega1: [0.1, 0.2]}}", "initial.omega=[0, 1, 0]", "N=200", "h=0.02"]
-    many = load_any("euler_hk", grid)
+    many = load("euler_hk", grid)
     assert isinstance(many, EnsembleExperiment)
     found = compare_ensemble(many, ["hk"])["schemes"][0]["measures"]["deviation.m_sq"]
     values = [compare_schemes(many.member(i), ["hk"]).data["schemes"][0]["invariants"][0] for i in range(4)]

@@ -16,7 +16,7 @@ from conftest import ROOT, random_states
 from resuming import after
 from topcli.analysis.tally import MEASURES, invariant_report, quantiles
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import any_from
+from topcli.config.load import load
 from topcli.contracts import Outcome
 from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
@@ -41,7 +41,7 @@ def experiment(**changes: Any) -> EnsembleExperiment:
         "output": {"every": 10},
         **changes,
     }
-    found = any_from(data)
+    found = load(data)
     assert isinstance(found, EnsembleExperiment)
     return found
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError
@@ -215,7 +215,7 @@ def test_a_file_that_fails_leaves_no_measure(tmp_path: Path, registered: None) -
 
 def free(scheme: str, h: float, N: int, **top: float) -> Experiment:
     kind = {"kind": "euler", "A": 3.0, "B": 2.0, "C": 1.0, **top}
-    return experiment_from({"top": kind, "initial": {"omega": [0.3, 0.4, 1.5]}, "scheme": scheme, "h": h, "N": N})
+    return load_experiment({"top": kind, "initial": {"omega": [0.3, 0.4, 1.5]}, "scheme": scheme, "h": h, "N": N})
 
 
 def shared(monkeypatch: pytest.MonkeyPatch, max_bytes: int = 1 << 20) -> SharedReferences:

@@ -13,7 +13,7 @@ import pytest
 
 import topcli
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import any_from, experiment_from, load_experiment
+from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome
 from topcli.engine.endings import Endings
@@ -43,7 +43,7 @@ def one(experiment: Experiment, name: str) -> float:
 
 
 def symmetric(scheme: str, h: float, N: int, **more: Any) -> Experiment:
-    return experiment_from({**SYMMETRIC, "scheme": scheme, "h": h, "N": N, **more})
+    return load_experiment({**SYMMETRIC, "scheme": scheme, "h": h, "N": N, **more})
 
 
 def precession(t: Array) -> Array:
@@ -184,7 +184,7 @@ def test_the_closed_form_itself_is_compared_with_another_reference() -> None:
 def test_errors_of_a_top_without_a_closed_form() -> None:
     """Kowalevski's top at c0 = 0 is a free symmetric top: omega1 + i omega2 turns at omega3/2."""
     data = {"top": {"kind": "kowalevski", "c0": 0.0}, "initial": {"omega": [0.3, 0.4, 1.5], "gamma": [0.0, 0.0, 1.0]}}
-    experiment = experiment_from({**data, "scheme": "rk4", "h": 0.1, "N": 200})
+    experiment = load_experiment({**data, "scheme": "rk4", "h": 0.1, "N": 200})
     run = topcli.simulate(experiment.resolved())
     turned = (0.3 + 0.4j) * np.exp(-0.75j * run.t)
     # in a frame that turns with it, gamma turns about omega(0) - 0.75 e3 (Rodrigues' formula)
@@ -253,14 +253,14 @@ def test_a_reversal_that_fails_is_infinite_and_never_missing() -> None:
     """Two of three trajectories cannot be stepped back: neither the value of a run nor the quantiles leave them out."""
     base = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "scheme": "one-way", "h": 0.1, "N": 32}
     states = [(0.9, -0.4, 1.3), (0.2, 0.1, 0.3), (0.8, 0.1, 0.2)]
-    experiment = experiment_from({**base, "initial": {"omega": list(states[0])}})
+    experiment = load_experiment({**base, "initial": {"omega": list(states[0])}})
     measures = resolve_measures(["reversal"], experiment.top, experiment.scheme)
     found = evaluate(measures, BatchRun(experiment, measures, threads=1).finished(np.array(states)))["reversal"]
     assert np.isinf(found).tolist() == [True, False, True]
     assert 1e-6 < found[1] < 1e-3
 
     listed = {"states": [{"omega": list(state)} for state in states]}
-    many = any_from({**base, "initial": {"omega": list(states[0])}, "ensemble": listed})
+    many = load({**base, "initial": {"omega": list(states[0])}, "ensemble": listed})
     assert isinstance(many, EnsembleExperiment)
     measured = compare_ensemble(many, ["one-way"])["schemes"][0]["measures"]["reversal"]
     assert measured["count"] == 3

@@ -11,7 +11,7 @@ import pytest
 
 from conftest import ROOT
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import load_any
+from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Invariant
 from topcli.runs.ensemble import run_ensemble
@@ -22,7 +22,7 @@ from topcli.tops.kowalevski import Kowalevski
 
 
 def run(config: str, *overrides: str, out: Path) -> RunResult:
-    experiment = load_any(ROOT / "configs" / f"{config}.yaml", list(overrides))
+    experiment = load(ROOT / "configs" / f"{config}.yaml", list(overrides))
     if isinstance(experiment, EnsembleExperiment):
         return run_ensemble(experiment, out, RunOptions(threads=1))
     return run_experiment(experiment, out, RunOptions(checkpoint_every=0.0))

@@ -14,9 +14,9 @@ import pytest
 
 import topcli
 from sweeping import BASE, DATA, MANY, sweep, table, with_grid, without_origin
-from topcli.config.load import experiment_from
-from topcli.config.sweep.document import sweep_from
-from topcli.config.sweep.rows import RowReader
+from topcli.config.load import load_experiment
+from topcli.config.rows import RowReader
+from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.runs.simulate import trajectory_of
 from topcli.sweeps import evaluate as seam
@@ -27,7 +27,7 @@ from topcli.sweeps.run import SweepOptions, Watcher, find_row, in_threads, plann
 
 def deviation(row: dict[str, Any], out: Path) -> float:
     """Largest deviation of the energy of a row that is run by itself, by its formula."""
-    one = trajectory_of(experiment_from(find_row(out / "study", row["row"])[1].config("one")))
+    one = trajectory_of(load_experiment(find_row(out / "study", row["row"])[1].config("one")))
     w, g = one.states[:, :3], one.states[:, 3:]
     energy = w[:, 0] ** 2 + w[:, 1] ** 2 + 0.5 * w[:, 2] ** 2 + g[:, 0]  # A = 2, c0 = 1
     return float(np.abs(energy - energy[0]).max())
@@ -105,7 +105,7 @@ def test_finished_rows_never_run_again(tmp_path: Path) -> None:
 def test_a_changed_file_runs_only_new_rows_and_keeps_the_others(tmp_path: Path) -> None:
     sweep(tmp_path)
     changed = with_grid(h=[0.02, 0.04])
-    plan, changes = planned(sweep_from(changed), tmp_path, SweepOptions())
+    plan, changes = planned(load_sweep(changed), tmp_path, SweepOptions())
     assert (plan.to_run, plan.done, plan.left) == (2, 2, 2)
     assert plan.reasons() == {"new": 2}
     assert changes == ["grid.h: [0.01, 0.02] -> [0.02, 0.04]"]
@@ -130,7 +130,7 @@ def test_a_new_key_at_the_value_of_the_base_keeps_the_rows(tmp_path: Path) -> No
 def test_a_new_measure_runs_the_rows_again(tmp_path: Path) -> None:
     sweep(tmp_path)
     more = {**DATA, "measure": ["deviation.energy", "steps"]}
-    assert planned(sweep_from(more), tmp_path, SweepOptions())[0].reasons() == {"a measure is new": 4}
+    assert planned(load_sweep(more), tmp_path, SweepOptions())[0].reasons() == {"a measure is new": 4}
     assert sweep(tmp_path, more).ran == 4
     assert [row["steps"] for row in table(tmp_path)] == [60.0] * 4
     assert sweep(tmp_path).ran == 0
@@ -148,7 +148,7 @@ def test_changed_code_of_a_scheme_runs_its_rows_again(tmp_path: Path, monkeypatc
         return codes[-1] if len(codes) == 1 else "0" * 64
 
     monkeypatch.setattr(planning, "method_fingerprint", changed)
-    plan, _ = planned(sweep_from(DATA), tmp_path, SweepOptions())
+    plan, _ = planned(load_sweep(DATA), tmp_path, SweepOptions())
     assert plan.reasons() == {"the code of the scheme changed": 2}
     assert plan.status.tolist() == [0, 0, 2, 2]
 
@@ -186,7 +186,7 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
     """Rows of one batch, which are stepped together; all others keep the bits that they have without it."""
     real = seam.BatchRun
     values = [0.125 + 0.01 * i for i in range(count)]
-    rows = list(RowReader(sweep_from({**DATA, "grid": {"initial.omega1": values}})).rows())
+    rows = list(RowReader(load_sweep({**DATA, "grid": {"initial.omega1": values}})).rows())
     batch_of: list[int] = []
 
     class Broken(real):  # type: ignore[misc, valid-type]
@@ -216,7 +216,7 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
 
 @pytest.mark.parametrize("size", [1, 7, 20, 39])
 def test_rows_in_pieces_that_fit_into_memory_have_the_same_results(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = list(RowReader(sweep_from({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())
+    rows = list(RowReader(load_sweep({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())
     assert len({seam.Shared.of(row) for row in rows}) == 1
     whole = evaluate_batch(rows, ["deviation.energy"])
     seam.forget()
@@ -263,7 +263,7 @@ def test_an_unfinished_sweep_has_no_manifest(tmp_path: Path) -> None:
 
 
 def test_no_batch_begins_after_a_stop() -> None:
-    rows = list(RowReader(sweep_from(MANY)).rows())
+    rows = list(RowReader(load_sweep(MANY)).rows())
     begun: list[int] = []
 
     class Counted(Work):
@@ -319,7 +319,7 @@ def test_a_row_does_not_depend_on_the_rest_of_the_sweep(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 10**9])
 def test_lanes_do_not_change_a_bit(lanes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = list(RowReader(sweep_from(MANY)).rows())
+    rows = list(RowReader(load_sweep(MANY)).rows())
     usual = evaluate_batch(rows, MANY["measure"])
     monkeypatch.setattr(seam, "LANE_ROWS", lanes)
     monkeypatch.setattr(seam, "LANE_STEPS", lanes)
@@ -330,7 +330,7 @@ def test_lanes_do_not_change_a_bit(lanes: int, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_batches_hold_every_row_once_and_are_bounded() -> None:
-    rows = list(RowReader(sweep_from(MANY)).rows())
+    rows = list(RowReader(load_sweep(MANY)).rows())
     made = list(batches(iter(rows), 2))
     assert sorted(row.number for batch in made for row in batch) == list(range(160))
     assert len(made) >= 8
@@ -340,7 +340,7 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
 @pytest.mark.slow
 def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     data = {**MANY, "grid": {"scheme": ["hk"]}, "random": {**MANY["random"], "count": 4000}}
-    rows = list(RowReader(sweep_from(data)).rows())
+    rows = list(RowReader(load_sweep(data)).rows())
     monkeypatch.setattr("topcli.sweeps.batches.PER_WORKER", 1)
     sizes = {scale: max(len(batch) for batch in batches(iter(rows), 1, scale)) for scale in (1, 3)}
     assert sizes == {1: 1024, 3: 3072}
@@ -353,7 +353,7 @@ def test_work_can_be_done_in_another_process_in_any_order(tmp_path: Path) -> Non
             yield batch, pickle.loads(pickle.dumps(sent[0](sent[1])))
 
     sweep(tmp_path / "here", MANY)
-    run_sweep(sweep_from(MANY), tmp_path / "there", backend=backend)
+    run_sweep(load_sweep(MANY), tmp_path / "there", backend=backend)
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
 
 
@@ -370,7 +370,7 @@ def test_very_many_rows_need_a_confirmation(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="100001 rows; a sweep of more than 100000 needs --yes"):
         sweep(tmp_path, data)
     assert not (tmp_path / "study").exists()
-    planned(sweep_from({**data, "grid": {"h": [0.1]}}), tmp_path, SweepOptions())
+    planned(load_sweep({**data, "grid": {"h": [0.1]}}), tmp_path, SweepOptions())
     assert not (tmp_path / "study").exists()
 
 
@@ -428,6 +428,6 @@ def test_rows_side_by_side_share_their_time_limit(count: int, monkeypatch: pytes
 
     monkeypatch.setattr(seam.time, "perf_counter", lambda: clock[0])
     monkeypatch.setattr(seam._kept, "ready", lambda *arguments: Ready())
-    rows = list(RowReader(sweep_from({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())[:count]
+    rows = list(RowReader(load_sweep({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())[:count]
     evaluate_batch(rows, (), time_limit=3.0)
     assert stopped[0] == (count, 50.0 + 3.0 * count + 0.5)

@@ -17,7 +17,7 @@ import pytest
 import topcli
 from dask_processes import SECONDS, Processes, once, processes, wait_until
 from sweeping import BASE, DATA, MANY, sweep, table
-from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.sweeps import connect
@@ -128,12 +128,12 @@ def test_rows_are_those_of_a_local_sweep_and_few_are_in_flight(cluster: Processe
         watcher = Watcher(progress=lambda *counts: flying.append(len(found._flying)))
         assert found.threads == 2
         options = SweepOptions(threads=12)  # many small batches
-        result = run_sweep(sweep_from(MANY), tmp_path / "there", options, watcher, found)
+        result = run_sweep(load_sweep(MANY), tmp_path / "there", options, watcher, found)
     assert result.ran == 160
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
     assert len(flying) > 4 * IN_FLIGHT
     assert 0 < max(flying) < IN_FLIGHT * 2
-    assert run_on_cluster(cluster.address, sweep_from(MANY), tmp_path / "there").ran == 0
+    assert run_on_cluster(cluster.address, load_sweep(MANY), tmp_path / "there").ran == 0
 
 
 @pytest.mark.slow
@@ -149,7 +149,7 @@ def test_a_worker_that_is_killed_loses_no_row(cluster: Processes, tmp_path: Path
 
     options = SweepOptions(threads=4)
     with connected(cluster.address) as found:
-        result = run_sweep(sweep_from(LONG), tmp_path / "there", options, Watcher(progress=progress), found)
+        result = run_sweep(load_sweep(LONG), tmp_path / "there", options, Watcher(progress=progress), found)
     assert victim.wait(SECONDS) == -signal.SIGKILL
     assert done[0] < 160 == done[-1] == result.ran, "it was killed during the sweep, and each row came once"
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
@@ -166,7 +166,7 @@ def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_
             worker.kill()
         new = cluster.worker()
         wait_until(lambda: list(found.client.nthreads().values()) == [1], "the new worker does not join")
-        run_sweep(sweep_from(OF_FILE), tmp_path / "there", backend=found)
+        run_sweep(load_sweep(OF_FILE), tmp_path / "there", backend=found)
         assert new.poll() is None
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here")), "messages name the same file"
     first = [row["deviation.m_sq"] for row in table(tmp_path / "here")]
@@ -176,7 +176,7 @@ def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_
     (tmp_path / "weights.py").write_text("WEIGHT = 1.0\n")
     load_scheme_file(scheme_file)
     sweep(tmp_path / "here2", OF_FILE)
-    run_on_cluster(cluster.address, sweep_from(OF_FILE), tmp_path / "there2")
+    run_on_cluster(cluster.address, load_sweep(OF_FILE), tmp_path / "there2")
     assert repr(table(tmp_path / "there2")) == repr(table(tmp_path / "here2"))
     second = [row["deviation.m_sq"] for row in table(tmp_path / "here2")]
     assert all(a != b for a, b in zip(first[:4], second[:4], strict=True))
@@ -188,7 +188,7 @@ def test_a_row_that_ends_its_workers_fails_alone(dask: None, tmp_path: Path, sch
     data = {**OF_FILE, "grid": {"top.A": [2.25, 2.5]}, "base": {**OF_FILE["base"], "h": 0.01}}
     sweep(tmp_path / "here", data)
     deadly = {**data, "grid": {"top.A": [2.25, 2.875, 2.5]}}
-    result = run_on_cluster("local:1", sweep_from(deadly), tmp_path / "there")
+    result = run_on_cluster("local:1", load_sweep(deadly), tmp_path / "there")
     rows = table(tmp_path / "there")
     assert result.outcomes == {"completed": 2, "failed": 1}
     assert rows[1]["message"].startswith("each worker that computed this row was lost")
@@ -205,7 +205,7 @@ def test_workers_with_other_versions_are_refused_by_name(cluster: Processes, tmp
         other = cluster.worker(tmp_path / "site")
         wait_until(lambda: len(found.client.nthreads()) == 3, "the other worker does not join")
         with pytest.raises(UsageError, match=r"worker tcp://127\.0\.0\.1:\d+: numba is 0\.0\.1 there and"):
-            run_sweep(sweep_from(MANY), tmp_path, SweepOptions(threads=12), backend=found)
+            run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12), backend=found)
     with (
         pytest.raises(UsageError, match=r"worker tcp://127\.0\.0\.1:\d+: numba is 0\.0\.1 there and"),
         connected(cluster.address),
@@ -244,7 +244,7 @@ def test_replaced_workers_of_this_machine_compute_the_rest(
                 os.kill(nanny.pid, signal.SIGKILL)
             done.append(count)
 
-        result = run_sweep(sweep_from(MANY), tmp_path, SweepOptions(threads=12), Watcher(progress=progress), found)
+        result = run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12), Watcher(progress=progress), found)
         assert len(local.worker_spec) > 1
     assert (result.ran, result.outcomes) == (160, {"completed": 160})
 
@@ -262,16 +262,16 @@ def test_a_sweep_that_is_stopped_keeps_what_is_finished_and_frees_the_workers(
     with connected(cluster.address) as found:
         client = found.client
         watcher = Watcher(stop=once(lambda: any(client.processing().values()), "no row is computed"))
-        result = run_sweep(sweep_from(ENDLESS), tmp_path / "endless", SweepOptions(), watcher, found)
+        result = run_sweep(load_sweep(ENDLESS), tmp_path / "endless", SweepOptions(), watcher, found)
         assert (result.interrupted, result.finished) == (True, 0)
         wait_until(lambda: not any(client.processing().values()), "the workers do not become free")
     done: list[int] = []
     watcher = Watcher(progress=lambda count, total, failed: done.append(count), stop=lambda: bool(done))
     with connected(cluster.address) as found:
-        result = run_sweep(sweep_from(MANY), tmp_path, SweepOptions(threads=12), watcher, found)
+        result = run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12), watcher, found)
     assert result.interrupted
     assert 0 < result.finished < 160
-    rest = run_on_cluster(cluster.address, sweep_from(MANY), tmp_path)
+    rest = run_on_cluster(cluster.address, load_sweep(MANY), tmp_path)
     assert (rest.ran, rest.finished) == (160 - result.finished, 160)
 
 
@@ -288,7 +288,7 @@ def test_a_lost_scheduler_is_reported_and_finished_rows_are_kept(cluster: Proces
         pytest.raises(RunError, match="connection to the scheduler was lost; finished rows are kept"),
         connected(cluster.address) as found,
     ):
-        run_sweep(sweep_from(LONG), tmp_path, SweepOptions(threads=4), Watcher(progress=progress), found)
+        run_sweep(load_sweep(LONG), tmp_path, SweepOptions(threads=4), Watcher(progress=progress), found)
     assert 0 < sweep(tmp_path, LONG).ran < 160
 
 
@@ -299,14 +299,14 @@ def test_a_scheduler_that_does_not_answer_is_reported(dask: None, tmp_path: Path
         held.listen()  # accepts, and never answers
         address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
         with pytest.raises(UsageError, match=f"--dask {address}: no Dask scheduler can be reached"):
-            run_on_cluster(address, sweep_from(DATA), tmp_path)
+            run_on_cluster(address, load_sweep(DATA), tmp_path)
     assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.slow
 def test_ctrl_c_ends_a_sweep_on_local_workers_as_interrupted(dask: None, tmp_path: Path) -> None:
     data = {**LONG, "base": {**LONG["base"], "N": 2_000_000, "output": {"every": 1000}}}
-    (tmp_path / "study.yaml").write_text(sweep_from(data).to_yaml())
+    (tmp_path / "study.yaml").write_text(load_sweep(data).to_yaml())
     command = [sys.executable, "-m", "topcli", "sweep", "study.yaml", "--out", "out", "--dask", "local:2"]
     environment = {**os.environ, "PYTHONPATH": str(Path(topcli.__file__).parents[1])}
     running = subprocess.Popen(
@@ -338,7 +338,7 @@ def test_a_worker_that_does_not_answer_is_not_waited_for(
 
         monkeypatch.setattr(connect, "answer", impatient)
         with pytest.raises(RunError, match=f"--dask {cluster.address}: .* a worker has not answered within 2 s"):
-            run_on_cluster(cluster.address, sweep_from(DATA), tmp_path)
+            run_on_cluster(cluster.address, load_sweep(DATA), tmp_path)
         os.kill(cluster.running[1].pid, signal.SIGCONT)
         wait_until(lambda: len(client.run(os.getpid)) == 2, "the worker does not go on")
     assert os.listdir(tmp_path) == []

@@ -16,8 +16,8 @@ import pytest
 from conftest import GEN
 from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.analysis.reference import reference_states
-from topcli.config.sweep.document import sweep_from
-from topcli.config.sweep.rows import Row, RowReader
+from topcli.config.rows import Row, RowReader
+from topcli.config.sweep import load_sweep
 from topcli.contracts import StopAsked, check_stop, stopping_when
 from topcli.errors import RunError
 from topcli.schemes.registry import find_scheme
@@ -34,7 +34,7 @@ SCHEME = find_scheme("hk", "kowalevski")
 
 
 def rows_of(data: dict[str, Any]) -> list[Row]:
-    return list(RowReader(sweep_from(data)).rows())
+    return list(RowReader(load_sweep(data)).rows())
 
 
 @pytest.fixture

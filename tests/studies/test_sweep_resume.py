@@ -18,7 +18,7 @@ import pytest
 from attack.command import fork
 from injected import Operations, in_fork
 from sweeping import DATA, MANY, sweep, table, without_origin
-from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.studies.checks import check_all
 from topcli.sweeps.journal import Block, Journal, damaged_lines
@@ -311,7 +311,7 @@ def test_a_large_sweep_is_planned_in_bounded_memory_and_operations() -> None:
         return {**DATA, "grid": {"scheme": ["hk", "rk4"], "h": {"from": 1e-3, "to": 1e-2, "count": rows // 2}}}
 
     def calls(rows: int) -> int:
-        found, count = sweep_from(data(rows)), [0]
+        found, count = load_sweep(data(rows)), [0]
 
         def seen(frame: object, event: str, argument: object) -> None:
             count[0] += event in ("call", "c_call")
@@ -326,7 +326,7 @@ def test_a_large_sweep_is_planned_in_bounded_memory_and_operations() -> None:
     calls(1000)
     few, many = calls(2000), calls(6000)
     assert (many - few) / 4000 < 110
-    found = sweep_from(data(100_000))
+    found = load_sweep(data(100_000))
     tracemalloc.start()
     try:
         surveyed = survey(found)

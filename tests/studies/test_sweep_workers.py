@@ -15,8 +15,8 @@ import pytest
 import topcli
 from dask_processes import SECONDS
 from sweeping import DATA
-from topcli.config.sweep.document import sweep_from
-from topcli.config.sweep.rows import RowReader
+from topcli.config.rows import RowReader
+from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.sweeps import connect
 from topcli.sweeps.cluster import ALONE, IN_FLIGHT, Cluster, batch_digest
@@ -29,7 +29,7 @@ def dask() -> None:
 
 
 def test_a_task_is_named_after_what_it_computes() -> None:
-    rows = list(RowReader(sweep_from(DATA)).rows())
+    rows = list(RowReader(load_sweep(DATA)).rows())
     one = Work(("deviation.energy",))
     names = [
         batch_digest(rows, one, "a"),

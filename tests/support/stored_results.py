@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from topcli.config.load import any_from, experiment_from
+from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
-from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep import load_sweep
 from topcli.runs.ensemble import run_ensemble
 from topcli.runs.run import run_experiment
 from topcli.studies.compare import COMPARE, compare_schemes
@@ -20,7 +20,7 @@ BASE = {"top": "kowalevski", "initial": START, "h": 0.01, "N": 400}
 
 
 def experiment(name: str, scheme: str = "hk", **changes: object) -> Experiment:
-    return experiment_from({**BASE, "name": name, "scheme": scheme, **changes})
+    return load_experiment({**BASE, "name": name, "scheme": scheme, **changes})
 
 
 def store_run(out: Path, name: str, scheme: str = "hk", **changes: object) -> Path:
@@ -30,11 +30,11 @@ def store_run(out: Path, name: str, scheme: str = "hk", **changes: object) -> Pa
 
 def store_euler(out: Path, name: str = "euler") -> Path:
     config = {"name": name, "top": {"kind": "euler", "A": 3, "B": 2, "C": 1}, "initial": {"omega": [0.4, 1, 0.3]}}
-    return run_experiment(experiment_from({**config, "scheme": "hk", "h": 0.05, "N": 400}), out).stored.folder
+    return run_experiment(load_experiment({**config, "scheme": "hk", "h": 0.05, "N": 400}), out).stored.folder
 
 
 def store_ensemble(out: Path, name: str = "many", count: int = 12) -> Path:
-    made = any_from({**BASE, "name": name, "scheme": "hk", "ensemble": {"random": {"count": count, "gamma": "sphere"}}})
+    made = load({**BASE, "name": name, "scheme": "hk", "ensemble": {"random": {"count": count, "gamma": "sphere"}}})
     assert not isinstance(made, Experiment)
     return run_ensemble(made, out).stored.folder
 
@@ -42,7 +42,7 @@ def store_ensemble(out: Path, name: str = "many", count: int = 12) -> Path:
 def store_sweep(out: Path, name: str = "sweep") -> Path:
     base = {key: value for key, value in BASE.items() if key not in ("h", "N")} | {"scheme": "hk", "T": 4}
     grid = {"h": [0.04, 0.02, 0.01], "scheme": ["hk", "rk4"]}
-    study = sweep_from({"name": name, "base": base, "grid": grid, "measure": ["deviation.energy", "error.max"]}, ())
+    study = load_sweep({"name": name, "base": base, "grid": grid, "measure": ["deviation.energy", "error.max"]}, ())
     return run_sweep(study, out, SweepOptions()).folder
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from topcli.config.sweep.document import sweep_from
+from topcli.config.sweep import load_sweep
 from topcli.sweeps.run import SweepOptions, SweepResult, Watcher, run_sweep
 
 BASE: dict[str, Any] = {
@@ -31,7 +31,7 @@ MANY = {
 
 
 def sweep(out: Path, data: dict[str, Any] = DATA, watcher: Watcher | None = None, **options: Any) -> SweepResult:
-    return run_sweep(sweep_from(data), out, SweepOptions(**options), watcher or Watcher())
+    return run_sweep(load_sweep(data), out, SweepOptions(**options), watcher or Watcher())
 
 
 def table(out: Path, name: str = "study") -> list[dict[str, Any]]:

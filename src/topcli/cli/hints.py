@@ -36,7 +36,7 @@ def stored_folder(name: str, results: Path) -> Path | None:
 
 def plot_hint(name: str, results: Path) -> str:
     """Message about ``name`` given instead of a figure: the command that draws it; empty if it is unknown."""
-    from topcli.config.load import is_config
+    from topcli.config.files import is_config
     from topcli.sweeps.run import is_sweep
 
     folder = stored_folder(name, results)
@@ -54,7 +54,7 @@ def plot_hint(name: str, results: Path) -> str:
 
 def show_hint(name: str) -> str:
     """Message about ``name`` given instead of a config or scheme; empty if it is unknown."""
-    from topcli.config.load import is_config, scene_files
+    from topcli.config.files import is_config, scene_files
     from topcli.figures.catalogue import FIGURES
     from topcli.schemes.registry import all_schemes
     from topcli.tops import top_names

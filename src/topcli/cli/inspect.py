@@ -107,7 +107,7 @@ def init(
     """
     import json
 
-    from topcli.config.load import SUFFIXES
+    from topcli.config.files import SUFFIXES
     from topcli.config.schema import config_schema
     from topcli.config.starter import starter_config
     from topcli.errors import UsageError

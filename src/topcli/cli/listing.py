@@ -181,8 +181,8 @@ def scenes(top: OnlyTop = None, as_json: Json = False) -> Listing:
 @_listed
 def sweeps(as_json: Json = False) -> Listing:
     """List the packaged sweeps for topcli sweep."""
-    from topcli.config.load import first_sentence
-    from topcli.config.sweep.document import load_sweep, sweep_files
+    from topcli.config.files import first_sentence, sweep_files
+    from topcli.config.sweep import load_sweep
 
     items = [
         {"name": name, "varied": list(load_sweep(name).keys), "about": first_sentence(path)}

@@ -40,7 +40,7 @@ def complete_figure(incomplete: str) -> list[str]:
 
 def complete_config(incomplete: str) -> list[str]:
     """Config files in the working folder's ``configs`` and the packaged scenes that begin with ``incomplete``."""
-    from topcli.config.load import scene_files
+    from topcli.config.files import scene_files
 
     near = [str(path) for path in sorted(Path("configs").glob("*.*"))]
     return [name for name in [*near, *scene_files()] if name.startswith(incomplete)]

@@ -129,14 +129,15 @@ def _say_failure(name: str, result: RunResult, code: int) -> None:
 
 def _experiment(config: str, request: _Request, resume: bool) -> Experiment | EnsembleExperiment:
     """Experiment of a config or scene; to resume, also that of a run in the folder of results."""
-    from topcli.config.load import any_from, is_config, load_named
+    from topcli.config.files import is_config
+    from topcli.config.load import load, load_named
 
     if resume and not is_config(config):
         from topcli.runs.resume import config_to_resume
 
         name = config.removeprefix(f"{request.out}{os.sep}").removesuffix(os.sep)
         if data := config_to_resume(request.out, name):
-            return any_from({**data, "name": request.name or name}, request.overrides)
+            return load({**data, "name": request.name or name}, request.overrides)
     return load_named(config, request.overrides, request.name)
 
 

@@ -14,8 +14,8 @@ from topcli.cli.run import Interruption
 from topcli.errors import UsageError, shortened
 
 if TYPE_CHECKING:
-    from topcli.config.sweep.document import Sweep
-    from topcli.config.sweep.rows import Row
+    from topcli.config.rows import Row
+    from topcli.config.sweep import Sweep
     from topcli.sweeps.run import SweepOptions, SweepResult
 
 SHOWN_FAILURES = 20
@@ -26,7 +26,7 @@ LISTED_ROWS = 1000
 
 def complete_sweep(incomplete: str) -> list[str]:
     """Names of packaged sweeps that begin with ``incomplete``."""
-    from topcli.config.sweep.document import sweep_files
+    from topcli.config.files import sweep_files
 
     return [name for name in sweep_files() if name.startswith(incomplete)]
 
@@ -164,7 +164,7 @@ def sweep(
     The results are a table with a row for each run, DIR/NAME/rows.parquet. Finished rows never run again: a sweep that
     was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
     """
-    from topcli.config.sweep.document import load_sweep
+    from topcli.config.sweep import load_sweep
     from topcli.sweeps.run import SweepOptions, Watcher, run_sweep
 
     if dask is not None and threads is not None:
@@ -233,7 +233,7 @@ def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:
 
 def show_sweep(folder: Path, number: int | None, sets: list[str], as_json: bool) -> None:
     """Print the config of a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
-    from topcli.config.load import experiment_from
+    from topcli.config.load import load_experiment
     from topcli.sweeps.run import find_row, stored_sweep_file
 
     if number is None:
@@ -244,7 +244,7 @@ def show_sweep(folder: Path, number: int | None, sets: list[str], as_json: bool)
             emit_text(sweep.to_yaml())
         return
     sweep, row = find_row(folder, number)
-    experiment = experiment_from(row.config(f"{sweep.name[:80]}_{number}"), sets)
+    experiment = load_experiment(row.config(f"{sweep.name[:80]}_{number}"), sets, any_precision=True)
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "row_digest": row.digest})
     else:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from topcli.errors import UsageError
 
 MAX_STEPS = 10**12
 ROUND_OFF = 4.0 * 2.0**-52
 """Relative deviation of T/h from a whole number that is accepted, for the rounding of T, h and their quotient."""
-PARTNER = {"T": "N", "N": "T"}
-"""Keys of which a config has one, each with the one whose place it takes."""
+
+
+def duration_fault(h: float, N: int) -> str:
+    """Reason why N steps of h cannot be run; empty if they can."""
+    return "" if math.isfinite(N * h) else f"N*h = {N} * {h!r} is not finite; take fewer or smaller steps"
 
 
 def steps_of(T: float, h: float) -> int:
@@ -62,17 +64,3 @@ def _shortest(value: float, fits: Callable[[float], bool]) -> str:
     """Return the fewest digits of ``value`` that still fit."""
     texts = (f"{value:.{digits}g}" for digits in range(6, 17))
     return next((text for text in texts if fits(float(text))), repr(value))
-
-
-def drop_partner(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    """Remove N from a config if ``changes`` set T, and T if they set N; nothing if they set both or neither."""
-    for key, other in PARTNER.items():
-        if key in changes and other not in changes:
-            data.pop(other, None)
-
-
-def changed(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the config ``data`` with the top-level keys ``changes``, where T replaces N and N replaces T."""
-    made = dict(data)
-    drop_partner(made, changes)
-    return made | dict(changes)

@@ -1,57 +1,39 @@
-"""An ensemble, one experiment from many initial states, and the sources of its states.
-
-Random states are made from ``numpy.random.Generator(PCG64(seed)).random``, uniform doubles, by arithmetic, square
-roots, sine and cosine only. Each candidate takes a fixed count of numbers, whether it is used or not, and the first
-``count`` valid candidates are the ensemble; so a larger ensemble begins with the smaller one.
-
-The measures: ``sphere`` is uniform in area. ``near`` is uniform in area on a cap around a unit vector, and uniform in
-volume in a ball around any other vector. ``energy`` takes a direction uniform on the sphere and scales it until the
-whole state has the given energy; this is not the measure that the flow conserves, because directions of large moments
-do not get less weight. If the potential alone exceeds the energy, no scale exists and the candidate is skipped; the
-other vectors then stay distributed as drawn, on the part of their sphere that the energy allows.
-"""
+"""An ensemble, one experiment from many initial states, and the sources of its states: a list, a grid, random draws."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, Field, WithJsonSchema, create_model
 
-from topcli.analysis.leaving import energy_of
-from topcli.config.models import Experiment, as_integer, digest_of
+from topcli.config.document import STRICT, Document, Problems, number_of, validate
+from topcli.config.draws import ABSOLUTE, MAX_TRAJECTORIES, Drawn, Random, draw_examples, random_model
+from topcli.config.models import Experiment, digest_of
+from topcli.config.ranges import Numbers, Range
+from topcli.config.sections import initial_model, read_initial, vectors_of
 from topcli.config.yaml_text import to_yaml
 from topcli.contracts import Array, Top
 
-MAX_TRAJECTORIES = 10**6
 SEARCH_BLOCK = 1 << 14
 """States made at a time in search of a single one."""
-BATCH = 1024
-"""Candidates drawn at a time."""
-PATIENCE = 64
-"""Batches without a single state of the wanted energy after which the search ends."""
-
-Kind = Literal["sphere", "near", "energy"]
-NUMBERS = {"sphere": 2, "near": 3, "energy": 2}
-"""Uniform numbers that one draw of a vector takes."""
-
-Size = Annotated[int, Field(ge=1, le=MAX_TRAJECTORIES), BeforeValidator(as_integer)]
+SOURCES = ("states", "grid", "random")
 
 
 class Section(BaseModel):
     """One of three sources of initial states, and which rows of the trajectories are kept."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = STRICT | {"json_schema_extra": {"anyOf": [{"required": [source]} for source in SOURCES]}}
 
     states: Any = Field(default=None, description="a list of initial states; a vector left out is that of initial")
     grid: Any = Field(
         default=None,
-        description="for components of the state and parameters (top.NAME), a list of values or start, stop, count; "
+        description="for components of the state and parameters (top.NAME), a list of values or from, to, count; "
         "every combination is a trajectory",
     )
     random: Any = Field(default=None, description="count, seed, and how each vector is drawn")
@@ -62,29 +44,194 @@ class Section(BaseModel):
     )
 
 
-class Random(BaseModel):
-    """Number of draws and their seed."""
+@cache
+def section_model(cls: type[Top]) -> type[Section]:
+    """Model of the section ``ensemble`` for tops of class ``cls``."""
+    initial = {"type": "object", "additionalProperties": False}
+    state = Annotated[
+        dict[str, Any],
+        WithJsonSchema(initial | {"properties": initial_model(cls).model_json_schema()["properties"]}),
+    ]
+    keys = (*(f"top.{name}" for name in cls.model_fields), *cls.components)  # the last one varies fastest
+    grid: Any = create_model("Grid", __config__=STRICT, **{key: (Numbers, Field(default=None)) for key in keys})
+    kinds = {"states": Annotated[list[state], Field(min_length=1)], "grid": grid, "random": random_model(cls)}
+    first = next(iter(cls.vectors))
+    examples = {
+        "states": f"[{{{first}: [1, 0, 0]}}, {{{first}: [0, 1, 0]}}]",
+        "grid": f"{{{cls.components[0]}: {{from: 0, to: 1, count: 11}}}}",
+        "random": _example(cls).removeprefix("for example "),
+    }
+    fields: dict[str, Any] = {
+        name: (kind | None, Field(default=None, description=Section.model_fields[name].description, examples=[text]))
+        for (name, kind), text in zip(kinds.items(), examples.values(), strict=True)
+    }
+    return create_model("Ensemble", __base__=Section, **fields)
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    count: Size = Field(description="the number of trajectories, 1 to 1e6")
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1), BeforeValidator(as_integer)] = Field(
-        default=0, description="the seed of the random numbers"
+def vectors_named(raw: object) -> list[str]:
+    """Vectors that the section names, valid or not; they help to choose the form of the top."""
+    if not isinstance(raw, dict):
+        return []
+    drawn = raw["random"] if isinstance(raw.get("random"), dict) else {}
+    listed = raw["states"] if isinstance(raw.get("states"), list) else []
+    named = [key for key in drawn if key not in Random.model_fields]
+    return named + [key for state in listed if isinstance(state, dict) for key in state if key != "normalize"]
+
+
+def read_members(
+    raw: object, initial: object, cls: type[Top], top: Top, parameters: Mapping[str, Any], problems: Problems
+) -> Members | None:
+    """Return the initial states of an ensemble of ``top``; None if the section or ``initial`` is wrong.
+
+    ``parameters`` are the parameters of the top as the config gives them, for a grid over some of them.
+    """
+    before = len(problems.messages)
+    section = validate(section_model(cls), raw, ("ensemble",), problems)
+    given = [source for source in SOURCES if raw.get(source) is not None] if isinstance(raw, dict) else []
+    if len(given) != 1:
+        named = f"has {' and '.join(given)}" if given else "has none of them"
+        problems.add(("ensemble",), f"must have one of {', '.join(SOURCES)}, and {named}; {_example(cls)}")
+        return None
+    if not isinstance(initial, dict):
+        validate(initial_model(cls), initial, ("initial",), problems)
+        return None
+    if section is None:
+        return None
+    readers = {"states": _listed, "grid": _gridded, "random": _drawn}
+    groups = readers[given[0]](section, initial, cls, top, parameters, problems)
+    plain = _floats(initial)
+    for key, value in plain.items():  # a trajectory may replace any of them
+        for item in value if isinstance(value, list) else [value]:
+            if isinstance(item, float) and not math.isfinite(item):
+                problems.add(("initial", key), f"must hold finite numbers, not {item!r}")
+    if len(problems.messages) > before:
+        return None
+    kept = section.model_dump(exclude_none=True, by_alias=True)[given[0]]
+    return Members(
+        tuple(groups), {given[0]: _floats(kept) if given[0] == "states" else kept, "store": section.store}, plain
     )
 
 
-class Spaced(BaseModel):
-    """Evenly spaced values, both ends included."""
+def _example(cls: type[Top]) -> str:
+    """End of a message: random draws of every vector."""
+    drawn = ", ".join(f"{name}: {draw_examples(cls, name)[0]}" for name in cls.vectors)
+    return f"for example random: {{count: 100, {drawn}}}"
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    start: float = Field(description="the first value")
-    stop: float = Field(description="the last value")
-    count: Size = Field(description="the number of values")
+def _floats(value: Any) -> Any:
+    """Return plain data with whole numbers as floats."""
+    if isinstance(value, dict):
+        return {key: _floats(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_floats(item) for item in value]
+    number = number_of(value)
+    return value if number is None else number
 
-    def values(self) -> list[float]:
-        """Return the values in order."""
-        return np.linspace(self.start, self.stop, self.count).tolist()
+
+def _listed(
+    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, _: object, problems: Problems
+) -> list[Group]:
+    """Return the listed states as one group."""
+    states = [
+        read_initial({**initial, **given}, cls, problems, ("ensemble", "states", index))
+        for index, given in enumerate(section.states)
+    ]
+    return [Group(top, Listed(np.array(states)))] if None not in states else []
+
+
+def _gridded(
+    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, parameters: Mapping[str, Any], problems: Problems
+) -> list[Group]:
+    """Return the product of the axes: parameters vary slowest, then the components in their order, the last fastest."""
+    path = ("ensemble", "grid")
+    given: dict[str, Any] = {key: axis for key, axis in section.grid if axis is not None}
+    if not given:
+        problems.add(path, f"has no axes; for example {type(section).model_fields['grid'].examples[0]}")
+        return []
+    total = math.prod(axis.count if isinstance(axis, Range) else len(axis) for axis in given.values())
+    if total > MAX_TRAJECTORIES:
+        problems.add(path, f"{total} combinations; an ensemble has at most {MAX_TRAJECTORIES} trajectories")
+        return []
+    axes = {key: _spaced(axis) if isinstance(axis, Range) else axis for key, axis in given.items()}
+    states = _combined({key: values for key, values in axes.items() if key in cls.components}, initial, cls, problems)
+    tops = []
+    for changes in _combinations({key: values for key, values in axes.items() if key not in cls.components}):
+        chosen = {key.removeprefix("top."): value for key, value in changes.items()}
+        own = Problems(Document({}))
+        tops.append(validate(cls, {**parameters, **chosen}, ("top",), own, beside=("kind",)))
+        for message in own.messages:
+            problems.add(path, f"{_at(chosen)}{message}")
+    return [Group(made, states) for made in tops if made and states]
+
+
+def _spaced(axis: Range) -> list[float]:
+    """Values of a range; of a linear one with all their digits, those of ``numpy.linspace``."""
+    return axis.values() if axis.spacing == "log" else np.linspace(axis.first, axis.last, axis.count).tolist()
+
+
+def _combinations(axes: Mapping[str, list[float]]) -> Iterator[dict[str, float]]:
+    return (dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values()))
+
+
+def _at(chosen: Mapping[str, float]) -> str:
+    """Beginning of a message about some values."""
+    return f"at {', '.join(f'{name} = {value!r}' for name, value in chosen.items())}: " if chosen else ""
+
+
+def _combined(
+    axes: Mapping[str, list[float]], initial: dict[str, Any], cls: type[Top], problems: Problems
+) -> Combined | None:
+    """Return every combination of the components' values, the vectors completed as ``initial`` asks for."""
+    before = len(problems.messages)
+    vectors = vectors_of(cls)
+    varied = {vector.name: {key: axes[key] for key in vector.components if key in axes} for vector in vectors}
+    bases: dict[str, Any] = {
+        vector.name: [0.0] * len(vector.components)
+        for vector in vectors
+        if len(varied[vector.name]) == len(vector.components)
+    }
+    bases |= initial
+    whole = {
+        vector.name: [0.0] * (len(vector.components) - 1) + [1.0]
+        for vector in vectors
+        if varied[vector.name]
+        and isinstance(base := bases.get(vector.name), list)
+        and len(base) == len(vector.components)
+    }
+    read_initial({**bases, **whole}, cls, problems)  # what no axis varies
+    pieces = []
+    for vector in vectors if len(problems.messages) == before else ():
+        rows = []
+        for chosen in _combinations(varied[vector.name]):
+            raw = [chosen.get(key, value) for key, value in zip(vector.components, bases[vector.name], strict=True)]
+            try:
+                rows.append(vector.read(raw, bases.get("normalize", False)))
+            except ValueError as fault:
+                problems.add(("ensemble", "grid"), f"{_at(chosen)}{vector.name}: {fault}")
+                break
+        pieces.append(np.array(rows))
+    return Combined(tuple(pieces)) if len(problems.messages) == before else None
+
+
+def _drawn(
+    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, _: object, problems: Problems
+) -> list[Group]:
+    """Return the group of the drawn states."""
+    draws = section.random.draws(cls)
+    if not draws:
+        problems.add(("ensemble", "random"), f"no vector is random; {_example(cls)}")
+        return []
+    free = {draw.vector: [0.0, 0.0, 1.0] for draw in draws if draw.kind in ABSOLUTE}
+    centre = read_initial({**initial, **free}, cls, problems)
+    if centre is None:
+        return []
+    drawn = Drawn(top, np.array(centre), draws, section.random.count, section.random.seed)
+    if next(drawn.blocks(1), None) is None:
+        energy = next(draw for draw in draws if draw.kind == "energy")
+        fault = f"no state has the energy {energy.size!r}: the potential alone exceeds it"
+        problems.add(("ensemble", "random", energy.vector, "energy"), fault)
+        return []
+    return [Group(top, drawn)]
 
 
 class Source(Protocol):
@@ -134,148 +281,6 @@ class Combined:
         for start in range(0, self.count, size):
             rows = np.unravel_index(np.arange(start, min(start + size, self.count)), shape)
             yield np.hstack([piece[row] for piece, row in zip(self.pieces, rows, strict=True)])
-
-
-@dataclass(frozen=True)
-class Draw:
-    """A rule to draw a vector; ``size`` is the radius of ``sphere``, the reach of ``near``, or the energy."""
-
-    vector: str
-    kind: Kind
-    size: float
-
-
-def energy_fault(top: Top, vector: str) -> str:
-    """Reason why ``vector`` cannot be scaled to a given energy of the state; empty if it can."""
-    energy = energy_of(top)
-    if energy is None:
-        return f"the top {top.form} has no invariant {top.energy!r}, the name of its energy"
-    states = np.tile(np.cos(np.arange(1.0, len(top.components) + 1.0)), (3, 1))  # in general position
-    states[:, slice(*top.vectors[vector])] *= np.array([[0.0], [1.0], [2.0]])
-    with np.errstate(all="ignore"):
-        none, once, twice = energy.value(states)
-        if abs((twice - none) - 4.0 * (once - none)) <= 1e-12 * energy.scale(states).max():
-            return ""
-    return f"{energy.name!r}, the energy of the top {top.form}, is not quadratic in {vector}; use sphere or near"
-
-
-def draw_examples(cls: type[Top], vector: str) -> list[str]:
-    """One example, as a config writes it, of each way to draw ``vector``."""
-    if vector in cls.unit_vectors:
-        return ["sphere", "{near: 0.1}"]
-    return ["{sphere: 2}", "{near: 0.1}", *([] if energy_fault(cls.new(), vector) else ["{energy: 1.5}"])]
-
-
-def directions(u: Array) -> Array:
-    """Return points (m, 3) of the unit sphere, uniform in area, from uniform numbers (m, 2), by Archimedes' theorem."""
-    z = 2.0 * u[:, 0] - 1.0
-    rho = np.sqrt((1.0 - z) * (1.0 + z))
-    phi = 2.0 * np.pi * u[:, 1]
-    return _unit(np.stack([rho * np.cos(phi), rho * np.sin(phi), z], axis=1))
-
-
-def _unit(vectors: Array) -> Array:
-    return vectors / np.sqrt(vectors[:, 0] ** 2 + vectors[:, 1] ** 2 + vectors[:, 2] ** 2)[:, None]
-
-
-def cap(centre: Array, angle: float, u: Array) -> Array:
-    """Return points (m, 3) of the unit sphere within ``angle`` of ``centre`` (3,), uniform in area."""
-    k = 2.0 * np.sin(0.5 * angle) ** 2 * u[:, 0]  # 1 - cos, without cancellation at small angles
-    rho = np.sqrt(k * (2.0 - k))
-    phi = 2.0 * np.pi * u[:, 1]
-    first = np.cross(centre, np.eye(3)[int(np.argmin(np.abs(centre)))])
-    first /= np.sqrt(first @ first)
-    second = np.cross(centre, first)
-    around = (rho * np.cos(phi))[:, None] * first + (rho * np.sin(phi))[:, None] * second
-    return _unit(centre + (around - k[:, None] * centre))
-
-
-def ball(centre: Array, radius: float, u: Array) -> Array:
-    """Return points (m, 3) within ``radius`` of ``centre`` (3,), uniform in volume."""
-    return centre + (radius * np.cbrt(u[:, 2]))[:, None] * directions(u)
-
-
-def _on_shell(top: Top, states: Array, where: slice, energy: float) -> NDArray[np.bool_]:
-    """Scale the unit vectors at ``where`` to the energy; True for each state that has such a scale."""
-    invariant, factor = energy_of(top), top.energy_factor
-    assert invariant is not None
-    without = states.copy()
-    without[:, where] = 0.0
-    potential = factor * invariant.value(without)
-    kinetic = factor * invariant.value(states) - potential
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        square = (energy - potential) / kinetic
-    possible = square >= 0.0
-    states[:, where] *= np.sqrt(np.where(possible, square, 0.0))[:, None]
-    return possible
-
-
-def _candidates(top: Top, centre: Array, draws: tuple[Draw, ...], numbers: Array) -> Array:
-    """Return the states (k, d) made from uniform ``numbers`` (m, total), without those that cannot have the energy."""
-    states = np.tile(centre, (len(numbers), 1))
-    possible = np.ones(len(numbers), dtype=bool)
-    at = 0
-    for draw in sorted(draws, key=lambda draw: draw.kind == "energy"):  # the energy depends on the others
-        where = slice(*top.vectors[draw.vector])
-        u = numbers[:, at : at + NUMBERS[draw.kind]]
-        at += NUMBERS[draw.kind]
-        if draw.kind == "near":
-            around = cap if draw.vector in top.unit_vectors else ball
-            states[:, where] = around(centre[where], draw.size, u)
-        else:
-            states[:, where] = directions(u)
-        if draw.kind == "sphere":
-            states[:, where] *= draw.size
-        elif draw.kind == "energy":
-            possible &= _on_shell(top, states, where, draw.size)
-    return states[possible]
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """``count`` states equal to ``centre`` (d,) except for the vectors drawn by ``draws``."""
-
-    top: Top
-    centre: Array
-    draws: tuple[Draw, ...]
-    count: int
-    seed: int
-
-    def blocks(self, size: int) -> Iterator[Array]:
-        """Yield the states in order, ``size`` at a time; none if no candidate can have the energy."""
-        generator = np.random.Generator(np.random.PCG64(self.seed))
-        total = sum(NUMBERS[draw.kind] for draw in self.draws)
-        found: list[Array] = []
-        left, have, batches = self.count, 0, 0
-        while left:
-            found.append(_candidates(self.top, self.centre, self.draws, generator.random((BATCH, total))))
-            have += len(found[-1])
-            batches += 1
-            if not have and left == self.count and batches == PATIENCE:
-                return
-            wanted = min(size, left)
-            if have < wanted:
-                continue
-            states = np.concatenate(found)
-            while left and len(states) >= wanted:
-                yield states[:wanted]
-                states = states[wanted:]
-                left -= wanted
-                wanted = min(size, left)
-            found, have = [states], len(states)
-
-
-def first_drawn(top: Top, centre: Array, draws: tuple[Draw, ...], seed: int) -> Array | None:
-    """First state (d,) of ``Drawn`` with these values; None if no candidate can have the energy."""
-    generator = np.random.Generator(np.random.PCG64(seed))
-    total = sum(NUMBERS[draw.kind] for draw in draws)
-    tried, size = 0, 1
-    while tried < PATIENCE * BATCH:
-        found = _candidates(top, centre, draws, generator.random((size, total)))
-        if len(found):
-            return found[0]
-        tried, size = tried + size, min(8 * size, BATCH)
-    return None
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from topcli.config.document import WrittenFloat
-from topcli.config.problems import Problems
+from topcli.config.document import Problems, WrittenFloat
 from topcli.contracts import Top
 from topcli.engine.precise.arithmetic import arithmetic_of
 from topcli.engine.precise.numbers import DOUBLE, NotRationalError, decimal_text, fraction_from, integer_text

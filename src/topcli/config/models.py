@@ -1,39 +1,26 @@
-"""The models of a config: ``Config`` holds what a file says, ``Experiment`` the complete experiment.
-
-The sections ``top``, ``initial`` and ``scheme`` and the columns, whose keys depend on the top and the scheme, are read
-by the functions ``read_*``.
-"""
+"""The models of a config: ``Config`` holds what a file says, ``Experiment`` the complete experiment."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import unicodedata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
 from topcli.analysis.attitude import ATTITUDES
-from topcli.analysis.columns import column_names, spellings
-from topcli.config.document import KeyPath, describe
+from topcli.analysis.columns import column_names
+from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.duration import MAX_STEPS
 from topcli.config.exact import ExactNumbers
-from topcli.config.problems import Problems, unknown_key, validate
 from topcli.config.yaml_text import to_yaml
 from topcli.contracts import Invariant, Method, Scheme, Top
 from topcli.engine.fingerprint import own_code
 from topcli.engine.precise.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
-from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import composed, find_scheme, names_for
-from topcli.tops import top_class, top_names
+from topcli.errors import quoted
 
-UNIT_TOLERANCE = 1e-12
-"""Deviation of the square of a unit vector from 1 that is accepted."""
-AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
-"""Texts for a component that completes a unit vector, with the component's sign."""
 MOST_WRITTEN = 10_000
 MAX_NAME = 100
 MAX_NAME_BYTES = 200
@@ -79,11 +66,6 @@ def _step(value: float) -> float:
     return value
 
 
-def as_integer(value: Any) -> Any:
-    """Return a whole number written as a float, such as 5e4, as an integer, and any other value as it is."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
 def _columns(value: tuple[str, ...]) -> tuple[str, ...]:
     if not value:
         raise ValueError("must name at least one column; leave the key out to record all")
@@ -115,7 +97,7 @@ Columns = Annotated[tuple[str, ...], AfterValidator(_columns)]
 class Output(BaseModel):
     """The recorded rows and columns, and the format of the series."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = STRICT
 
     format: Literal["parquet", "csv"] = Field(default="parquet", description="the format of the series")
     every: Count = Field(default=1, description="the number of steps from one recorded row to the next (1 to N)")
@@ -147,7 +129,7 @@ class Output(BaseModel):
 class Config(BaseModel):
     """A numerical experiment on a discrete spinning top."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = STRICT
 
     name: Name | None = Field(
         default=None,
@@ -162,7 +144,7 @@ class Config(BaseModel):
     )
     scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
-    N: Count = Field(description="the number of steps, a whole number from 1 to 1e12; or T in its place")
+    N: Count = Field(default=None, description="the number of steps, a whole number from 1 to 1e12; or T in its place")
     T: StepSize | None = Field(default=None, description="the time N*h to run, in the place of N: N = T/h is whole")
     precision: Precision = Field(
         default=DOUBLE,
@@ -294,205 +276,3 @@ class Experiment(BaseModel):
     def to_yaml(self) -> str:
         """Return the resolved config as YAML that loads to the same experiment."""
         return to_yaml(self.resolved())
-
-
-def duration_fault(h: float, N: int) -> str:
-    """Reason why N steps of h cannot be run; empty if they can."""
-    return "" if math.isfinite(N * h) else f"N*h = {N} * {h!r} is not finite; take fewer or smaller steps"
-
-
-def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top] | None, Top | None]:
-    """Return the class of the top, and the top with its parameters; None for each that cannot be read.
-
-    The vectors named in ``initial`` choose among the forms of a top.
-    """
-    section = _named_section(raw, "top", "kind", top_names, problems)
-    if section is None:
-        return None, None
-    kind, where, parameters = section
-    try:
-        cls = top_class(kind, [key for key in initial if key != "normalize"] if isinstance(initial, dict) else ())
-    except UnknownNameError as error:
-        problems.add(where, str(error), unknown_name=True)
-        return None, None
-    return cls, validate(cls, parameters, ("top",), problems, beside=("kind",))
-
-
-def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme, BaseModel] | None:
-    """Return the scheme for tops of class ``cls``, composed if ``compose`` is given, and its options."""
-    section = _named_section(raw, "scheme", "name", lambda: names_for(cls.form), problems)
-    if section is None:
-        return None
-    name, where, given = section
-    composition = given.get("compose", "")
-    if "compose" in given and not isinstance(composition, str):
-        problems.add(("scheme", "compose"), f"must be a name ({', '.join(COMPOSITIONS)}), not {describe(composition)}")
-        return None
-    try:
-        scheme = find_scheme(name, cls.form)
-        if "compose" in given:
-            where = ("scheme", "compose")
-            scheme = composed(scheme, composition)
-    except UsageError as error:
-        problems.add(where, str(error), unknown_name=isinstance(error, UnknownNameError))
-        return None
-    options = validate(scheme.options, given, ("scheme",), problems, beside=("name", "compose"))
-    return None if options is None else (scheme, options)
-
-
-def _named_section(
-    raw: object, section: str, key: str, names: Callable[[], list[str]], problems: Problems
-) -> tuple[str, KeyPath, dict[str, Any]] | None:
-    """Return the name, its path and the whole section, from a bare name or a section with ``key``.
-
-    ``names`` lists the known names and is called only for a message.
-    """
-    if isinstance(raw, str):
-        return raw, (section,), {key: raw}
-    if isinstance(raw, dict) and isinstance(raw.get(key), str):
-        return raw[key], (section, key), raw
-    known = ", ".join(names())
-    if not isinstance(raw, dict):
-        problems.add((section,), f"must be a name ({known}) or a section with {key!r}, not {describe(raw)}")
-    elif key not in raw:
-        near = [other for other in raw if other.lower() == key]
-        missing = f"{key!r} is missing; known: {known}"
-        problems.add((section,), f"{near[0]!r} should be {key!r}" if near else missing)
-    else:
-        problems.add((section, key), f"must be a name ({known}), not {describe(raw[key])}")
-    return None
-
-
-def read_initial(raw: object, cls: type[Top], problems: Problems) -> tuple[float, ...] | None:
-    """Return the initial state in the order of the top's components, its unit vectors completed and checked."""
-    names = list(cls.vectors)
-    if not isinstance(raw, dict):
-        problems.add(("initial",), f"must be a section with {', '.join(names)}, not {describe(raw)}")
-        return None
-    for key in raw:
-        if key not in (*names, "normalize"):
-            problems.add(("initial", key), unknown_key(key, [*names, "normalize"]))
-    normalize = raw.get("normalize", False)
-    if not isinstance(normalize, bool):
-        problems.add(("initial", "normalize"), f"must be true or false, not {describe(normalize)}")
-        return None
-    state = [0.0] * len(cls.components)
-    complete = True
-    for name, (start, stop) in cls.vectors.items():
-        if name not in raw:
-            problems.add(("initial", name), f"missing; give a list of {stop - start} numbers")
-            vector = None
-        else:
-            vector = read_vector(raw[name], cls, name, normalize, problems)
-        if vector is None:
-            complete = False
-        else:
-            state[start:stop] = vector
-    return tuple(state) if complete else None
-
-
-def read_vector(raw: object, cls: type[Top], name: str, normalize: bool, problems: Problems) -> list[float] | None:
-    """Return the vector ``name`` of the initial state, completed; None if it is wrong."""
-    start, stop = cls.vectors[name]
-    components = cls.components[start:stop]
-    path: KeyPath = ("initial", name)
-    unit = name in cls.unit_vectors
-    if not isinstance(raw, list) or len(raw) != len(components):
-        given = f"{len(raw)}" if isinstance(raw, list) else describe(raw)
-        wanted = f"{len(components)} numbers ({', '.join(components)})"
-        problems.add(path, f"must be a list of {wanted}, not {given}")
-        return None
-    vector: list[float] = []
-    autos: list[int] = []
-    for index, (value, component) in enumerate(zip(raw, components, strict=True)):
-        number = number_of(value)
-        if unit and isinstance(value, str) and value in AUTO:
-            autos.append(index)
-            vector.append(AUTO[value])
-        elif number is None:
-            ending = ", or auto, +auto, -auto" if unit else ""
-            problems.add(path, f"{component} must be a number{ending}, not {describe(value)}")
-        elif not math.isfinite(number):
-            problems.add(path, f"{component} must be a finite number, not {describe(value)}")
-        else:
-            vector.append(number)
-    if len(vector) < len(components):
-        return None
-    if len(autos) > 1:
-        problems.add(path, f"only one component may be auto, not {len(autos)}")
-        return None
-    if autos:
-        return _completed(vector, autos[0], path, problems)
-    return _unit(vector, normalize, path, problems) if unit else vector
-
-
-def number_of(value: object) -> float | None:
-    """Return ``value`` as a float, infinite if too large for one; None if it is not a number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return None
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
-
-def _completed(vector: list[float], auto: int, path: KeyPath, problems: Problems) -> list[float] | None:
-    """Return ``vector`` with component ``auto``, which holds the sign, set so that the length is one."""
-    rest = sum(value * value for index, value in enumerate(vector) if index != auto)
-    if rest > 1.0 + UNIT_TOLERANCE:
-        others = f"the squares of the others sum to {rest:.15g} > 1"
-        problems.add(path, f"auto cannot make it a unit vector: {others}; make them smaller")
-        return None
-    size = math.sqrt(max(1.0 - rest, 0.0))
-    vector[auto] = math.copysign(size, vector[auto]) if size else 0.0
-    return vector
-
-
-def _unit(vector: list[float], normalize: bool, path: KeyPath, problems: Problems) -> list[float] | None:
-    """Return ``vector``, scaled to unit length if ``normalize``; None if its length is not one."""
-    if normalize:
-        largest = max(abs(value) for value in vector)
-        if largest == 0.0:
-            problems.add(path, "is the zero vector, which has no direction to normalize")
-            return None
-        scaled = [value / largest for value in vector]  # first, so that no square over- or underflows
-        length = math.hypot(*scaled)
-        return [value / length for value in scaled]
-    square = sum(value * value for value in vector)
-    excess = square - 1.0
-    if abs(excess) <= UNIT_TOLERANCE:
-        return vector
-    name = path[-1]
-    problems.add(
-        path,
-        f"must be a unit vector: {name}² = {square:.15g} is off by {excess:.3g} (allowed: {UNIT_TOLERANCE:g})"
-        "; write one component as auto, or set initial.normalize: true",
-    )
-    return None
-
-
-def read_columns(
-    output: Output, components: Sequence[str], integrals: Sequence[Invariant], problems: Problems
-) -> tuple[str, ...] | None:
-    """Names of the columns of ``output``, each given by its name or by the symbol that reports print."""
-    given = output.columns
-    if given is None:
-        return None
-    plain = {name: name for name in ("n", "t", *components, *output.attitude_columns)}
-    names = {text: one.name for one in integrals for text in spellings(one.name, one.symbol)} | plain
-    found: list[str] = []
-    for text in given:
-        name = names.get(text)
-        form = next((form for form, columns in ATTITUDES.items() if text in columns), None)
-        if name is None and form:
-            problems.add(("output", "columns"), f"{quoted(text)} needs output.attitude: {form}")
-        elif name is None:
-            near = nearest(text, names)
-            if near.startswith("known"):
-                near = f"known: {', '.join([*plain, *(f'{one.name} ({one.symbol})' for one in integrals)])}"
-            problems.add(("output", "columns"), f"unknown column {quoted(text)}; {near}")
-        elif name in found:
-            problems.add(("output", "columns"), f"names {quoted(name)} twice")
-        else:
-            found.append(name)
-    return tuple(found)

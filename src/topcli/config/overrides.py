@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from topcli.config.document import Document, describe, key_text
-from topcli.config.duration import drop_partner
 from topcli.config.yaml_text import parse_yaml
 from topcli.errors import ConfigError, quoted, shortened
 
@@ -15,6 +14,8 @@ _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _POSITION = re.compile(r"^(:\d+)*: ")
 BARE = {"top": "kind", "scheme": "name"}
 """Sections that may be given as a bare name, each with the key whose value the name is."""
+PARTNER = {"T": "N", "N": "T"}
+"""Keys of which a config has one, each with the one whose place it takes."""
 _EXPERIMENTS = ((), ("base",))
 """Places of a config in a document: as a whole, or in the section ``base`` of a sweep."""
 
@@ -88,3 +89,10 @@ def _set(document: Document, path: tuple[str, ...], value: Any, label: str) -> N
     for known in [known for known in document.places if known[: len(path)] == path]:
         del document.places[known]
     document.places[path] = label
+
+
+def drop_partner(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Remove N from a config if ``changes`` set T, and T if they set N; nothing if they set both or neither."""
+    for key, other in PARTNER.items():
+        if key in changes and other not in changes:
+            data.pop(other, None)

@@ -8,9 +8,11 @@ from pydantic import BaseModel
 
 from topcli.analysis.attitude import ATTITUDES
 from topcli.analysis.columns import spellings
-from topcli.config.ensemble import Random, Section, Spaced, energy_fault
-from topcli.config.members import SOURCES
-from topcli.config.models import AUTO, Config
+from topcli.config.draws import Random, energy_fault
+from topcli.config.ensemble import SOURCES, Section
+from topcli.config.models import Config
+from topcli.config.ranges import Range
+from topcli.config.sections import AUTO
 from topcli.contracts import Scheme, Top
 from topcli.schemes.compose import COMPOSITIONS, obstacle
 from topcli.schemes.registry import all_schemes
@@ -39,7 +41,6 @@ def config_schema() -> Schema:
     properties["ensemble"] = any_ensemble_schema() | {"description": properties["ensemble"]["description"]}
     schema["required"].remove("initial")
     schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
-    schema["required"].remove("N")
     schema["oneOf"] = [{"required": ["N"]}, {"required": ["T"]}]
     properties["T"] = {"type": "number", "not": {"const": 0}, "description": properties["T"]["description"]}
     properties["scheme"] |= {"type": ["string", "object"]}
@@ -188,7 +189,7 @@ def _axes(cls: type[Top]) -> list[str]:
 
 def _ensemble_section(initial: Schema, draws: Schema, known: list[str]) -> Schema:
     section, random = _bare_schema(Section), _bare_schema(Random)
-    axis: Schema = {"anyOf": [{"type": "array", "items": {"type": "number"}, "minItems": 1}, _bare_schema(Spaced)]}
+    axis: Schema = {"anyOf": [{"type": "array", "items": {"type": "number"}, "minItems": 1}, _bare_schema(Range)]}
     section["properties"]["states"] |= {
         "type": "array",
         "minItems": 1,

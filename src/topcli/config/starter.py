@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import to_jsonable_python
 
-from topcli.config.ensemble import draw_examples
+from topcli.config.draws import draw_examples
 from topcli.config.models import Config, Output
 from topcli.config.yaml_text import flow
 from topcli.contracts import Scheme, Top

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.attitude import quaternions_of
 from topcli.analysis.columns import invariant_values
-from topcli.config.load import experiment_from
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome
 from topcli.errors import ConfigError, RunError, UsageError, nearest
@@ -98,7 +98,7 @@ def _experiment(run: StoredRun) -> Experiment:
     if "ensemble" in config:
         raise UsageError(f"{run.folder}: an ensemble of many trajectories; run a single one of them")
     try:
-        return experiment_from(config)
+        return load_experiment(config, any_precision=True)
     except (UsageError, ConfigError) as error:
         raise UsageError(f"{run.folder}: its config cannot be read here: {error.lines[0]}", *error.lines[1:]) from None
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.swings import minima_times
-from topcli.config.load import experiment_from
+from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import (
@@ -206,7 +206,7 @@ def loaded_analysis(analysis: Result) -> Loaded:
     if not analysis.arrays:
         raise UsageError("the series is not in this file")
     data, report = _analysis_data(analysis), analysis.data
-    top = experiment_from(report["config"]).top
+    top = load_experiment(report["config"], any_precision=True).top
     swings = [Line("swing", SERIES)]
     panels = []
     if "error" in data:

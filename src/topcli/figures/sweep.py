@@ -25,7 +25,7 @@ from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_
 from topcli.sweeps.table_text import left_out
 
 if TYPE_CHECKING:
-    from topcli.config.sweep.rows import Row
+    from topcli.config.rows import Row
     from topcli.sweeps.evaluate import Results, Work
 
 DECADES = 2.0
@@ -323,7 +323,7 @@ def sweep_views(name: str, title: str, scene: str, views: tuple[View, ...], layo
 
 def _load_views(name: str, scene: str, views: tuple[View, ...], layout: Grid, request: Request) -> Loaded:
     """Load panels and data. Raises UsageError and RunError."""
-    from topcli.config.sweep.document import load_sweep
+    from topcli.config.sweep import load_sweep
     from topcli.sweeps.run import Watcher, run_sweep
 
     sweep = load_sweep(scene)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from topcli.config.load import any_from
+from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
 from topcli.errors import UsageError, shortened
@@ -84,7 +84,7 @@ def files_block(folder: Path, files: Mapping[str, Any], damage: Mapping[str, str
 def experiment_of(config: Mapping[str, Any]) -> Experiment | None:
     """Experiment of a resolved config, or the first of an ensemble; None if this topcli does not know its parts."""
     try:
-        loaded = any_from(config)
+        loaded = load(config)
     except MALFORMED:
         return None
     return loaded if isinstance(loaded, Experiment) else loaded.first

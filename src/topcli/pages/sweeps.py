@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from topcli.config.problems import Problems
-from topcli.config.sweep.document import MISSING, Sweep
-from topcli.config.sweep.rows import RowReader
+from topcli.config.document import Problems
+from topcli.config.rows import RowReader
+from topcli.config.sweep import MISSING, Sweep
 from topcli.errors import TopcliError
 from topcli.figures.sweep import Choice, curves
 from topcli.pages.contents import UNFINISHED, Chapter, Facts, Picture, Pictures

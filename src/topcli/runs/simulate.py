@@ -10,11 +10,10 @@ import numpy as np
 
 from topcli.analysis.ensemble import Ensemble
 from topcli.analysis.trajectory import Trajectory
-from topcli.config.duration import changed
-from topcli.config.ensemble import EnsembleExperiment, Group, Listed, Members
-from topcli.config.load import any_from, config_data, experiment_from, load_any, load_experiment
-from topcli.config.members import SOURCES
-from topcli.config.models import UNIT_TOLERANCE, Experiment
+from topcli.config.ensemble import SOURCES, EnsembleExperiment, Group, Listed, Members
+from topcli.config.load import load, load_experiment, read_config
+from topcli.config.models import Experiment
+from topcli.config.sections import UNIT_TOLERANCE
 from topcli.contracts import Array, Top
 from topcli.engine.endings import Endings
 from topcli.engine.ensemble import Piece
@@ -86,7 +85,7 @@ def simulate(
     'completed'
     """
     if config is None or isinstance(config, Mapping):
-        return trajectory_of(experiment_from({"name": "simulation", **changed(config or {}, changes)}, overrides))
+        config = {"name": "simulation", **(config or {})}
     return trajectory_of(load_experiment(config, overrides, changes, any_precision=True))
 
 
@@ -202,13 +201,11 @@ def _experiment(
     config: str | Path | Mapping[str, Any] | None, states: Any, overrides: Sequence[str], changes: Mapping[str, Any]
 ) -> EnsembleExperiment:
     if config is None or isinstance(config, Mapping):
-        data = {"name": "simulation", **changed(config or {}, changes)}
-    elif states is None:
-        return _ensemble(load_any(config, overrides, changes))
-    else:
-        data = config_data(config, overrides, changes)
-        overrides = ()
-    return _ensemble(any_from(data, overrides)) if states is None else _from_states(data, states, overrides)
+        config = {"name": "simulation", **(config or {})}
+    if states is None:
+        return _ensemble(load(config, overrides, changes))
+    document, name = read_config(config, overrides, changes)
+    return _from_states({"name": name, **document.data}, states)
 
 
 def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
@@ -219,7 +216,7 @@ def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
     )
 
 
-def _from_states(data: dict[str, Any], states: Any, overrides: Sequence[str]) -> EnsembleExperiment:
+def _from_states(data: dict[str, Any], states: Any) -> EnsembleExperiment:
     """Ensemble from an array of states; the section ``ensemble`` may only say what to store."""
     section = dict(data.pop("ensemble", None) or {})
     if given := [key for key in SOURCES if section.get(key) is not None]:
@@ -240,7 +237,7 @@ def _from_states(data: dict[str, Any], states: Any, overrides: Sequence[str]) ->
         _check_units(top, array)
         data["initial"] = {name: array[0, start:stop].tolist() for name, (start, stop) in top.vectors.items()}
     # an ensemble of the first state alone, so that ``store`` is checked like any other key
-    found = any_from({**data, "ensemble": {**section, "states": [{}]}}, overrides)
+    found = load({**data, "ensemble": {**section, "states": [{}]}})
     assert isinstance(found, EnsembleExperiment)
     d = len(found.top.components)
     if array.shape[1] != d:

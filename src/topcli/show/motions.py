@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from topcli.analysis.motion.of_top import closed_form_top, motion_of
 from topcli.analysis.motion.result import QUANTITIES, Motion
-from topcli.config.duration import changed
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.show.report import Report, draw_panel
 
@@ -117,10 +116,8 @@ def motion(
     2.15473
     """
     if config is None or isinstance(config, Mapping):
-        given = changed(config or {}, changes)
-        length = {} if "T" in given else {"N": 1}
-        experiment = experiment_from({"name": "motion", **IRRELEVANT, **length, **given}, overrides)
-    else:
-        experiment = load_experiment(config, overrides, changes, any_precision=True)
+        length = {} if "T" in {**(config or {}), **changes} else {"N": 1}
+        config = {"name": "motion", **IRRELEVANT, **length, **(config or {})}
+    experiment = load_experiment(config, overrides, changes, any_precision=True)
     found = motion_of(experiment.top, experiment.y0)
     return MotionReport(**{one.name: getattr(found, one.name) for one in fields(found)}, experiment=experiment)

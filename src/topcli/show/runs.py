@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.config.duration import changed
-from topcli.config.load import any_from, load_changed
+from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
@@ -138,7 +137,7 @@ class RunReport(Report):
                 raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
             return draw_panel(*pictures.stored_quantiles(self.folder, self.result.report), ax)
         known = self._require(columns, "plot: ")
-        experiment = any_from(stored.manifest["config"])
+        experiment = load(stored.manifest["config"])
         assert isinstance(experiment, Experiment)
         vectors = list(pictures.vectors_of(known, experiment).values())
         integrals = [one.name for one in (*experiment.top.invariants(), *experiment.modified) if one.name in known]
@@ -219,10 +218,7 @@ def run(
     >>> topcli.run("kowalevski_hybrid", folder, h=0.01, N=1000).status
     'up to date'
     """
-    if isinstance(config, Mapping):
-        found = any_from(changed(config, changes), overrides)
-    else:
-        found = load_changed(config, overrides, changes)
+    found = load(config, overrides, changes, rename=True)
     with Progress(found.name, progress) as bar:
         options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, on_progress=bar)
         return RunReport(run_into(found, Path(out), options))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from topcli.config.sweep.document import load_sweep, sweep_from
+from topcli.config.sweep import load_sweep
 from topcli.errors import UsageError
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
@@ -182,7 +182,7 @@ def sweep(
     >>> found.plot().get_xlabel()
     'h'
     """
-    loaded = sweep_from(file, overrides) if isinstance(file, Mapping) else load_sweep(file, overrides)
+    loaded = load_sweep(file, overrides)
     options = SweepOptions(confirmed=True, retry_failed=retry_failed, threads=threads)
     with Progress(loaded.name, progress, unit="rows") as bar:
         watcher = Watcher(progress=lambda done, total, failed: bar(done, total, f"{failed} failed" if failed else ""))

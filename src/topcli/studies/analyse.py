@@ -15,7 +15,7 @@ from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.uneven import uneven_report
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, nearest, quoted
@@ -333,10 +333,7 @@ def measure(
     UsageError
         For a file that is no such series; the message names row and column.
     """
-    if isinstance(config, Mapping):
-        experiment = experiment_from(config, overrides)
-    else:
-        experiment = load_experiment(config, overrides)
+    experiment = load_experiment(config, overrides, any_precision=isinstance(config, Mapping))
     watch.begin("analyse", experiment)
     return analyse_series(experiment, ForeignSeries(Path(path)), column_map(columns, experiment.top), steps)
 

@@ -14,8 +14,8 @@ from topcli.analysis.order import probe_rows, reversal
 from topcli.analysis.reference import MAX_STEPS, distances
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.trajectory import Trajectory
-from topcli.config.duration import changed
-from topcli.config.load import any_from, is_config, load_any
+from topcli.config.files import is_config
+from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome, Sampler
 from topcli.engine.loop import nanoseconds_per_step
@@ -248,10 +248,7 @@ def measure(
         raise UsageError("compare: name at least one scheme, as in topcli.compare('hk', 'hybrid')")
     own, others = scheme_options(overrides)
     options = {**(options or {}), **own}
-    if isinstance(config, Mapping):
-        experiment = any_from(changed(config, changes), others)
-    else:
-        experiment = load_any(config, others, changes)
+    experiment = load(config, others, changes)
     try:
         if isinstance(experiment, Experiment):
             watch.begin(experiment.name, experiment)

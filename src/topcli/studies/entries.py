@@ -14,10 +14,10 @@ from typing import Any
 
 from pydantic import ValidationError, create_model
 
-from topcli.config.document import describe
+from topcli.config.document import describe, number_of
 from topcli.config.duration import steps_over
-from topcli.config.load import experiment_from
-from topcli.config.models import Experiment, number_of
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
 from topcli.config.overrides import override_label, parse_override
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
@@ -85,7 +85,7 @@ def under_scheme(experiment: Experiment, name: str, options: Mapping[str, Any] |
     resolved["scheme"] = (resolved["scheme"] if own else {}) | {"name": name}
     known = find_scheme(name, experiment.top.form).options.model_fields
     resolved["scheme"] |= {key: value for key, value in (options or {}).items() if key in known}
-    return experiment_from(resolved)
+    return load_experiment(resolved, any_precision=True)
 
 
 def read_entries(

@@ -22,7 +22,7 @@ from topcli.analysis.isospectral import (
 from topcli.analysis.lax import LaxForm, lax_forms, rates
 from topcli.analysis.reference import BODY, reference_states
 from topcli.analysis.trajectory import Trajectory
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top, checked_equations
 from topcli.errors import UsageError, shortened
@@ -80,7 +80,7 @@ def lax_experiment(name: str, config: str | Path | None, sets: Sequence[str]) ->
     else:
         _require_body(top)
         names = names_for(top.form)
-        experiment = experiment_from(
+        experiment = load_experiment(
             {
                 "top": top.kind,
                 "initial": {name: INITIAL[name] for name in top.vectors},

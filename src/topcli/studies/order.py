@@ -15,7 +15,7 @@ import numpy as np
 
 from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order
 from topcli.analysis.reference import reference_states
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
@@ -162,10 +162,7 @@ def ladders(
     if top is not None and config is not None:
         raise UsageError("--top and --config both choose the scene; give one of them")
     wanted = names or (DEFAULT if top is None and config is None else ())
-    if isinstance(config, Mapping):
-        experiment = experiment_from(config, sets, any_precision=False)
-    else:
-        experiment = load_experiment(config or _default_config(wanted, top), sets)
+    experiment = load_experiment(_default_config(wanted, top) if config is None else config, sets)
     own = experiment.duration if config is not None else DURATION
     length = own if duration is None else duration
     if not (math.isfinite(length) and length > 0.0):

@@ -20,7 +20,7 @@ import numpy as np
 
 from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.roundoff import MIN_BLOCKS, BlockMeans, growth
-from topcli.config.load import experiment_from, load_experiment
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Invariant, Outcome, Sampler
 from topcli.engine.loop import Run, nanoseconds_per_step
@@ -225,7 +225,7 @@ def forms_of(experiment: Experiment) -> dict[str, Experiment]:
     resolved = experiment.resolved()
 
     def form(compensated: bool) -> Experiment:
-        return experiment_from(resolved | {"scheme": resolved["scheme"] | {"compensated": compensated}})
+        return load_experiment(resolved | {"scheme": resolved["scheme"] | {"compensated": compensated}})
 
     plain = form(False)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 
-from topcli.config.sweep.rows import Row
+from topcli.config.rows import Row
 from topcli.sweeps.evaluate import Shared
 
 WINDOW = 1 << 14

@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
 
-from topcli.config.sweep.rows import Row
+from topcli.config.rows import Row
 from topcli.errors import RunError, UsageError
 from topcli.schemes.user_code import reason_of
 from topcli.sweeps.evaluate import FAILED, Results, Work, unfinished

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from topcli.config.sweep.document import Sweep
+from topcli.config.sweep import Sweep
 from topcli.errors import UsageError, quoted
 from topcli.schemes.registry import loaded_scheme_files
 from topcli.schemes.user_code import reason_of

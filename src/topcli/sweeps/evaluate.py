@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from topcli.config.document import Document
-from topcli.config.models import Experiment, Output, read_scheme
-from topcli.config.problems import Problems
-from topcli.config.sweep.rows import Row
+from topcli.config.document import Document, Problems
+from topcli.config.models import Experiment, Output
+from topcli.config.rows import Row
+from topcli.config.sections import read_scheme
 from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import RunError, TopcliError
 from topcli.schemes.user_code import users_error

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.config.problems import Problems
-from topcli.config.sweep.document import Sweep
-from topcli.config.sweep.rows import Row, RowReader
+from topcli.config.document import Problems
+from topcli.config.rows import Row, RowReader
+from topcli.config.sweep import Sweep
 from topcli.errors import TopcliError, UnknownNameError
 from topcli.runs.identity import method_fingerprint
 from topcli.sweeps.evaluate import Shared, shared_experiment

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from topcli.config.sweep.document import Sweep
-from topcli.config.sweep.rows import Row, RowReader
+from topcli.config.rows import Row, RowReader
+from topcli.config.sweep import Sweep
 from topcli.store.manifest import SWEEP, json_text, sealed, sha256_of
 from topcli.store.provenance import Commit, environment, now
 from topcli.sweeps.journal import JOURNAL, Index, Journal
@@ -32,7 +32,7 @@ def metadata(sweep: Sweep) -> dict[str, Any]:
         "name": sweep.name,
         "keys": list(sweep.keys),
         "measures": list(sweep.measures),
-        "log": list(sweep.log),
+        "log": sweep.log,
         "drawn": [DRAWN + name for name in sweep.drawn],
         "digest": sweep.digest,
     }

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from topcli.config.load import experiment_from
-from topcli.config.sweep.document import Sweep, load_sweep
-from topcli.config.sweep.rows import Row, RowReader
+from topcli.config.load import load_experiment
+from topcli.config.rows import Row, RowReader
+from topcli.config.sweep import Sweep, load_sweep
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
 from topcli.store.checkpoint import sync
@@ -324,7 +324,7 @@ class _Runner:
         from topcli.runs.run import run_experiment
 
         try:
-            experiment = experiment_from(row.config(row.digest[:16]))
+            experiment = load_experiment(row.config(row.digest[:16]))
             run_experiment(experiment, self.folder / SERIES, RunOptions(stop=self.watcher.stop))
         except TopcliError as error:
             self.watcher.message(f"warning: row {row.number}: its series cannot be stored: {error}")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
 from topcli.analysis.trajectory import Trajectory
-from topcli.config.load import experiment_from
+from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Sampler, Stepper, Top
 from topcli.engine.driver import Loop, loop_of
@@ -68,7 +68,7 @@ class Case:
     def experiment(self, scheme: str, options: Mapping[str, Any] | None = None) -> Experiment:
         """Return the case as an experiment with ``scheme``. Raises UsageError for unknown names and options."""
         name = f"stress_{self.name}".replace("-", "_")
-        return experiment_from({"name": name, "scheme": {"name": scheme, **(options or {})}, **self.config()})
+        return load_experiment({"name": name, "scheme": {"name": scheme, **(options or {})}, **self.config()})
 
 
 class CaseCache:

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from topcli.config.load import experiment_from
+from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
 from topcli.studies.bench.peers import NoResultError
 
@@ -65,7 +65,7 @@ class Worker:
 
     def start(self, module: str, config: dict[str, Any], span: float, intervals: int) -> list[tuple[Any, ...]]:
         """Load a peer for a problem; return the name, the parameter and the values of each variant."""
-        experiment = experiment_from(config)
+        experiment = load_experiment(config)
         times = np.arange(intervals + 1) * (span / intervals)
         variants = import_module(module).variants(PeerProblem(experiment.top, np.array(experiment.y0), times))
         self._variants: dict[str, Variant] = {variant.name: variant for variant in variants}

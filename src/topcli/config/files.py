@@ -1,0 +1,149 @@
+"""Files of configs and sweeps: found by path or name, and read as documents."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import os
+import stat
+from pathlib import Path
+
+from topcli.config.document import Document, KeyPath, describe, plain
+from topcli.config.yaml_text import parse_yaml
+from topcli.errors import ConfigError, UnknownNameError, nearest, quoted, shortened
+
+MAX_BYTES = 1_000_000
+SUFFIXES = (".yaml", ".yml", ".toml")
+
+
+def scene_folder() -> Path:
+    """Folder of the scenes: inside the package if a wheel installed it, otherwise ``configs`` of the checkout."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "scenes"
+    return inside if inside.is_dir() else package.parents[1] / "configs"
+
+
+def scene_files() -> dict[str, Path]:
+    """Files of the packaged scenes by name; a scene is a config that needs no path."""
+    folder = scene_folder()
+    if not folder.is_dir():
+        return {}
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix in SUFFIXES}
+
+
+def first_sentence(path: Path) -> str:
+    """Return the first sentence of the comment at the top of a config; empty if there is none."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines())
+    words = " ".join(line.removeprefix("#").strip() for line in lines)
+    return words.split(". ")[0].removesuffix(".")
+
+
+def sweep_files() -> dict[str, Path]:
+    """Files of the packaged sweeps by name."""
+    folder = scene_folder() / "sweeps"
+    return {path.stem: path for path in sorted(folder.iterdir())} if folder.is_dir() else {}
+
+
+def find_config(source: Path | str, sweep: bool = False) -> Path:
+    """Return the file of ``source``: itself if it is named like a config, otherwise the scene or ``sweep`` called so.
+
+    Scenes are matched without case, and with - for _. Raises UnknownNameError with the nearest scenes.
+    """
+    path, text = Path(source), os.fspath(source)
+    if not text or path.suffix or os.sep in text or "/" in text:
+        return path  # reading it reports what is wrong with it
+    packaged, kind = (sweep_files(), "sweep") if sweep else (scene_files(), "scene")
+    wanted = text.lower().replace("-", "_")
+    for name, file in packaged.items():
+        if name.lower().replace("-", "_") == wanted:
+            return file
+    files = [text + suffix for suffix in SUFFIXES if os.path.isfile(text + suffix)]
+    near = f"did you mean the file {files[0]}?" if files else nearest(wanted, packaged, f"topcli list {kind}s")
+    raise UnknownNameError(f"no packaged {kind} is called {quoted(text)} (files end in .yaml, .yml or .toml); {near}")
+
+
+def is_config(name: str) -> bool:
+    """True if ``name`` is that of an existing config file or of a packaged scene."""
+    try:
+        return os.path.isfile(find_config(name))
+    except UnknownNameError:
+        return False
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a config file, with line ends as ``\\n`` and without a byte-order mark.
+
+    Raises ConfigError for a missing file (with the nearest names beside it), a folder, a special, unreadable
+    or too large file, and for bytes that are not UTF-8 text.
+    """
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise ConfigError(f"{path}: is a folder; give a config file (.yaml, .yml or .toml)")
+        if not stat.S_ISREG(status.st_mode):
+            raise ConfigError(f"{path}: is not a regular file; give a config file (.yaml, .yml or .toml)")
+        if status.st_size > MAX_BYTES:
+            raise ConfigError(f"{path}: {status.st_size} bytes; a config is at most {MAX_BYTES}")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file{_files_nearby(path)}") from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ConfigError(f"{path}: cannot be read: {reason}") from None
+    if b"\0" in content:
+        raise ConfigError(f"{path}: is a binary file; a config is UTF-8 text")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ConfigError(
+            f"{path}:{line}: is not UTF-8 text (byte 0x{content[error.start]:02x}); a config is UTF-8 text"
+        ) from None
+    return text.replace("\r\n", "\n")
+
+
+def _files_nearby(path: Path) -> str:
+    """End of a message about a missing file: the configs in its folder; empty if there are none."""
+    try:
+        names = sorted(entry for entry in os.listdir(path.parent) if entry.endswith(SUFFIXES))
+    except (OSError, ValueError):
+        return f"; nor is there a folder {path.parent}"
+    # by their stems, because the common ending makes any two names look alike
+    stems = {Path(name).stem: name for name in names}
+    close = [stems[stem] for stem in difflib.get_close_matches(path.stem, stems, n=2)]
+    if close:
+        return f"; did you mean {' or '.join(map(quoted, close))}?"
+    return (
+        f"; configs there: {', '.join(map(shortened, names[:5]))}{', ...' if len(names) > 5 else ''}" if names else ""
+    )
+
+
+def read_document(path: Path) -> Document:
+    """Read a YAML or TOML config file.
+
+    Raises ConfigError with ``file:line:column`` for wrong syntax, and as ``read_text`` does.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        inside = path / "config.yaml"
+        known = (
+            f"; that of this run is {inside}" if os.path.isfile(inside) else "; its name ends in .yaml, .yml or .toml"
+        )
+        raise ConfigError(f"{path}: not a config{known}")
+    text = read_text(path)
+    if suffix == ".toml":
+        from topcli.config.toml_text import parse_toml
+
+        data, lines = parse_toml(text, str(path))
+    else:
+        data, lines = parse_yaml(text, str(path))
+    if data is None or data == {}:
+        raise ConfigError(f"{path}: is empty; `topcli init` writes a config to start from")
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}:1: a config is a list of `key: value` lines, not {describe(data)}")
+    places: dict[KeyPath, str] = {key: f"{path}:{line}" for key, line in lines.items()}
+    places.setdefault((), f"{path}:{min(lines.values(), default=1)}")
+    document = Document(data, places)
+    if suffix == ".toml":  # which has dates, and no bounds
+        document.data = plain(data, document)
+    return document

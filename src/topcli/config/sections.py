@@ -1,0 +1,210 @@
+"""The sections ``top``, ``scheme`` and ``initial``, and the recorded columns: their keys depend on the top."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import chain
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field, PlainValidator, create_model
+
+from topcli.analysis.attitude import ATTITUDES
+from topcli.analysis.columns import spellings
+from topcli.config.document import STRICT, KeyPath, Problems, describe, number_of, validate
+from topcli.config.models import Output
+from topcli.contracts import Invariant, Scheme, Top
+from topcli.errors import nearest, quoted
+from topcli.schemes.compose import COMPOSITIONS
+from topcli.schemes.registry import composed, find_scheme, names_for
+from topcli.tops import top_class, top_names
+
+UNIT_TOLERANCE = 1e-12
+"""Deviation of the square of a unit vector from 1 that is accepted."""
+AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
+"""Texts for a component that completes a unit vector, with the component's sign."""
+
+
+def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top] | None, Top | None]:
+    """Return the class of the top, and the top with its parameters; None for each that cannot be read.
+
+    The vectors named in ``initial`` choose among the forms of a top.
+    """
+    section = _named_section(raw, "top", "kind", top_names, problems)
+    if section is None:
+        return None, None
+    kind, where, parameters = section
+    with problems.at(*where):
+        cls = top_class(kind, [key for key in initial if key != "normalize"] if isinstance(initial, dict) else ())
+        return cls, validate(cls, parameters, ("top",), problems, beside=("kind",))
+    return None, None
+
+
+def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme, BaseModel] | None:
+    """Return the scheme for tops of class ``cls``, composed if ``compose`` is given, and its options."""
+    section = _named_section(raw, "scheme", "name", lambda: names_for(cls.form), problems)
+    if section is None:
+        return None
+    name, where, given = section
+    scheme = None
+    with problems.at(*where):
+        scheme = find_scheme(name, cls.form)
+    if scheme is not None and "compose" in given:
+        simple, scheme = scheme, None
+        with problems.at("scheme", "compose"):
+            if not isinstance(compose := given["compose"], str):
+                raise ValueError(f"must be a name ({', '.join(COMPOSITIONS)}), not {describe(compose)}")
+            scheme = composed(simple, compose)
+    if scheme is None:
+        return None
+    options = validate(scheme.options, given, ("scheme",), problems, beside=("name", "compose"))
+    return None if options is None else (scheme, options)
+
+
+def _named_section(
+    raw: object, section: str, key: str, names: Callable[[], list[str]], problems: Problems
+) -> tuple[str, KeyPath, dict[str, Any]] | None:
+    """Return the name, its path and the whole section, from a bare name or a section with ``key``.
+
+    ``names`` lists the known names and is called only for a message.
+    """
+    if isinstance(raw, str):
+        return raw, (section,), {key: raw}
+    if isinstance(raw, dict) and isinstance(raw.get(key), str):
+        return raw[key], (section, key), raw
+    known = ", ".join(names())
+    if not isinstance(raw, dict):
+        problems.add((section,), f"must be a name ({known}) or a section with {key!r}, not {describe(raw)}")
+    elif key not in raw:
+        near = [other for other in raw if other.lower() == key]
+        missing = f"{key!r} is missing; known: {known}"
+        problems.add((section,), f"{near[0]!r} should be {key!r}" if near else missing)
+    else:
+        problems.add((section, key), f"must be a name ({known}), not {describe(raw[key])}")
+    return None
+
+
+@dataclass(frozen=True)
+class Vector:
+    """Type of a vector of the initial state: finite numbers; a unit vector may be completed or scaled."""
+
+    name: str
+    components: tuple[str, ...]
+    unit: bool
+
+    @property
+    def type(self) -> Any:
+        """Annotation of a field of pydantic."""
+        size, number = len(self.components), float | Literal["auto", "+auto", "-auto"] if self.unit else float
+        numbers = Annotated[list[number], Field(min_length=size, max_length=size)]  # type: ignore[valid-type]
+        return Annotated[
+            list[float],
+            PlainValidator(
+                lambda raw, info: self.read(raw, info.data.get("normalize", False)), json_schema_input_type=numbers
+            ),
+        ]
+
+    @property
+    def description(self) -> str:
+        """Components and how they may be given."""
+        auto = "; auto completes it to a unit vector, -auto with a minus sign" if self.unit else ""
+        return f"({', '.join(self.components)}){auto}"
+
+    def read(self, raw: object, normalize: bool) -> list[float]:
+        """Return the vector, completed, or scaled if it is to be normalized. Raises ValueError."""
+        if not isinstance(raw, list) or len(raw) != len(self.components):
+            given = len(raw) if isinstance(raw, list) else describe(raw)
+            wanted = f"{len(self.components)} numbers ({', '.join(self.components)})"
+            raise ValueError(f"must be a list of {wanted}, not {given}")
+        signs = {i: AUTO[x] for i, x in enumerate(raw) if self.unit and isinstance(x, str) and x in AUTO}
+        vector = [signs[i] if i in signs else number_of(x) for i, x in enumerate(raw)]
+        for component, given, number in zip(self.components, raw, vector, strict=True):
+            if number is None:
+                words = ", or auto, +auto, -auto" if self.unit else ""
+                raise ValueError(f"{component} must be a number{words}, not {describe(given)}")
+            if not math.isfinite(number):
+                raise ValueError(f"{component} must be a finite number, not {describe(given)}")
+        if len(signs) > 1:
+            raise ValueError(f"only one component may be auto, not {len(signs)}")
+        return self._unit(vector, signs, normalize) if self.unit else vector
+
+    def _unit(self, vector: list[float], signs: dict[int, float], normalize: bool) -> list[float]:
+        """Return ``vector`` of unit length: completed at the place in ``signs``, scaled, or as it is."""
+        for auto, sign in signs.items():
+            rest = sum(value * value for i, value in enumerate(vector) if i != auto)
+            if rest > 1.0 + UNIT_TOLERANCE:
+                others = f"the squares of the others sum to {rest:.15g} > 1"
+                raise ValueError(f"auto cannot make it a unit vector: {others}; make them smaller")
+            size = math.sqrt(max(1.0 - rest, 0.0))
+            vector[auto] = math.copysign(size, sign) if size else 0.0
+            return vector
+        if normalize:
+            largest = max(map(abs, vector))
+            if largest == 0.0:
+                raise ValueError("is the zero vector, which has no direction to normalize")
+            scaled = [value / largest for value in vector]  # first, so that no square over- or underflows
+            length = math.hypot(*scaled)
+            return [value / length for value in scaled]
+        square = sum(value * value for value in vector)
+        if abs(square - 1.0) > UNIT_TOLERANCE:
+            raise ValueError(
+                f"must be a unit vector: {self.name}² = {square:.15g} is off by {square - 1.0:.3g} (allowed: "
+                f"{UNIT_TOLERANCE:g}); write one component as auto, or set initial.normalize: true"
+            )
+        return vector
+
+
+def vectors_of(cls: type[Top]) -> list[Vector]:
+    """Vectors of the initial state of tops of class ``cls``."""
+    return [
+        Vector(name, cls.components[start:stop], name in cls.unit_vectors)
+        for name, (start, stop) in cls.vectors.items()
+    ]
+
+
+@cache
+def initial_model(cls: type[Top]) -> type[BaseModel]:
+    """Model of the section ``initial`` for tops of class ``cls``."""
+    vectors: dict[str, Any] = {
+        vector.name: (vector.type, Field(description=vector.description)) for vector in vectors_of(cls)
+    }
+    scaled = f"true scales {', '.join(cls.unit_vectors) or 'the unit vectors'} to unit length"
+    normalize = (bool, Field(default=False, description=scaled))  # first, because the vectors depend on it
+    return create_model("Initial", __config__=STRICT, normalize=normalize, **vectors)
+
+
+def read_initial(
+    raw: object, cls: type[Top], problems: Problems, path: KeyPath = ("initial",)
+) -> tuple[float, ...] | None:
+    """Return the initial state in the order of the top's components, its unit vectors completed and checked."""
+    initial = validate(initial_model(cls), raw, path, problems)
+    return None if initial is None else tuple(chain.from_iterable(getattr(initial, name) for name in cls.vectors))
+
+
+def read_columns(
+    output: Output, components: Sequence[str], integrals: Sequence[Invariant], problems: Problems
+) -> tuple[str, ...] | None:
+    """Names of the columns of ``output``, each given by its name or by the symbol that reports print."""
+    given = output.columns
+    if given is None:
+        return None
+    plain = {name: name for name in ("n", "t", *components, *output.attitude_columns)}
+    names = {text: one.name for one in integrals for text in spellings(one.name, one.symbol)} | plain
+    found: list[str] = []
+    for text in given:
+        name = names.get(text)
+        form = next((form for form, columns in ATTITUDES.items() if text in columns), None)
+        if name is None and form:
+            problems.add(("output", "columns"), f"{quoted(text)} needs output.attitude: {form}")
+        elif name is None:
+            near = nearest(text, names)
+            if near.startswith("known"):
+                near = f"known: {', '.join([*plain, *(f'{one.name} ({one.symbol})' for one in integrals)])}"
+            problems.add(("output", "columns"), f"unknown column {quoted(text)}; {near}")
+        elif name in found:
+            problems.add(("output", "columns"), f"names {quoted(name)} twice")
+        else:
+            found.append(name)
+    return tuple(found)

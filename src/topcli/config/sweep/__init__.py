@@ -1,1 +1,0 @@
-"""Sweep files: from YAML or TOML to validated rows."""
