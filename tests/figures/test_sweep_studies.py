@@ -52,9 +52,15 @@ def figure(tmp_path: Path) -> Figure:
 
 
 def test_views_draw_their_rows(figure: Figure, tmp_path: Path) -> None:
-    loaded = figure.load(Request(tmp_path / "results"))
+    """And run no others; progress counts those that are run."""
+    progress: list[tuple[int, int]] = []
+    loaded = figure.load(Request(tmp_path / "results", on_progress=lambda *parts: progress.append(parts)))
     picture = draw(loaded.panels, loaded.data(), loaded.layout)
     rows = pq.read_table(tmp_path / "results" / "small" / "rows.parquet").to_pylist()
+    for row in rows:
+        seen = row["top.A"] == 2.5 or row["scheme"] == "hk"
+        assert (row["outcome"] == "completed", row["error.max"] is not None) == (seen, seen)
+    assert sorted(progress)[-1] == (9, 9)
     left, right = picture.axes
     assert (left.get_xlabel(), left.get_ylabel(), right.get_xlabel()) == ("$h$", "error", "top.A")
     assert [axes.get_title(loc="left") for axes in (left, right)] == ["(a) upper", "(b) lower"]
@@ -120,14 +126,20 @@ def test_the_random_tops_are_drawn_by_medians_and_quartiles(tmp_path: Path, monk
             assert (bar[0][1], bar[1][1]) == pytest.approx((ordered[1], ordered[3]), rel=1e-12)
 
 
+ERRORS = ["hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "dmv", "backlund", "exact", "rk4", "taylor"]
+
+
 def test_one_legend_has_the_slopes_in_all_panels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of hk in both panels, of rk2 in the first alone, of neither for a scheme that chooses its own steps."""
+    """Of most schemes in both panels, of rk4 in the first alone, of neither for a scheme that chooses its own steps.
+
+    Other schemes of the sweep are not drawn.
+    """
     sizes = [0.1 * 2.0**-k for k in range(8)]
-    rows = [(scheme, h) for scheme in ("hk", "rk2", "taylor") for h in sizes]
+    rows = [(scheme, h) for scheme in ("midpoint", *ERRORS, "dg4") for h in sizes]
     keys = {"scheme": [scheme for scheme, _ in rows], "h": [h for _, h in rows]}
     measures = {
-        "error.max": [h**2 if scheme != "rk2" else h**3 for scheme, h in rows],
-        "deviation.energy": [h**4 if scheme != "rk2" else 1e-15 for scheme, h in rows],
+        "error.max": [h**2 if scheme != "rk4" else h**3 for scheme, h in rows],
+        "deviation.energy": [h**4 if scheme != "rk4" else 1e-15 for scheme, h in rows],
     }
     folder = write_rows(tmp_path / "kowalevski_errors", keys, measures, log=["h"])
     result = SimpleNamespace(folder=folder, outcomes={"completed": len(rows)})
@@ -137,7 +149,10 @@ def test_one_legend_has_the_slopes_in_all_panels(tmp_path: Path, monkeypatch: py
     assert [axes.get_legend() for axes in picture.axes] == [None, None]
     (legend,) = picture.legends
     handles = dict(zip([text.get_text() for text in legend.get_texts()], legend.get_lines(), strict=True))
-    assert list(handles) == ["hk: 2.00, 4.00", "rk2: 3.00, –", "taylor", "round-off"]
+    slopes = dict.fromkeys(ERRORS, ": 2.00, 4.00") | {"rk4": ": 3.00, –", "taylor": ""}
+    assert list(handles) == [*(f"{name}{slope}" for name, slope in slopes.items()), "round-off"]
     assert legend.get_title().get_text() == "scheme: slopes in (a), (b)"
-    for name, line in zip(handles, picture.axes[0].lines, strict=False):
-        assert (handles[name].get_color(), handles[name].get_marker()) == (line.get_color(), line.get_marker())
+    shown = {str(line.get_label()).partition(":")[0]: line for line in picture.axes[0].lines}
+    for name, handle in list(handles.items())[:-1]:
+        line = shown[name.partition(":")[0]]
+        assert (handle.get_color(), handle.get_marker()) == (line.get_color(), line.get_marker())
