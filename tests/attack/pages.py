@@ -18,7 +18,8 @@ from attack.judge import Finding
 from attack.scenes import Scenes
 from attack.studies import SWEEP
 from attack.verified import comparison
-from topcli.store.manifest import sealed
+from topcli.store.files import sealed
+from topcli.store.manifest import MANIFEST_SEAL
 
 SECRET = "c2VjcmV0: 7f3a91"
 PAYLOADS = (
@@ -91,7 +92,7 @@ def _poison(draw: random.Random, path: Path) -> None:
     if path.suffix == ".json":
         data = poisoned(draw, json.loads(path.read_bytes()), draw.choice((0.05, 0.3, 1.0)))
         if path.name == "manifest.json" and draw.random() < 0.8:
-            data = sealed(data)
+            data = sealed(data, MANIFEST_SEAL)
         path.write_text(json.dumps(data), encoding="utf-8")
     elif path.suffix in (".yaml", ".md", ".jsonl"):
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -105,7 +106,9 @@ def _lead_elsewhere(draw: random.Random, path: Path, elsewhere: Path) -> None:
     if path.suffix == ".json":
         data = json.loads(path.read_bytes())
         data = {key: SECRET if isinstance(value, str) else value for key, value in data.items()}
-        target.write_text(json.dumps(sealed(data) if path.name == "manifest.json" else data), encoding="utf-8")
+        target.write_text(
+            json.dumps(sealed(data, MANIFEST_SEAL) if path.name == "manifest.json" else data), encoding="utf-8"
+        )
     elif path.suffix in (".yaml", ".md"):
         target.write_text(f"{SECRET}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
     else:

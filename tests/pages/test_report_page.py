@@ -34,8 +34,8 @@ from topcli.pages.page import page_of, rendered
 from topcli.pages.pictures import before_explosion, deviations
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
+from topcli.store.files import write_study
 from topcli.store.series import read_series
-from topcli.store.study import write_study
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
 

@@ -22,8 +22,8 @@ from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import MANIFEST, DamagedRun, look, stored_run, stored_runs
-from topcli.store.parts import LOCK, new_part, owner, parts_of, remove_own
+from topcli.store.manifest import MANIFEST, DamagedRun, read_run, stored_run, stored_runs
+from topcli.store.parts import LOCK, new_part, owner, remove_own, remove_remains
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -91,7 +91,7 @@ def test_damaged_manifest_is_reported_as_damage(cli, in_tmp: Path, monkeypatch: 
     run_experiment(small("name=fine"), results)
     text = HOSTILE[kind](json.loads((folder / MANIFEST).read_text()))
     (folder / MANIFEST).write_bytes(text.encode("utf-8", "surrogateescape"))
-    found = look(folder)
+    found = read_run(folder)
     assert isinstance(found, DamagedRun)
     assert len(found.reason) < 300
     assert found.reason.isprintable()
@@ -112,7 +112,7 @@ def test_damaged_manifest_is_reported_as_damage(cli, in_tmp: Path, monkeypatch: 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
 def test_a_named_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / MANIFEST)
-    assert look(tmp_path) == DamagedRun(tmp_path, f"{MANIFEST}: no regular file")
+    assert read_run(tmp_path) == DamagedRun(tmp_path, f"{MANIFEST}: no regular file")
 
 
 @pytest.mark.slow
@@ -179,11 +179,11 @@ def test_a_resume_that_fails_at_the_start_keeps_the_checkpoint(tmp_path: Path, m
     left = killed(tmp_path, small(), 9)
     before = (left / CHECKPOINT).read_bytes()
 
-    def fails(folder: Path) -> None:
+    def fails(*paths: Path) -> None:
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as patched:
-        patched.setattr("topcli.store.run_folder.stored_run", fails)
+        patched.setattr(os, "rename", fails)
         with pytest.raises(RunError, match="last checkpoint holds is kept"):
             run_experiment(small(), tmp_path, RunOptions(resume=True))
     (kept,) = tmp_path.glob(f".{NAME}.part-*/{CHECKPOINT}")
@@ -197,7 +197,7 @@ def test_dead_parts_are_swept_of_our_own_files_alone(tmp_path: Path) -> None:
     for name in ("series.parquet", "report.json", "reserve", ".checkpoint.npz"):
         (part / name).write_text("x")
     (part / "thesis.tex").write_text("years of work")
-    parts_of(tmp_path, NAME)
+    remove_remains(tmp_path, NAME)
     assert [path.name for path in part.iterdir()] == ["thesis.tex"]
     (part / "thesis.tex").unlink()
     remove_own(part)

@@ -23,7 +23,7 @@ from topcli.runs.run import run_experiment
 from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
-from topcli.store.parts import lock_left, lock_new, new_part, parts_of
+from topcli.store.parts import lock_new, new_part, parts_of, take_lock
 from topcli.store.series import GrowingFile, SeriesWriter, read_metadata, read_series
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
@@ -252,15 +252,15 @@ def test_lock_belongs_to_a_living_process(tmp_path: Path, monkeypatch: pytest.Mo
         monkeypatch.setattr(parts, "fcntl", None)
     folder = new_part(tmp_path, "x")
     folder.mkdir()
-    assert lock_left(folder) is None, "just made by a living process"
+    assert take_lock(folder) is None, "just made by a living process"
     mine = lock_new(folder, {"digest": "d"})
     assert parts.owner(folder) == {"pid": os.getpid(), "digest": "d"}
-    assert lock_left(folder) is None
+    assert take_lock(folder) is None
     mine.release()
     mine.release()
     if not locks:
         (folder / "lock").write_text('{"pid": 999999999}')
-    again = lock_left(folder, {"digest": "e"})
+    again = take_lock(folder, {"digest": "e"})
     assert again is not None
     assert parts.owner(folder)["digest"] == "e"
     again.release()

@@ -18,7 +18,8 @@ from topcli.runs.ensemble import run_ensemble
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import run_folder
-from topcli.store.manifest import sealed, stored_run
+from topcli.store.files import sealed
+from topcli.store.manifest import MANIFEST_SEAL, stored_run
 from topcli.store.series import copy_series, read_series, write_parquet
 
 BASE = ["h=0.01", "N=300"]
@@ -229,7 +230,7 @@ def test_an_unfinished_run_is_continued_in_its_own_format(tmp_path: Path, small_
 
 def test_a_run_with_a_digest_of_an_earlier_version_is_refused_by_name(tmp_path: Path) -> None:
     stored = run_experiment(experiment(), tmp_path).stored
-    old = sealed({**stored.manifest, "digest": "0" * 64})
+    old = sealed({**stored.manifest, "digest": "0" * 64}, MANIFEST_SEAL)
     (stored.folder / "manifest.json").write_text(json.dumps(old))
     with pytest.raises(UsageError, match="this experiment as identified by another version of topcli"):
         run_experiment(experiment(), tmp_path)

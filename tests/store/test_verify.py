@@ -15,7 +15,7 @@ from topcli.runs.run import run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.footer import UNFINISHED
-from topcli.store.manifest import MANIFEST, stored_run
+from topcli.store.manifest import MANIFEST
 from topcli.store.series import read_series
 from topcli.store.verify import check_run
 
@@ -75,7 +75,7 @@ def test_large_files_are_compared_by_size_before_a_run_counts_as_up_to_date(
     flip(run.series, 1000)
     for limit in (run.series.stat().st_size - 1, run.series.stat().st_size):
         monkeypatch.setattr(manifest_module, "CHECKED_AT_ONCE", limit)
-        assert run.up_to_date(small().digest, run.manifest["code"]) == (limit < run.series.stat().st_size)
+        assert run.up_to_date({**run.manifest, "digest": small().digest}) == (limit < run.series.stat().st_size)
     assert run.damage() == {"series.parquet": "its SHA-256 differs from the manifest's"}
 
 
@@ -185,20 +185,6 @@ def test_verify_of_nothing_is_a_usage_error(cli, in_tmp: Path) -> None:
         said = cli("verify", name)
         assert said.code == 2
         assert len(said.err) < 1000
-
-
-def test_manifests_without_checksums_are_still_read(tmp_path: Path) -> None:
-    """Runs of the first version list sizes alone."""
-    run = run_experiment(small(), tmp_path).stored
-    old = {**run.manifest, "manifest_version": 1}
-    old["files"] = {name: entry["size"] for name, entry in run.manifest["files"].items()}
-    (run.folder / MANIFEST).write_text(json.dumps(old))
-    assert run_experiment(small(), tmp_path).status == "up to date"
-    assert not check_run(run.folder).damaged
-    flip(run.series, 200)
-    assert check_run(run.folder).damaged, "its pages have checksums"
-    (run.folder / "report.md").write_text("")
-    assert stored_run(run.folder).damage() == {"report.md": f"0 bytes, not {old['files']['report.md']}"}
 
 
 @pytest.mark.parametrize(

@@ -123,8 +123,8 @@ def bench(
 
     Every scheme and peer runs over a ladder of step sizes or tolerances.
     """
+    from topcli.store.files import require_writable
     from topcli.store.provenance import now
-    from topcli.store.run_folder import require_writable
     from topcli.studies.bench.contest import bench_problems
     from topcli.studies.bench.measure import Effort, code_of
     from topcli.studies.bench.measure import bench as measure

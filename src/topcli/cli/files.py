@@ -24,7 +24,7 @@ def require_new(path: Path, force: bool, option: str = "--out") -> None:
 def write_text(text: str, path: Path, option: str = "--out") -> None:
     """Write a file whole or not at all, and its folder if there is none. Raises UsageError."""
     from topcli.errors import UsageError
-    from topcli.store.run_folder import write_whole
+    from topcli.store.files import write_whole
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

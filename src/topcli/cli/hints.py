@@ -27,11 +27,13 @@ def hint_instead(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[N
 
 def stored_folder(name: str, results: Path) -> Path | None:
     """Folder of a run or sweep that ``name`` is the path of, or its name in ``results``; None if there is none."""
-    from topcli.store.manifest import look
+    from topcli.store.manifest import read_run
     from topcli.sweeps.run import is_sweep
 
     folders = (Path(name), results / name) if name else ()
-    return next((folder for folder in folders if os.path.isdir(folder) and (look(folder) or is_sweep(folder))), None)
+    return next(
+        (folder for folder in folders if os.path.isdir(folder) and (read_run(folder) or is_sweep(folder))), None
+    )
 
 
 def plot_hint(name: str, results: Path) -> str:

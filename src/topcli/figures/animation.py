@@ -31,7 +31,7 @@ from topcli.figures.body import (
 )
 from topcli.figures.body_motion import BodyMotion
 from topcli.figures.picture import STYLE, scheme_label
-from topcli.store.run_folder import io_failure, require_writable, write_whole
+from topcli.store.files import io_failure, require_writable, write_whole
 
 FORMATS = (".gif", ".mp4")
 SMOOTH_TURN = 0.12

@@ -17,7 +17,7 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome
 from topcli.errors import ConfigError, RunError, UsageError, nearest
-from topcli.store.manifest import DamagedRun, StoredRun, all_runs, look
+from topcli.store.manifest import DamagedRun, StoredRun, all_runs, read_run
 from topcli.store.parts import is_part, parts_of
 from topcli.store.series import read_series
 
@@ -76,7 +76,7 @@ def stored_body_motion(folder: Path) -> BodyMotion:
 
 def _intact(folder: Path) -> StoredRun:
     """The run in ``folder``, with all its checksums compared."""
-    run = look(folder)
+    run = read_run(folder)
     if isinstance(run, DamagedRun):
         raise RunError(f"{folder}: {run.reason}; run again with --force")
     if run is None:

@@ -23,8 +23,8 @@ from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import Grid, Styles, looks
 from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
+from topcli.store.files import stored_study, write_study
 from topcli.store.provenance import environment
-from topcli.store.study import stored_study, write_study
 from topcli.studies.bench.contest import Problem
 from topcli.studies.bench.measure import Effort, SchemeCompetitor, as_rows, explore, time_all
 from topcli.studies.entries import scheme_with

@@ -21,7 +21,7 @@ from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import RunError, TopcliError, UsageError, clipped
 from topcli.figures.picture import DEFAULT_FORMATS, STYLE, Drawable, Grid, draw, exact_column, save
-from topcli.store.run_folder import io_failure, require_writable, write_whole
+from topcli.store.files import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, write_parquet
 
 SOURCE = "topcli.figure.source"

@@ -19,7 +19,7 @@ from topcli.errors import RunError, UsageError
 from topcli.figures.curves import LINEAR, LOG, SYMLOG, Axis, CurvePanel, HeatPanel, curve_column, plain
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid
-from topcli.store.manifest import sha256_of
+from topcli.store.files import sha256_of
 from topcli.sweeps.rows import SweepRows, key_labels, read_rows
 from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_groups
 from topcli.sweeps.table_text import left_out

@@ -15,9 +15,9 @@ from topcli.pages.runs import damaged_chapter, part_chapter, run_chapter
 from topcli.pages.studies import bench_chapter, claims_chapter
 from topcli.pages.study import study_chapter
 from topcli.pages.sweeps import sweep_chapter
-from topcli.store.manifest import MANIFEST, DamagedError, DamagedRun, StoredRun, look, read_json
+from topcli.store.files import SEAL, DamagedError, check_study, read_json
+from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run
 from topcli.store.parts import is_part, linked_file, parts_of
-from topcli.store.study import SEAL, check_study
 from topcli.studies.study import STUDIES, find_study, stored_result
 from topcli.sweeps.rows import ROWS
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
@@ -83,7 +83,7 @@ def _of_folder(folder: Path, name: str) -> Chapter:
         chapter = Chapter(folder.name, "run")
         chapter.damaged([f"{link.name}: is not a regular file; nothing of this folder is shown"])
         return chapter
-    run = look(folder)
+    run = read_run(folder)
     if isinstance(run, StoredRun):
         return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
     if is_sweep(folder) or (folder / ROWS).exists():
@@ -100,7 +100,7 @@ def _of_folder(folder: Path, name: str) -> Chapter:
             return _of_file(folder / file, name)
     if any((folder / file).exists() for file in _RUN_FILES):
         return damaged_chapter(DamagedRun(folder, f"{MANIFEST}: missing; the run is not finished"), name)
-    inside = [entry.name for entry in sorted(folder.iterdir()) if look(entry) or is_sweep(entry)]
+    inside = [entry.name for entry in sorted(folder.iterdir()) if read_run(entry) or is_sweep(entry)]
     hint = f"; name what is in it, such as {folder / inside[0]}" if inside else ""
     raise UsageError(f"{folder}: no run, sweep or study is stored here{hint}")
 

@@ -14,7 +14,8 @@ from topcli.pages.pictures import quantile_pictures, series_pictures
 from topcli.runs.report import INVARIANTS, comparison_lines, ensemble_table, precision_note, warning_of
 from topcli.runs.resume import OUTSIDE_IDENTITY, flattened
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import MANIFEST, REPORT, DamagedError, DamagedRun, StoredRun, read_json
+from topcli.store.files import DamagedError, read_json
+from topcli.store.manifest import MANIFEST, REPORT, DamagedRun, StoredRun
 from topcli.store.parts import Part
 from topcli.table import Cells
 

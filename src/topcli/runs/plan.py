@@ -74,7 +74,7 @@ def plan_run(identity: Identity, out: Path, options: RunOptions, source: Source 
     begin = f"will continue from step {source.done}" if source else "will run"
     if existing is None:
         return Plan(None, False, begin)
-    if not existing.same_experiment(digest):
+    if existing.manifest["digest"] != digest:
         if not options.force and source is None:
             if differs := difference(existing.manifest["config"], identity.config):
                 holds = f"a different experiment ({differs})"
@@ -90,7 +90,7 @@ def plan_run(identity: Identity, out: Path, options: RunOptions, source: Source 
         return Plan(existing, False, f"{begin}; the existing different run is renamed, not overwritten")
     failed = existing.outcome is not Outcome.COMPLETED
     largest, suffix = CHECKED_AT_ONCE, identity.config["output"]["format"]
-    if not options.force and not (failed and options.retry_failed) and existing.up_to_date(digest, identity.code):
+    if not options.force and not (failed and options.retry_failed) and existing.up_to_date(identity.digests):
         if existing.series.suffix == f".{suffix}":
             return Plan(existing, True, f"up to date; {retry_hint(existing)}" if failed else "up to date")
         largest = None  # a rewritten file gets a checksum of its own, so the earlier one must be whole

@@ -100,7 +100,7 @@ def find_source(identity: Identity, out: Path) -> Source | None:
     """
     name, config = identity.name, identity.config
     existing = require_place(out, name)
-    if existing is not None and existing.up_to_date(identity.digest, identity.code):
+    if existing is not None and existing.up_to_date(identity.digests):
         return None
     found = list(_sources(out, name))
     if running := running_process(identity, out):

@@ -35,9 +35,10 @@ from topcli.runs.resume import (
     report_unfinished,
 )
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from topcli.store.files import io_failure
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.provenance import Commit
-from topcli.store.run_folder import RunWriter, io_failure
+from topcli.store.run_folder import RunWriter
 
 if TYPE_CHECKING:
     from topcli.engine.precise.loop import PreciseRun
@@ -64,7 +65,7 @@ class RunResult:
             return ""
         earlier = stored_run(self.set_aside)
         new = self.stored.manifest
-        if earlier is not None and all(earlier.manifest.get(key) == new.get(key) for key in ("digest", "code")):
+        if earlier is not None and earlier.same(new):
             return f"kept the earlier folder of this run, with files that are not topcli's, as {self.set_aside}"
         return f"renamed the earlier, different run to {self.set_aside}"
 

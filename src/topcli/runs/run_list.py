@@ -8,7 +8,7 @@ from typing import Any
 
 from topcli.store.checkpoint import read_checkpoint
 from topcli.store.manifest import DamagedRun, all_runs, stored_run
-from topcli.store.parts import Part, all_parts
+from topcli.store.parts import Part, parts_of
 
 RUNNING, KILLED, DAMAGED = "running", "killed", "damaged"
 """Outcomes of runs that have none of their own."""
@@ -28,7 +28,7 @@ def listed_runs(out: Path) -> list[dict[str, Any]]:
         else:
             resumable = run.interrupted and read_checkpoint(run.folder) is not None
             items.append(_item(name, run.manifest["outcome"], run.manifest, run.manifest.get("step"), resumable))
-    return sorted([*items, *map(_unfinished, all_parts(out))], key=lambda item: item["name"])
+    return sorted([*items, *map(_unfinished, parts_of(out))], key=lambda item: item["name"])
 
 
 def _item(name: str, outcome: object, about: Mapping[str, Any], step: object, resumable: bool) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from topcli.errors import UsageError, quoted
 from topcli.figures.picture import REFERENCE, STYLE, Drawable
-from topcli.store.run_folder import io_failure, require_writable, write_whole
+from topcli.store.files import io_failure, require_writable, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd

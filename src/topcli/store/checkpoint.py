@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.store.files import sync
 from topcli.store.series import SeriesMark
 
 CHECKPOINT = "checkpoint.npz"
@@ -53,19 +54,6 @@ class Checkpoint:
     series: SeriesMark
     rows: tuple[NDArray[Any], NDArray[Any]]
     about: dict[str, Any]
-
-    def belongs_to(self, digest: str, code: str) -> bool:
-        """True if this is a checkpoint of the experiment and code with these digests."""
-        return self.about.get("digest") == digest and self.about.get("code") == code
-
-
-def sync(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk. Raises OSError."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:

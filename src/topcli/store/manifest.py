@@ -8,10 +8,7 @@ checksum that the manifest holds of its other entries.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,16 +18,16 @@ from pydantic import BaseModel, Field, FiniteFloat, StrictInt, ValidationError
 
 from topcli.contracts import Outcome
 from topcli.errors import RunError
+from topcli.store.files import DamagedError, check_seal, read_json, sealed, sha256_of
 
 MANIFEST = "manifest.json"
 MANIFEST_VERSION = 2
-"""Version 1 held the sizes of the files and no checksums."""
 CHECKED_AT_ONCE = 1 << 24
 """Largest file, in bytes, whose checksum is compared before a run counts as up to date."""
 REPORT = "report.json"
-_SEAL = "manifest_sha256"
-_LARGEST_JSON = 1 << 26
-_BLOCK = 1 << 20
+SWEEP = "sweep"
+"""Entry ``kind`` of the manifest of a sweep, which is no run."""
+MANIFEST_SEAL = "manifest_sha256"
 
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 _FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
@@ -56,131 +53,49 @@ class _Config(BaseModel):
 class _Manifest(BaseModel):
     """Entries that topcli reads; all others are kept as they are."""
 
-    manifest_version: Literal[1, 2]
+    manifest_version: Literal[2]
+    files: Annotated[dict[_FileName, _File], Field(max_length=1000)]
+
+
+class _SweepManifest(_Manifest):
+    kind: Literal["sweep"]
+
+
+class _RunManifest(_Manifest):
     name: _Words
     digest: _Sha256
     code: _Words
     outcome: Outcome
     step: _Size = 0
     series: _FileName
-    files: Annotated[dict[_FileName, _File | _Size], Field(max_length=1000)]
     config: _Config
     ended: _Words
 
 
-SWEEP = "sweep"
-"""Entry ``kind`` of the manifest of a sweep, which is no run."""
+def sealed_manifest(folder: Path, content: Mapping[str, Any], names: Mapping[str, str | None]) -> dict[str, Any]:
+    """Manifest of the files ``names``, with the checksums that are known; that of all its entries comes last."""
+    files = {
+        name: {"size": (folder / name).stat().st_size, "sha256": sha256 or sha256_of(folder / name)}
+        for name, sha256 in names.items()
+    }
+    return sealed({"manifest_version": MANIFEST_VERSION, **content, "files": files}, MANIFEST_SEAL)
 
 
-class _SweepManifest(BaseModel):
-    kind: Literal["sweep"]
-    manifest_version: Literal[2]
-    files: Annotated[dict[_FileName, _File], Field(max_length=1000)]
-
-
-class _NoRunError(ValueError):
-    """The manifest is that of a sweep."""
-
-
-class DamagedError(ValueError):
-    """A file of a run differs from what was written; the message describes the difference."""
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    """Open a file; if it is a named pipe, do not wait for a writer."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
-
-
-def read_json(path: str | Path) -> dict[str, Any]:
-    """JSON object in a file. Raises OSError, and DamagedError for any other content."""
-    with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            raise DamagedError("no regular file")
-        if found.st_size > _LARGEST_JSON:
-            raise DamagedError(f"longer than {_LARGEST_JSON} bytes")
-        text = file.read()
-    try:
-        content = json.loads(text)
-    except RecursionError:
-        raise DamagedError("nested too deeply") from None
-    except ValueError as error:
-        raise DamagedError(f"not JSON: {error}") from None
-    if not isinstance(content, dict):
-        raise DamagedError("not a JSON object")
-    return content
-
-
-def _read_manifest(folder: str | Path) -> dict[str, Any]:
-    found = read_json(os.path.join(folder, MANIFEST))
-    if found.get("kind") == SWEEP:
-        raise _NoRunError
-    try:
-        _Manifest.model_validate(found)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"])).encode("unicode_escape").decode()
-        raise DamagedError(f"{where[:80]}: {first['msg'].lower()}") from None
-    if found["series"] not in found["files"]:
-        raise DamagedError("series: not among the files")
-    return found
-
-
-def json_text(content: Mapping[str, Any]) -> str:
-    """Text of a JSON file of topcli."""
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-
-
-def sealed(content: Mapping[str, Any], seal: str = _SEAL) -> dict[str, Any]:
-    """``content`` with the checksum of all its other entries as the last one, called ``seal``."""
-    content = {name: value for name, value in content.items() if name != seal}
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return {**content, seal: hashlib.sha256(text.encode()).hexdigest()}
-
-
-def check_seal(content: Mapping[str, Any], seal: str = _SEAL) -> None:
-    """Raise DamagedError if an entry has changed since ``sealed``; manifests of version 1 had no checksum."""
-    if content.get("manifest_version") != 1 and content.get(seal) != sealed(content, seal)[seal]:
-        raise DamagedError("its SHA-256 differs from the one that it holds")
-
-
-def sha256_of(path: Path, length: int | None = None) -> str:
-    """SHA-256 of a file, or of its first ``length`` bytes. Raises OSError."""
-    digest = hashlib.sha256()
-    with path.open("rb", buffering=0) as file:
-        left = length
-        while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
-            digest.update(block)
-            left = None if left is None else left - len(block)
-    return digest.hexdigest()
-
-
-def _regular_size(path: Path) -> int:
-    """Size of a regular file. Raises DamagedError for anything else."""
-    try:
-        if path.is_file():
-            return path.stat().st_size
-    except OSError as error:
-        raise DamagedError(f"cannot be read ({error.strerror})") from None
-    raise DamagedError("missing")
-
-
-def check_file(path: Path, entry: Any, largest: int | None = None) -> None:
+def check_file(path: Path, entry: Mapping[str, Any], largest: int | None = None) -> None:
     """Compare a file with its ``entry`` in the manifest; if it is larger than ``largest`` bytes, its size only.
 
     Raises DamagedError.
     """
-    size = entry["size"] if isinstance(entry, dict) else entry
-    found = _regular_size(path)
-    if found != size:
-        raise DamagedError(f"{found} bytes, not {size}")
-    if isinstance(entry, dict) and (largest is None or size <= largest):
-        try:
-            same = sha256_of(path) == entry["sha256"]
-        except OSError as error:
-            raise DamagedError(f"cannot be read ({error.strerror})") from None
-        if not same:
+    size = entry["size"]
+    try:
+        if not path.is_file():
+            raise DamagedError("missing")
+        if (actual := path.stat().st_size) != size:
+            raise DamagedError(f"{actual} bytes, not {size}")
+        if (largest is None or size <= largest) and sha256_of(path) != entry["sha256"]:
             raise DamagedError("its SHA-256 differs from the manifest's")
+    except OSError as error:
+        raise DamagedError(f"cannot be read ({error.strerror})") from None
 
 
 @dataclass(frozen=True)
@@ -213,38 +128,32 @@ class StoredRun:
         except (OSError, DamagedError) as error:
             raise RunError(f"{path}: cannot be read ({str(error)[:120]}); run again with --force") from None
 
-    def same_experiment(self, digest: str) -> bool:
-        """True if this is a run of the experiment with this digest."""
-        return self.manifest.get("digest") == digest
-
     def damage(self, largest: int | None = None) -> dict[str, str]:
         """Damaged files and their faults; checksums are compared for files of at most ``largest`` bytes."""
-        found = {}
+        faults = {}
         try:
-            check_seal(self.manifest)
+            check_seal(self.manifest, MANIFEST_SEAL)
         except DamagedError as error:
-            found[MANIFEST] = str(error)
+            faults[MANIFEST] = str(error)
         for name, entry in self.manifest["files"].items():
             try:
                 check_file(self.folder / name, entry, largest)
             except DamagedError as error:
-                found[name] = str(error)
-        return found
+                faults[name] = str(error)
+        return faults
 
-    def up_to_date(self, digest: str, code: str) -> bool:
-        """True if this is a complete, undamaged run of the same experiment and code."""
-        return (
-            self.same_experiment(digest)
-            and self.manifest.get("code") == code
-            and not self.interrupted
-            and REPORT in self.manifest["files"]
-            and not self.damage(CHECKED_AT_ONCE)
-        )
+    def same(self, about: Mapping[str, Any], *more: str) -> bool:
+        """True if ``about`` has the digest and the code of this run, and agrees in ``more`` entries."""
+        return all(self.manifest.get(key) == about.get(key) for key in ("digest", "code", *more))
+
+    def up_to_date(self, about: Mapping[str, Any]) -> bool:
+        """True if this is a complete, undamaged run of the experiment and code that ``about`` has."""
+        complete = self.same(about) and not self.interrupted and REPORT in self.manifest["files"]
+        return complete and not self.damage(CHECKED_AT_ONCE)
 
     def identical(self, other: Mapping[str, Any]) -> bool:
         """True if ``other`` is the manifest of the same run with a bit-identical series."""
-        keys = ("digest", "code", "outcome", "step", "series")
-        return all(self.manifest.get(key) == other.get(key) for key in keys) and (
+        return self.same(other, "outcome", "step", "series") and (
             self.manifest["files"][self.manifest["series"]] == other["files"][other["series"]]
         )
 
@@ -257,32 +166,44 @@ class DamagedRun:
     reason: str
 
 
-def look(folder: Path) -> StoredRun | DamagedRun | None:
+def read_run(folder: Path) -> StoredRun | DamagedRun | None:
     """Run in ``folder``; None if it has no manifest, or that of a sweep."""
     try:
-        return StoredRun(folder, _read_manifest(folder))
-    except (FileNotFoundError, NotADirectoryError, _NoRunError):
+        manifest = read_json(os.path.join(folder, MANIFEST))
+        if manifest.get("kind") == SWEEP:
+            return None
+        _RunManifest.model_validate(manifest)
+        if manifest["series"] not in manifest["files"]:
+            raise DamagedError("series: not among the files")
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        return DamagedRun(folder, f"{MANIFEST}: cannot be read ({error.strerror})")
+        reason = f"cannot be read ({error.strerror})"
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"])).encode("unicode_escape").decode()
+        reason = f"{where[:80]}: {first['msg'].lower()}"
     except DamagedError as error:
-        return DamagedRun(folder, f"{MANIFEST}: {error}")
+        reason = str(error)
+    else:
+        return StoredRun(folder, manifest)
+    return DamagedRun(folder, f"{MANIFEST}: {reason}")
 
 
 def stored_sweep(folder: Path) -> StoredRun | None:
     """Finished sweep in ``folder``, whose manifest lists its files as that of a run does; None if there is none."""
     try:
-        found = read_json(folder / MANIFEST)
-        _SweepManifest.model_validate(found)
+        manifest = read_json(folder / MANIFEST)
+        _SweepManifest.model_validate(manifest)
     except (OSError, ValueError):
         return None
-    return StoredRun(folder, found)
+    return StoredRun(folder, manifest)
 
 
 def stored_run(folder: Path) -> StoredRun | None:
     """Finished run in ``folder``; None if the manifest is missing or damaged."""
-    found = look(folder)
-    return found if isinstance(found, StoredRun) else None
+    run = read_run(folder)
+    return run if isinstance(run, StoredRun) else None
 
 
 def all_runs(out: Path) -> list[StoredRun | DamagedRun]:
@@ -292,7 +213,7 @@ def all_runs(out: Path) -> list[StoredRun | DamagedRun]:
             names = sorted(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir())
     except OSError:
         return []
-    return [run for name in names if (run := look(out / name))]
+    return [run for name in names if (run := read_run(out / name))]
 
 
 def stored_runs(out: Path) -> list[StoredRun]:

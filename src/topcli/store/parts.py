@@ -12,12 +12,14 @@ import os
 import re
 import secrets
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from topcli.store.checkpoint import CHECKPOINT, TEMPORARY
-from topcli.store.manifest import MANIFEST, DamagedError, read_json
+from topcli.store.files import DamagedError, read_json
+from topcli.store.manifest import MANIFEST
 
 try:
     import fcntl
@@ -28,10 +30,10 @@ LOCK = "lock"
 RESERVE = "reserve"
 RESERVED = 1 << 18
 """Bytes that suffice for the reports, a footer and a checkpoint."""
-_OWNER = re.compile(r"(\d+)-[0-9a-f]{8}")
+_PART = re.compile(r"\.(.+)\.part-(\d+)-[0-9a-f]{8}")
 _RESULTS = re.compile(r"(series|trajectories|points)\.(parquet|csv)|report\.(json|md)|config\.yaml")
 _OURS = frozenset([MANIFEST, CHECKPOINT, LOCK, RESERVE])
-_TEMPORARY = re.compile(rf"\.manifest\.\d+\.json|{re.escape(TEMPORARY)}|\.{LOCK}")
+TEMPORARIES = re.compile(rf"\.manifest\.\d+\.json|{re.escape(TEMPORARY)}|\.{LOCK}")
 """Names of files that a killed process may leave half-written."""
 
 
@@ -40,16 +42,11 @@ def is_result(name: str) -> bool:
     return _RESULTS.fullmatch(name) is not None
 
 
-def is_temporary(name: str) -> bool:
-    """True for the names of files that a killed process may leave half-written."""
-    return _TEMPORARY.fullmatch(name) is not None
-
-
 def remove_own(folder: Path) -> None:
     """Remove the files of a run, and the folder if nothing else is in it; other files are never removed."""
     with contextlib.suppress(OSError):
         for name in os.listdir(folder):
-            if name in _OURS or is_result(name) or is_temporary(name):
+            if name in _OURS or is_result(name) or TEMPORARIES.fullmatch(name):
                 with contextlib.suppress(OSError):
                     os.unlink(folder / name)
         os.rmdir(folder)
@@ -62,37 +59,6 @@ def linked_file(folder: Path) -> Path | None:
             if (entry.name in _OURS or is_result(entry.name)) and not entry.is_file(follow_symlinks=False):
                 return folder / entry.name
     return None
-
-
-def _prefix(name: str) -> str:
-    return f".{name}.part-"
-
-
-def is_part(folder: Path) -> bool:
-    """True if ``folder`` exists and has the name of a part folder."""
-    before, _, after = folder.absolute().name.rpartition(".part-")
-    return before.startswith(".") and _OWNER.fullmatch(after) is not None and folder.is_dir()
-
-
-def new_part(out: Path, name: str) -> Path:
-    """Unused path for a part folder of this process."""
-    return out / f"{_prefix(name)}{os.getpid()}-{secrets.token_hex(4)}"
-
-
-def _parts(out: Path, name: str) -> list[Path]:
-    prefix = _prefix(name)
-    try:
-        with os.scandir(out) as entries:
-            found = [
-                entry.name
-                for entry in entries
-                if entry.name.startswith(prefix)
-                and _OWNER.fullmatch(entry.name[len(prefix) :])
-                and entry.is_dir(follow_symlinks=False)
-            ]
-    except OSError:
-        return []
-    return [out / name for name in sorted(found)]
 
 
 def _alive(pid: int) -> bool:
@@ -131,12 +97,12 @@ def _exclusive(handle: int) -> bool | None:
     return True
 
 
-def _sign(handle: int, about: dict[str, Any]) -> None:
+def _sign(handle: int, about: Mapping[str, Any]) -> None:
     os.ftruncate(handle, 0)
     os.pwrite(handle, json.dumps({"pid": os.getpid(), **about}).encode(), 0)
 
 
-def lock_new(folder: Path, about: dict[str, Any]) -> Lock:
+def lock_new(folder: Path, about: Mapping[str, Any]) -> Lock:
     """Lock a folder that this process has just created, with ``about`` in the lock file. Raises OSError."""
     unnamed = folder / f".{LOCK}"
     handle = os.open(unnamed, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
@@ -149,63 +115,52 @@ def lock_new(folder: Path, about: dict[str, Any]) -> Lock:
 def owner(folder: Path) -> dict[str, Any]:
     """Content of the lock file of ``folder``: ``pid``, ``digest``, ``code``; empty if it is missing or damaged."""
     try:
-        found = read_json(folder / LOCK)
+        content = read_json(folder / LOCK)
     except (OSError, DamagedError):
         return {}
-    pid = found.get("pid")
-    return found if isinstance(pid, int) and 0 < pid < 1 << 31 else {}
+    pid = content.get("pid")
+    return content if isinstance(pid, int) and 0 < pid < 1 << 31 else {}
 
 
-def lock_left(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
-    """Lock a folder that another process may have left; None if a process still works there or locked it first.
+def take_lock(folder: Path, about: Mapping[str, Any] | None = None, create: bool = True) -> Lock | None:
+    """Lock an existing folder; None if another process works there or locked it first. Raises OSError.
 
-    With ``about`` this process becomes the owner in the lock file.
+    With ``about`` this process becomes the owner in the lock file; unless ``create``, nothing changes in the folder.
+    The file remains after a release, because removing it could let two processes lock two files of the same name. The
+    lock is tried twice if its owner is dead, because another process may just be looking.
     """
-    named = _OWNER.search(folder.name)
-    made_here = not (folder / LOCK).exists()
-    if made_here and named and _alive(int(named[1])):
-        return None  # its process is about to lock it, or to rename it into place
+    lock = _lock(folder, about, create)
+    if lock is None and not _alive(owner(folder).get("pid") or os.getpid()):
+        time.sleep(0.05)
+        lock = _lock(folder, about, create)
+    return lock
+
+
+def _lock(folder: Path, about: Mapping[str, Any] | None, create: bool) -> Lock | None:
+    path, part = folder / LOCK, _PART.fullmatch(folder.name)
+    if part and not path.exists():
+        if _alive(int(part[2])):
+            return None  # its process is about to lock it, or to rename it into place
+        if not create:
+            return Lock(-1)
     pid = owner(folder).get("pid", 0)
+    mode = os.O_RDWR | os.O_CREAT if create else os.O_RDONLY
+    handle = os.open(path, mode | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    free = _exclusive(handle)
+    if free is None:  # a part is new for each run of a process, another folder is not
+        free = not pid or not _alive(pid) or (pid == os.getpid() and not part)
     try:
-        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-    except OSError:
-        return None
-    taken = _exclusive(handle)
-    if taken is None:
-        taken = not (pid > 0 and _alive(pid))
-    with contextlib.suppress(OSError):
-        if taken and os.path.samestat(os.fstat(handle), os.stat(folder / LOCK)):
+        if free and os.path.samestat(os.fstat(handle), os.stat(path)):
             if about is not None:
                 _sign(handle, about)
             return Lock(handle)
+    except FileNotFoundError:  # its owner has just removed the folder
+        pass
+    except OSError:
+        os.close(handle)
+        raise
     os.close(handle)
     return None
-
-
-def lock_folder(folder: Path, about: dict[str, Any]) -> Lock | None:
-    """Lock an existing folder, with ``about`` in the lock file; None if another process holds it. Raises OSError.
-
-    The file remains, because removing it could let two processes lock two files of the same name.
-    """
-    pid = owner(folder).get("pid", 0)
-    handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-    taken = _exclusive(handle)
-    if taken is None:
-        taken = pid in (0, os.getpid()) or not _alive(pid)
-    if not taken:
-        os.close(handle)
-        return None
-    _sign(handle, about)
-    return Lock(handle)
-
-
-def take_lock(folder: Path, about: dict[str, Any] | None = None) -> Lock | None:
-    """``lock_left``, tried twice if the owner is dead but the lock is taken, as by another process that inspects it."""
-    lock = lock_left(folder, about)
-    if lock is None and (folder / LOCK).exists() and not _alive(owner(folder).get("pid") or os.getpid()):
-        time.sleep(0.05)
-        lock = lock_left(folder, about)
-    return lock
 
 
 def reserve(folder: Path) -> None:
@@ -228,54 +183,72 @@ class Part:
     owner: dict[str, Any]
     alive: bool
 
+    @classmethod
+    def at(cls, folder: Path) -> Part:
+        """The part in ``folder``, where nothing changes."""
+        signed, part = owner(folder), _PART.fullmatch(folder.name)
+        try:
+            lock = take_lock(folder, create=False)
+        except OSError:
+            pid = signed.get("pid") or (int(part[2]) if part else 0)
+            return cls(folder, signed, pid > 0 and _alive(pid))
+        if lock is not None:
+            lock.release()
+        return cls(folder, signed, lock is None)
+
     @property
     def name(self) -> str:
         """Name of the run."""
-        return self.folder.name.removeprefix(".").rpartition(".part-")[0]
-
-    @property
-    def worth_keeping(self) -> bool:
-        """True if there is a checkpoint to continue from, or a manifest, which is written last."""
-        return (self.folder / CHECKPOINT).exists() or (self.folder / MANIFEST).exists()
+        part = _PART.fullmatch(self.folder.name)
+        return part[1] if part else ""
 
 
-def is_working(folder: Path) -> bool:
-    """True if a process works in a part folder; changes nothing there."""
-    named = _OWNER.search(folder.name)
-    pid = owner(folder).get("pid") or (int(named[1]) if named else 0)
-    try:
-        handle = os.open(folder / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:
-        return pid > 0 and _alive(pid)
-    try:
-        free = _exclusive(handle)
-    finally:
-        os.close(handle)
-    return not free if free is not None else pid > 0 and _alive(pid)
+def new_part(out: Path, name: str) -> Path:
+    """Unused path for a part folder of this process."""
+    return out / f".{name}.part-{os.getpid()}-{secrets.token_hex(4)}"
 
 
-def all_parts(out: Path) -> list[Part]:
-    """Part folders in ``out``, by name; none is removed."""
+def is_part(folder: Path) -> bool:
+    """True if ``folder`` exists and has the name of a part folder."""
+    return _PART.fullmatch(folder.absolute().name) is not None and folder.is_dir()
+
+
+def worth_keeping(folder: Path) -> bool:
+    """True if a part has a checkpoint to continue from, or a manifest, which is written last."""
+    return (folder / CHECKPOINT).exists() or (folder / MANIFEST).exists()
+
+
+def _part_folders(out: Path, name: str | None) -> list[Path]:
+    """Part folders in ``out``, of the run ``name`` or of all, by name."""
     try:
         with os.scandir(out) as entries:
-            folders = [out / entry.name for entry in entries if not entry.is_symlink() and is_part(out / entry.name)]
+            return sorted(
+                out / entry.name
+                for entry in entries
+                if (part := _PART.fullmatch(entry.name))
+                and name in (None, part[1])
+                and entry.is_dir(follow_symlinks=False)
+            )
     except OSError:
         return []
-    found = [Part(folder, owner(folder), is_working(folder)) for folder in folders]
-    return sorted(found, key=lambda part: (part.name, part.folder.name))
 
 
-def parts_of(out: Path, name: str) -> list[Part]:
-    """Part folders of the run ``name``; those of dead processes from which nothing can be continued are removed."""
-    found = []
-    for folder in _parts(out, name):
-        said = owner(folder)
-        lock = take_lock(folder)
-        part = Part(folder, said, lock is None)
-        if lock is not None and not part.worth_keeping:
-            remove_own(folder)
-        elif folder.exists():
-            found.append(part)
-        if lock is not None:
-            lock.release()
-    return found
+def parts_of(out: Path, name: str | None = None) -> list[Part]:
+    """Part folders of the run ``name``, or of all runs, in which nothing changes.
+
+    Of the run ``name``, those of dead processes from which nothing can be continued are left out.
+    """
+    parts = map(Part.at, _part_folders(out, name))
+    return [
+        part for part in parts if part.folder.exists() and (part.alive or worth_keeping(part.folder) or name is None)
+    ]
+
+
+def remove_remains(out: Path, name: str) -> None:
+    """Remove the part folders of dead processes from which nothing can be continued."""
+    for folder in _part_folders(out, name):
+        with contextlib.suppress(OSError):
+            if (lock := take_lock(folder)) is not None:
+                if not worth_keeping(folder):
+                    remove_own(folder)
+                lock.release()

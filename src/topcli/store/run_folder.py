@@ -10,40 +10,30 @@ import errno
 import itertools
 import os
 import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint, sync
-from topcli.store.manifest import (
-    MANIFEST,
-    MANIFEST_VERSION,
-    DamagedError,
-    StoredRun,
-    check_file,
-    json_text,
-    look,
-    sealed,
-    sha256_of,
-    stored_run,
-)
+from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint
+from topcli.store.files import DamagedError, io_failure, json_text, named, require_writable, sync, write_whole
+from topcli.store.manifest import MANIFEST, StoredRun, check_file, read_run, sealed_manifest, stored_run
 from topcli.store.parts import (
     LOCK,
+    TEMPORARIES,
     Lock,
     Part,
     is_result,
-    is_temporary,
     linked_file,
     lock_new,
     new_part,
     parts_of,
     release_reserve,
     remove_own,
+    remove_remains,
     take_lock,
 )
-from topcli.store.series import damaged, named
+from topcli.store.series import damaged
 
 _KEPT = "what its last checkpoint holds is kept, and --resume continues it when writing is possible again"
 
@@ -61,12 +51,7 @@ def replaceable(existing: StoredRun, new: Mapping[str, Any]) -> bool:
     further = new.get("outcome") == "interrupted" and not (
         existing.interrupted and existing.manifest.get("step", 0) <= new.get("step", 0)
     )
-    return (
-        existing.same_experiment(new["digest"])
-        and existing.manifest.get("code") == new.get("code")
-        and not further
-        and all(_own(name, existing) for name in os.listdir(existing.folder))
-    )
+    return existing.same(new) and not further and all(_own(name, existing) for name in os.listdir(existing.folder))
 
 
 def require_place(out: Path, name: str) -> StoredRun | None:
@@ -75,7 +60,7 @@ def require_place(out: Path, name: str) -> StoredRun | None:
     try:
         if out.exists() and not out.is_dir():
             raise UsageError(f"output folder {out}: is not a folder; choose another with --out")
-        found = look(target)
+        found = read_run(target)
         other = found is None and target.exists() and (not target.is_dir() or any(target.iterdir()))
     except OSError as error:
         raise UsageError(
@@ -103,37 +88,6 @@ def require_real(target: Path) -> None:
         )
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file atomically, under a temporary name of the same suffix at first. Raises OSError.
-
-    The content is flushed to the disk before the rename, and the folder after it: when the machine fails, ``path`` is
-    the earlier file or the new one, never an empty one.
-    """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        write(temporary)
-        sync(temporary)
-        os.replace(temporary, path)
-        sync(path.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this run") -> RunError:
-    """Error message for a failed write to ``path`` that says what was ``kept``.
-
-    If ``error`` names another file, the message names that file in the folder of ``path``.
-    """
-    named = Path(error.filename).name if isinstance(error.filename, str) else ""
-    if named and not named.startswith(".") and named != path.name:
-        path = path / named
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return RunError(f"{path}: no space left on the device; {kept}")
-    if error.errno == errno.EFBIG:
-        return RunError(f"{path}: the file would exceed the size limit; {kept}")
-    return RunError(f"{path}: cannot be written ({error.strerror or error}); {kept}")
-
-
 def _superseded(part: Part, manifest: Mapping[str, Any]) -> bool:
     """True if the run with this ``manifest`` got at least as far as the run of a killed process in ``part``."""
     left = read_checkpoint(part.folder)
@@ -141,19 +95,7 @@ def _superseded(part: Part, manifest: Mapping[str, Any]) -> bool:
         stored = stored_run(part.folder)
         return stored is not None and replaceable(stored, manifest)
     reached = manifest.get("outcome") != "interrupted" or left.done <= manifest.get("step", 0)
-    return left.belongs_to(manifest["digest"], manifest["code"]) and reached
-
-
-def require_writable(out: Path) -> None:
-    """Create the folder ``out`` if it does not exist. Raises UsageError if it cannot be written to."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):  # has no name that a killed process could leave behind
-            pass
-    except OSError as error:
-        raise UsageError(
-            f"output folder {out}: cannot be written to ({error.strerror}); choose another with --out"
-        ) from None
+    return reached and all(left.about.get(key) == manifest[key] for key in ("digest", "code"))
 
 
 class RunWriter:
@@ -194,7 +136,7 @@ class RunWriter:
     def __enter__(self) -> RunWriter:
         require_writable(self.out)
         try:
-            parts_of(self.out, self.name)
+            remove_remains(self.out, self.name)
             if isinstance(self._source, Part):
                 self._take_over(self._source)
             else:
@@ -224,7 +166,7 @@ class RunWriter:
             raise UsageError(f"{self.target}: another process has just begun to continue this run")
         os.rename(part.folder, self.folder)
         for name in os.listdir(self.folder):
-            if is_temporary(name):
+            if TEMPORARIES.fullmatch(name):
                 (self.folder / name).unlink()
         self.complete = stored_run(self.folder)
         if self.complete is not None and self.complete.interrupted:
@@ -234,7 +176,7 @@ class RunWriter:
     def _copy(self, run: StoredRun) -> None:
         for path in (run.series, run.folder / CHECKPOINT):  # the checkpoint last: it refers to the series
             try:
-                check_file(path, run.manifest["files"].get(path.name, -1))
+                check_file(path, run.manifest["files"].get(path.name, {"size": -1}))
             except DamagedError as error:
                 raise damaged(path, str(error)) from None
             shutil.copyfile(path, self.folder / path.name)
@@ -269,10 +211,6 @@ class RunWriter:
         except OSError as error:
             raise named(error, path) from None
 
-    def _entry(self, name: str) -> dict[str, Any]:
-        path = self.folder / name
-        return {"size": path.stat().st_size, "sha256": self.sha256.get(name) or sha256_of(path)}
-
     def commit(self, manifest: dict[str, Any]) -> StoredRun:
         """Write the manifest, flush everything to the disk and rename the folder into place.
 
@@ -282,14 +220,10 @@ class RunWriter:
         release_reserve(self.folder)
         kept = {CHECKPOINT} if manifest.get("outcome") == "interrupted" else set()
         files = sorted(name for name in os.listdir(self.folder) if is_result(name) or name in kept)
-        entries = {name: self._entry(name) for name in files}
-        complete = sealed({"manifest_version": MANIFEST_VERSION, **manifest, "files": entries})
+        complete = sealed_manifest(self.folder, manifest, {name: self.sha256.get(name) for name in files})
         for name in files:
             sync(self.folder / name)
-        write_whole(
-            self.folder / MANIFEST,
-            lambda path: path.write_text(json_text(complete), encoding="utf-8"),
-        )
+        write_whole(self.folder / MANIFEST, lambda path: path.write_text(json_text(complete), encoding="utf-8"))
         return self.put_in_place(complete)
 
     def put_in_place(self, manifest: dict[str, Any]) -> StoredRun:
@@ -336,10 +270,10 @@ class RunWriter:
         if existing is None:
             return False
         same_format = existing.manifest["series"] == manifest["series"]
-        if same_format and existing.up_to_date(manifest["digest"], manifest.get("code", "")):
+        if same_format and existing.up_to_date(manifest):
             remove_own(self.folder)
             return True
-        if existing.same_experiment(manifest["digest"]):
+        if existing.manifest["digest"] == manifest["digest"]:
             return False
         kept = self._one_copy(self._move_aside(self.folder))
         raise RunError(

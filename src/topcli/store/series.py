@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from topcli.errors import RunError
+from topcli.store.files import named
 from topcli.store.footer import MAGIC, UNFINISHED, merged_footer
 
 ROW_GROUP = 131_072
@@ -351,12 +352,6 @@ def damaged(path: Path, reason: str) -> RunError:
     return RunError(
         f"{path}: damaged ({reason[:120]}); nothing was deleted; run without --resume to start again from step 0"
     )
-
-
-def named(error: OSError, path: Path) -> OSError:
-    """The same error, with ``path`` as its file name if it has none."""
-    error.filename = error.filename or str(path)
-    return error
 
 
 class GrowingFile:

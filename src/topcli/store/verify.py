@@ -6,18 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from topcli.errors import RunError
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.manifest import (
-    MANIFEST,
-    DamagedError,
-    DamagedRun,
-    StoredRun,
-    json_text,
-    look,
-    sha256_of,
-    stored_sweep,
-)
+from topcli.store.files import json_text, sha256_of
+from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run, stored_sweep
 from topcli.store.parts import is_part
 
 
@@ -50,34 +41,14 @@ class CheckedRun:
         return {"folder": str(self.folder), "finished": self.finished, "state": state, "files": files}
 
 
-def _readable(path: Path) -> str:
-    """Read a file of an earlier version, without a checksum in the manifest; describes how it was checked."""
-    if path.suffix != ".parquet":
-        return "no checksum: its size is right"
-    from topcli.store.series import read_series
-
-    try:
-        read_series(path)
-    except RunError as error:
-        raise DamagedError(str(error).removeprefix(f"{path}: ")) from None
-    return "no checksum: its size is right and it can be read"
-
-
 def _finished(run: StoredRun) -> CheckedRun:
-    damage, entries = run.damage(), run.manifest["files"]
-    sealed = MANIFEST not in damage and run.manifest["manifest_version"] > 1
-    if sealed and (run.folder / MANIFEST).read_bytes() != json_text(run.manifest).encode():
+    damage = run.damage()
+    if MANIFEST not in damage and (run.folder / MANIFEST).read_bytes() != json_text(run.manifest).encode():
         damage[MANIFEST] = "its text is not as it was written"
-    files = []
-    for name in (MANIFEST, *entries):
-        reason, damaged = damage.get(name, ""), name in damage
-        if not damaged and isinstance(entries.get(name), int):
-            try:
-                reason = _readable(run.folder / name)
-            except DamagedError as error:
-                reason, damaged = str(error), True
-        files.append(CheckedFile(name, damaged, reason))
-    return CheckedRun(run.folder, True, tuple(files))
+    names = (MANIFEST, *run.manifest["files"])
+    return CheckedRun(
+        run.folder, True, tuple(CheckedFile(name, name in damage, damage.get(name, "")) for name in names)
+    )
 
 
 def _unfinished(folder: Path) -> CheckedRun:
@@ -106,7 +77,7 @@ def _unfinished(folder: Path) -> CheckedRun:
 
 def check_run(folder: Path) -> CheckedRun | None:
     """Check every file of the run or finished sweep in ``folder``; None if there is neither."""
-    found = look(folder)
+    found = read_run(folder)
     if isinstance(found, DamagedRun):
         return CheckedRun(folder, True, (CheckedFile(MANIFEST, True, found.reason.removeprefix(f"{MANIFEST}: ")),))
     if found is not None:

@@ -20,8 +20,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, nearest, quoted
 from topcli.runs.report import INVARIANTS, report_data
+from topcli.store.files import sha256_of
 from topcli.store.foreign import ForeignSeries
-from topcli.store.manifest import sha256_of
 from topcli.studies.entries import parts_of
 from topcli.studies.study import SILENT, Data, Flag, Head, Overrides, Result, Study, Watch
 from topcli.table import DASH, Column, Table, exact_number, number

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from topcli.errors import UsageError
-from topcli.store.manifest import DamagedError, read_json
+from topcli.store.files import DamagedError, check_study, read_json
 from topcli.store.parts import parts_of
-from topcli.store.study import check_study
 from topcli.store.verify import CheckedFile, CheckedRun, check_run
 from topcli.sweeps.journal import JOURNAL, damaged_lines
 from topcli.sweeps.run import SERIES, is_sweep

@@ -23,8 +23,8 @@ from topcli.errors import UnknownNameError, UsageError, nearest, quoted, shorten
 from topcli.runs.identity import scheme_code
 from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
+from topcli.store.files import stored_study
 from topcli.store.provenance import environment
-from topcli.store.study import stored_study
 from topcli.studies.bench.contest import Problem, Rung, choose
 from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor, explore
 from topcli.studies.entries import cited_parts, scheme_with

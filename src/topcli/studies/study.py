@@ -226,8 +226,8 @@ class Study:
 
     def write(self, result: Result, path: Path) -> Path:
         """Write a result for ``topcli report``, whole or not at all. Raises UsageError and RunError."""
+        from topcli.store.files import write_study
         from topcli.store.provenance import environment
-        from topcli.store.study import write_study
 
         return write_study(path, {**self.as_dict(result), "environment": environment()}, None)
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.errors import RunError
-from topcli.store.run_folder import io_failure
+from topcli.store.files import io_failure
 
 JOURNAL = "journal.jsonl"
 SYNC_SECONDS = 2.0

@@ -13,7 +13,8 @@ import numpy as np
 
 from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep
-from topcli.store.manifest import SWEEP, json_text, sealed, sha256_of
+from topcli.store.files import json_text
+from topcli.store.manifest import SWEEP, sealed_manifest
 from topcli.store.provenance import Commit, environment, now
 from topcli.sweeps.journal import JOURNAL, Index, Journal
 from topcli.sweeps.plan import DONE, REPEATED, Plan
@@ -155,22 +156,15 @@ def manifest_text(
     folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float, commit: Commit
 ) -> str:
     """Manifest of a finished sweep as JSON."""
-    names = [ROWS, "sweep.yaml", JOURNAL]
-    content = sealed(
-        {
-            "manifest_version": 2,
-            "kind": SWEEP,
-            **metadata(sweep),
-            "rows": sum(outcomes.values()),
-            "outcomes": outcomes,
-            "started": started,
-            "ended": now(),
-            "seconds": seconds,
-            "environment": environment(),
-            **commit.read(),
-            "files": {
-                name: {"size": (folder / name).stat().st_size, "sha256": sha256_of(folder / name)} for name in names
-            },
-        }
-    )
-    return json_text(content)
+    content = {
+        "kind": SWEEP,
+        **metadata(sweep),
+        "rows": sum(outcomes.values()),
+        "outcomes": outcomes,
+        "started": started,
+        "ended": now(),
+        "seconds": seconds,
+        "environment": environment(),
+        **commit.read(),
+    }
+    return json_text(sealed_manifest(folder, content, dict.fromkeys([ROWS, "sweep.yaml", JOURNAL])))

@@ -23,11 +23,11 @@ from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep, load_sweep
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
-from topcli.store.checkpoint import sync
+from topcli.store.files import io_failure, require_writable, sync, write_whole
 from topcli.store.manifest import MANIFEST, stored_run
-from topcli.store.parts import LOCK, lock_folder, owner
+from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
-from topcli.store.run_folder import io_failure, require_real, require_writable, write_whole
+from topcli.store.run_folder import require_real
 from topcli.sweeps.batches import batches
 from topcli.sweeps.evaluate import Results, Work, unfinished
 from topcli.sweeps.journal import COMPLETED, JOURNAL, Block, Journal
@@ -223,7 +223,7 @@ def run_sweep(
         try:
             folder.mkdir(exist_ok=True)
             sync(out)
-            lock = lock_folder(folder, {"sweep": sweep.name})
+            lock = take_lock(folder, {"sweep": sweep.name})
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
                 raise io_failure(error, folder, "finished rows are kept") from None

@@ -18,8 +18,8 @@ from topcli.errors import ConfigError, RunError, SchemeCodeError, StepTooLongErr
 from topcli.runs.identity import scheme_code
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.schemes.user_code import users_error
+from topcli.store.files import stored_study, write_study
 from topcli.store.provenance import environment
-from topcli.store.study import stored_study, write_study
 from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
 from topcli.studies.stress.cases import CASES, case_names, cases_named
 from topcli.studies.stress.checks import false_order

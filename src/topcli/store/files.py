@@ -1,0 +1,179 @@
+"""Files on disk: written whole or not at all, JSON with a checksum of itself, and the messages when that fails."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import stat
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from topcli.errors import RunError, UsageError
+from topcli.store.provenance import Commit, now
+
+SEAL = "content_sha256"
+"""Entry of a study with the checksum of all others."""
+_LARGEST_JSON = 1 << 26
+_BLOCK = 1 << 20
+
+
+class DamagedError(ValueError):
+    """A file differs from what was written; the message describes the difference."""
+
+
+def sync(path: Path) -> None:
+    """Flush a file, or the entries of a folder, to the disk. Raises OSError."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def named(error: OSError, path: Path) -> OSError:
+    """The same error, with ``path`` as its file name if it has none."""
+    error.filename = error.filename or str(path)
+    return error
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file atomically, under a temporary name of the same suffix at first. Raises OSError.
+
+    The content is flushed to the disk before the rename, and the folder after it: when the machine fails, ``path`` is
+    the earlier file or the new one, never an empty one.
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        write(temporary)
+        sync(temporary)
+        os.replace(temporary, path)
+        sync(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this run") -> RunError:
+    """Error message for a failed write to ``path`` that says what was ``kept``.
+
+    If ``error`` names another file, the message names that file in the folder of ``path``.
+    """
+    name = Path(error.filename).name if isinstance(error.filename, str) else ""
+    if name and not name.startswith(".") and name != path.name:
+        path = path / name
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return RunError(f"{path}: no space left on the device; {kept}")
+    if error.errno == errno.EFBIG:
+        return RunError(f"{path}: the file would exceed the size limit; {kept}")
+    return RunError(f"{path}: cannot be written ({error.strerror or error}); {kept}")
+
+
+def require_writable(out: Path) -> None:
+    """Create the folder ``out`` if it does not exist. Raises UsageError if it cannot be written to."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):  # has no name that a killed process could leave behind
+            pass
+    except OSError as error:
+        raise UsageError(
+            f"output folder {out}: cannot be written to ({error.strerror}); choose another with --out"
+        ) from None
+
+
+def sha256_of(path: Path, length: int | None = None) -> str:
+    """SHA-256 of a file, or of its first ``length`` bytes. Raises OSError."""
+    digest = hashlib.sha256()
+    with path.open("rb", buffering=0) as file:
+        left = length
+        while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
+            digest.update(block)
+            left = None if left is None else left - len(block)
+    return digest.hexdigest()
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Open a file; if it is a named pipe, do not wait for a writer."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """JSON object in a file. Raises OSError, and DamagedError for any other content."""
+    with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise DamagedError("no regular file")
+        if status.st_size > _LARGEST_JSON:
+            raise DamagedError(f"longer than {_LARGEST_JSON} bytes")
+        text = file.read()
+    try:
+        content = json.loads(text)
+    except RecursionError:
+        raise DamagedError("nested too deeply") from None
+    except ValueError as error:
+        raise DamagedError(f"not JSON: {error}") from None
+    if not isinstance(content, dict):
+        raise DamagedError("not a JSON object")
+    return content
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Text of a JSON file of topcli."""
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def sealed(content: Mapping[str, Any], seal: str = SEAL) -> dict[str, Any]:
+    """``content`` with the checksum of all its other entries as the last one, called ``seal``."""
+    content = {name: value for name, value in content.items() if name != seal}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return {**content, seal: hashlib.sha256(text.encode()).hexdigest()}
+
+
+def check_seal(content: Mapping[str, Any], seal: str = SEAL) -> None:
+    """Raise DamagedError if an entry has changed since ``sealed``."""
+    if content.get(seal) != sealed(content, seal)[seal]:
+        raise DamagedError("its SHA-256 differs from the one that it holds")
+
+
+def write_study(path: Path, data: Mapping[str, Any], source: str | None) -> Path:
+    """Write a study to ``path`` atomically, with the time, the commit and the ``source`` that it depends on.
+
+    Returns the path. Raises UsageError and RunError.
+    """
+    require_writable(path.parent)
+    with Commit() as commit:
+        complete = {**data, "source": source, "written": now(), **commit.read()}
+    text = json_text(sealed(json.loads(json.dumps(complete, allow_nan=False))))
+    try:
+        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    except OSError as error:
+        raise io_failure(error, path, "nothing was written") from error
+    return path
+
+
+def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
+    """Compare a study with the checksum that it holds, and its ``text``, if given, with what is written of it.
+
+    Raises DamagedError.
+    """
+    if not isinstance(data.get(SEAL), str):
+        raise DamagedError(f"holds no {SEAL}; it is not a study that topcli stored")
+    check_seal(data)
+    if text is not None and text != json_text(data):
+        raise DamagedError("its text is not as it was written")
+
+
+def stored_study(path: Path, version: int, command: str) -> dict[str, Any] | None:
+    """Return the study at ``path``; None if there is none or it has another schema ``version``.
+
+    Raises RunError if it is damaged; the message names the ``command`` that makes it.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        return data if data["schema_version"] == version else None
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); run {command} again") from None
