@@ -14,7 +14,7 @@ from __future__ import annotations
 __version__ = "0.1.0"
 HOMES = {
     "Ensemble": "topcli.analysis.ensemble",
-    "Motion": "topcli.analysis.motion.result",
+    "Motion": "topcli.analysis.motion",
     "Trajectory": "topcli.analysis.trajectory",
     "analyse": "topcli.show.study",
     "claims": "topcli.show.claims",

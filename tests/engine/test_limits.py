@@ -30,7 +30,8 @@ from topcli.errors import RunError
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.schemes.any_top import dmv, dop853
-from topcli.schemes.kowalevski import exact, oval
+from topcli.schemes.kowalevski import exact
+from topcli.schemes.kowalevski.closed_form import oval
 from topcli.schemes.kowalevski.exact import ExactSetup
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.schemes.taylor.scheme import MAX_EXPANSIONS, SHORTEST_REACH

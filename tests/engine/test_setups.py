@@ -20,8 +20,8 @@ from topcli.engine.loop import Run
 from topcli.engine.setups import SetupTime, prepare, setup_processes
 from topcli.errors import RunError
 from topcli.schemes.kowalevski import exact
+from topcli.schemes.kowalevski.closed_form import motion_bytes, motion_from
 from topcli.schemes.kowalevski.exact import ExactSetup
-from topcli.schemes.kowalevski.stored_motion import motion_bytes, motion_from
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
@@ -122,14 +122,14 @@ def test_the_key_holds_all_that_matters(counted: Counted, monkeypatch: pytest.Mo
 def test_the_code_is_that_of_the_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     here = Path(exact.__file__).parent
     package = tmp_path / "topcli"
-    for folder in ("schemes/kowalevski", "arithmetic"):
+    for folder in ("schemes/kowalevski", "schemes/kowalevski/closed_form", "arithmetic"):
         (package / folder).mkdir(parents=True)
         for path in (here.parents[1] / folder).glob("*.py"):
             (package / folder / path.name).write_bytes(path.read_bytes())
     known = ExactSetup().code()
     monkeypatch.setattr(exact, "__file__", str(package / "schemes/kowalevski/exact.py"))
     assert ExactSetup().code() == known
-    for changed in ("schemes/kowalevski/oval.py", "arithmetic/elliptic.py"):
+    for changed in ("schemes/kowalevski/closed_form/oval.py", "arithmetic/elliptic.py"):
         before = ExactSetup().code()
         (package / changed).write_text((package / changed).read_text() + "# changed\n")
         assert ExactSetup().code() != before

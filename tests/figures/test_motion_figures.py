@@ -11,7 +11,7 @@ import pytest
 from matplotlib.colors import same_color, to_rgb
 
 from conftest import GEN, PAPER, ROOT
-from topcli.analysis.motion.chart import branches, regions
+from topcli.analysis.motion.diagram import branches, regions
 from topcli.analysis.motion.torus import Torus
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment

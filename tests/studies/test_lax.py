@@ -9,26 +9,24 @@ import pytest
 
 from conftest import ROOT, random_states
 from steppers import RK2
-from topcli.analysis.backlund_lax import discrete_lax_defect
-from topcli.analysis.isospectral import (
+from topcli.analysis.lax import (
     LAMBDAS,
+    LaxForm,
+    block_form,
     commutator_residual,
     conjugation_defect,
     difference_slopes,
+    discrete_lax_defect,
     eigenvalue_shift,
     gradients,
-    spectral_content,
-    spectral_drift,
-)
-from topcli.analysis.lax import (
-    LaxForm,
-    block_form,
     hat,
     kowalevski_form,
     lagrange_form,
     lax_forms,
     manakov_form,
     rates,
+    spectral_content,
+    spectral_drift,
 )
 from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson

@@ -13,7 +13,7 @@ import pytest
 from conftest import Said
 from resuming import after, content
 from topcli import simulate
-from topcli.analysis.digit_growth import digit_growth
+from topcli.analysis.roundoff import digit_growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome

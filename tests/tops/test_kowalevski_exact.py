@@ -21,9 +21,9 @@ from conftest import GEN
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.delone import has_triple_root
+from topcli.schemes.kowalevski.closed_form.course import TURN, Phase
+from topcli.schemes.kowalevski.closed_form.setup import has_triple_root
 from topcli.schemes.kowalevski.exact import _kept, exact_accuracy
-from topcli.schemes.kowalevski.phase import TURN, Phase
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 

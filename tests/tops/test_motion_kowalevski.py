@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from conftest import GEN, PAPER
-from topcli.analysis.motion.actions import actions
+from topcli.analysis.motion import Motion
 from topcli.analysis.motion.kowalevski import Ovals
 from topcli.analysis.motion.of_top import motion_of
-from topcli.analysis.motion.result import Motion
+from topcli.analysis.motion.torus import actions
 from topcli.analysis.reference import reference_states
-from topcli.schemes.kowalevski.separation import Integrals, integrals
+from topcli.schemes.kowalevski.closed_form.curve import Integrals, integrals
 from topcli.tops.kowalevski import Kowalevski
 
 STATES = {

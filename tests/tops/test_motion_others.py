@@ -11,8 +11,8 @@ import pytest
 
 import topcli
 from reading_html import read_html
+from topcli.analysis.motion import NEIGHBOURS, QUANTITIES, Motion
 from topcli.analysis.motion.of_top import motion_of
-from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, Motion
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from conftest import random_states
-from topcli.analysis import reference_series as taylor
-from topcli.analysis.attitude import attitude_columns, quaternions_of
+from topcli.analysis import reference as taylor
+from topcli.analysis.columns import attitude_columns, quaternions_of
 from topcli.arithmetic import double_double as dd
 from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest, root_sign, rotation_increment
 from topcli.arithmetic.fused import fma

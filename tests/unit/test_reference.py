@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from topcli.analysis import reference
-from topcli.analysis import reference_series as taylor
+from topcli.analysis import reference as taylor
 from topcli.analysis.reference import ORDER, REACH, coefficients, reference_states
 from topcli.contracts import EulerPoisson, Top
 from topcli.errors import RunError

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.attitude import ATTITUDES, attitude_columns
-from topcli.analysis.columns import column_names, columns
+from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns
 from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.tally import InvariantRow, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top

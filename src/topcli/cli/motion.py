@@ -11,8 +11,8 @@ from topcli.errors import UsageError
 
 def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool) -> None:
     """Print what the closed form says about the motion of a config. Raises UsageError for a sweep or an ensemble."""
+    from topcli.analysis.motion import NEIGHBOURS, QUANTITIES
     from topcli.analysis.motion.of_top import motion_of
-    from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES
     from topcli.config.load import load_experiment
 
     if row is not None or Path(config).is_dir():

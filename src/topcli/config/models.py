@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
-from topcli.analysis.attitude import ATTITUDES
-from topcli.analysis.columns import column_names
+from topcli.analysis.columns import ATTITUDES, column_names
 from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.duration import MAX_STEPS
 from topcli.config.exact import ExactNumbers

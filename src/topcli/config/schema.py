@@ -6,8 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.analysis.attitude import ATTITUDES
-from topcli.analysis.columns import spellings
+from topcli.analysis.columns import ATTITUDES, spellings
 from topcli.config.draws import Random, energy_fault
 from topcli.config.ensemble import SOURCES, Section
 from topcli.config.models import Config

@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, PlainValidator, create_model
 
-from topcli.analysis.attitude import ATTITUDES
-from topcli.analysis.columns import spellings
+from topcli.analysis.columns import ATTITUDES, spellings
 from topcli.config.document import STRICT, KeyPath, Problems, describe, number_of, validate
 from topcli.config.models import Output
 from topcli.contracts import Invariant, Scheme, Top

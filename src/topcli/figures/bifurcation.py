@@ -80,7 +80,7 @@ class Diagram:
         """Tint the regions, and write their names and numbers of tori into those that are large enough."""
         from matplotlib.colors import ListedColormap
 
-        from topcli.analysis.motion.chart import regions
+        from topcli.analysis.motion.diagram import regions
 
         E = _centres(*self.energies, PIXELS[0])[None, :]
         k_sq = _centres(*self.k_sq, PIXELS[1])[:, None]
@@ -139,9 +139,9 @@ class Window:
 
 def load_bifurcation(windows: Sequence[Window], layout: Grid, request: Request) -> Loaded:
     """Load a panel for each window. Raises UsageError for a scene of another top."""
-    from topcli.analysis.motion.chart import branches, regions
+    from topcli.analysis.motion.diagram import branches, regions
     from topcli.config.load import load_experiment
-    from topcli.schemes.kowalevski.separation import integrals
+    from topcli.schemes.kowalevski.closed_form.curve import integrals
 
     panels, data = [], {}
     for number, window in enumerate(windows):
@@ -176,7 +176,7 @@ def numbers_of_tori() -> dict[str, int]:
 
 def critical_curves(two_l: float, energies: tuple[float, float], k_sq: tuple[float, float]) -> dict[str, np.ndarray]:
     """Critical curves of each kind in a window, in the order of the legend: E and k² (2, m), nan between parts."""
-    from topcli.analysis.motion.chart import branches
+    from topcli.analysis.motion.diagram import branches
 
     parts: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
     for branch in branches(0.5 * two_l, 1.0, energies, k_sq):

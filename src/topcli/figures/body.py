@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.attitude import ATTITUDES, QUATERNION
+from topcli.analysis.columns import ATTITUDES, QUATERNION
 from topcli.arithmetic.quaternions import matrices
 from topcli.contracts import Array, Top, checked_equations
 from topcli.figures.picture import Runs, halo

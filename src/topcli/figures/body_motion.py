@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.attitude import quaternions_of
-from topcli.analysis.columns import invariant_values
+from topcli.analysis.columns import invariant_values, quaternions_of
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome

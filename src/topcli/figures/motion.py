@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.motion.result import Motion
+from topcli.analysis.motion import Motion
 from topcli.contracts import Array, Top
 from topcli.figures.bifurcation import Diagram, critical_curves, curve_columns, numbers_of_tori
 from topcli.figures.curves import plain
@@ -68,7 +68,7 @@ class PlaceDiagram(Diagram):
 
 def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
     """Place in the plane of E and k², in units in which c |gamma| = 1."""
-    from topcli.schemes.kowalevski.separation import integrals
+    from topcli.schemes.kowalevski.closed_form.curve import integrals
 
     of = integrals(motion.state, top.constants()[0])
     unit = math.sqrt(float(of.G))

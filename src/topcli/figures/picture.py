@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from topcli.analysis.attitude import SYMBOLS
+from topcli.analysis.columns import SYMBOLS
 from topcli.errors import UsageError, clipped, nearest, quoted
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from topcli.analysis.motion import NEIGHBOURS, QUANTITIES, Motion
 from topcli.analysis.motion.of_top import closed_form_top
-from topcli.analysis.motion.result import NEIGHBOURS, QUANTITIES, Motion
 from topcli.config.models import Experiment
 from topcli.figures.motion import motion_drawn
 from topcli.pages.contents import Chapter, Notes, Picture, Pictures

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.isospectral import spectral_content
-from topcli.analysis.lax import block_form, kowalevski_form
+from topcli.analysis.lax import block_form, kowalevski_form, spectral_content
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import minima_times, spacing_law, swing_spacing

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import columns
-from topcli.analysis.digit_growth import DigitGrowth, digit_growth
+from topcli.analysis.roundoff import DigitGrowth, digit_growth
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment

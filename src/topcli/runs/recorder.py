@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.attitude import attitude_columns
-from topcli.analysis.columns import columns, invariant_values
+from topcli.analysis.columns import attitude_columns, columns, invariant_values
 from topcli.analysis.tally import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending

@@ -16,7 +16,7 @@ from topcli.engine.endings import NO_FAILURE, Endings
 from topcli.table import Column, Table, exact_number, markdown_table, number, two_digits
 
 if TYPE_CHECKING:
-    from topcli.analysis.digit_growth import DigitGrowth
+    from topcli.analysis.roundoff import DigitGrowth
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
     from topcli.engine.setups import SetupTime

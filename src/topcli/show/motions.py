@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from topcli.analysis.motion import QUANTITIES, Motion
 from topcli.analysis.motion.of_top import closed_form_top, motion_of
-from topcli.analysis.motion.result import QUANTITIES, Motion
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.show.report import Report, draw_panel

@@ -9,17 +9,19 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from topcli.analysis.backlund_lax import discrete_lax_defect
-from topcli.analysis.isospectral import (
+from topcli.analysis.lax import (
     LAMBDAS,
+    LaxForm,
     commutator_residual,
     conjugation_defect,
     difference_slopes,
+    discrete_lax_defect,
     eigenvalue_shift,
+    lax_forms,
+    rates,
     spectral_content,
     spectral_drift,
 )
-from topcli.analysis.lax import LaxForm, lax_forms, rates
 from topcli.analysis.reference import BODY, reference_states
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment

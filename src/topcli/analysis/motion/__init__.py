@@ -1,1 +1,136 @@
 """Class, periods, frequencies and neighbourhood of a motion from its closed form, without integrating."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from topcli.contracts import Floats, Top
+from topcli.errors import UnknownNameError, nearest, quoted
+from topcli.table import Column, Table, exact_number
+
+
+class Quantity(NamedTuple):
+    """A number that belongs to a motion; ``value`` is infinite for the period of an asymptotic motion."""
+
+    name: str
+    value: float
+    meaning: str
+
+
+class Neighbour(NamedTuple):
+    """Nearest critical motion if one integral is changed and the others are kept.
+
+    ``along`` is the name of that integral, ``value`` its critical value and ``distance`` the change that leads there.
+    ``kind`` is ``separatrix`` or ``pinch``, or ``periodic``, ``delone`` or ``bobylev-steklov``, where the torus shrinks
+    to a periodic motion.
+    """
+
+    along: str
+    value: float
+    distance: float
+    kind: str
+
+
+@dataclass(frozen=True, repr=False)
+class Motion:
+    """Class, periods and frequencies of one motion.
+
+    ``motion[name]`` is the value of a quantity such as ``frequency.s1``; ``name in motion`` is true if it has one.
+
+    Attributes
+    ----------
+    top : str
+        Form of the top whose closed form was used. A heavy top with the moments and the centre of gravity of another
+        top is treated as that one.
+    kind : str
+        Class of the motion, such as ``torus II``, ``separatrix`` or ``polhode about A``.
+    title : str
+        The class in words.
+    state : tuple of float
+        Initial state.
+    quantities : tuple of Quantity
+        Integrals, frequencies, periods, actions and distances: ``name``, ``value`` and ``meaning`` of each.
+    neighbours : tuple of Neighbour
+        Critical motions next to this one: ``along``, ``value``, ``distance`` and ``kind`` of each.
+    notes : tuple of str
+        Sentences on what is not defined for this motion.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> motion = topcli.motion("kowalevski_hk")
+    >>> motion.kind
+    'torus II'
+    >>> round(motion["time_between_swings"], 4)
+    28.1716
+    """
+
+    top: str
+    kind: str
+    title: str
+    state: tuple[float, ...]
+    quantities: tuple[Quantity, ...]
+    neighbours: tuple[Neighbour, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[str]:
+        return (one.name for one in self.quantities)
+
+    def __contains__(self, name: object) -> bool:
+        return any(one.name == name for one in self.quantities)
+
+    def __getitem__(self, name: str) -> float:
+        """Value of a quantity by name. Raises UnknownNameError with the nearest names."""
+        for one in self.quantities:
+            if one.name == name:
+                return one.value
+        raise UnknownNameError(f"this motion has no quantity {quoted(name)}; {nearest(name, list(self))}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the motion as plain data, ready for JSON; an infinite value is None."""
+        return {
+            "top": self.top,
+            "kind": self.kind,
+            "title": self.title,
+            "state": list(self.state),
+            "quantities": {one.name: one.value if math.isfinite(one.value) else None for one in self.quantities},
+            "meanings": {one.name: one.meaning for one in self.quantities},
+            "neighbours": [one._asdict() for one in self.neighbours],
+            "notes": list(self.notes),
+        }
+
+
+def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
+    """Integrals of ``top`` at the state ``y``."""
+    import numpy as np
+
+    row = np.array([y], dtype=float)
+    return tuple(Quantity(one.name, float(one.value(row)[0]), one.meaning) for one in top.invariants())
+
+
+def _text(value: float) -> str:
+    return "∞" if value == math.inf else exact_number(value)
+
+
+QUANTITIES = Table(
+    lambda motion: [quantity._asdict() for quantity in motion.quantities],
+    (Column("quantity", "name"), Column("value", "value", _text), Column("meaning", "meaning")),
+    heading="Quantities",
+    index="name",
+    numbers=(1,),
+)
+NEIGHBOURS = Table(
+    lambda motion: [neighbour._asdict() for neighbour in motion.neighbours],
+    (
+        Column("along", "along"),
+        Column("critical value", "value", _text),
+        Column("distance", "distance", "{:+.6g}".format),
+        Column("kind", "kind"),
+    ),
+    heading="Nearest critical motions",
+    title="nearest critical motions",
+    numbers=(1, 2),
+)

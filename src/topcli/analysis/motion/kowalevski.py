@@ -1,8 +1,8 @@
 """Motion of the Kowalevski top: class of the torus, frequencies, actions, and the nearest separatrix.
 
-All from the roots of Kowalevski's curve and integrals over its two real ovals (``schemes.kowalevski.separation`` and
-``oval``). With a, b the integrals of ds/|w| over the ovals of s1 and s2, and P, Q those of |s - sigma| ds/|w|, the
-periods of s1 and s2 are 2 (P b + Q a)/b and 2 (P b + Q a)/a.
+All from the roots of Kowalevski's curve and integrals over its two real ovals (``curve`` and ``oval`` in
+``schemes.kowalevski.closed_form``). With a, b the integrals of ds/|w| over the ovals of s1 and s2, and P, Q those of
+|s - sigma| ds/|w|, the periods of s1 and s2 are 2 (P b + Q a)/b and 2 (P b + Q a)/a.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import product
 
-from topcli.analysis.motion.actions import actions
+from topcli.analysis.motion import Motion, Neighbour, Quantity
 from topcli.analysis.motion.diagram import (
     DELONE,
     PERIODIC,
@@ -26,12 +26,10 @@ from topcli.analysis.motion.diagram import (
     pendulum_is_stable,
     region,
 )
-from topcli.analysis.motion.result import Motion, Neighbour, Quantity, integrals_of
+from topcli.analysis.motion.torus import actions
 from topcli.contracts import Floats
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.oval import Oval
-from topcli.schemes.kowalevski.pendulum import is_pendulum
-from topcli.schemes.kowalevski.separation import (
+from topcli.schemes.kowalevski.closed_form.curve import (
     DIGITS,
     Curve,
     Integrals,
@@ -42,6 +40,9 @@ from topcli.schemes.kowalevski.separation import (
     separated,
     series_step,
 )
+from topcli.schemes.kowalevski.closed_form.multiprecision import digits, ellipk, isinf, mpc, mpf, sqrt
+from topcli.schemes.kowalevski.closed_form.oval import Oval, ovals_of
+from topcli.schemes.kowalevski.closed_form.setup import is_pendulum
 from topcli.tops.kowalevski import Kowalevski, field
 
 SHIFTS = (0, 3, 5)
@@ -61,16 +62,12 @@ class Ovals:
     @classmethod
     def of(cls, integrals: Integrals) -> Ovals | None:
         """Ovals of the given integrals; None if three roots of the curve coincide at an end of an oval."""
-        from topcli.schemes.kowalevski.multiprecision import digits
-
         with digits(2 * DIGITS):
             found = curve(integrals)
-        top, low, high = found.occupied()
-        if any(sum(one == found.e[i] for one in found.e) > 2 for i in (top, low)):
+        if any(found.e.count(found.e[i]) > 2 for i in found.occupied()[:2]):
             return None
         with digits(DIGITS):
-            sigma = (found.e[top].real + found.e[low].real) / 2
-            return cls(found, Oval(found, low, high, sigma), Oval(found, top, None, sigma))
+            return cls(found, *ovals_of(found))
 
     @property
     def turns(self) -> tuple[int, int]:
@@ -116,8 +113,6 @@ class Ovals:
 
     def separated(self, y: Floats, c: float) -> tuple[list[Real], Real, Real] | None:
         """State on the orbit of ``y`` with its finite s1 and s2; None if they are undetermined at all times tried."""
-        from topcli.schemes.kowalevski.multiprecision import digits, isinf, mpf
-
         rate = max(*map(abs, y[:3]), math.sqrt(abs(c) * max(map(abs, y[3:]))))
         for shift in SHIFTS:
             with digits(2 * DIGITS):
@@ -134,8 +129,6 @@ class Ovals:
 
     def rests(self, y: Floats, c: float) -> bool:
         """True if s1 or s2 of the state ``y`` is in the double root at an end of its oval, for ever."""
-        from topcli.schemes.kowalevski.multiprecision import digits
-
         found = self.separated(y, c)
         if found is None:
             return False
@@ -149,8 +142,6 @@ class Ovals:
         Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i).
         The state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``state_of_factors``).
         """
-        from topcli.schemes.kowalevski.multiprecision import digits, mpc, sqrt
-
         roots, gap = self.curve.e[:3], between(self.curve.e)
         found = self.separated(y, c)
         if len(gap) < 2 or found is None:
@@ -184,10 +175,8 @@ def _is_end(oval: Oval, s: Real) -> bool:
 
 
 def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
-    """Motion of the Kowalevski top from the state ``y`` (6,)."""
+    """Motion of the Kowalevski top from the state ``y`` (6,), with gravity."""
     c = float(top.constants()[0])
-    if c == 0.0 or not any(y[3:]):
-        return _free(top, y)
     of = integrals(y, c)
     conserved = _integrals(top, of, c)
     if _at_rest(y, c):
@@ -201,13 +190,6 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     if ovals.kind == "torus":
         return _torus(top, y, ovals, conserved, c)
     return _degenerate(top, y, ovals, conserved, c)
-
-
-def _free(top: Kowalevski, y: Floats) -> Motion:
-    from topcli.analysis.motion.euler import free_motion_of
-
-    note = "without gravity: the free symmetric top"
-    return free_motion_of(top.form, (top.A, top.A, top.C), y, integrals_of(top, y), (note,))
 
 
 def _at_rest(y: Floats, c: float) -> bool:
@@ -293,8 +275,6 @@ def critical_neighbours(of: Integrals, shrinks: bool, unit: float) -> list[Neigh
 
 def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> list[Quantity]:
     """Distances to the nearest separatrix in the plane of E/C and k, along either axis."""
-    from topcli.schemes.kowalevski.multiprecision import digits, mpf, sqrt
-
     found = []
     for one in neighbours:
         if one.kind not in (SEPARATRIX, PINCH):
@@ -310,9 +290,7 @@ def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> l
 
 
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
-    """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (``schemes.kowalevski.pendulum``)."""
-    from topcli.schemes.kowalevski.multiprecision import digits, ellipk, sqrt
-
+    """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (``schemes.kowalevski.closed_form.setup``)."""
     what = "pendulum (Bobylev-Steklov): ω2 = 0 for ever"
     w1, _, w3, g1, g2, _ = map(Fraction, y)
     xi = (w1 * w1 - Fraction(c) * g1, -Fraction(c) * g2)

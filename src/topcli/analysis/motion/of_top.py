@@ -1,18 +1,46 @@
-"""Motion of any top from a state, as far as its closed form is known."""
+"""Motion of any top from a state, as far as its closed form is known.
+
+That of the Euler top: class of the polhode, its period, and the rotation of the body about the momentum. That of the
+Lagrange top: nutation, precession, and the curve that the axis traces on the sphere.
+
+With the momenta bv about the vertical and ba about the axis, divided by A, nu = mu |gamma|/A, the energy e without that
+of the spin, and c = cos(theta) = gamma3/|gamma|,
+
+    c'² = 2 (e - nu c)(1 - c²) - (bv - ba c)²,    phi' = (bv - ba c)/(1 - c²)
+
+(Whittaker, Analytical Dynamics, section 71). The precession in a period is a complete elliptic integral of the third
+kind.
+"""
 
 from __future__ import annotations
 
-from topcli.analysis.motion.euler import free_motion_of
-from topcli.analysis.motion.result import Motion, integrals_of
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal, localcontext
+
+from topcli.analysis.motion import Motion, Quantity, integrals_of
+from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rf, carlson_rj
 from topcli.contracts import Floats, Top
 from topcli.errors import UsageError
-from topcli.tops.euler import Euler
+from topcli.schemes.euler.exact import free_motion
+from topcli.schemes.lagrange.oscillation import derivative, horner, oscillation
+from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
+AXES = "ABC"
+Vector = tuple[Decimal, Decimal, Decimal]
+Described = tuple[str, str, Sequence[Quantity]]
+"""Kind, title and quantities of a motion."""
 LARGEST = 1e70
 """Largest number of a state or a top; the fourth power of larger ones overflows."""
+CUSP = Decimal("1e-12")
+"""Largest rate of precession at a turning point, relative to its terms, that counts as a cusp."""
+ONE = Decimal(1)
+NOTHING = Decimal("1e-60")
+"""Differences of numbers of the order of one below this are rounding errors of the decimal arithmetic."""
 
 
 def motion_of(top: Top, y0: Floats) -> Motion:
@@ -24,24 +52,26 @@ def motion_of(top: Top, y0: Floats) -> Motion:
     if max(map(abs, (*y, *top.constants()))) > LARGEST:
         raise UsageError(f"motion: the state or the parameters are too large: more than {LARGEST:g} in magnitude")
     top = closed_form_top(top)
+    free, notes = isinstance(top, Euler) or (isinstance(top, Lagrange) and not any(y[3:])), ()
     if isinstance(top, Kowalevski):
-        from topcli.analysis.motion.kowalevski import kowalevski_motion
+        if top.constants()[0] != 0.0 and any(y[3:]):
+            from topcli.analysis.motion.kowalevski import kowalevski_motion  # imports mpmath
 
-        return kowalevski_motion(top, y)
-    if isinstance(top, Lagrange | LagrangeInertial):
-        from topcli.analysis.motion.lagrange import lagrange_motion
-
-        return lagrange_motion(top, y)
-    if isinstance(top, Euler):
-        return free_motion_of(top.form, (top.A, top.B, top.C), y, integrals_of(top, y))
-    title = "no closed form is known for a top with these parameters"
-    return Motion(top.form, "no closed form", title, y, integrals_of(top, y))
+            return kowalevski_motion(top, y)
+        free, notes = True, ("without gravity: the free symmetric top",)
+    described: Described = "no closed form", "no closed form is known for a top with these parameters", ()
+    conserved = integrals_of(top, y)
+    with localcontext(prec=DIGITS):
+        if free:
+            described = _free(_vector(y[:3]), _vector(top.euler_poisson().moments))
+        elif isinstance(top, Lagrange | LagrangeInertial):
+            described = _lagrange(top, y)
+    kind, title, quantities = described
+    return Motion(top.form, kind, title, y, (*conserved, *quantities), notes=notes)
 
 
 def closed_form_top(top: Top) -> Top:
     """Return ``top``; in place of a heavy top the Euler, Lagrange or Kowalevski top with its parameters, if any."""
-    from topcli.tops.euler import EulerGamma
-
     if not isinstance(top, Heavy):
         return top
     A, B, C = top.A, top.B, top.C
@@ -52,3 +82,219 @@ def closed_form_top(top: Top) -> Top:
     if A == B == 2.0 * C and top.y0 == top.z0 == 0.0:
         return Kowalevski(A=A, c0=top.x0)
     return top
+
+
+def _vector(values: Sequence[float]) -> Vector:
+    a, b, c = (Decimal(float(v)) for v in values)
+    return a, b, c
+
+
+def _free(w: Vector, J: Vector) -> Described:
+    """Motion without gravity from omega ``w``, for the moments of inertia ``J``."""
+    square = sum(((a * b) ** 2 for a, b in zip(J, w, strict=True)), Decimal(0))
+    twice = sum((a * b * b for a, b in zip(J, w, strict=True)), Decimal(0))
+    if not twice:
+        return "equilibrium", "at rest", ()
+    effective = square / twice
+    place = Quantity("moment", float(effective), "m²/(m·ω), the moment of inertia about the axis of rotation")
+    low, middle, high = sorted(J)
+    speed = sum((v * v for v in w), Decimal(0)).sqrt()
+    turning = (
+        place,
+        Quantity("frequency.rotation", float(speed) / (2.0 * math.pi), "revolutions of the body per unit time"),
+    )
+    steady = all((J[i] - J[j]) * w[i] * w[j] == 0 for i, j in ((0, 1), (1, 2), (2, 0)))
+    different = low < middle < high
+    if steady:
+        if low == high:
+            return "steady rotation", "steady rotation of the spherical top", turning
+        unstable = different and effective == middle
+        word = "unstable" if unstable else "stable" if different or effective != middle else "neutral"
+        return "steady rotation", f"{word} steady rotation about a principal axis", turning
+    found = free_motion(w, J, Decimal(1))
+    rate = found.step[0] + found.step[1]
+    assert found.precession is not None
+    if found.quarter is None:
+        period = Quantity("period", math.inf, "time from one steady rotation about the middle axis to the other")
+        rate_quantity = Quantity("rate", rate, "rate at which the steady rotation is approached, e-foldings")
+        return (
+            "separatrix",
+            "separatrix: asymptotic to the rotation about the middle axis",
+            (place, period, rate_quantity),
+        )
+    half = 2.0 * found.quarter[0] / rate
+    about = found.precession.per_step[0] + found.precession.per_half[0] / half
+    axis = found.axes[0]
+    size = "smallest" if J[axis] == low else "largest"
+    quantities = [
+        place,
+        Quantity("frequency", 0.5 / half, "cycles of ω along the polhode per unit time"),
+        Quantity("period", 2.0 * half, "time in which ω traverses the polhode"),
+        Quantity("frequency.precession", about, f"mean revolutions of the axis {AXES[axis]} about m per unit time"),
+    ]
+    if not different:
+        title = f"regular precession of a symmetric top; ω circles about the axis of {AXES[axis]}"
+        return f"polhode about {AXES[axis]}", title, quantities
+    quantities += [
+        Quantity(
+            "separatrix.distance", float(effective - middle), f"m²/(m·ω) - {float(middle):g}, 0 on the separatrix"
+        ),
+        Quantity("separatrix.m1", found.m1, "complementary parameter 1 - k² of the elliptic functions"),
+    ]
+    title = f"polhode about the axis of the {size} moment, {AXES[axis]} = {float(J[axis]):g}"
+    return f"polhode about {AXES[axis]}", title, quantities
+
+
+@dataclass(frozen=True)
+class Nutation:
+    """Constants of one motion; ``c`` is its initial cos(theta)."""
+
+    bv: Decimal
+    ba: Decimal
+    nu: Decimal
+    e: Decimal
+    c: Decimal
+
+    @property
+    def polynomial(self) -> list[Decimal]:
+        """Coefficients of c'², highest degree first."""
+        bv, ba, nu, e = self.bv, self.ba, self.nu, self.e
+        return [Decimal(0), 2 * nu, -2 * e - ba * ba, 2 * bv * ba - 2 * nu, 2 * e - bv * bv]
+
+    def turn(self, c: Decimal) -> Decimal:
+        """Rate of precession times 1 - c²."""
+        return self.bv - self.ba * c
+
+    def mirrored(self) -> Nutation:
+        """The same motion seen with the axis reversed, which changes the sign of nu."""
+        return Nutation(self.bv, -self.ba, -self.nu, self.e, -self.c)
+
+    def precession(self, low: Decimal, high: Decimal) -> Decimal:
+        """Angle of precession in one period of the nutation between ``low`` and ``high``."""
+        if self.nu < 0:
+            return self.mirrored().precession(-high, -low)
+        apart = high - low
+        if self.nu:
+            third = (2 * self.e + self.ba**2) / (2 * self.nu) - low - high
+            rate, m1 = (2 * self.nu * (third - low)).sqrt(), (third - high) / (third - low)
+        else:
+            rate, m1 = (2 * self.e + self.ba**2).sqrt(), ONE
+        total = Decimal(0)
+        # 1/(1 - c²) in partial fractions; each integral over sin² with its own characteristic
+        for weight, start, sign in ((self.bv - self.ba, 1 - low, 1), (self.bv + self.ba, 1 + low, -1)):
+            if abs(weight) > NOTHING and start:
+                n = sign * apart / start
+                total += weight / 2 / start * _complete_third(n, m1)
+        return 4 * total / rate
+
+
+def _complete_third(n: Decimal, m1: Decimal) -> Decimal:
+    """Complete elliptic integral of the third kind for the characteristic n < 1, with complementary parameter m1."""
+    zero = Decimal(0)
+    if n == 0:
+        return carlson_rf(zero, m1, ONE)
+    return carlson_rf(zero, m1, ONE) + n / 3 * carlson_rj(zero, m1, ONE, 1 - n)
+
+
+def _lagrange(top: Lagrange | LagrangeInertial, y: Floats) -> Described:
+    """Motion of the Lagrange top from the state ``y`` (6,), in the body frame or the inertial frame."""
+    if not any(y[3:]):
+        return "equilibrium", "equilibrium: m and a are constant", ()
+    nutation = _nutation(top, [Decimal(float(v)) for v in y])
+    try:
+        between = oscillation(nutation.polynomial, nutation.c, True, -ONE, ONE)
+    except ValueError:
+        return _asymptotic(nutation)
+    if between.gap == 0.0:
+        return _steady(nutation)
+    low, high = max(between.lower, -ONE), min(between.upper, ONE)
+    turned = float(nutation.precession(low, high) / (2 * PI))
+    period = between.period
+    quantities = (
+        Quantity("frequency.nutation", 1.0 / period, "cycles of cos θ per unit time"),
+        Quantity("period.nutation", period, "time of one oscillation of cos θ"),
+        Quantity("frequency.precession", turned / period, "mean revolutions about the vertical per unit time"),
+        Quantity("precession.per_nutation", turned, "revolutions about the vertical in one nutation"),
+        *_bounds(float(low), float(high), between.kc2),
+        *_sleeping(nutation),
+    )
+    return *_curve(nutation, low, high), quantities
+
+
+def _bounds(low: float, high: float, m1: float) -> tuple[Quantity, ...]:
+    return (
+        Quantity("cos_theta.min", low, "smallest cosine of the angle θ between axis and vertical"),
+        Quantity("cos_theta.max", high, "largest cosine of this angle"),
+        Quantity("separatrix.m1", m1, "complementary parameter 1 - k², 0 on the separatrix"),
+    )
+
+
+def _nutation(top: Lagrange | LagrangeInertial, y: Sequence[Decimal]) -> Nutation:
+    """Constants of the motion, from the state in the body frame or the inertial frame."""
+    first, vertical = y[:3], y[3:]
+    size = sum((v * v for v in vertical), Decimal(0)).sqrt()
+    along = sum((a * b for a, b in zip(first, vertical, strict=True)), Decimal(0)) / size
+    c = vertical[2] / size
+    if isinstance(top, LagrangeInertial):
+        across = sum((v * v for v in first), Decimal(0)) - along**2
+        return Nutation(first[2], along, size, across / 2 + size * c, c)
+    A = Decimal(top.A)
+    spin = Decimal(top.C) / A * first[2]
+    nu = Decimal(top.mu) / A * size
+    flat = first[0] * vertical[0] + first[1] * vertical[1]
+    return Nutation(flat / size + spin * c, spin, nu, (first[0] ** 2 + first[1] ** 2) / 2 + nu * c, c)
+
+
+def _curve(nutation: Nutation, low: Decimal, high: Decimal) -> tuple[str, str]:
+    """Kind of the curve of the axis on the sphere, and the motion in words."""
+    bv, ba = nutation.bv, nutation.ba
+    if not bv and not ba:
+        return "pendulum", "planar pendulum"
+    poles = [name for name, at in (("upright", 1 - high), ("hanging", 1 + low)) if at <= NOTHING]
+    if poles:
+        return "through the pole", f"nutation through the {' and the '.join(poles)} position"
+    if not ba:
+        return "waves", "spherical pendulum: no momentum about the axis, precession in one sense"
+    ends = [nutation.turn(c) for c in (low, high)]
+    scale = CUSP * (abs(bv) + abs(ba))
+    if any(abs(value) <= scale for value in ends):
+        return "cusps", "nutation with cusps: the axis stops at one of the bounds"
+    if ends[0] * ends[1] < 0:
+        return "loops", "nutation with loops: the precession changes its sense"
+    return "waves", "nutation with waves: precession in one sense"
+
+
+def _sleeping(nutation: Nutation) -> list[Quantity]:
+    if not nutation.nu:
+        return []
+    ratio = float(nutation.ba**2 / (4 * abs(nutation.nu)))
+    return [Quantity("sleeping.ratio", ratio, "(C ω3)²/(4 A |μγ|); upright spinning is stable from 1 on")]
+
+
+def _steady(nutation: Nutation) -> Described:
+    """Regular precession, or a top that spins or rests about the vertical; theta is constant."""
+    square = -horner(derivative(derivative(nutation.polynomial)), nutation.c) / 2
+    quantities = []
+    if square > 0:
+        small = float(square.sqrt() / (2 * PI))
+        quantities.append(Quantity("frequency.nutation", small, "cycles of cos θ per unit time in small nutations"))
+    if abs(nutation.c) != 1:
+        turn = float(nutation.turn(nutation.c) / (1 - nutation.c**2) / (2 * PI))
+        quantities.append(Quantity("frequency.precession", turn, "revolutions about the vertical per unit time"))
+        quantities.append(Quantity("cos_theta.min", float(nutation.c), "constant cosine of the angle θ"))
+        title = "regular precession: θ is constant" if turn else "at rest in a tilted position"
+        return "regular precession", title, (*quantities, *_sleeping(nutation))
+    below = nutation.c * nutation.nu < 0
+    what = "hanging" if below else "sleeping" if nutation.ba else "upright"
+    stable = below or nutation.ba**2 >= 4 * abs(nutation.nu)
+    title = f"{what} top: the axis stays vertical; {'stable' if stable else 'unstable'}"
+    return what, title, (*quantities, *_sleeping(nutation))
+
+
+def _asymptotic(nutation: Nutation) -> Described:
+    """Motion whose axis tends to the position in which the top would stand upright."""
+    lowest = float(nutation.ba**2 / (2 * abs(nutation.nu)) - 1)
+    bounds = (lowest, 1.0) if nutation.nu > 0 else (-1.0, -lowest)
+    period = Quantity("period.nutation", math.inf, "time of one oscillation of cos θ")
+    title = "separatrix: asymptotic to the upright position"
+    return "separatrix", title, (period, *_bounds(*bounds, 0.0), *_sleeping(nutation))

@@ -1,21 +1,111 @@
-"""Torus of a Kowalevski motion as a surface, with the lines of the flows of its energy and of k².
+"""Torus of a Kowalevski motion: its actions by quadrature, and its surface with the lines of two flows.
+
+With x = s + E/3, Z = (2 x - E)² - k² and the two factors S = x (Z + G) - L² and Z/4 of Phi, the momentum conjugate
+to x is
+
+    pi(x) = (1/2) int dZ / sqrt(-Z (x Z + x G - L²)),    d pi/dE = (s - E/6)/w,    d pi/dk² = 1/(4 w),
+
+so that (x1, pi1, x2, pi2) are canonical up to functions of x (Veselov, Novikov, Proc. Steklov Inst. 165 (1985) 53-65).
+The actions are the integrals over the cycles of the torus, divided by 2 pi:
+
+    J1 = (n1/pi) (int_a^b f dx + pi sqrt(a) - pi |L|/sqrt(G)),    J2 = (n2/pi) (int_-inf^r f dx - pi sqrt(r)),
+    f = arcsin(sqrt(x |Z|/|x G - L²|))/sqrt(x),
+
+where the terms with a and r are absent if the end of the oval is e4 or e5. J1 vanishes where the oval of s1 shrinks to
+a point. The integral to minus infinity diverges; sqrt(y) ln(16 y²/G) - 4 sqrt(y), y = -x, is subtracted. Then
+dE/dJ_i = 2 pi nu_i. The same cycles give other values in Euler angles, which are singular where gamma is parallel to
+the third axis: they differ by multiples of 2l, a constant of the leaf.
 
 On the torus the two angles of s1 and s2 at equal phases grow linearly under both flows. The Hamiltonian k² turns them
 at the rates B/D and -A/D, with A, B the integrals of |s - E/6| ds/|w| (signed as s1 - E/6 and E/6 - s2) over the ovals
-and D = A b + B a (``actions``); the energy at b/(4 D) and a/(4 D), in revolutions.
+and D = A b + B a (the derivatives of the actions); the energy at b/(4 D) and a/(4 D), in revolutions.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
 from topcli.contracts import Array, Floats
-from topcli.schemes.kowalevski.inversion import Lattice
-from topcli.schemes.kowalevski.separated_motion import SeparatedMotion
-from topcli.schemes.kowalevski.separation import DIGITS, curve, integrals
+from topcli.schemes.kowalevski.closed_form.course import Lattice
+from topcli.schemes.kowalevski.closed_form.curve import DIGITS, Real, curve, integrals, real
+from topcli.schemes.kowalevski.closed_form.motion import SeparatedMotion
+from topcli.schemes.kowalevski.closed_form.multiprecision import asin, asinh, cos_sin, digits, log, mpf, pi, quad, sqrt
+from topcli.schemes.kowalevski.closed_form.oval import Oval
+from topcli.schemes.kowalevski.closed_form.setup import separated_motion
+
+WORKING_DIGITS = 20
+"""Decimal digits of the quadrature (tanh-sinh, which allows for the logarithm at infinity)."""
+INNER_DIGITS = 80
+"""Decimal digits of the integrand, whose terms cancel to twice the digits of the quadrature near infinity."""
+
+
+def actions(first: Oval, second: Oval, turns: tuple[int, int]) -> tuple[float, float]:
+    """Actions J1, J2 of the cycles that pass ``turns`` half periods of s1 and of s2."""
+    with digits(INNER_DIGITS):
+        one, two = _of_first(first), _of_second(second)
+        return float(turns[0] * one / pi), float(turns[1] * two / pi)
+
+
+def _momentum(of: Oval, x: Real) -> Real:
+    """Return f = arcsin(sqrt(x |Z|/|x G - L²|))/sqrt(x) at ``x``, analytic across x = 0."""
+    exact = of.curve.of
+    Z = (2 * x - 3 * real(exact.l1)) ** 2 - real(exact.k_sq)
+    a = x * real(exact.G) - real(exact.L) ** 2
+    if not Z or not a:
+        return mpf(0)
+    if not x:
+        return sqrt(abs(Z / a))
+    part = sqrt(abs(x * Z / a))
+    return asin(min(part, mpf(1))) / sqrt(x) if x > 0 else asinh(part) / sqrt(-x)
+
+
+def _integral(density: Callable[[Real], Real], anchors: Sequence[Real]) -> Real:
+    """Integral between the ``anchors`` with ``WORKING_DIGITS``, of a density computed with ``INNER_DIGITS``."""
+
+    def precise(theta: Real) -> Real:
+        with digits(INNER_DIGITS):
+            return density(theta)
+
+    with digits(WORKING_DIGITS):
+        return quad(precise, anchors)
+
+
+def _root_of_end(of: Oval) -> Real:
+    """Root of x at the end of the oval with theta = 0; x >= 0 there, but for rounding."""
+    return sqrt(max(of.a + real(of.curve.of.l1), mpf(0)))
+
+
+def _of_first(of: Oval) -> Real:
+    exact = of.curve.of
+    l1, total = real(exact.l1), mpf(0)
+
+    def density(theta: Real) -> Real:
+        C, S = cos_sin(theta)
+        return _momentum(of, of.a + l1 + of.length * S * S) * 2 * of.length * S * C
+
+    if of.length:
+        total = _integral(density, of.anchors)
+    if of.low < 3:
+        total += pi * (_root_of_end(of) - abs(real(exact.L)) / sqrt(real(exact.G)))
+    return total
+
+
+def _of_second(of: Oval) -> Real:
+    exact, H = of.curve.of, of.length
+    l1, scale, root = real(exact.l1), 16 * H * H / real(exact.G), sqrt(H)
+
+    def density(theta: Real) -> Real:
+        C, S = cos_sin(theta)
+        tan = S / C
+        momentum = _momentum(of, of.a + l1 - H * tan * tan)
+        return (2 * H * momentum * tan / C - root * tan * log(scale / C**4)) / C
+
+    total = _integral(density, of.anchors) - (root * log(scale) - 4 * root)
+    return total - pi * _root_of_end(of) if of.low < 3 else total
 
 
 @dataclass(frozen=True)
@@ -37,9 +127,7 @@ class Torus:
 
         Raises RunError for motions that the closed form does not cover, and ValueError if the orbit is not on a torus.
         """
-        from topcli.schemes.kowalevski.multiprecision import digits
-
-        motion = SeparatedMotion(y, c)
+        motion = separated_motion(y, c)
         course = motion.course
         if not isinstance(course, Lattice) or any(course.first.touched) or any(course.second.touched):
             raise ValueError("the motion is on a separatrix, not on a torus")
@@ -60,7 +148,7 @@ class Torus:
         """States at the phases (...), shape (..., 6)."""
         one, two = np.broadcast_arrays(one - np.round(one), two - np.round(two))
         with np.errstate(all="ignore"):
-            found = self.motion._evaluate(self.motion.course, (one.ravel(), two.ravel()))
+            found = self.motion.at_positions((one.ravel(), two.ravel()))
         return found.reshape(*one.shape, 6)
 
     def surface(self, rows: int, columns: int) -> Array:

@@ -2,7 +2,7 @@
 
 The step (``backlund_step``) maps each torus of the continuous top to itself and is a translation on it: it conserves
 gamma², 2l, E and k², is Poisson, commutes with the flow and with steps of other lengths, and has a discrete Lax pair
-(``analysis.backlund_lax``). Its parameter tau depends on h and the four integrals (``backlund_parameters``).
+(``analysis.lax``). Its parameter tau depends on h and the four integrals (``backlund_parameters``).
 
 **Constants.** Frozen, tau is computed once, from the initial state. On the surface tau(y) = tau this is the same map;
 off it, a deviation of the integrals by round-off contracts, because the surface attracts. Recomputed from the current

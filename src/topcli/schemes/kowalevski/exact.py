@@ -1,8 +1,7 @@
 """Motion of the Kowalevski top in closed form: any time directly, by Kowalevski's separation of variables.
 
-The motion separates into two hyperelliptic integrals of genus two (``separation``). The set-up, once for each initial
-state, computes their half periods in multiprecision and tabulates their inverses (``oval``, ``oval_table``); a state
-then costs the solution of one scalar equation (``separated_motion``) and a rational formula (``state_of_factors``).
+The set-up of ``closed_form``, once for each initial state, computes half periods in multiprecision and tabulates their
+inverses; a state then costs the solution of one scalar equation and a rational formula.
 """
 
 from __future__ import annotations
@@ -22,19 +21,13 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Accuracy, Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.delone import TripleRoot, has_triple_root
-from topcli.schemes.kowalevski.inversion import EPS
-from topcli.schemes.kowalevski.pendulum import Pendulum, is_pendulum
-from topcli.schemes.kowalevski.separated_motion import SeparatedMotion
-from topcli.schemes.kowalevski.stored_motion import Motion, motion_bytes, motion_from
+from topcli.schemes.kowalevski.closed_form import EPS, WEAK, Motion, motion_bytes, motion_from, set_up
 from topcli.schemes.registry import scheme
 
 KEPT = 64
 """Motions kept in memory."""
 AT_ONCE = 2.0**-17
 """Time after which a stored motion, in its own units, must be next to its initial state."""
-WEAK = 1e-9
-"""Round-off eps |omega|²/c, relative to gamma, from which on gravity is too weak for a motion that was refused."""
 
 
 @cache
@@ -61,27 +54,9 @@ def _keep(key: tuple[Floats, float], motion: Motion) -> Motion:
     return motion
 
 
-def _made(y: Floats, c: float) -> Motion:
-    """Set up the motion from the state ``y`` (6,), of the order of one. Raises RunError."""
-    if is_pendulum(y, c):
-        return Pendulum.of(y, c)
-    if has_triple_root(y, c):
-        return TripleRoot.of(y, c)
-    try:
-        return SeparatedMotion(y, c)
-    except RunError:
-        off = EPS * sum(v * v for v in y[:3]) / abs(c)
-        if off < WEAK * math.hypot(*y[3:]):
-            raise
-        raise RunError(
-            "kowalevski, scheme exact: gravity is too weak to be resolved: gamma would be uncertain by "
-            f"eps |omega|²/c = {off:.0e}; use scheme 'taylor'"
-        ) from None
-
-
 def _motion(y: Floats, c: float) -> Motion:
     """Motion from the state ``y`` (6,), of the order of one; set up if it is not in memory."""
-    return _kept().get((y, c)) or _keep((y, c), _made(y, c))
+    return _kept().get((y, c)) or _keep((y, c), set_up(y, c))
 
 
 def _at_rest(y: Floats, c: float) -> bool:
@@ -179,7 +154,7 @@ class ExactSetup:
     def compute(self, y0: Array, p: Floats) -> bytes:
         """Set up the motion and return it as bytes. Raises RunError."""
         key = self._key(y0, p)
-        return b"" if key is None else motion_bytes(_keep(key, _made(*key)))
+        return b"" if key is None else motion_bytes(_keep(key, set_up(*key)))
 
     def use(self, y0: Array, p: Floats, data: bytes) -> None:
         """Take a stored motion. Raises ValueError."""
@@ -202,7 +177,7 @@ class ExactSetup:
         from importlib.metadata import version
 
         here, digest = Path(__file__).parent, hashlib.sha256()
-        for path in sorted((*here.glob("*.py"), *here.parents[1].glob("arithmetic/*.py"))):
+        for path in sorted((*here.rglob("*.py"), *here.parents[1].glob("arithmetic/*.py"))):
             digest.update(path.name.encode() + path.read_bytes())
         versions = sys.version.split()[0], np.__version__, version("mpmath"), platform.machine()
         return " ".join((digest.hexdigest(), *versions))

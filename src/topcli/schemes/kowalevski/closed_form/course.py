@@ -9,18 +9,18 @@ Whole periods of both are removed in integers; p is the zero of a monotone funct
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.arithmetic.elliptic import add, jacobi, multiple
 from topcli.contracts import Array
-from topcli.schemes.kowalevski.oval_table import SLOW, OvalTable, Place
-from topcli.schemes.kowalevski.phase import Phase
-from topcli.schemes.kowalevski.separation import Real
+from topcli.schemes.kowalevski.closed_form.table import SLOW, OvalTable, Place, Real
 
 Positions = tuple[Array, ...]
 Equation = Callable[[Array, NDArray[np.intp]], tuple[Array, Array, Array]]
@@ -30,36 +30,94 @@ EPS = float(np.finfo(float).eps)
 ZERO, QUARTER = Fraction(0), Fraction(1, 4)
 AT_PASSAGE = 1.0 - 2.0**-51
 """Largest part of the time between two passages that is used."""
+BITS = 128
+TURN = 1 << BITS
+LOW = (1 << 64) - 1
+HALF = np.uint64(32)
+MASK = np.uint64((1 << 32) - 1)
 
 
-class Course(Protocol):
-    """Course of the two angles in time, on the ovals ``first`` and ``second`` of s1 and s2."""
+def fraction(x: Real) -> Fraction:
+    """Real number of mpmath as an exact fraction, for use without mpmath."""
+    sign, mantissa, exponent, _ = x.real._mpf_
+    value = Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return -value if sign else value
 
-    @property
-    def first(self) -> OvalTable:
-        """Oval of s1."""
-        ...
 
-    @property
-    def second(self) -> OvalTable:
-        """Oval of s2."""
-        ...
+@dataclass(frozen=True)
+class Phase:
+    """Phase ``start`` + n ``step`` modulo one turn, both in units of 2^-128 turns."""
 
-    def started(self, total: Real, difference: Real, time: Real) -> Course:
-        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
-        ...
+    start: int
+    step: int
 
-    def lasting(self) -> Course:
-        """The same without numbers of mpmath."""
-        ...
+    @classmethod
+    def of(cls, start: Fraction, step: Fraction) -> Phase:
+        """Phase from numbers of turns."""
+        return cls(math.floor(start * TURN) % TURN, math.floor(step * TURN) % TURN)
 
-    def positions(self, n: NDArray[np.int64], h: Fraction) -> Positions:
-        """Reduced phases after ``n`` (m,) steps of ``h``."""
-        ...
+    def turns(self, n: NDArray[np.int64], fine: bool = False) -> Array:
+        """Phases after ``n`` (m,) steps of either sign, in [-1/2, 1/2) turns; the error is less than 2^-64 + ulp.
 
-    def places(self, at: Positions, near: float) -> tuple[Place, Place]:
-        """Places on the two ovals, signed; |s - sigma| below ``near`` is taken from A0 or B0."""
-        ...
+        With ``fine`` small phases have 128 bits, less those of ``n``.
+        """
+        count = n.astype(np.int64).view(np.uint64)
+        low = np.uint64(self.step & LOW)
+        high = np.uint64(self.step >> 64) * count + _upper_half(low, count)
+        high -= np.where(n < 0, low, np.uint64(0))  # n was taken modulo 2^64
+        lower = low * count + np.uint64(self.start & LOW)
+        carry = lower < np.uint64(self.start & LOW)
+        total = high + np.uint64(self.start >> 64) + carry
+        upper = total.view(np.int64) * 2.0**-64
+        return upper + lower * 2.0**-128 if fine else upper
+
+
+def _upper_half(a: np.uint64, b: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Upper 64 bits of the products of 64-bit integers."""
+    a1, a0, b1, b0 = a >> HALF, a & MASK, b >> HALF, b & MASK
+    low, middle = a0 * b0, a1 * b0
+    cross = a0 * b1 + (low >> HALF) + (middle & MASK)
+    return a1 * b1 + (middle >> HALF) + (cross >> HALF)
+
+
+@dataclass(frozen=True)
+class JacobiPhase:
+    """Phase ``start`` + ``rate`` t of Jacobi's functions with the complementary parameter ``m1``.
+
+    ``quarter`` is the quarter period of sn, None if ``m1`` is zero.
+    """
+
+    start: Fraction
+    rate: Fraction
+    quarter: Fraction | None
+    m1: float
+
+    @classmethod
+    def of(cls, start: Real, rate: Real, quarter: Real, m1: Real) -> JacobiPhase:
+        """Phase from numbers of mpmath."""
+        whole = None if quarter is None else fraction(quarter)
+        return cls(fraction(start), fraction(rate), whole, float(m1))
+
+    def functions(self, n: NDArray[np.int64], h: float) -> tuple[Array, Array, Array]:
+        """Jacobi's sn, cn, dn, each of shape (m,), after ``n`` (m,) steps of ``h``."""
+        step = self.rate * Fraction(h)
+        if self.quarter is None:
+            u = add(multiple(_pair(step), n.astype(np.float64)), _pair(self.start))
+            return jacobi(u, None, 0.0)
+        turn = 4 * self.quarter
+        turns = Phase.of(self.start / turn, step / turn).turns(n)
+        quarter = _pair(self.quarter)
+        far = np.abs(turns) > 0.25
+        near = np.where(far, np.copysign(0.5, turns) - turns, turns)
+        u = multiple(quarter, 4.0 * near)
+        sn, cn, dn = jacobi(u, quarter, self.m1)
+        return sn, np.where(far, -cn, cn), dn
+
+
+def _pair(x: Fraction) -> tuple[float, float]:
+    """Return ``x`` as a sum of two doubles."""
+    high = float(x)
+    return (high, float(x - Fraction(high))) if math.isfinite(high) else (high, 0.0)
 
 
 def solved(equation: Equation, x: Array, low: Array, high: Array, scale: float) -> Array:
@@ -95,7 +153,11 @@ class Pair:
     second: OvalTable
 
     def refined(self, one: Place, two: Place, u1: Array, u2: Array, times: tuple[Array, Array], near: float) -> Any:
-        """Signed places, of which the one next to sigma is determined by the integral of ds/|w| of the other."""
+        """Signed places, of which the one next to sigma is determined by the integral of ds/|w| of the other.
+
+        ``u1`` and ``u2`` are their ``OvalTable.gap``.
+        """
+        u2 = u2 / np.maximum(two.C * two.C, 1e-300)  # |s2 - sigma|, infinite where s2 is
         by_second = (u1 <= u2) & (u1 < near)
         by_first = (u2 < u1) & (u2 < near)
         if by_second.any() and not self.first.at_root:
@@ -103,10 +165,6 @@ class Pair:
         if by_first.any() and not self.second.at_root:
             two = _replaced(two, by_first, self.second.at_time(times[1][by_first]))
         return one.signed(), two.signed()
-
-    def gap_of_second(self, two: Place, gap: Array) -> Array:
-        """|s2 - sigma|, infinite where s2 is."""
-        return gap / np.maximum(two.C * two.C, 1e-300)
 
 
 @dataclass(frozen=True)
@@ -122,9 +180,7 @@ class Lattice(Pair):
     starts: tuple[Fraction, Fraction] = (ZERO, ZERO)
 
     def started(self, total: Real, difference: Real, time: Real) -> Lattice:
-        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
-        from topcli.schemes.kowalevski.multiprecision import fraction
-
+        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``, without numbers of mpmath."""
         P, a, Q, b = self.periods
         determinant = 4 * (P * b + Q * a)
         rates = b / determinant, a / determinant
@@ -134,12 +190,13 @@ class Lattice(Pair):
             fraction(start) - (QUARTER if table.from_high and not table.endless else 0)
             for table, start in zip((self.first, self.second), (one, two), strict=True)
         ]
-        return replace(self, rates=(fraction(rates[0]), fraction(rates[1])), starts=(starts[0], starts[1]))
-
-    def lasting(self) -> Lattice:
-        """The same without numbers of mpmath."""
-        P, a, Q, b = (float(v) for v in self.periods)
-        return replace(self, periods=(P, a, Q, b))
+        return Lattice(
+            self.first,
+            self.second,
+            (float(P), float(a), float(Q), float(b)),
+            (fraction(rates[0]), fraction(rates[1])),
+            (starts[0], starts[1]),
+        )
 
     def positions(self, n: NDArray[np.int64], h: Fraction) -> Positions:
         """Phases in turns after ``n`` (m,) steps of ``h``; reduced if the angle turns."""
@@ -153,7 +210,7 @@ class Lattice(Pair):
 
     def places(self, at: Positions, near: float) -> tuple[Place, Place]:
         """Places on the two ovals, signed."""
-        P, _, Q, b = (float(v) for v in self.periods)
+        P, _, Q, b = self.periods
         p, q = 4.0 * P * at[0], 4.0 * Q * at[1]
         first, second = self.first, self.second
         slope = first.slope + second.slope
@@ -171,7 +228,7 @@ class Lattice(Pair):
         # A0 and B0 up to the same multiples of the periods as p and q
         B_zero, A_zero = 4.0 * b * at[1], first.slope * p
         times = B - second.slope * x + A_zero, A + first.slope * x + B_zero
-        return self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
+        return self.refined(one, two, u1, u2, times, near)
 
 
 @dataclass(frozen=True)
@@ -189,16 +246,11 @@ class Pinch(Pair):
     difference: float = 0.0
 
     def started(self, total: Real, difference: Real, time: Real) -> Pinch:
-        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``."""
-        from topcli.schemes.kowalevski.multiprecision import fraction
-
-        period = fraction(4 * (self.periods[0] + self.periods[1]))
-        return replace(self, period=period, total=fraction(total - time), difference=float(difference))
-
-    def lasting(self) -> Pinch:
-        """The same without numbers of mpmath."""
-        P, Q = (float(v) for v in self.periods)
-        return replace(self, periods=(P, Q), jump=float(self.jump))
+        """The course with p + q = ``total`` and A0 - B0 = ``difference`` at ``time``, without numbers of mpmath."""
+        P, Q = self.periods
+        period = fraction(4 * (P + Q))
+        start = fraction(total - time), float(difference)
+        return Pinch(self.first, self.second, (float(P), float(Q)), float(self.jump), self.stands, period, *start)
 
     def positions(self, n: NDArray[np.int64], h: Fraction) -> Positions:
         """p + q reduced to [-(P + Q), P + Q], A0 - B0, and the number of passages."""
@@ -209,12 +261,12 @@ class Pinch(Pair):
         whole = np.rint(float(start) + float(step) * n.astype(np.float64) - turns)
         passages = 2.0 * whole + half
         reduced = float(period) * (turns - 0.5 * half)
-        return reduced, self.difference - 2.0 * float(self.jump) * passages, passages
+        return reduced, self.difference - 2.0 * self.jump * passages, passages
 
     def places(self, at: Positions, near: float) -> tuple[Place, Place]:
         """Places on the two ovals, signed."""
         total, difference, passages = at
-        P, Q = (float(v) for v in self.periods)
+        P, Q = self.periods
 
         def equation(x: Array, index: NDArray[np.intp]) -> tuple[Array, Array, Array]:
             _, A, gap = self.first.at(x)
@@ -233,13 +285,13 @@ class Pinch(Pair):
             one, A, u1 = self.first.at(p)
             two, B, u2 = self.second.at(total - p)
             times = B + difference, A - difference
-            one, two = self.refined(one, two, u1, self.gap_of_second(two, u2), times, near)
+            one, two = self.refined(one, two, u1, u2, times, near)
         sign = 1.0 - 2.0 * np.mod(passages, 2.0)
         return one._replace(S=one.S * sign, C=one.C * sign), two._replace(S=two.S * sign, C=two.C * sign)
 
     def _in_turn(self, total: Array) -> tuple[Place, Place]:
         """Signed places if one variable rests in the double root while the other moves: first s2, then s1."""
-        P, Q = (float(v) for v in self.periods)
+        P, Q = self.periods
         second_moves = total <= Q - P
         one = self.first.at(np.where(second_moves, -P, total - Q))[0].signed()
         two = self.second.at(np.where(second_moves, total + P, Q))[0].signed()
@@ -260,3 +312,6 @@ def _replaced(place: Place, where: NDArray[np.bool_], by: Place) -> Place:
         copy[where] = new
         copies.append(copy)
     return Place(*copies)
+
+
+Course = Lattice | Pinch

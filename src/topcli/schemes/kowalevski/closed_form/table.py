@@ -9,15 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array
-from topcli.schemes.kowalevski.oval import NODES, Oval
-from topcli.schemes.kowalevski.separation import Real
 
+if TYPE_CHECKING:
+    from topcli.schemes.kowalevski.closed_form.oval import Oval
+
+Real = Any
+"""A number of mpmath."""
+NODES = 20
+"""Nodes of a panel: Gauss-Legendre for the half periods, Chebyshev for the tables."""
 Complexes = NDArray[np.complex128]
 SLOW = 200.0
 """Half period, in a unit of time of the order of one, of which the motion next to theta = 0 takes nearly all; times are

@@ -18,6 +18,7 @@ from fractions import Fraction
 from typing import Any
 
 from topcli.contracts import Floats
+from topcli.schemes.kowalevski.closed_form.multiprecision import acos, cbrt, cos, mp, mpc, mpf, pi, sign, sqrt
 
 DIGITS = 60
 """Decimal digits of the integrals; the roots are computed with twice as many."""
@@ -54,8 +55,6 @@ class Integrals:
 
     def e4_e5(self) -> tuple[Real, Real]:
         """Roots (l1 ± k)/2; rational at the double roots, so that equal ones are equal in multiprecision too."""
-        from topcli.schemes.kowalevski.multiprecision import mpf, sqrt
-
         if self.double_roots & {"k", "e4", "e5"}:
             k = abs(self._on_cubic()) if self.k_sq else Fraction(0)
             return real((self.l1 + k) / 2), real((self.l1 - k) / 2)
@@ -65,8 +64,6 @@ class Integrals:
 
 def real(q: Fraction) -> Real:
     """Return ``q`` in multiprecision."""
-    from topcli.schemes.kowalevski.multiprecision import mpf
-
     return mpf(q.numerator) / q.denominator
 
 
@@ -83,8 +80,6 @@ def integrals(y: Floats, c: float) -> Integrals:
 
 def cubic_roots(g2: Real, g3: Real) -> list[Real]:
     """Roots of 4 s³ - g2 s - g3; a conjugate pair comes last."""
-    from topcli.schemes.kowalevski.multiprecision import acos, cbrt, cos, mpc, mpf, pi, sign, sqrt
-
     D = g2**3 - 27 * g3**2
     if D >= 0:
         m = sqrt(g2 / 3)
@@ -100,8 +95,6 @@ def cubic_roots(g2: Real, g3: Real) -> list[Real]:
 
 def _roots(of: Integrals, e4: Real, e5: Real) -> list[Real]:
     """Roots of the cubic; equal ones are exactly equal."""
-    from topcli.schemes.kowalevski.multiprecision import mpc, sqrt
-
     double, g2, g3 = of.double_roots, real(of.g2), real(of.g3)
     if "cubic" in double:
         d = -3 * of.g3 / (2 * of.g2) if of.g2 else Fraction(0)
@@ -146,15 +139,11 @@ def curve(of: Integrals) -> Curve:
         e.sort(key=lambda v: (v.imag != 0, -v.imag))
     x0 = _isolated_root(e, l1, L)
     r1, r2 = -(x0**3) + 3 * l1 * x0 - L, (l1 - x0 * x0) / 2
-    from topcli.schemes.kowalevski.multiprecision import mpc
-
     return Curve(of, (*e, mpc(e4), mpc(e5)), pair, x0, r1, r2)
 
 
 def _isolated_root(e: Sequence[Real], l1: Real, L: Real) -> Real:
     """Root of R that is furthest from the others; x = q1 + q2 + q3 with q_i² = e_i + l1 and q1 q2 q3 = -L/2."""
-    from topcli.schemes.kowalevski.multiprecision import mp, mpc, mpf, sqrt
-
     q = [sqrt(v + l1) for v in e]
     if abs(q[0] * q[1] * q[2] + L / 2) > abs(q[0] * q[1] * q[2] - L / 2):
         largest = max(range(3), key=lambda i: abs(q[i]))
@@ -176,8 +165,6 @@ def separated(of: Integrals, y: Sequence[Real]) -> tuple[Real, Real]:
 
     Raises ZeroDivisionError where both omega2 and R(omega1) vanish.
     """
-    from topcli.schemes.kowalevski.multiprecision import mpc, mpf
-
     l1, L, rest = real(of.l1), real(of.L), real(of.G - of.k_sq)
     x, w2 = mpc(y[0], y[1]), y[1]
     n = abs(x) ** 2

@@ -16,10 +16,21 @@ import numpy as np
 
 from topcli.contracts import check_stop
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.separation import DIGITS, Curve, Real
+from topcli.schemes.kowalevski.closed_form.curve import DIGITS, Curve, Real
+from topcli.schemes.kowalevski.closed_form.multiprecision import (
+    asin,
+    atan,
+    conj,
+    cos_sin,
+    digits,
+    isinf,
+    mpc,
+    mpf,
+    pi,
+    sqrt,
+)
+from topcli.schemes.kowalevski.closed_form.table import NODES
 
-NODES = 20
-"""Nodes of a panel: Gauss-Legendre for the half periods, Chebyshev for the tables."""
 NARROWNESS = 9.0
 """Smallest Bernstein parameter of a panel: the integrals converge to 9^-40 = 7e-39.
 
@@ -35,8 +46,6 @@ TAIL = 2.0**-64
 @cache
 def _gauss_legendre() -> tuple[list[Real], list[Real]]:
     """Nodes and weights on [-1, 1]."""
-    from topcli.schemes.kowalevski.multiprecision import digits, mpf
-
     nodes, weights = [], []
     with digits(DIGITS):
         for start in np.polynomial.legendre.leggauss(NODES)[0]:
@@ -91,8 +100,6 @@ class Oval:
 
     def densities(self, S: Real, C: Real) -> tuple[Real, Real]:
         """ds/(|w| dtheta) and the same times |s - sigma|, at sine S and cosine C of theta."""
-        from topcli.schemes.kowalevski.multiprecision import sqrt
-
         e, product = self.curve.e, 1
         S2, C2 = S * S, C * C
         along, across = self.length * S2, self.length * C2
@@ -117,8 +124,6 @@ class Oval:
 
     def _anchors(self) -> list[Real]:
         """Angles from which offsets are measured: both ends, and the angle nearest to a conjugate pair."""
-        from topcli.schemes.kowalevski.multiprecision import asin, mpf, pi, sqrt
-
         ends = [mpf(0), pi / 2]
         if not self.curve.pair or not self.length:
             return ends
@@ -131,8 +136,6 @@ class Oval:
 
     def angle(self, s: Real) -> Real:
         """Theta in [0, pi/2] of a point of the oval."""
-        from topcli.schemes.kowalevski.multiprecision import asin, atan, isinf, mpf, pi, sqrt
-
         if self.high is None:
             return pi / 2 if isinf(s) else atan(sqrt(max(self.a - s, mpf(0)) / self.length))
         if not self.length:
@@ -141,8 +144,6 @@ class Oval:
 
     def _singularities(self) -> list[Real]:
         """Complex angles at which s is another root, or sigma, where the inverse of the weighted integral branches."""
-        from topcli.schemes.kowalevski.multiprecision import asin, atan, conj, mpc, mpf, pi, sqrt
-
         found: list[Real] = []
         if not self.length:
             return found
@@ -180,15 +181,11 @@ class Oval:
         return (anchor == 0 and self.touched[0]) or (anchor == len(self.anchors) - 1 and self.touched[1])
 
     def _panel(self, anchor: int, direction: int, begin: float, end: Real) -> Panel:
-        from topcli.schemes.kowalevski.multiprecision import mpf
-
         u, v = mpf(begin), mpf(end)
         return Panel(anchor, direction, u, v, *self.integrals(anchor, direction, u, v))
 
     def integrals(self, anchor: int, direction: int, begin: Real, end: Real) -> tuple[Real, Real]:
         """Integrals of the densities over offsets from an anchor."""
-        from topcli.schemes.kowalevski.multiprecision import cos_sin, mpf
-
         check_stop()
         middle, half = (begin + end) / 2, (end - begin) / 2
         time = weighted = mpf(0)
@@ -219,8 +216,6 @@ class Oval:
 
     def _up_to(self, theta: Real) -> tuple[Real, Real]:
         """Integrals over the angles from 0 to ``theta``."""
-        from topcli.schemes.kowalevski.multiprecision import mpf
-
         time = weighted = mpf(0)
         for panel in self.panels:
             A = self.anchors[panel.anchor]
@@ -257,3 +252,10 @@ def _cuts(singular: Sequence[complex] | np.ndarray, begin: float, end: float) ->
                 f"kowalevski, scheme exact: the set-up would need more than {MAX_PANELS} panels; use scheme 'taylor'"
             )
     return cuts
+
+
+def ovals_of(of: Curve) -> tuple[Oval, Oval]:
+    """The ovals of s1 and s2; sigma is in the middle of the gap between them."""
+    top, low, high = of.occupied()
+    sigma = (of.e[top].real + of.e[low].real) / 2
+    return Oval(of, low, high, sigma), Oval(of, top, None, sigma)
