@@ -10,7 +10,8 @@ import pytest
 
 import topcli
 from topcli.cli.study import command
-from topcli.studies.study import PYTHON_ONLY, STUDIES, find_study
+from topcli.studies import STUDIES, find_study
+from topcli.studies.study import PYTHON_ONLY
 from topcli.table import Column, Table, number
 
 DATA = {"rows": [{"name": "a", "deep": {"x": 0.125}, "y": 2.0}, {"name": "b", "deep": None, "y": math.inf}]}

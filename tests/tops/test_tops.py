@@ -16,7 +16,7 @@ from topcli.tops import BUILT_IN, TOPS, Tops, top_names
 
 def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
     for form in BUILT_IN:
-        fresh = Tops()
+        fresh = Tops(BUILT_IN)
         kind = fresh.kind(form)
         assert (fresh[form].form, fresh[form].kind) == (form, kind)
         assert fresh.kind(form) == kind
@@ -24,7 +24,7 @@ def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
 
 
 def test_a_top_can_be_added_replaced_and_removed() -> None:
-    tops = Tops()
+    tops = Tops(BUILT_IN)
     tops["odd"] = TOPS["heavy"]
     assert (tops["odd"], tops.kind("odd"), len(tops)) == (TOPS["heavy"], "heavy", len(BUILT_IN) + 1)
     del tops["odd"]

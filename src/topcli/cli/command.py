@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from topcli.studies.study import STUDIES, find_study
+from topcli.studies import STUDIES, find_study
 
 STUDY = "study"
 """Place of a command that follows from a study."""

@@ -25,7 +25,8 @@ from topcli.cli.options import (
 from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
 from topcli.errors import UsageError
 from topcli.store.files import require_writable, write_study
-from topcli.studies.study import Flag, Result, Study, Watch, imported
+from topcli.studies import Watch, imported
+from topcli.studies.study import Flag, Result, Study
 from topcli.table import Table
 
 Save = Annotated[

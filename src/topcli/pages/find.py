@@ -18,7 +18,8 @@ from topcli.pages.sweeps import sweep_chapter
 from topcli.store.files import SEAL, DamagedError, check_study, read_json
 from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run
 from topcli.store.parts import is_part, linked_file, parts_of
-from topcli.studies.study import STUDIES, find_study, stored_result
+from topcli.studies import STUDIES, find_study
+from topcli.studies.study import stored_result
 from topcli.sweeps.rows import ROWS
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from topcli.pages.contents import Block, Chapter, Notes, Picture, Pictures
 from topcli.pages.origin import add_origin
-from topcli.studies.study import Result, Study, imported
+from topcli.studies import imported
+from topcli.studies.study import Result, Study
 from topcli.table import Table
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.models import Experiment
 from topcli.contracts import Method, Outcome
 from topcli.engine.loop import Run
@@ -41,6 +40,7 @@ from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter
 
 if TYPE_CHECKING:
+    from topcli.config.ensemble import EnsembleExperiment
     from topcli.engine.precise.loop import PreciseRun
 
 
@@ -178,7 +178,7 @@ def prepared_precision(experiment: Experiment) -> PreciseRun | None:
 
 def plan_of(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> tuple[Identity, Plan]:
     """Identity and plan of an experiment or ensemble. Raises UsageError for one that would be refused."""
-    if isinstance(experiment, EnsembleExperiment):
+    if not isinstance(experiment, Experiment):
         from topcli.runs.ensemble import plan_ensemble
 
         return plan_ensemble(experiment, out, options)
@@ -190,7 +190,7 @@ def plan_of(experiment: Experiment | EnsembleExperiment, out: Path, options: Run
 
 def run_into(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
     """Run an experiment or ensemble into the folder ``out/<name>``; see ``run_experiment`` and ``run_ensemble``."""
-    if isinstance(experiment, EnsembleExperiment):
+    if not isinstance(experiment, Experiment):
         from topcli.runs.ensemble import run_ensemble
 
         return run_ensemble(experiment, out, options)

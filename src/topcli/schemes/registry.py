@@ -68,7 +68,7 @@ class Registry:
         self.before_files: Snapshot | None = None
         self.tables: list[tuple[Table, dict[Any, Any]]] = []
         """Tables that plugins extend, each with its built-in content."""
-        for table in (self.schemes, TOPS, self.for_every_top, self.top_origins):
+        for table in (self.schemes, TOPS.data, self.for_every_top, self.top_origins):
             self.extend(table)
 
     def extend(self, table: Table) -> None:

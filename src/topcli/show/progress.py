@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import printable
-from topcli.studies.study import Watch
+from topcli.studies import Watch
 
 PATIENCE = 0.5
 """Seconds before a bar appears."""

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from topcli.errors import UsageError
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
-from topcli.studies.study import STUDIES, Result, Study, find_study, imported
+from topcli.studies import STUDIES, find_study, imported
+from topcli.studies.study import Result, Study
 from topcli.table import Table
 
 if TYPE_CHECKING:

@@ -1,1 +1,61 @@
-"""Studies: the work behind the commands, such as run, compare, bench and stress."""
+"""Studies: the work behind the commands that measure, such as compare, bench and stress.
+
+Their names and observers are here, where the start of the command line finds them without importing a study.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from topcli.studies.study import Study
+
+
+class Watch:
+    """Observer of a study while it runs; this one is silent. It is called with (done, total) as the study proceeds."""
+
+    def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
+        """Note that the ``experiments`` are run from now on, and that the result is stored in ``file``.
+
+        Everything that the user gave is checked before. ``plotted`` says why the result cannot be drawn.
+        """
+
+    def message(self, line: str) -> None:
+        """Note something that the user should know at once."""
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Note that ``done`` of ``total`` are done."""
+
+
+SILENT = Watch()
+
+
+class Place(NamedTuple):
+    """Where a study is declared, and the first line of its help, which needs no import."""
+
+    place: str
+    help: str
+
+
+STUDIES = {
+    "compare": Place("topcli.studies.compare:COMPARE", "Compare schemes: errors, drifts, reversal, swings, speed."),
+    "analyse": Place("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
+    "lax": Place("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
+    "roundoff": Place("topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."),
+    "stress": Place("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
+    "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
+}
+"""All studies by name."""
+
+
+def find_study(name: str) -> Study:
+    """Return the study called ``name``."""
+    return imported(STUDIES[name].place)
+
+
+def imported(place: str) -> Any:
+    """Object called ``module:name``."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)

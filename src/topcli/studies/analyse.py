@@ -22,8 +22,9 @@ from topcli.errors import TopcliError, UsageError, nearest, quoted
 from topcli.runs.report import INVARIANTS, report_data
 from topcli.store.files import sha256_of
 from topcli.store.foreign import ForeignSeries
+from topcli.studies import SILENT, Watch
 from topcli.studies.entries import parts_of
-from topcli.studies.study import SILENT, Data, Flag, Head, Overrides, Result, Study, Watch
+from topcli.studies.study import Data, Flag, Head, Overrides, Result, Study
 from topcli.table import DASH, Column, Table, exact_number, number
 from topcli.tops import forms
 

@@ -32,20 +32,9 @@ from topcli.runs.report import finite
 from topcli.runs.simulate import trajectory_of
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
+from topcli.studies import SILENT, Watch
 from topcli.studies.entries import parts_of, top_title, under_scheme
-from topcli.studies.study import (
-    SILENT,
-    ConfigFile,
-    Data,
-    Faults,
-    Flag,
-    Head,
-    Overrides,
-    Result,
-    SchemeNames,
-    Study,
-    Watch,
-)
+from topcli.studies.study import ConfigFile, Data, Faults, Flag, Head, Overrides, Result, SchemeNames, Study
 from topcli.table import Column, Table, number
 from topcli.tops import forms
 

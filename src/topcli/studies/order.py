@@ -25,24 +25,12 @@ from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
 from topcli.store.files import stored_study
 from topcli.store.provenance import environment
+from topcli.studies import SILENT, Watch
 from topcli.studies.bench.contest import Problem, Rung, choose
 from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor, explore
 from topcli.studies.entries import cited_parts, scheme_with
 from topcli.studies.roundoff import GENERIC, SCENES
-from topcli.studies.study import (
-    SILENT,
-    ConfigSource,
-    Data,
-    Faults,
-    Flag,
-    Head,
-    Overrides,
-    Result,
-    SchemeNames,
-    Study,
-    TopName,
-    Watch,
-)
+from topcli.studies.study import ConfigSource, Data, Faults, Flag, Head, Overrides, Result, SchemeNames, Study, TopName
 from topcli.table import EVERY, Column, Table, two_digits
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")

@@ -27,19 +27,9 @@ from topcli.engine.loop import Run, nanoseconds_per_step
 from topcli.errors import ConfigError, UsageError
 from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
+from topcli.studies import SILENT, Watch
 from topcli.studies.entries import parts_of, under_scheme
-from topcli.studies.study import (
-    SILENT,
-    ConfigFile,
-    Data,
-    Faults,
-    Flag,
-    Head,
-    Overrides,
-    Result,
-    Study,
-    Watch,
-)
+from topcli.studies.study import ConfigFile, Data, Faults, Flag, Head, Overrides, Result, Study
 from topcli.table import Column, Table, two_digits
 
 SCENES = {

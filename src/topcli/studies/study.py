@@ -1,16 +1,15 @@
 """A study: a question put to experiments, declared once for the command line, Python, pages and files.
 
 The module of a study has a function ``measure`` with a NumPy docstring, its tables, notes and faults, and the ``Study``
-that names them; ``STUDIES`` lists it. Its command has an option for each parameter of ``measure`` and takes the help
-from the docstring; the Python function has the same parameters; ``--json``, the chapter of a page and the DataFrames
-show the same data.
+that names them; ``STUDIES`` of this folder lists it. Its command has an option for each parameter of ``measure`` and
+takes the help from the docstring; the Python function has the same parameters; ``--json``, the chapter of a page and
+the DataFrames show the same data.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -64,25 +63,6 @@ TopName = Annotated[str | None, Flag("--top", "TOP")]
 ConfigSource = Annotated[str | Path | Mapping[str, Any] | None, Flag("--config", "CONFIG")]
 ConfigFile = Annotated[str | Path | None, Flag("--config", "CONFIG")]
 Overrides = Annotated[Sequence[str], Flag("--set", "KEY=VALUE")]
-
-
-class Watch:
-    """Observer of a study while it runs; this one is silent. It is called with (done, total) as the study proceeds."""
-
-    def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
-        """Note that the ``experiments`` are run from now on, and that the result is stored in ``file``.
-
-        Everything that the user gave is checked before. ``plotted`` says why the result cannot be drawn.
-        """
-
-    def message(self, line: str) -> None:
-        """Note something that the user should know at once."""
-
-    def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Note that ``done`` of ``total`` are done."""
-
-
-SILENT = Watch()
 
 
 @dataclass(frozen=True)
@@ -239,32 +219,3 @@ def stored_result(data: Data) -> Result:
     series = data.get("series")
     columns = series if isinstance(series, dict) else {}
     return Result(data, {name: np.array(values, dtype=float) for name, values in columns.items()})
-
-
-class Place(NamedTuple):
-    """Where a study is declared, and the first line of its help, which needs no import."""
-
-    place: str
-    help: str
-
-
-STUDIES = {
-    "compare": Place("topcli.studies.compare:COMPARE", "Compare schemes: errors, drifts, reversal, swings, speed."),
-    "analyse": Place("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
-    "lax": Place("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
-    "roundoff": Place("topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."),
-    "stress": Place("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
-    "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
-}
-"""All studies by name."""
-
-
-def find_study(name: str) -> Study:
-    """Return the study called ``name``."""
-    return imported(STUDIES[name].place)
-
-
-def imported(place: str) -> Any:
-    """Object called ``module:name``."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)

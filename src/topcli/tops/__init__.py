@@ -7,8 +7,10 @@ ways; the first of them is the default, and the vectors of the initial state cho
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, MutableMapping
+from collections import UserDict
+from collections.abc import Collection
 from importlib import import_module
+from typing import Any
 
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, nearest, quoted
@@ -24,38 +26,23 @@ BUILT_IN = {
 """Module and class of each built-in form. A form is its kind, or begins with its kind and + or /."""
 
 
-class Tops(MutableMapping[str, type[Top]]):
+class Tops(UserDict[str, Any]):
     """Classes of the tops by form; a built-in class is imported when it is first needed, which shortens start-up."""
 
-    def __init__(self) -> None:
-        self._classes: dict[str, type[Top] | str] = dict(BUILT_IN)
-
     def __getitem__(self, form: str) -> type[Top]:
-        found = self._classes[form]
-        if isinstance(found, str):
-            module, name = found.split(".")
-            found = self._classes[form] = getattr(import_module(f"topcli.tops.{module}"), name)
-        return found
-
-    def __setitem__(self, form: str, top: type[Top]) -> None:
-        self._classes[form] = top
-
-    def __delitem__(self, form: str) -> None:
-        del self._classes[form]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._classes)
-
-    def __len__(self) -> int:
-        return len(self._classes)
+        top = self.data[form]
+        if isinstance(top, str):
+            module, name = top.split(".")
+            top = self.data[form] = getattr(import_module(f"topcli.tops.{module}"), name)
+        return top
 
     def kind(self, form: str) -> str:
         """Kind of a form, without importing its class."""
-        found = self._classes[form]
-        return re.split(r"[+/]", form)[0] if isinstance(found, str) else found.kind
+        top = self.data[form]
+        return re.split(r"[+/]", form)[0] if isinstance(top, str) else top.kind
 
 
-TOPS = Tops()
+TOPS = Tops(BUILT_IN)
 
 
 def top_names() -> list[str]:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from topcli.config.overrides import override_label, parse_override
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.studies import SILENT, Watch
 from topcli.studies.stress.cases import case_names
 from topcli.studies.stress.suite import FILE, chosen, require_options, stress, stress_data, stress_source
-from topcli.studies.study import SILENT, Data, Faults, Flag, Head, Result, SchemeNames, Study, TopName, Watch
+from topcli.studies.study import Data, Faults, Flag, Head, Result, SchemeNames, Study, TopName
 from topcli.table import Column, Table
 
 if TYPE_CHECKING:
