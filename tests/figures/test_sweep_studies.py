@@ -126,7 +126,7 @@ def test_the_random_tops_are_drawn_by_medians_and_quartiles(tmp_path: Path, monk
             assert (bar[0][1], bar[1][1]) == pytest.approx((ordered[1], ordered[3]), rel=1e-12)
 
 
-ERRORS = ["hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "dmv", "backlund", "exact", "rk4", "taylor"]
+ERRORS = ["hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor"]
 
 
 def test_one_legend_has_the_slopes_in_all_panels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

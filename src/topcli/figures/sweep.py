@@ -313,14 +313,12 @@ def satisfies(values: Mapping[str, Any], conditions: Sequence[str]) -> bool:
     )
 
 
-def sweep_views(
-    name: str, title: str, scene: str, views: tuple[View, ...], layout: Grid, needs: tuple[str, ...] = ()
-) -> Figure:
+def sweep_views(name: str, title: str, scene: str, views: tuple[View, ...], layout: Grid) -> Figure:
     """Views of the packaged sweep ``scene``, of which missing rows that they show are run; finished ones never again.
 
-    ``topcli sweep`` runs the others. ``needs`` are further ones of the figure.
+    ``topcli sweep`` runs the others.
     """
-    return Figure(name, title, scene, partial(_load_views, name, scene, views, layout), needs=(scene, *needs), rank=1)
+    return Figure(name, title, scene, partial(_load_views, name, scene, views, layout), needs=(scene,), rank=1)
 
 
 def _load_views(name: str, scene: str, views: tuple[View, ...], layout: Grid, request: Request) -> Loaded:
