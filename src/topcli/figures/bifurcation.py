@@ -11,7 +11,7 @@ import numpy as np
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import Grid, Styles, halo
+from topcli.figures.picture import Grid, Styles, caption, halo
 from topcli.figures.scenes import scene_config
 
 TINTS = ("#FFFFFF", "#DCE9F5", "#E3F0DC", "#F6EBD3", "#F5DDD9", "#E4DCEF")
@@ -64,10 +64,8 @@ class Diagram:
             x, y = (data[f"{self.number}:{kind}:{axis}"] for axis in AXES)
             axes.plot(x, y, label=label, zorder=3 if kind == "bobylev-steklov" else 4, clip_on=False, **look)
         axes.set(xlim=self.energies, ylim=self.k_sq)
-        axes.set_xlabel("$E$")
-        axes.set_ylabel("$k^2$")
         axes.grid(False)
-        axes.set_title(self.title or rf"({'abcdef'[self.number]}) $2\ell = {self.two_l:.6g}$", loc="left")
+        caption(axes, "$E$", "$k^2$", self.title or rf"({'abcdef'[self.number]}) $2\ell = {self.two_l:.6g}$")
 
     def _mark(self, axes: Any, E: float, k_sq: float) -> None:
         """Draw the point of the scene and its name."""

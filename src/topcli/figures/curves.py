@@ -11,7 +11,7 @@ import numpy as np
 
 from topcli.analysis.order import convergence
 from topcli.contracts import Array
-from topcli.figures.picture import REFERENCE, Styles, looks
+from topcli.figures.picture import REFERENCE, Styles, caption, looks
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 NOTHING = "no value"
@@ -81,9 +81,7 @@ class CurvePanel:
             axes.plot(*law, **styles[REFERENCE], label=self.guide)
         if self.yscale == SYMLOG:
             axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
-        axes.set_xlabel(self.xlabel)
-        axes.set_ylabel(self.ylabel)
-        axes.set_title(self.title, loc="left")
+        caption(axes, self.xlabel, self.ylabel, self.title)
         if self.words:
             axes.set_xticks(range(len(self.words)), self.words, rotation=0 if len(self.words) < 6 else 90)
         if not self.alone:
@@ -223,10 +221,9 @@ class HeatPanel:
             axes.plot(x[missing], y[missing], "x", color="0.35", markersize=6.0, label="no value")
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
         for axis, side in ((self.x, "x"), (self.y, "y")):
-            getattr(axes, f"set_{side}label")(axis.label)
             if axis.words:
                 turned = {"rotation": 90} if side == "x" and len(axis.words) > 5 else {}
                 getattr(axes, f"set_{side}ticks")(range(len(axis.words)), axis.words, **turned)
         axes.set_xlim(edges[0][0], edges[0][-1])
         axes.set_ylim(*(edges[1][[-1, 0]] if self.y.words else edges[1][[0, -1]]))  # names from top to bottom
-        axes.set_title(self.title, loc="left")
+        caption(axes, self.x.label, self.y.label, self.title)

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.curves import LOG, CurvePanel, curve_column, plain
 from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import Grid, Styles, looks
+from topcli.figures.picture import Grid, Styles, caption, looks
 from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
 from topcli.store.files import stored_study, write_study
@@ -78,16 +79,32 @@ class ErrorPanel:
                 style |= {"linestyle": "none", "markersize": 5.0}
             axes.plot(x[shown], y[shown], label=NAMES.get(scheme, scheme), lw=1.0, mew=0.4, **style)
         axes.set_ylim(top=2.0 * LARGEST)
-        axes.set_xlabel(ABSCISSAE[self.kind])
-        axes.set_ylabel("largest error")
-        axes.set_title(self.title, loc="left")
+        caption(axes, ABSCISSAE[self.kind], "largest error", self.title)
         if self.keys:
             axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.02), fontsize=8.5, borderaxespad=0.0)
 
 
+def points_of(row: Mapping[str, Any], key: str) -> np.ndarray:
+    """Values (m,) of the points of a scheme; those that are missing are nan."""
+    return np.array([point[key] for point in row["points"]], dtype=float)
+
+
 def load_error_and_cost(request: Request) -> Loaded:
     """Load the study of errors and times, measured if it is missing, out of date or forced."""
-    return loaded_study(*current_study(request.results, request.force, request.on_progress))
+    source = study_source()
+    study = stored_study(request.results / FILE, SCHEMA_VERSION, "topcli plot error-and-cost")
+    measured = partial(error_and_cost, problem(), compared_schemes())
+    return loaded_study(_current(study, source, request, measured, FILE), source)
+
+
+def _current(
+    study: dict[str, Any] | None, source: str, request: Request, measured: Callable[..., dict[str, Any]], file: Path
+) -> dict[str, Any]:
+    """The stored ``study``, measured and stored in ``file`` if it is missing, out of date or forced."""
+    if study is None or study.get("source") != source or request.force:
+        study = measured(request.on_progress)
+        write_study(request.results / file, study, source)
+    return study
 
 
 def loaded_study(study: Mapping[str, Any], source: str) -> Loaded:
@@ -95,8 +112,7 @@ def loaded_study(study: Mapping[str, Any], source: str) -> Loaded:
     data = {}
     for row in study["schemes"]:
         for kind, key, factor in (("h", "h", 1.0), ("time", "seconds", 1e6), ("error", "error", 1.0)):
-            values = [np.nan if point[key] is None else factor * point[key] for point in row["points"]]
-            data[column_name(row["scheme"], kind)] = np.array(values, dtype=float)
+            data[column_name(row["scheme"], kind)] = factor * points_of(row, key)
     schemes = tuple(row["scheme"] for row in study["schemes"] if row["points"])
     span = rf"$0 \leq t \leq {study['duration']:g}$"
     panels = (
@@ -162,16 +178,6 @@ def study_source() -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def current_study(out: Path, force: bool, on_progress: Callable[[int, int], None]) -> tuple[dict[str, Any], str]:
-    """Return the study stored in ``out``, measured if it is missing or out of date, and the digest of its source."""
-    source = study_source()
-    study = stored_study(out / FILE, SCHEMA_VERSION, "topcli plot error-and-cost")
-    if study is None or study.get("source") != source or force:
-        study = error_and_cost(problem(), compared_schemes(), on_progress)
-        write_study(out / FILE, study, source)
-    return study, source
-
-
 CEILING = 1e3
 """Errors above this one, of step sizes at which a scheme explodes, are drawn at the upper edge."""
 
@@ -181,8 +187,7 @@ def order_data(study: Mapping[str, Any]) -> dict[str, np.ndarray]:
     data = {}
     for row in study["schemes"]:
         for kind, key in (("x", "h"), ("y", "error")):
-            values = [np.nan if point[key] is None else point[key] for point in row["points"]]
-            data[curve_column(row["scheme"], kind)] = np.array(values, dtype=float)
+            data[curve_column(row["scheme"], kind)] = points_of(row, key)
     return data
 
 
@@ -204,8 +209,5 @@ def load_order(request: Request) -> Loaded:
 
     what = ladders(())
     source = order_source(what)
-    study = stored_order(request.results)
-    if study is None or study.get("source") != source or request.force:
-        study = order_study(what, request.on_progress)
-        write_study(request.results / FILE, study, source)
+    study = _current(stored_order(request.results), source, request, partial(order_study, what), FILE)
     return loaded_order(Result(study, source=lambda: source))

@@ -17,7 +17,7 @@ import numpy as np
 from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
 from topcli.contracts import Array
 from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import Grid, Styles, looks
+from topcli.figures.picture import Grid, Styles, caption, looks
 
 if TYPE_CHECKING:
     from topcli.config.models import Experiment
@@ -101,8 +101,7 @@ class MotionRows:
         axes.set_yticks([height + 0.4 for height in heights], [_row_label(name, h) for name, h in SHOWN], fontsize=8.6)
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False)
-        axes.set_xlabel("$t$")
-        axes.set_title(self.title, loc="left")
+        caption(axes, "$t$", "", self.title)
 
 
 @dataclass(frozen=True)
@@ -138,9 +137,7 @@ class SpacingOverStep:
         axes.set_xscale("log")
         axes.tick_params(axis="y", right=False)
         axes.set_ylim(8.0, 33.0)
-        axes.set_xlabel("$h$")
-        axes.set_ylabel("time between swings")
-        axes.set_title(self.title, loc="left")
+        caption(axes, "$h$", "time between swings", self.title)
         axes.legend(loc="lower left", fontsize=8, handlelength=2.0)
         powers = (-1, -2, -3)
         scale = axes.secondary_yaxis("right")

@@ -173,9 +173,7 @@ class Panel:
             values = self._shown(data[line.column])
             axes.plot(x, values, label=line.label, **self._style(line, len(x), styles))
             low, high = np.fmin.reduce(values, initial=low), np.fmax.reduce(values, initial=high)
-        axes.set_xlabel(self.xlabel)
-        axes.set_ylabel(self.ylabel)
-        axes.set_title(self.title, loc="left")
+        caption(axes, self.xlabel, self.ylabel, self.title)
         finite = x[np.isfinite(x)]
         axes.set_xlim(float(finite.min()), float(finite.max()))
         if self.log:
@@ -335,6 +333,12 @@ def below_panels(figure: Any, handles: Sequence[Any], texts: Sequence[str], ncol
     """Add a legend below all panels of a figure."""
     look = {"fontsize": "small", "title_fontsize": "small", **options}
     figure.legend(handles, texts, loc="outside lower center", ncols=ncols, **look)
+
+
+def caption(axes: Any, x: str, y: str, title: str) -> None:
+    """Write names beside the axes, and a title above them on the left."""
+    axes.set(xlabel=x, ylabel=y)
+    axes.set_title(title, loc="left")
 
 
 def halo(text: Any, width: float = 2.5) -> None:

@@ -19,7 +19,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import MARKERS, Grid, Styles, halo
+from topcli.figures.picture import MARKERS, Grid, Styles, caption, halo
 from topcli.runs.identity import method_fingerprint
 from topcli.schemes.layout import stepper
 from topcli.studies.roundoff import copies_followed, sampling_of
@@ -74,9 +74,7 @@ class GrowthPanel:
         axes.set_ylim(low, high)
         self._guide(axes, data, corner, high)
         self._label(axes, ends, float(axes.get_xlim()[1]))
-        axes.set_xlabel("number of steps $N$")
-        axes.set_ylabel("drift over $N$ steps (rms)")
-        axes.set_title(self.title, loc="left")
+        caption(axes, "number of steps $N$", "drift over $N$ steps (rms)", self.title)
 
     def _guide(self, axes: Any, data: Mapping[str, np.ndarray], corner: float, high: float) -> None:
         """Draw the guide lines from ``corner``, labelled below ``high``."""

@@ -90,11 +90,6 @@ def _uneven(values: Array) -> bool:
     return len(at) > 2 and bool(at[-1] >= CROWDED * at[0]) and bool(np.diff(at).max() >= CROWDED * np.diff(at).min())
 
 
-def _wide(values: Array) -> bool:
-    """True for values that are not negative and, but for zeros, span more than ``DECADES``."""
-    return scale_of(values)[0] == LOG
-
-
 def scale_of(values: Array) -> tuple[str, float]:
     """Scale that shows ``values`` (m,): linear, log or symlog, and the threshold of the last."""
     sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
@@ -220,7 +215,7 @@ def sweep_notes(rows: SweepRows, choice: Choice) -> list[str]:
         said.append(f"{len(outcomes)} of {len(rows)} rows did not complete: {listed}")
     if missing:
         said.append(f"{missing} of {len(rows)} values could not be computed (nan)")
-    if _wide(values) and (zeros := int((values == 0.0).sum())):
+    if scale_of(values)[0] == LOG and (zeros := int((values == 0.0).sum())):
         said.append(f"{zeros} of {len(rows)} values are zero and have no place on a logarithmic scale")
     axes = choice.keys if choice.colour else (choice.x,)
     if any(np.isnan(rows.columns[key]).any() for key in axes if rows.columns[key].dtype.kind == "f"):

@@ -14,7 +14,7 @@ from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Run
 from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import Grid, Styles, halo
+from topcli.figures.picture import Grid, Styles, caption, halo
 from topcli.figures.scene3d import TRACE, projection
 from topcli.runs.identity import method_fingerprint
 from topcli.studies.entries import under_scheme
@@ -88,8 +88,8 @@ class TorusSection:
         axes.plot(u, v, "s", color="0.75", ms=3.4, mew=0.0, rasterized=True, label="motion")
         size = 1.8 if np.isfinite(x).sum() > 1000 else 3.0
         axes.plot(x, y, ".", color=TRACE, ms=size, mew=0.0, rasterized=True, label=self.scheme)
-        axes.set(xlim=(-2.1, 2.1), ylim=(-1.7, 1.7), xlabel=r"$\omega_2$", ylabel=r"$\gamma_2$")
-        axes.set_title(self.title, loc="left")
+        axes.set(xlim=(-2.1, 2.1), ylim=(-1.7, 1.7))
+        caption(axes, r"$\omega_2$", r"$\gamma_2$", self.title)
 
 
 def load_torus_points(request: Request) -> Loaded:

@@ -11,7 +11,7 @@ import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.figure import Loaded, NothingMeasuredError, Request
-from topcli.figures.picture import MARKERS, Grid, Styles, looks
+from topcli.figures.picture import MARKERS, Grid, Styles, caption, looks
 
 FOLDER = "bench"
 """Folder of the results in the folder of the run folders."""
@@ -63,9 +63,7 @@ class WorkPrecision:
                 look = {"color": "0.55", "linestyle": "-", "lw": 0.8, "mfc": "white", "marker": marker}
             axes.plot(error, time, ms=3.2, mew=0.7, zorder=2 + curve.ours, label=curve.label, **look)
         axes.set_xlim(2.0 * WORST_ERROR, least / 3.0)
-        axes.set_xlabel("largest error over the run; more accurate →")
-        axes.set_ylabel("CPU time per unit of time, µs")
-        axes.set_title(self.title, loc="left")
+        caption(axes, "largest error over the run; more accurate →", "CPU time per unit of time, µs", self.title)
 
 
 def column_name(scene: str, competitor: str, kind: str) -> str:
