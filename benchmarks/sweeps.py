@@ -112,8 +112,7 @@ def rows_of(data: dict[str, Any]) -> list[Any]:
 
 def through(backend: Any, rows: list[Any], workers: int, scale: int) -> Callable[[], None]:
     """Function that evaluates ``rows`` in the batches that a sweep makes."""
-    from topcli.sweeps.batches import batches
-    from topcli.sweeps.evaluate import Work
+    from topcli.sweeps.evaluate import Work, batches
 
     def run() -> None:
         found = backend(batches(iter(rows), workers, scale), Work(MEASURES), lambda: False)

@@ -26,7 +26,7 @@ from topcli.runs.ensemble import run_ensemble
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import series
-from topcli.sweeps import batches, journal
+from topcli.sweeps import evaluate, journal
 from topcli.sweeps import run as sweep_run
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -55,7 +55,7 @@ def small_pieces() -> None:
     loop.CHUNK_STEPS = 100
     loop.PRECISE_STEPS = 10
     series.ROW_GROUP = 350
-    batches.PER_WORKER = 12
+    evaluate.PER_WORKER = 12
     sweep_run.TABLE_SECONDS = 0.0
     journal.SYNC_SECONDS = 0.0
 

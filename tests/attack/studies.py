@@ -83,7 +83,10 @@ class SweepScene:
         """Digests of the rows in the journal."""
         with Journal(out / SWEEP) as journal:
             index = journal.index()
-            return [str(journal.block(int(b)).digest[p]) for b, p in zip(index.block, index.place, strict=True)]
+            return [
+                str(journal.block(int(b)).digest[p])
+                for b, p in zip(index.rows["block"], index.rows["place"], strict=True)
+            ]
 
 
 def sweep_scenes(base: Path, configs: Path) -> list[SweepScene]:

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,8 @@ from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.runs.simulate import trajectory_of
 from topcli.sweeps import evaluate as seam
-from topcli.sweeps.batches import batches
-from topcli.sweeps.evaluate import Results, Work, evaluate_batch
+from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, batches, evaluate_batch
+from topcli.sweeps.measures import BatchRun
 from topcli.sweeps.run import SweepOptions, Watcher, find_row, in_threads, planned, run_sweep
 
 
@@ -184,12 +185,11 @@ def test_fail_fast_stops_and_keeps_what_is_finished(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("count", "raising"), [(3, [1]), (40, [0, 17, 18]), (40, list(range(40)))])
 def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of one batch, which are stepped together; all others keep the bits that they have without it."""
-    real = seam.BatchRun
     values = [0.125 + 0.01 * i for i in range(count)]
     rows = list(RowReader(load_sweep({**DATA, "grid": {"initial.omega1": values}})).rows())
     batch_of: list[int] = []
 
-    class Broken(real):  # type: ignore[misc, valid-type]
+    class Broken(BatchRun):
         def finished(self, initial: Any) -> Any:
             batch_of.append(len(initial))
             if np.isin(initial[:, 0], [values[i] for i in raising]).any():
@@ -197,12 +197,7 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
             return super().finished(initial)
 
     whole = evaluate_batch(rows, ["deviation.energy"])
-    seam.forget()
-    with monkeypatch.context() as patch:
-        patch.setattr(seam, "BatchRun", Broken)
-        patch.setattr(seam, "FIRST_PIECE", count)
-        found = evaluate_batch(rows, ["deviation.energy"])
-    seam.forget()
+    found = evaluate_batch(rows, ["deviation.energy"], pace=Pace(first_piece=count), kept=KeptRuns(Broken))
     pieces = {3: [1, 2], 40: [40]}[count]  # so few as 3 are not stepped side by side: the first piece is one row
     assert batch_of == [*pieces, *[1] * pieces[-1]]
     assert found.done == [True] * count
@@ -215,30 +210,34 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
 
 
 @pytest.mark.parametrize("size", [1, 7, 20, 39])
-def test_rows_in_pieces_that_fit_into_memory_have_the_same_results(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_in_pieces_that_fit_into_memory_have_the_same_results(size: int) -> None:
     rows = list(RowReader(load_sweep({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())
     assert len({seam.Shared.of(row) for row in rows}) == 1
+
+    class Small(BatchRun):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            self.size = size
+
     whole = evaluate_batch(rows, ["deviation.energy"])
-    seam.forget()
-    monkeypatch.setattr(seam, "batch_size", lambda experiment, measures: size)
-    found = evaluate_batch(rows, ["deviation.energy"])
-    seam.forget()
+    found = evaluate_batch(rows, ["deviation.energy"], kept=KeptRuns(Small))
     assert found == whole
     assert len(set(found.values["deviation.energy"])) == 40
 
 
-def test_a_row_that_cannot_become_a_run_stays_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = seam.BatchRun
-
-    class Broken(real):  # type: ignore[misc, valid-type]
+def test_a_row_that_cannot_become_a_run_stays_a_row(tmp_path: Path) -> None:
+    class Broken(BatchRun):
         def finished(self, initial: Any) -> Any:
             if (initial[:, 0] == 0.25).any():
                 raise RunError("no luck")
             return super().finished(initial)
 
-    monkeypatch.setattr(seam, "BatchRun", Broken)
+    def backend(made: Any, work: Work, stop: Any) -> Any:
+        yield from ((batch, evaluate_batch(batch, work.measures, kept=KeptRuns(Broken))) for batch in made)
+
     data = {**DATA, "grid": {"initial.omega1": [0.125, 0.25, 0.5]}}
-    assert sweep(tmp_path, data).outcomes == {"completed": 2, "failed": 1}
+    result = run_sweep(load_sweep(data), tmp_path, SweepOptions(), Watcher(), backend)
+    assert result.outcomes == {"completed": 2, "failed": 1}
     found = [(row["outcome"], row["message"]) for row in table(tmp_path)]
     assert found == [("completed", found[0][1]), ("failed", "no luck"), ("completed", found[2][1])]
 
@@ -318,12 +317,10 @@ def test_a_row_does_not_depend_on_the_rest_of_the_sweep(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 10**9])
-def test_lanes_do_not_change_a_bit(lanes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lanes_do_not_change_a_bit(lanes: int) -> None:
     rows = list(RowReader(load_sweep(MANY)).rows())
     usual = evaluate_batch(rows, MANY["measure"])
-    monkeypatch.setattr(seam, "LANE_ROWS", lanes)
-    monkeypatch.setattr(seam, "LANE_STEPS", lanes)
-    other = evaluate_batch(list(reversed(rows)), MANY["measure"])
+    other = evaluate_batch(list(reversed(rows)), MANY["measure"], pace=Pace(lanes, lanes))
     for name, values in usual.values.items():
         assert np.array_equal(values, other.values[name][::-1], equal_nan=True)
     assert usual.message == other.message[::-1]
@@ -341,7 +338,7 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
 def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     data = {**MANY, "grid": {"scheme": ["hk"]}, "random": {**MANY["random"], "count": 4000}}
     rows = list(RowReader(load_sweep(data)).rows())
-    monkeypatch.setattr("topcli.sweeps.batches.PER_WORKER", 1)
+    monkeypatch.setattr("topcli.sweeps.evaluate.PER_WORKER", 1)
     sizes = {scale: max(len(batch) for batch in batches(iter(rows), 1, scale)) for scale in (1, 3)}
     assert sizes == {1: 1024, 3: 3072}
 
@@ -416,10 +413,6 @@ def test_rows_side_by_side_share_their_time_limit(count: int, monkeypatch: pytes
         measures, size, side_by_side = (), 64, True
         limit: Any = None
 
-        @property
-        def run(self) -> Any:
-            return self
-
         def finished(self, states: Any) -> Any:
             while not self.limit.stop():
                 clock[0] += 0.5
@@ -427,7 +420,7 @@ def test_rows_side_by_side_share_their_time_limit(count: int, monkeypatch: pytes
             raise RunError("stopped")
 
     monkeypatch.setattr(seam.time, "perf_counter", lambda: clock[0])
-    monkeypatch.setattr(seam._kept, "ready", lambda *arguments: Ready())
     rows = list(RowReader(load_sweep({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())[:count]
-    evaluate_batch(rows, (), time_limit=3.0)
+    kept: Any = SimpleNamespace(ready=lambda *arguments: Ready())
+    evaluate_batch(rows, (), time_limit=3.0, kept=kept)
     assert stopped[0] == (count, 50.0 + 3.0 * count + 0.5)

@@ -22,9 +22,9 @@ from topcli.contracts import StopAsked, check_stop, stopping_when
 from topcli.errors import RunError
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps import evaluate as seam
-from topcli.sweeps.evaluate import Results, Work, evaluate_batch, unfinished
+from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, evaluate_batch, unfinished
+from topcli.sweeps.measures import BatchRun, references
 from topcli.sweeps.measures import batch as recording
-from topcli.sweeps.measures import references
 from topcli.sweeps.measures.references import SharedReferences
 from topcli.sweeps.run import Watcher
 from topcli.tops.kowalevski import Kowalevski
@@ -81,20 +81,23 @@ def test_a_stop_during_a_reference_leaves_the_row_unfinished(slow_reference: lis
     assert slow_reference[0] == 131.0
 
 
-def test_a_measure_beyond_the_time_limit_stops_its_row_alone(
-    clock: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_measure_beyond_the_time_limit_stops_its_row_alone(clock: list[float]) -> None:
     """Two rows after the first one are together stopped after 40 s, and repeated by themselves."""
-    one_step = seam.BatchRun.one_step
 
-    def slow(self: Any, states: Any, h: float) -> Any:
-        for _ in range(100 if (self._run.y0[:, 0] == 0.5).any() else 0):
-            clock[0] += 1.0
-            check_stop()
-        return one_step(self, states, h)
+    class Slow(BatchRun):
+        initial = np.empty(0)
 
-    monkeypatch.setattr(seam.BatchRun, "one_step", slow)
-    found = evaluate_batch(rows_of(ERRORS), ("reversal",), time_limit=20.0)
+        def finished(self, initial: Any) -> Any:
+            self.initial = initial[:, 0]
+            return super().finished(initial)
+
+        def one_step(self, states: Any, h: float) -> Any:
+            for _ in range(100 if (self.initial == 0.5).any() else 0):
+                clock[0] += 1.0
+                check_stop()
+            return super().one_step(states, h)
+
+    found = evaluate_batch(rows_of(ERRORS), ("reversal",), time_limit=20.0, kept=KeptRuns(Slow))
     assert found.outcome == ["completed", "interrupted", "completed"]
     assert found.message[1] == "stopped; the time limit is 20 s"
     assert np.isnan(found.values["reversal"]).tolist() == [False, True, False]
@@ -129,12 +132,10 @@ def test_a_call_that_was_stopped_is_not_repeated() -> None:
     assert unfinished(rows, Results(done=[True] * len(rows))) == []
 
 
-def test_pieces_of_any_size_give_the_same_values(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_of_any_size_give_the_same_values() -> None:
     rows = rows_of(MANY)
     usual = evaluate_batch(rows, MANY["measure"])
-    monkeypatch.setattr(seam, "FIRST_PIECE", 5)
-    monkeypatch.setattr(seam, "PIECE_SECONDS", 0.0)
-    other = evaluate_batch(rows, MANY["measure"])
+    other = evaluate_batch(rows, MANY["measure"], pace=Pace(first_piece=5, seconds=0.0))
     assert usual.values == other.values
     assert usual.message == other.message
 

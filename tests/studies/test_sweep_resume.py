@@ -103,10 +103,10 @@ def test_the_later_of_two_entries_of_a_row_counts(tmp_path: Path) -> None:
         journal.append(block("bb" * 32, "completed"))
         journal.append(block("aa" * 32, "completed"))
         for index in (journal.index(),):
-            assert index.completed.tolist() == [True, True]
-            assert index.block.tolist() == [2, 1]
+            assert index.rows["completed"].tolist() == [True, True]
+            assert index.rows["block"].tolist() == [2, 1]
     with Journal(tmp_path) as journal:
-        assert journal.index().block.tolist() == [2, 1]
+        assert journal.index().rows["block"].tolist() == [2, 1]
         assert journal.block(0).outcome == ["blew_up"]
 
 
@@ -272,7 +272,7 @@ def test_a_line_that_no_sweep_has_written_is_damaged(tmp_path: Path, change: dic
         (tmp_path / "journal.jsonl").write_bytes(b"%08x %s\n" % (zlib.crc32(text), text))
         with Journal(tmp_path) as journal:
             assert journal.damaged == damaged
-            assert len(journal.index().digest) == (0 if damaged else 2)
+            assert len(journal.index().rows) == (0 if damaged else 2)
 
 
 def test_every_flipped_bit_and_every_cut_of_a_journal_is_found(tmp_path: Path) -> None:

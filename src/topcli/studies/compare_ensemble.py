@@ -15,7 +15,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.runs.report import EndingTally, finite
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
-from topcli.sweeps.measures import BatchRun, Measure, batch_size, evaluate, names_of, resolve_measures
+from topcli.sweeps.measures import BatchRun, Measure, evaluate, names_of, resolve_measures
 from topcli.sweeps.measures.references import METHODS, TAYLOR, reference_form
 
 QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
@@ -120,10 +120,9 @@ class _Column:
 
     def prepare(self, group: Group) -> int:
         """Get ready to run trajectories of a group; return the largest number of them at a time."""
-        one: Experiment = self.experiment.model_copy(update={"top": group.top})
-        size = batch_size(one, self.measures)
-        self._run = BatchRun(one, self.measures, count=min(group.count, size), reference=self._reference)
-        return size
+        experiment = self.experiment.model_copy(update={"top": group.top})
+        self._run = BatchRun(experiment, self.measures, count=group.count, reference=self._reference)
+        return self._run.size
 
     def add(self, initial: Array) -> None:
         """Run the trajectories from ``initial`` (m, d) and measure them."""

@@ -7,12 +7,12 @@ for the measure of its time.
 
 from __future__ import annotations
 
+import itertools
 import json
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
@@ -24,23 +24,31 @@ from topcli.config.models import Experiment, Output
 from topcli.config.rows import Row
 from topcli.config.sections import read_scheme
 from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
-from topcli.errors import RunError, TopcliError
+from topcli.errors import TopcliError
 from topcli.schemes.user_code import users_error
 from topcli.store.provenance import cpu_name
-from topcli.sweeps.measures import BatchRun, Measure, batch_size, evaluate, resolve_measures
+from topcli.sweeps.measures import BatchRun, Limit, Measure, evaluate, resolve_measures
 from topcli.tops import TOPS
 
 FAILED = "failed"
 """Outcome of a row that an error ended before it became a run."""
-LANE_STEPS, LANE_ROWS = 1 << 17, 32
-"""Steps, all together, or rows that differ only in the initial state, from which on it pays to step them side by side,
-which needs another piece of machine code."""
-FIRST_PIECE = 64
-"""Rows of the first piece of a group that is stepped side by side; one by one, a first piece has one row."""
 PIECE_SECONDS = 2.0
-"""Time of later pieces. The results of a call are handed over after the first piece that ends later than this."""
+"""The results of a call are handed over after the first piece that ends later than this."""
 KEPT_RUNS = 16
 """Runs ready to start that a thread keeps for later batches."""
+
+
+class Pace(NamedTuple):
+    """How rows that differ only in the initial state are stepped; it changes no value."""
+
+    lane_steps: int = 1 << 17
+    """Steps, all together, from which on it pays to step the rows side by side, with machine code of its own."""
+    lane_rows: int = 32
+    """Rows from which on that pays."""
+    first_piece: int = 64
+    """Rows of the first piece of a group that is stepped side by side; one by one, a first piece has one row."""
+    seconds: float = PIECE_SECONDS
+    """Time of later pieces."""
 
 
 class Shared(NamedTuple):
@@ -76,6 +84,9 @@ def evaluate_batch(
     time_limit: float = 0.0,
     stop: Callable[[], bool] = lambda: False,
     seconds: float = float("inf"),
+    *,
+    pace: Pace = Pace(),  # noqa: B008 (never changed)
+    kept: KeptRuns | None = None,
 ) -> Results:
     """Evaluate rows; the results are in their order.
 
@@ -92,6 +103,10 @@ def evaluate_batch(
         Asked between chunks; once it returns true, unfinished rows are given up and are not ``done``.
     seconds : float, optional
         Time after which no other rows are begun; these are not ``done``. At least one is.
+    pace : Pace, optional
+        Sizes of the pieces in which the rows are run.
+    kept : KeptRuns, optional
+        Runs that are kept for later batches, by default those of this process.
 
     Returns
     -------
@@ -114,7 +129,7 @@ def evaluate_batch(
         return stop() or time.perf_counter() - began > seconds
 
     for shared, places in groups.items():
-        group = _Group(shared, tuple(measures), time_limit, stop, results)
+        group = _Group(shared, tuple(measures), time_limit, stop, results, pace, kept or _kept)
         group.run([(at, rows[at].initial) for at in places], ended)
         if ended():
             break
@@ -151,10 +166,10 @@ def _cpu() -> str:
 def _scheme(text: str, form: str) -> tuple[Scheme, Any]:
     """Scheme and options of a resolved section."""
     problems = Problems(Document({}))
-    found = read_scheme(json.loads(text), TOPS[form], problems)
+    scheme = read_scheme(json.loads(text), TOPS[form], problems)
     problems.raise_any()
-    assert found is not None
-    return found
+    assert scheme is not None
+    return scheme
 
 
 @lru_cache(maxsize=256)
@@ -188,75 +203,28 @@ def shared_experiment(shared: Shared) -> Experiment:
     )
 
 
-class _Limit:
-    """Time limit of some rows, ``seconds`` for each; 0 for none. Once it is reached, ``over`` and ``stop`` are true."""
+class KeptRuns(threading.local):
+    """The runs that a thread keeps, made by ``make``; a batch run is not safe to share."""
 
-    def __init__(self, seconds: float, rows: int, stop: Callable[[], bool]) -> None:
-        self.seconds, self._stop = seconds, stop
-        self._deadline = time.perf_counter() + seconds * rows if seconds else float("inf")
+    def __init__(self, make: Callable[..., BatchRun] = BatchRun) -> None:
+        self._make = make
+        self._runs: OrderedDict[Any, BatchRun] = OrderedDict()
 
-    @property
-    def over(self) -> bool:
-        """True once the time has passed."""
-        return time.perf_counter() > self._deadline
-
-    def stop(self) -> bool:
-        """True once the rows are to stop, for whatever reason."""
-        return self.over or self._stop()
-
-    @contextmanager
-    def apart(self) -> Iterator[None]:
-        """Limit the block by as many seconds for itself, which do not count for the rows. Raises RunError."""
-        began, deadline = time.perf_counter(), self._deadline
-        self._deadline = began + self.seconds if self.seconds else float("inf")
-        try:
-            yield
-        except StopAsked:
-            if self._stop():
-                raise
-            raise RunError(f"the reference takes more than the time limit of {self.seconds:g} s") from None
-        finally:
-            self._deadline = deadline + (time.perf_counter() - began)
-
-
-class _Ready:
-    """A batch run that is kept, with the ``limit`` of its latest call."""
-
-    def __init__(self, shared: Shared, measures: tuple[str, ...], count: int) -> None:
-        one = shared_experiment(shared)
-        self.measures = _measures(measures, shared.top, shared.scheme, shared.form)
-        self.size = batch_size(one, self.measures)
-        self.limit = _Limit(0.0, 1, lambda: False)
-        self.run = BatchRun(
-            one,
-            self.measures,
-            count=min(count, self.size),
-            threads=1,
-            stop=lambda: self.limit.stop(),
-            limited=lambda: self.limit.apart(),
-        )
-
-
-class _Kept(threading.local):
-    """The runs that a thread keeps; a batch run is not safe to share."""
-
-    def __init__(self) -> None:
-        self._runs: OrderedDict[Any, _Ready] = OrderedDict()
-
-    def ready(self, shared: Shared, measures: tuple[str, ...], count: int) -> _Ready:
+    def ready(self, shared: Shared, measures: tuple[str, ...], count: int) -> BatchRun:
         """Run for ``count`` rows, taken from the kept ones if possible."""
         count = 64 if count > 32 else 8 if count > 1 else 1
         key = (shared, measures, count)
-        found = self._runs.get(key)
-        if found is None:
-            found = self._runs[key] = _Ready(shared, measures, count)
+        run = self._runs.get(key)
+        if run is None:
+            chosen = _measures(measures, shared.top, shared.scheme, shared.form)
+            run = self._runs[key] = self._make(shared_experiment(shared), chosen, count=count, threads=1)
             if len(self._runs) > KEPT_RUNS:
                 self._runs.popitem(last=False)
         self._runs.move_to_end(key)
-        return found
+        return run
 
 
-_kept = _Kept()
+_kept = KeptRuns()
 
 
 def forget() -> None:
@@ -264,7 +232,7 @@ def forget() -> None:
     global _kept
     for cached in (_scheme, _top, _measures, shared_experiment):
         cached.cache_clear()
-    _kept = _Kept()
+    _kept = KeptRuns()
 
 
 @dataclass
@@ -276,47 +244,49 @@ class _Group:
     time_limit: float
     stop: Callable[[], bool]
     results: Results
+    pace: Pace
+    kept: KeptRuns
 
     def run(self, rows: list[tuple[int, tuple[float, ...]]], ended: Callable[[], bool]) -> None:
         """Run the rows in pieces that fit into memory and take some seconds, until ``ended``; store their results."""
-        together = len(rows) >= LANE_ROWS or len(rows) * self.shared.N >= LANE_STEPS
+        together = len(rows) >= self.pace.lane_rows or len(rows) * self.shared.N >= self.pace.lane_steps
         try:
-            ready = _kept.ready(self.shared, self.measures, len(rows) if together else 1)
+            run = self.kept.ready(self.shared, self.measures, len(rows) if together else 1)
         except Exception as error:
             self._failed([place for place, _ in rows], error)
             return
-        start, size = 0, min(ready.size, FIRST_PIECE if ready.run.side_by_side else 1)
+        start, size = 0, min(run.size, self.pace.first_piece if run.side_by_side else 1)
         while start < len(rows) and not (start and ended()) and not self.stop():
             began = time.perf_counter()
-            self._piece(ready, rows[start : start + size])
+            self._piece(run, rows[start : start + size])
             start += size
             taken = max(time.perf_counter() - began, 1e-9)
-            size = max(1, min(ready.size, 8 * size, int(size * PIECE_SECONDS / taken)))
+            size = max(1, min(run.size, 8 * size, int(size * self.pace.seconds / taken)))
 
-    def _piece(self, ready: _Ready, rows: list[tuple[int, tuple[float, ...]]]) -> None:
-        ready.limit = limit = _Limit(self.time_limit, len(rows), self.stop)
+    def _piece(self, run: BatchRun, rows: list[tuple[int, tuple[float, ...]]]) -> None:
+        run.limit = limit = Limit(self.time_limit, len(rows), self.stop)
         faults: dict[int, list[str]] = {}
         try:
             with stopping_when(limit.stop), np.errstate(all="ignore"):  # extreme values are outcomes
-                batch = ready.run.finished(np.array([state for _, state in rows]))
-                found = evaluate(
-                    ready.measures, batch, lambda i, name, reason: faults.setdefault(i, []).append(f"{name}: {reason}")
+                batch = run.finished(np.array([state for _, state in rows]))
+                figures = evaluate(
+                    run.measures, batch, lambda i, name, reason: faults.setdefault(i, []).append(f"{name}: {reason}")
                 )
         except StopAsked:
             if len(rows) > 1 and not self.stop():
                 for row in rows:
-                    self._piece(ready, [row])
+                    self._piece(run, [row])
             elif not self.stop():
                 self._ended(rows[0][0], Outcome.INTERRUPTED, f"stopped; {self._limit_text}")
             return
         except Exception as error:
             if len(rows) > 1:  # so that only the rows that fail are lost
                 for row in rows:
-                    self._piece(ready, [row])
+                    self._piece(run, [row])
             else:
                 self._failed([rows[0][0]], error)
             return
-        columns = {name: values.tolist() for name, values in found.items()}
+        columns = {name: values.tolist() for name, values in figures.items()}
         results = self.results
         for i, (place, _) in enumerate(rows):
             ending = batch.endings[i]
@@ -345,3 +315,42 @@ class _Group:
         for place in places:
             self.results.message[place] = " ".join(text.split())
             self.results.done[place] = True
+
+
+WINDOW = 1 << 14
+"""Rows that are looked at together, to find those that can be stepped side by side."""
+BATCH_STEPS = 1 << 25
+"""Most steps of a batch, unless a single row has more."""
+BATCH_ROWS = 1 << 10
+PER_WORKER = 4
+"""Batches into which a small sweep is divided for each worker."""
+
+
+def batches(rows: Iterable[Row], workers: int, scale: int = 1) -> Iterator[list[Row]]:
+    """Yield all rows in batches of ``scale`` times the usual size, for ``workers`` that evaluate them side by side."""
+    source = iter(rows)
+    while window := list(itertools.islice(source, WINDOW)):
+        steps = sum(row.N for row in window)
+        limit = min(scale * BATCH_STEPS, steps // (PER_WORKER * workers) + 1)
+        groups: dict[Shared, list[Row]] = {}
+        for row in window:
+            groups.setdefault(Shared.of(row), []).append(row)
+        yield from _packed(groups.values(), limit, scale * BATCH_ROWS)
+
+
+def _packed(groups: Iterable[list[Row]], limit: int, most: int) -> Iterator[list[Row]]:
+    """Yield batches of at most ``limit`` steps and ``most`` rows, or of one row; only larger groups are divided."""
+    batch: list[Row] = []
+    steps = 0
+    for group in groups:
+        size = max(1, min(most, limit // group[0].N))
+        for start in range(0, len(group), size):
+            piece = group[start : start + size]
+            more = sum(row.N for row in piece)
+            if batch and (steps + more > limit or len(batch) + len(piece) > most):
+                yield batch
+                batch, steps = [], 0
+            batch += piece
+            steps += more
+    if batch:
+        yield batch

@@ -12,7 +12,6 @@ import os
 import re
 import time
 import zlib
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,29 +62,29 @@ class Block:
         return json.dumps(self.__dict__, separators=(",", ":"))
 
 
+ENTRY = np.dtype([("digest", DIGEST), ("completed", "?")] + [(n, "i4") for n in ("code", "measures", "block", "place")])
+"""Finished row in an ``Index``."""
+
+
 @dataclass(frozen=True)
 class Index:
     """Finished rows by digest, sorted: where each is in the journal, and what decides if it has to run again.
 
-    ``block`` and ``place`` are the number of its block and its position there; ``code`` and ``measures`` index
-    ``codes`` and ``measured``, the names of the measures that a block holds.
+    ``rows`` are of the type ``ENTRY``: ``block`` and ``place`` are the number of its block and its position there;
+    ``code`` and ``measures`` index ``codes`` and ``measured``, the names of the measures that a block holds.
     """
 
-    digest: Names
-    block: NDArray[np.int32]
-    place: NDArray[np.int32]
-    completed: NDArray[np.bool_]
-    code: NDArray[np.int32]
-    measures: NDArray[np.int32]
+    rows: NDArray[np.void]
     codes: list[str]
     measured: list[frozenset[str]]
 
     def find(self, digests: Names) -> NDArray[np.int64]:
         """Positions of ``digests`` (m,) in the index; -1 for those that are not in it."""
-        if not len(self.digest):
+        known = self.rows["digest"]
+        if not len(known):
             return np.full(len(digests), -1, dtype=np.int64)
-        at = np.minimum(np.searchsorted(self.digest, digests), len(self.digest) - 1)
-        return np.where(self.digest[at] == digests, at, -1)
+        at = np.minimum(np.searchsorted(known, digests), len(known) - 1)
+        return np.where(known[at] == digests, at, -1)
 
 
 class Journal:
@@ -98,10 +97,10 @@ class Journal:
     def __init__(self, folder: Path, write: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         self.path, self._write, self._clock = folder / JOURNAL, write, clock
         self._offsets: list[tuple[int, int]] = []
-        self._pieces: list[tuple[Names, NDArray[np.bool_], NDArray[np.int32], int]] = []
+        self._entries: list[NDArray[np.void]] = []
         self._codes: dict[str, int] = {}
         self._measured: dict[frozenset[str], int] = {}
-        self._parsed: OrderedDict[int, Block] = OrderedDict()
+        self._parsed: dict[int, Block] = {}
         self._synced = clock()
         self._end = self.damaged = 0
         self._handle = -1
@@ -143,17 +142,14 @@ class Journal:
                 offset += len(line)
 
     def _note(self, offset: int, length: int, block: Block) -> None:
+        entries = np.empty(len(block.digest), dtype=ENTRY)
+        entries["digest"] = [short_digest(digest) for digest in block.digest]
+        entries["completed"] = [outcome == COMPLETED for outcome in block.outcome]
+        entries["code"] = [self._codes.setdefault(code, len(self._codes)) for code in block.code]
+        entries["measures"] = self._measured.setdefault(frozenset(block.values), len(self._measured))
+        entries["block"], entries["place"] = len(self._offsets), np.arange(len(entries))
         self._offsets.append((offset, length))
-        codes = [self._codes.setdefault(code, len(self._codes)) for code in block.code]
-        measured = self._measured.setdefault(frozenset(block.values), len(self._measured))
-        self._pieces.append(
-            (
-                np.array([short_digest(digest) for digest in block.digest], dtype=DIGEST),
-                np.array([outcome == COMPLETED for outcome in block.outcome], dtype=bool),
-                np.array(codes, dtype=np.int32),
-                measured,
-            )
-        )
+        self._entries.append(entries)
 
     def append(self, block: Block) -> None:
         """Append a block of rows. Raises RunError if it cannot be written."""
@@ -174,43 +170,23 @@ class Journal:
 
     def index(self) -> Index:
         """Index of all rows in the journal."""
-        sizes = [len(piece[0]) for piece in self._pieces]
-        digest = np.concatenate([np.empty(0, dtype=DIGEST), *(piece[0] for piece in self._pieces)])
-        order = np.argsort(digest, kind="stable").astype(np.uint32)
-        digest = digest[order]
-        if len(digest):
-            latest = np.append(digest[1:] != digest[:-1], True)
-            digest, order = digest[latest], order[latest]
-        starts = np.cumsum([0, *sizes])
-        block = (np.searchsorted(starts, order, side="right") - 1).astype(np.int32)
-
-        def gathered(at: int, dtype: type) -> NDArray[Any]:
-            return np.concatenate([np.empty(0, dtype=dtype), *(piece[at] for piece in self._pieces)])[order]
-
-        return Index(
-            digest,
-            block,
-            (order - starts[block]).astype(np.int32),
-            gathered(1, np.bool_),
-            gathered(2, np.int32),
-            np.array([piece[3] for piece in self._pieces], dtype=np.int32)[block],
-            list(self._codes),
-            list(self._measured),
-        )
+        rows = np.concatenate([np.empty(0, dtype=ENTRY), *self._entries])
+        rows = rows[np.argsort(rows["digest"], kind="stable")]
+        latest = np.append(rows["digest"][1:] != rows["digest"][:-1], True)[: len(rows)]
+        return Index(rows[latest], list(self._codes), list(self._measured))
 
     def block(self, number: int) -> Block:
         """Block ``number``, read back. Raises RunError if the file has changed."""
-        found = self._parsed.get(number)
-        if found is None:
+        block = self._parsed.pop(number, None)
+        if block is None:
             offset, length = self._offsets[number]
-            found = _parse(os.pread(self._handle, length, offset))
-            if found is None:
+            block = _parse(os.pread(self._handle, length, offset))
+            if block is None:
                 raise RunError(f"{self.path}: block {number} has changed since it was read")
-            self._parsed[number] = found
-            if len(self._parsed) > KEPT_BLOCKS:
-                self._parsed.popitem(last=False)
-        self._parsed.move_to_end(number)
-        return found
+            if len(self._parsed) >= KEPT_BLOCKS:
+                del self._parsed[next(iter(self._parsed))]
+        self._parsed[number] = block
+        return block
 
 
 def _parse(line: bytes) -> Block | None:
@@ -223,7 +199,9 @@ def _parse(line: bytes) -> Block | None:
         whole = all(len(column) == len(block.digest) for column in columns) and all(map(_TEXT, block.digest))
         texts = (*block.outcome, *block.message, *block.code, block.cpu, *block.keys, *block.values)
         numbers = (value for column in block.values.values() for value in column)
-        whole &= all(isinstance(text, str) for text in texts) and all(isinstance(one, float | int) for one in numbers)
+        whole &= all(isinstance(text, str) for text in texts) and all(
+            isinstance(number, float | int) for number in numbers
+        )
         return block if whole else None
     except (ValueError, TypeError, AttributeError, RecursionError):
         return None

@@ -1,4 +1,4 @@
-"""Plan of a sweep: which rows have to run and why, compared with what its journal holds.
+"""Plan of a sweep: which rows have to run and why, by comparison with its journal, and the table of finished rows.
 
 A plan has 26 bytes for each row: digests and codes, no configs. The rows themselves are read again, one after the
 other, when they run.
@@ -6,9 +6,14 @@ other, when they run.
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Mapping
+from array import array
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,9 +24,13 @@ from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep
 from topcli.errors import TopcliError, UnknownNameError
 from topcli.runs.identity import method_fingerprint
+from topcli.store.files import json_text
+from topcli.store.manifest import SWEEP, sealed_manifest
+from topcli.store.provenance import Commit, environment, now
 from topcli.sweeps.evaluate import Shared, shared_experiment
-from topcli.sweeps.journal import DIGEST, Index, Names, short_digest
+from topcli.sweeps.journal import DIGEST, JOURNAL, Index, Journal, Names, short_digest
 from topcli.sweeps.measures import NoCounterError, resolve_measures
+from topcli.sweeps.rows import METADATA, ROWS
 from topcli.tops import TOPS
 
 DONE, NEW, CODE, MEASURE, RETRY, REPEATED = range(6)
@@ -32,7 +41,6 @@ REASONS = {
     RETRY: "failed before",
 }
 """Reasons why a row has to run."""
-GROWTH = 1 << 14
 WARNED_TOPS = 64
 """Tops of a sweep whose parameters are looked at for warnings."""
 
@@ -89,33 +97,13 @@ class Plan:
         return {text: counts[reason] for reason, text in REASONS.items() if counts[reason]}
 
 
-class _Grown:
-    """An array that grows block by block."""
-
-    def __init__(self, dtype: Any) -> None:
-        self._dtype, self._full, self._open = dtype, list[NDArray[Any]](), list[Any]()
-
-    def add(self, value: Any) -> None:
-        self._open.append(value)
-        if len(self._open) == GROWTH:
-            self._close()
-
-    def _close(self) -> None:
-        self._full.append(np.array(self._open, dtype=self._dtype))
-        self._open = []
-
-    def array(self) -> NDArray[Any]:
-        self._close()
-        return np.concatenate(self._full)
-
-
 def survey(sweep: Sweep) -> Survey:
     """Validate every row of a sweep.
 
     Raises ConfigError or UnknownNameError with the file, the line and the key of the fault; also for a measure that
     does not exist or does not fit the top.
     """
-    digests, codes = _Grown(DIGEST), _Grown(np.int16)
+    digests, codes = bytearray(), array("h")
     known: dict[tuple[str, str], int] = {}
     names: dict[str, int] = {}
     types: dict[str, set[type]] = {key: set() for key in sweep.keys}
@@ -129,38 +117,39 @@ def survey(sweep: Sweep) -> Survey:
             known[pair] = names.setdefault(_code_of(row), len(names))
         if row.top not in tops and len(tops) < WARNED_TOPS:
             tops[row.top] = shared_experiment(Shared.of(row)).top.warnings()
-        digests.add(short_digest(row.digest))
-        codes.add(known[pair])
-        for found, value in zip(types.values(), row.keys, strict=True):
-            found.add(type(value))
+        digests += short_digest(row.digest)
+        codes.append(known[pair])
+        for kinds, value in zip(types.values(), row.keys, strict=True):
+            kinds.add(type(value))
     for errors in lacking.values():  # a counter that one scheme has may be lacking elsewhere
         if errors and None not in errors:
             problems.add(("measure",), str(errors[0]), unknown_name=True)
     problems.raise_any()
-    kinds = {key: _column_type(found) for key, found in types.items()}
+    columns = {key: _column_type(kinds) for key, kinds in types.items()}
     warnings = tuple(dict.fromkeys(line for lines in tops.values() for line in lines))
-    return Survey(sweep, digests.array(), codes.array(), list(names), kinds, warnings)
+    arrays = np.frombuffer(digests, dtype=DIGEST), np.frombuffer(codes, dtype=np.int16)
+    return Survey(sweep, *arrays, list(names), columns, warnings)
 
 
-def _column_type(found: set[type]) -> str:
+def _column_type(kinds: set[type]) -> str:
     """Type of a column that holds values of these types; None leaves a gap."""
-    if found <= {int, type(None)} and int in found:
+    if kinds <= {int, type(None)} and int in kinds:
         return "int64"
-    return "float64" if found <= {int, float, type(None)} else "string"
+    return "float64" if kinds <= {int, float, type(None)} else "string"
 
 
 def _check_measures(
     row: Row, sweep: Sweep, problems: Problems, lacking: dict[str, list[NoCounterError | None]]
 ) -> None:
     """Add the measures that do not fit to ``problems``; ``lacking`` gets a counter's error, None where it exists."""
-    one = shared_experiment(Shared.of(row))
+    experiment = shared_experiment(Shared.of(row))
     for name in sweep.measures:
-        found = lacking.setdefault(name, [])
+        errors = lacking.setdefault(name, [])
         try:
-            resolve_measures([name], one.top, one.scheme, one.options)
-            found.append(None)
+            resolve_measures([name], experiment.top, experiment.scheme, experiment.options)
+            errors.append(None)
         except NoCounterError as error:
-            found.append(error)
+            errors.append(error)
         except TopcliError as error:
             problems.add(("measure",), str(error), unknown_name=isinstance(error, UnknownNameError))
 
@@ -170,40 +159,32 @@ def _code_of(row: Row) -> str:
 
     It includes the code of a user's top.
     """
-    one = shared_experiment(Shared.of(row))
-    try:
-        return method_fingerprint(one.scheme.build(TOPS[row.form].new(), one.options)) + one.own_code
-    except TopcliError:
-        try:
-            return method_fingerprint(one.method()) + one.own_code
-        except TopcliError:  # the row will fail, and say why
-            return ""
+    experiment = shared_experiment(Shared.of(row))
+    build, options = experiment.scheme.build, experiment.options
+    for method in (lambda: build(TOPS[row.form].new(), options), experiment.method):
+        with suppress(TopcliError):
+            return method_fingerprint(method()) + experiment.own_code
+    return ""  # the row will fail, and say why
 
 
 def plan_sweep(surveyed: Survey, index: Index, retry_failed: bool = False) -> Plan:
     """Compare a survey with the journal."""
-    count = surveyed.count
-    status = np.full(count, NEW, dtype=np.int8)
+    status = np.full(surveyed.count, NEW, dtype=np.int8)
     at = index.find(surveyed.digests)
     there = np.flatnonzero(at >= 0)
-    entry = at[there]
+    entries = index.rows[at[there]]
     code_of = {code: number for number, code in enumerate(index.codes)}
     wanted = np.array([code_of.get(code, -1) for code in surveyed.code_names], dtype=np.int32)
-    same = index.code[entry] == wanted[surveyed.codes[there]]
+    same = entries["code"] == wanted[surveyed.codes[there]]
     measured = np.array([set(surveyed.sweep.measures) <= names for names in index.measured], dtype=bool)
-    enough = measured[index.measures[entry]] if len(measured) else np.zeros(len(entry), dtype=bool)
-    completed = index.completed[entry]
-    status[there] = np.where(
-        ~same, CODE, np.where(~enough, MEASURE, np.where(completed | (not retry_failed), DONE, RETRY))
-    )
-    failed = int((~completed & (status[there] == DONE)).sum())
+    enough, kept = measured[entries["measures"]], entries["completed"] | (not retry_failed)
+    status[there] = np.select([~same, ~enough, kept], [CODE, MEASURE, DONE], RETRY)
+    failed = int((~entries["completed"] & (status[there] == DONE)).sum())
     order = np.argsort(surveyed.digests, kind="stable")
     ordered = surveyed.digests[order]
     again = order[1:][ordered[1:] == ordered[:-1]]
     status[again] = np.where(status[again] == DONE, DONE, REPEATED)
-    known = np.zeros(len(index.digest), dtype=bool)
-    known[entry] = True
-    left = int(len(known) - known.sum())
+    left = len(index.rows) - len(np.unique(at[there]))
     return Plan(surveyed, status, failed, left)
 
 
@@ -226,3 +207,136 @@ def _leaves(data: Mapping[str, Any], prefix: str = "") -> Any:
         else:
             text = json.dumps(value)
             yield f"{prefix}{key}", text if len(text) <= 60 else f"{text[:57]}..."
+
+
+ROW_GROUP = 1 << 14
+DRAWN = "drawn."
+"""Beginning of the columns of drawn values, which keys may vary the centre of."""
+Columns = dict[str, list[Any]]
+
+
+def metadata(sweep: Sweep) -> dict[str, Any]:
+    """Description of the table: names of varied keys, measures and drawn values, logarithmically spaced keys."""
+    return {
+        "name": sweep.name,
+        "keys": list(sweep.keys),
+        "measures": list(sweep.measures),
+        "log": sweep.log,
+        "drawn": [DRAWN + name for name in sweep.drawn],
+        "digest": sweep.digest,
+    }
+
+
+def write_rows(path: Path, plan: Plan, journal: Journal) -> dict[str, int]:
+    """Write the table of finished rows to ``path``; return the numbers of its current rows by outcome.
+
+    ``plan`` is that of the journal as it is. Rows that no longer belong to the sweep come last and are not current;
+    rows of earlier code, or without one of the measures, are left out until they have run again. Raises OSError.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    sweep = plan.survey.sweep
+    fields = [pa.field("row", pa.int64())]
+    fields += [pa.field(key, pa.type_for_alias(plan.survey.types[key])) for key in sweep.keys]
+    fields += [pa.field(DRAWN + name, pa.float64()) for name in sweep.drawn]
+    fields += [pa.field("outcome", pa.string()), pa.field("message", pa.string())]
+    fields += [pa.field(name, pa.float64()) for name in sweep.measures]
+    fields += [pa.field("digest", pa.string()), pa.field("cpu", pa.string()), pa.field("current", pa.bool_())]
+    schema = pa.schema(fields, metadata={METADATA: json.dumps(metadata(sweep))})
+    outcomes: Counter[str] = Counter()
+    index = journal.index()
+    with pq.ParquetWriter(path, schema, write_page_checksum=True) as writer:
+        for columns in itertools.chain(_current(plan, journal, index), _left(plan, journal, index)):
+            for kind in schema:
+                if kind.type == pa.string() and kind.name in sweep.keys:
+                    columns[kind.name] = [None if value is None else str(value) for value in columns[kind.name]]
+            writer.write_table(pa.table(columns, schema=schema))
+            outcomes.update(
+                outcome for outcome, current in zip(columns["outcome"], columns["current"], strict=True) if current
+            )
+    return dict(outcomes)
+
+
+def _current(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
+    """Yield the finished rows of the plan, in its order."""
+    sweep = plan.survey.sweep
+    names = ("row", *sweep.keys, *(DRAWN + name for name in sweep.drawn))
+    at = index.find(plan.survey.digests)  # a row that repeats one that is not finished has no entry
+    finished = np.isin(plan.status, (DONE, REPEATED)) & (at >= 0)
+    rows = (row for row in RowReader(sweep, labels_only=True).rows() if finished[row.number])
+    while group := list(itertools.islice(rows, ROW_GROUP)):
+        values = [(row.number, *row.keys, *_drawn(row, sweep.drawn)) for row in group]
+        columns: Columns = {name: [row[i] for row in values] for i, name in enumerate(names)}
+        entries = index.rows[at[columns["row"]]]
+        yield columns | _results(sweep, journal, entries) | {"current": [True] * len(group)}
+
+
+def _drawn(row: Row, names: Sequence[str]) -> tuple[float | None, ...]:
+    """Values of ``names``, which ``Sweep.drawn`` gives, in a row; None for one that its top does not have."""
+    if not names:
+        return ()
+    state = dict(zip(TOPS[row.form].components, row.initial, strict=True))
+    of = {"initial": state, "top": json.loads(row.top)}
+    return tuple([of[section].get(name) for section, _, name in (name.partition(".") for name in names)])
+
+
+def _results(sweep: Sweep, journal: Journal, entries: NDArray[np.void]) -> Columns:
+    """Columns of results of the rows at these ``entries`` of the index."""
+    columns: Columns = {name: [] for name in ("outcome", "message", *sweep.measures, "digest", "cpu")}
+    for number, place in entries[["block", "place"]].tolist():
+        block = journal.block(number)
+        columns["outcome"].append(block.outcome[place])
+        columns["message"].append(block.message[place])
+        columns["digest"].append(block.digest[place])
+        columns["cpu"].append(block.cpu)
+        for name in sweep.measures:
+            columns[name].append(block.values[name][place] if name in block.values else float("nan"))
+    return columns
+
+
+def _left(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
+    """Yield the finished rows that no longer belong to the sweep, with the values of those keys that they had."""
+    sweep = plan.survey.sweep
+    others = index.rows[~np.isin(index.rows["digest"], plan.survey.digests)] if plan.left else index.rows[:0]
+    others = np.sort(others, order=("block", "place"))
+    for start in range(0, len(others), ROW_GROUP):
+        entries = others[start : start + ROW_GROUP]
+        columns: Columns = {"row": [-1] * len(entries)}
+        for key in sweep.keys:
+            kind = plan.survey.types[key]
+            had = [journal.block(number).keys.get(key) for number in entries["block"].tolist()]
+            places = entries["place"].tolist()
+            columns[key] = [
+                _fitting(None if values is None else values[place], kind)
+                for values, place in zip(had, places, strict=True)
+            ]
+        columns |= {DRAWN + name: [None] * len(entries) for name in sweep.drawn}
+        yield columns | _results(sweep, journal, entries) | {"current": [False] * len(entries)}
+
+
+def _fitting(value: Any, kind: str) -> Any:
+    """``value`` if a column of this type can hold it, otherwise None."""
+    if value is None or kind == "string":
+        return value
+    if kind == "int64":
+        return value if isinstance(value, int) else None
+    return float(value) if isinstance(value, (int, float)) else None
+
+
+def manifest_text(
+    folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float, commit: Commit
+) -> str:
+    """Manifest of a finished sweep as JSON."""
+    content = {
+        "kind": SWEEP,
+        **metadata(sweep),
+        "rows": sum(outcomes.values()),
+        "outcomes": outcomes,
+        "started": started,
+        "ended": now(),
+        "seconds": seconds,
+        "environment": environment(),
+        **commit.read(),
+    }
+    return json_text(sealed_manifest(folder, content, dict.fromkeys([ROWS, "sweep.yaml", JOURNAL])))

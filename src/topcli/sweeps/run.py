@@ -28,11 +28,9 @@ from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
 from topcli.store.run_folder import require_real
-from topcli.sweeps.batches import batches
-from topcli.sweeps.evaluate import Results, Work, unfinished
+from topcli.sweeps.evaluate import Results, Work, batches, unfinished
 from topcli.sweeps.journal import COMPLETED, JOURNAL, Block, Journal
-from topcli.sweeps.plan import REASONS, Plan, Survey, changes, plan_sweep, survey
-from topcli.sweeps.results import manifest_text, write_rows
+from topcli.sweeps.plan import REASONS, Plan, Survey, changes, manifest_text, plan_sweep, survey, write_rows
 from topcli.sweeps.rows import ROWS
 
 SWEEP_FILE = "sweep.yaml"

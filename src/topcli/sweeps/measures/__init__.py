@@ -3,7 +3,7 @@
 from topcli.schemes.registry import plugin_table
 from topcli.sweeps.measures import built_in as built_in
 from topcli.sweeps.measures.batch import Batch, BatchRecorder
-from topcli.sweeps.measures.evaluate import BatchRun, batch_size, evaluate
+from topcli.sweeps.measures.evaluate import BatchRun, Limit, batch_size, evaluate
 from topcli.sweeps.measures.registry import (
     MEASURES,
     Measure,
@@ -21,6 +21,7 @@ __all__ = [
     "Batch",
     "BatchRecorder",
     "BatchRun",
+    "Limit",
     "Measure",
     "MeasureMisfitError",
     "NoCounterError",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from topcli.contracts import Array, StopAsked, check_stop
 from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
 from topcli.engine.fingerprint import same_method
 from topcli.engine.tile import Piece
-from topcli.errors import TopcliError, UsageError
+from topcli.errors import RunError, TopcliError, UsageError
 from topcli.schemes.user_code import users_error
 from topcli.sweeps.measures.batch import Batch, BatchRecorder, bytes_per_run
 from topcli.sweeps.measures.registry import END_ERROR, ERROR, Measure
@@ -55,21 +55,21 @@ def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ign
     everything = np.arange(len(batch))
     whole = np.flatnonzero(batch.whole)
     complete = batch if len(whole) == len(batch) else batch.of(whole)
-    found = {}
-    for one in measures:
-        which, rows = (everything, batch) if one.of_failed else (whole, complete)
-        found[one.name] = np.full(len(batch), np.nan)
+    columns = {}
+    for measure in measures:
+        name = measure.name
+        which, rows = (everything, batch) if measure.of_failed else (whole, complete)
+        columns[name] = np.full(len(batch), np.nan)
         if len(which):
-            found[one.name][which] = _values(
-                one, rows, lambda i, reason, one=one, which=which: on_fault(int(which[i]), one.name, reason)
+            columns[name][which] = _values(
+                measure, rows, lambda i, reason, name=name, which=which: on_fault(int(which[i]), name, reason)
             )
-        for need in (ERROR, END_ERROR):
-            if need in one.needs:
-                for i in whole.tolist():
-                    if batch.faults[need][i]:
-                        found[one.name][i] = np.nan
-                        on_fault(i, one.name, batch.faults[need][i])
-    return found
+        for need in (need for need in (ERROR, END_ERROR) if need in measure.needs):
+            for i in whole.tolist():
+                if batch.faults[need][i]:
+                    columns[name][i] = np.nan
+                    on_fault(i, name, batch.faults[need][i])
+    return columns
 
 
 def _values(one: Measure, batch: Batch, on_fault: Callable[[int, str], None]) -> Array:
@@ -108,6 +108,37 @@ def _checked(one: Measure, values: Any, count: int) -> Array:
 def batch_size(experiment: Experiment, measures: Sequence[Measure], budget: int = BATCH_BYTES) -> int:
     """Number of runs whose records fit into ``budget`` bytes, at least 1."""
     return max(1, min(MAX_RUNS, budget // bytes_per_run(experiment, measures)))
+
+
+class Limit:
+    """Time limit of some rows, ``seconds`` for each; 0 for none. Once it is reached, ``over`` and ``stop`` are true."""
+
+    def __init__(self, seconds: float = 0.0, rows: int = 1, stop: Callable[[], bool] = lambda: False) -> None:
+        self.seconds, self._stop = seconds, stop
+        self._deadline = time.perf_counter() + seconds * rows if seconds else float("inf")
+
+    @property
+    def over(self) -> bool:
+        """True once the time has passed."""
+        return time.perf_counter() > self._deadline
+
+    def stop(self) -> bool:
+        """True once the rows are to stop, for whatever reason."""
+        return self.over or self._stop()
+
+    @contextmanager
+    def apart(self) -> Iterator[None]:
+        """Limit the block by as many seconds for itself, which do not count for the rows. Raises RunError."""
+        began, deadline = time.perf_counter(), self._deadline
+        self._deadline = began + self.seconds if self.seconds else float("inf")
+        try:
+            yield
+        except StopAsked:
+            if self._stop():
+                raise
+            raise RunError(f"the reference takes more than the time limit of {self.seconds:g} s") from None
+        finally:
+            self._deadline = deadline + (time.perf_counter() - began)
 
 
 MAX_CODES = 256
@@ -153,12 +184,11 @@ class BatchRun:
         change the values.
     threads : int, optional
         Number of threads, which does not change the values; all CPUs by default.
-    stop : callable, optional
-        ``stop()`` is called between chunks; once it returns true, the unfinished runs are ``interrupted``.
+    limit : Limit, optional
+        Its ``stop()`` is called between chunks; once it returns true, the unfinished runs are ``interrupted``. The
+        reference of each run is computed within ``apart()``, see ``BatchRecorder``.
     reference : str, optional
         Reference of the errors, ``"taylor"`` or ``"exact"``; by default the closed form if it is as accurate.
-    limited : callable, optional
-        Context in which the reference of each run is computed, see ``BatchRecorder``.
     """
 
     def __init__(
@@ -168,12 +198,15 @@ class BatchRun:
         *,
         count: int = 1,
         threads: int | None = None,
-        stop: Callable[[], bool] = lambda: False,
-        limited: Callable[[], AbstractContextManager[None]] = nullcontext,
+        limit: Limit | None = None,
         reference: str | None = None,
     ) -> None:
         self.experiment, self.measures = experiment, tuple(measures)
-        self._stop, self._limited, self._reference = stop, limited, reference
+        self.size = batch_size(experiment, self.measures)
+        """Number of runs whose records fit into memory."""
+        self.limit, self._reference = limit or Limit(), reference
+        self._stop = lambda: self.limit.stop()
+        count = min(count, self.size)
         self._recorder: BatchRecorder | None = None
         self._recording = 0.0
         self._initial: Piece | None = None
@@ -187,7 +220,7 @@ class BatchRun:
             experiment.N,
             experiment.output.every,
             made=self._record,
-            execution=Execution(stop=stop, threads=threads, code=self._code),
+            execution=Execution(stop=self._stop, threads=threads, code=self._code),
         )
 
     def _record(self, piece: Piece) -> None:
@@ -219,7 +252,7 @@ class BatchRun:
     def finished(self, initial: Array) -> Batch:
         """Run from the states ``initial`` (runs, d) and return what was recorded."""
         self._run.begin(initial)
-        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self._limited, self._reference)
+        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self.limit.apart, self._reference)
         self._initial = None
         before, self._recording = self._run.run_seconds, 0.0
         began = time.perf_counter()

@@ -24,23 +24,8 @@ ERROR, END_ERROR = "error", "end_error"
 DEVIATION, DRIFT = "deviation", "drift"
 RECORDED = (STATES, SWING, PROBES, ERROR, END_ERROR)
 """Words that ``needs`` may hold beside the names of columns; a family may also need ``DEVIATION`` or ``DRIFT``."""
-TAKEN = (
-    "row",
-    "outcome",
-    "message",
-    "digest",
-    "cpu",
-    "current",
-    "top",
-    "initial",
-    "scheme",
-    "h",
-    "N",
-    "T",
-    "output",
-    "sample",
-    "seed",
-    "drawn",
+TAKEN = frozenset(
+    "row outcome message digest cpu current top initial scheme h N T output sample seed drawn".split()  # noqa: SIM905
 )
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
 H_OF_NAMES = 2.0**-10
@@ -49,6 +34,10 @@ H_OF_NAMES = 2.0**-10
 Evaluation = Callable[..., Any]
 Names = Callable[[Top, Scheme, BaseModel], Iterable[str]]
 Obstacle = Callable[[Top, Scheme], str]
+
+
+def _no_evaluation(batch: Any) -> Any:
+    raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -62,9 +51,9 @@ class Measure:
     """Name in sweep files, or that of a family, which ends in ``.NAME``."""
     summary: str
     """Description on one line."""
-    unit: str
+    unit: str = "1"
     """Unit of the number, in words."""
-    evaluate: Evaluation
+    evaluate: Evaluation = _no_evaluation
     """``evaluate(batch)`` returns an array (runs,); that of a family also takes a name."""
     needs: tuple[str, ...] = ()
     """Records that it needs of a run: names of columns, or words of ``RECORDED``."""
@@ -113,18 +102,7 @@ MEASURES: dict[str, Measure] = {}
 """Measures and families by name; ``all_measures`` includes those of plugins."""
 
 
-def measure(
-    name: str,
-    *,
-    summary: str,
-    unit: str = "1",
-    needs: Iterable[str] = (),
-    names: Names | None = None,
-    noun: str = "name",
-    obstacle: Obstacle | None = None,
-    of_failed: bool = False,
-    reproducible: bool = True,
-) -> Callable[[Evaluation], Evaluation]:
+def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation], Evaluation]:
     """Register the decorated function ``evaluate(batch)`` as a measure of ``topcli sweep``.
 
     The function takes a ``Batch``, finished runs that differ only in their initial states, and returns an array with a
@@ -177,24 +155,14 @@ def measure(
         raise ValueError(f"measure {name!r}: a column of the results has this name already; choose another")
     if name in MEASURES:
         raise ValueError(f"measure {name!r} is already registered by {MEASURES[name].origin}")
-    if name.endswith(FAMILY) != (names is not None):
+    if name.endswith(FAMILY) != (declared.get("names") is not None):
         raise ValueError(f"measure {name!r}: a family ends in {FAMILY} and has names=...; a single measure neither")
 
+    made = Measure(name, summary, **{**declared, "needs": tuple(declared.get("needs", ()))})
+
     def register(evaluate: Evaluation) -> Evaluation:
-        MEASURES[name] = Measure(
-            name=name,
-            summary=summary,
-            unit=unit,
-            evaluate=evaluate,
-            needs=tuple(needs),
-            names=names,
-            noun=noun,
-            obstacle=obstacle,
-            of_failed=of_failed,
-            reproducible=reproducible,
-            # these may be imported because a plugin registers its own
-            origin=origin_of(evaluate),
-        )
+        # the functions of topcli may be imported because a plugin registers its own
+        MEASURES[name] = replace(made, evaluate=evaluate, origin=origin_of(evaluate))
         return evaluate
 
     return register
@@ -220,11 +188,14 @@ def names_of(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list
 
 
 def _fitting(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list[Measure]:
-    found = []
-    for one in all_measures():
-        each = one.names(top, scheme, options or scheme.options()) if one.names else ()
-        found += [one.member(name) for name in each] if one.names else [one]
-    return [one for one in found if not _misfit(one, top, scheme, options)]
+    single = [
+        made
+        for listed in all_measures()
+        for made in (
+            map(listed.member, listed.names(top, scheme, options or scheme.options())) if listed.names else [listed]
+        )
+    ]
+    return [made for made in single if not _misfit(made, top, scheme, options)]
 
 
 def measures_of_form(form: str) -> list[Measure]:
