@@ -19,6 +19,8 @@ from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request, make_figure
 from topcli.figures.picture import draw, read_style, styled
+from topcli.sweeps.measures.references import exact_columns
+from topcli.tops.heavy import Heavy
 
 GREY = "0.8"
 
@@ -142,12 +144,14 @@ def test_the_exact_trace_is_drawn_on_spheres_and_the_ellipsoid(
     assert loaded.layout.heading == "exact motion in grey"
 
 
-def test_a_motion_without_exact_solution_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.studies.exact_motion.reference_obstacle", lambda top: "no equations")
-    monkeypatch.setattr("topcli.studies.exact_motion.CLOSED_FORM", "nothing")
-    loaded = FIGURES["fig1"].load(Request(tmp_path, ROOT / "configs", overrides=("N=10",), overlay=True))
-    with pytest.raises(UsageError, match="no exact motion: no equations, and there is no closed form"):
-        draw(loaded.panels, loaded.data())
+def test_a_motion_without_exact_solution_is_refused() -> None:
+    class Gyrostat(Heavy):
+        def euler_poisson(self) -> Any:
+            raise UsageError("no equations")
+
+    experiment = load_experiment("heavy_rk4").model_copy(update={"top": Gyrostat()})
+    with pytest.raises(UsageError, match=r"heavy_rk4: no exact motion: .*no equations, and there is no closed form"):
+        exact_columns(experiment)
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import pytest
 
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load
-from topcli.studies import compare_ensemble as module
 from topcli.studies.compare import compare_schemes
 from topcli.studies.compare_ensemble import compare_ensemble
 
@@ -65,10 +64,9 @@ def test_the_step_of_an_entry_scales_its_errors(figures: dict[str, Any]) -> None
     assert figures["rows"] == 751
 
 
-def test_batches_do_not_change_the_figures(figures: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "batch_size", lambda experiment, measures: 2)
+def test_batches_do_not_change_the_figures(figures: dict[str, Any]) -> None:
     done = []
-    found = compare_ensemble(ensemble(*SEVEN), ENTRIES, on_progress=lambda *at: done.append(at))
+    found = compare_ensemble(ensemble(*SEVEN), ENTRIES, on_progress=lambda *at: done.append(at), most=2)
     for one, other in zip(found["schemes"], figures["schemes"], strict=True):
         assert one["measures"] == other["measures"]
     total = 7 * (1500 + 1500 + 750)
@@ -177,7 +175,8 @@ def test_a_value_that_is_missing_is_explained(cli: Any, monkeypatch: pytest.Monk
         return original(self, top, kind, y0, h, n)
 
     monkeypatch.setattr(SharedReferences, "states", fails)
-    monkeypatch.setattr(module, "batch_size", lambda experiment, measures: 1)
+    (scheme,) = compare_ensemble(ensemble(MIXED[0], "N=40"), ["hk"], most=1)["schemes"]
+    assert scheme["faults"]["error.max"] == {"count": 1, "trajectory": 1, "reason": "the motion cannot be followed"}
     said = cli(
         "compare", "hk", "--config", "kowalevski_generic_hk", *(w for s in (MIXED[0], "N=40") for w in ("--set", s))
     )

@@ -122,14 +122,14 @@ class _Columns(dict[str, Any]):
     def __missing__(self, name: str) -> np.ndarray:
         """Column of this name. Raises UsageError if its run does not record it."""
         from topcli.store.series import read_series
-        from topcli.studies.exact_motion import exact_columns, exact_names
+        from topcli.sweeps.measures.references import exact_columns
 
         plain = name.removeprefix(exact_column(""))
         key, _, column = plain.rpartition(":")
         experiment = self.drawn[key].experiment
         if plain != name:
             if key not in self.exact:
-                self.exact[key] = exact_columns(experiment, sorted(exact_names(experiment)))
+                self.exact[key] = exact_columns(experiment)
             self[name] = self.exact[key][column]
         elif column in experiment.recorded:
             self[name] = read_series(self.finished[key].stored.series, [column])[column]

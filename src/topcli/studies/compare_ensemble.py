@@ -16,6 +16,7 @@ from topcli.contracts import Array, Top
 from topcli.runs.report import EndingTally, finite
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
 from topcli.sweeps.measures import BatchRun, Measure, evaluate, names_of, resolve_measures
+from topcli.sweeps.measures.evaluate import MAX_RUNS
 from topcli.sweeps.measures.references import METHODS, TAYLOR, reference_form
 
 QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
@@ -29,6 +30,7 @@ def compare_ensemble(
     options: Mapping[str, Any] | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     reference: str = TAYLOR,
+    most: int = MAX_RUNS,
 ) -> dict[str, Any]:
     """Run an ensemble under each of the ``entries`` and measure the trajectories; plain data, ready for JSON.
 
@@ -44,6 +46,8 @@ def compare_ensemble(
         ``on_progress(done, total)`` is called with the number of steps taken.
     reference : str, optional
         Reference of the errors, as ``compare_schemes`` takes it. A top that it cannot follow has no errors.
+    most : int, optional
+        Largest number of trajectories at a time, which does not change the figures.
 
     Returns
     -------
@@ -71,7 +75,7 @@ def compare_ensemble(
         for column in _working(columns, failed):
             with users_code(failed, column.entry.label):
                 sizes.append(column.prepare(group))
-        for initial in group.source.blocks(min(sizes, default=group.count)):
+        for initial in group.source.blocks(min(most, *sizes) if sizes else group.count):
             for column in _working(columns, failed):  # one block under all entries, so that they share its references
                 with users_code(failed, column.entry.label):
                     column.add(initial)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_obstacle, reference_states
+from topcli.config.models import Experiment
 from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
 from topcli.engine.setups import prepare
 from topcli.errors import RunError, UsageError, quoted
@@ -46,16 +47,16 @@ Motion = tuple[str, str, float, bytes]
 @cache
 def _exact_scheme(form: str) -> Scheme | None:
     try:
-        found = find_scheme(EXACT, form)
+        scheme = find_scheme(EXACT, form)
     except UsageError:
         return None
-    return found if found.order is None and not found.options.model_fields else None
+    return scheme if scheme.order is None and not scheme.options.model_fields else None
 
 
 def exact_method(top: Top) -> Sampler | None:
     """Closed-form solution of a top; None if it has none."""
-    found = _exact_scheme(top.form)
-    method = found.build(top, found.options()) if found else None
+    scheme = _exact_scheme(top.form)
+    method = scheme.build(top, scheme.options()) if scheme else None
     return method if isinstance(method, Sampler) else None
 
 
@@ -78,8 +79,8 @@ def reference_form(top: Top, kind: str) -> Sampler | None:
         raise UsageError(f"unknown reference {quoted(kind)}; use {' or '.join(METHODS)}")
     if kind == TAYLOR:
         return None
-    if found := exact_method(top):
-        return found
+    if exact := exact_method(top):
+        return exact
     raise UsageError(f"the top {top.form} has no scheme exact to compare with; use the reference {TAYLOR}")
 
 
@@ -93,12 +94,12 @@ def _closed_states(exact: Sampler, top: Top, y0: Array, h: float, n: NDArray[np.
     p = top.constants()
     if exact.setup is not None:
         prepare(exact.setup, y0, p)
-    found = np.empty((len(n), len(y0)))
+    states = np.empty((len(n), len(y0)))
     for start in range(0, len(n), CLOSED_STATES):
         check_stop()
         part = slice(start, start + CLOSED_STATES)
-        found[part] = exact.states(y0, h, n[part], p)
-    return found
+        states[part] = exact.states(y0, h, n[part], p)
+    return states
 
 
 class SharedReferences:
@@ -130,12 +131,12 @@ class SharedReferences:
         while not computing.acquire(timeout=POLL_SECONDS):  # others that need it wait instead of computing it too
             check_stop()
         try:
-            found = self._found(motion, t)
-            if found is None:
+            states = self._known(motion, t)
+            if states is None:
                 start = np.asarray(y0, dtype=np.float64)
-                found = _closed_states(exact, top, start, h, n) if exact else self._followed(motion, top, start, t)
-                self._keep(motion, t, found)
-            return found
+                states = _closed_states(exact, top, start, h, n) if exact else self._followed(motion, top, start, t)
+                self._keep(motion, t, states)
+            return states
         finally:
             computing.release()
 
@@ -151,7 +152,7 @@ class SharedReferences:
                 self._refused[key] = str(error)
             raise
 
-    def _found(self, motion: Motion, t: Array) -> Array | None:
+    def _known(self, motion: Motion, t: Array) -> Array | None:
         """States at the times ``t`` from a reference that holds all of them; None if there is none."""
         with self._lock:
             for times, states in self._kept.get(motion, ()):
@@ -179,3 +180,25 @@ class SharedReferences:
 
 REFERENCES = SharedReferences()
 """References shared by all runs of this process."""
+
+
+def exact_names(experiment: Experiment) -> frozenset[str]:
+    """Columns that ``exact_columns`` returns: components of the state and integrals of the motion."""
+    return frozenset((*experiment.top.components, *(integral.name for integral in experiment.top.invariants())))
+
+
+def exact_columns(experiment: Experiment) -> dict[str, Array]:
+    """Exact values (m,) of the components and integrals at the recorded times, by the series or else the closed form.
+
+    Raises UsageError if the motion is not known exactly.
+    """
+    top, y0, n = experiment.top, np.array(experiment.y0), np.arange(0, experiment.N + 1, experiment.output.every)
+    exact = exact_method(top)
+    if not (why := reference_obstacle(top)):
+        states = reference_states(top, experiment.y0, n * experiment.h)
+    elif exact is None:
+        raise UsageError(f"{experiment.name}: no exact motion: {why}, and there is no closed form")
+    else:
+        states = _closed_states(exact, top, y0, experiment.h, n)
+    columns = dict(zip(top.components, states.T, strict=True))
+    return columns | {kept.name: np.full(len(n), float(kept.value(y0[None, :])[0])) for kept in top.invariants()}
