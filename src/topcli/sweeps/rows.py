@@ -87,11 +87,11 @@ class SweepRows:
                 raise UsageError(f"--where {quoted(text)}: expected key=value, such as --where h=0.01")
             known = (*self.keys, "outcome")
             _require(name, known, "--where: unknown key", f"keys of {self.path.parent}")
-            found = _equal(self.columns[name], value)
-            if not found.any():
+            equal = _equal(self.columns[name], value)
+            if not equal.any():
                 values = ", ".join(key_labels(self.columns[name]).values())
                 raise UsageError(f"--where {quoted(text)}: no row has this value; {name} is one of: {values}")
-            wanted[name] = wanted.get(name, np.zeros(len(self), dtype=bool)) | found
+            wanted[name] = wanted.get(name, np.zeros(len(self), dtype=bool)) | equal
         kept = np.logical_and.reduce([np.ones(len(self), dtype=bool), *wanted.values()])
         if not kept.any():
             raise UsageError("--where: no row satisfies all conditions")
@@ -111,7 +111,7 @@ def _require(name: str, known: Sequence[str], wrong: str, listed: str) -> str:
 def _equal(values: NDArray[Any], text: str) -> NDArray[np.bool_]:
     """True where a value of a column is that of ``text``."""
     if values.dtype.kind in "OU":
-        same = [one == text or _json_equal(one, text) for one in values]
+        same = [value == text or _json_equal(value, text) for value in values]
         return np.array(same, dtype=bool)
     try:
         number = float(text)
@@ -120,10 +120,10 @@ def _equal(values: NDArray[Any], text: str) -> NDArray[np.bool_]:
     return np.abs(values - number) <= _CLOSE * abs(number)
 
 
-def _json_equal(one: str, other: str) -> bool:
+def _json_equal(text: str, other: str) -> bool:
     """True for equal vectors, however they are written."""
     try:
-        return bool(json.loads(one) == json.loads(other))
+        return bool(json.loads(text) == json.loads(other))
     except ValueError:
         return False
 
@@ -132,8 +132,8 @@ def encoded(values: NDArray[Any]) -> tuple[NDArray[np.int64], list[Any]]:
     """Code of each value (m,), and the different values in the order of their first appearance; None for nan."""
     import pyarrow as pa
 
-    found = pa.array(values, from_pandas=True).dictionary_encode(null_encoding="encode")
-    return found.indices.to_numpy().astype(np.int64), found.dictionary.to_pylist()
+    coded = pa.array(values, from_pandas=True).dictionary_encode(null_encoding="encode")
+    return coded.indices.to_numpy().astype(np.int64), coded.dictionary.to_pylist()
 
 
 def key_labels(values: NDArray[Any]) -> dict[Any, str]:
@@ -169,7 +169,7 @@ def read_rows(place: Path) -> SweepRows:
     path = place if place.name == ROWS else place / ROWS
     if not os.path.isfile(path):
         usual = Path("results") / path.parent
-        beside = [one.parent.name for one in sorted(path.parent.parent.glob(f"*/{ROWS}"))]
+        beside = [file.parent.name for file in sorted(path.parent.parent.glob(f"*/{ROWS}"))]
         hint = f"; {nearest(path.parent.name, beside)}" if beside else ""
         if os.path.isfile(usual / ROWS):
             hint = f"; did you mean {usual}?"

@@ -189,10 +189,10 @@ def in_threads(threads: int) -> Backend:
                 if not flying:
                     return
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                    batch, found = flying.pop(future), future.result()
-                    if (rest := unfinished(batch, found)) and not stop():
+                    batch, results = flying.pop(future), future.result()
+                    if (rest := unfinished(batch, results)) and not stop():
                         flying[pool.submit(work, rest, stop)] = rest
-                    yield batch, found
+                    yield batch, results
 
     return results
 

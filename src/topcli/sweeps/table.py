@@ -170,9 +170,9 @@ def groups(rows: SweepRows, keys: Sequence[str]) -> dict[tuple[Any, ...], NDArra
     }
 
 
-def varying(rows: SweepRows, found: Mapping[tuple[Any, ...], NDArray[np.int64]]) -> tuple[str, ...]:
-    """Keys that have several values within one of the groups ``found``."""
-    several = [indices for indices in found.values() if len(indices) > 1]
+def varying(rows: SweepRows, members: Mapping[tuple[Any, ...], NDArray[np.int64]]) -> tuple[str, ...]:
+    """Keys that have several values within one of the groups ``members``."""
+    several = [indices for indices in members.values() if len(indices) > 1]
     columns = {key: encoded(rows.columns[key])[0] for key in rows.keys}
     return tuple(key for key, codes in columns.items() if any(np.ptp(codes[indices]) > 0 for indices in several))
 
@@ -197,7 +197,7 @@ def require_groups(
     Raises UsageError if a group has several rows without an ``aggregate``, or several at one h for an order.
     ``place`` is what a group is called, ``options`` are those that could hold a key.
     """
-    found = groups(rows, keys)
+    members = groups(rows, keys)
     if aggregate == ORDER:
         if STEP not in rows.keys:
             raise UsageError(f"--aggregate order: h does not vary; the keys are {', '.join(rows.keys)}")
@@ -205,18 +205,18 @@ def require_groups(
             raise UsageError(f"--aggregate order: is fitted over h, which cannot tell one {place} from another")
         _require_single(rows, groups(rows, (*keys, STEP)), f"{place} at one h", options)
     elif aggregate is None:
-        _require_single(rows, found, place, options)
-    return found
+        _require_single(rows, members, place, options)
+    return members
 
 
 def _require_single(
-    rows: SweepRows, found: Mapping[tuple[Any, ...], NDArray[np.int64]], place: str, options: Sequence[str]
+    rows: SweepRows, members: Mapping[tuple[Any, ...], NDArray[np.int64]], place: str, options: Sequence[str]
 ) -> None:
     """Raise UsageError if a group has several rows; the message names the keys that vary within it."""
-    most = max(map(len, found.values()))
+    most = max(map(len, members.values()))
     if most < 2:
         return
-    keys = varying(rows, found)
+    keys = varying(rows, members)
     if not keys:
         raise UsageError(f"{most} rows fall into one {place} although no key varies within it; add --aggregate median")
     named = ", ".join(keys)

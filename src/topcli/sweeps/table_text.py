@@ -36,20 +36,21 @@ def significant(value: float, digits: int) -> str:
     return f"{value:.{max(0, digits - 1 - exponent)}f}"
 
 
-def rounded(found: Summary) -> tuple[str, ...]:
+def rounded(figure: Summary) -> tuple[str, ...]:
     """Texts of a summary: the value; the value and its standard error; or the value and its quartiles.
 
     An error has two significant digits, and the value ends at the same place. Quartiles and median end where their
     distance has two significant digits, but have two themselves at least.
     """
-    if found.low is None or found.high is None:
-        return (_short(significant(found.value, DIGITS)),)
-    width = found.high - found.low
+    if figure.low is None or figure.high is None:
+        return (_short(significant(figure.value, DIGITS)),)
+    width = figure.high - figure.low
     if not (math.isfinite(width) and width > 0.0):
-        return tuple(_short(significant(one, DIGITS)) for one in (found.value, found.low, found.high))
+        return tuple(_short(significant(value, DIGITS)) for value in (figure.value, figure.low, figure.high))
     place = _exponent(float(f"{width:.1e}")) - 1
     return tuple(
-        significant(one, max(2, min(_exponent(one) - place + 1, 15))) for one in (found.value, found.low, found.high)
+        significant(value, max(2, min(_exponent(value) - place + 1, 15)))
+        for value in (figure.value, figure.low, figure.high)
     )
 
 
@@ -112,7 +113,7 @@ def title(table: SweepTable) -> str:
         spread = {"quartiles": " [quartiles]", "standard error": " ± standard error"}.get(SPREADS[table.aggregate], "")
         over = f" over {', '.join(table.over)}" if table.over else ""
         words += f": {'observed ' * (table.aggregate == ORDER)}{table.aggregate}{spread}{over}"
-    return words + "".join(f", {one}" for one in table.source.chosen)
+    return words + "".join(f", {condition}" for condition in table.source.chosen)
 
 
 def notes(table: SweepTable) -> list[str]:
@@ -167,7 +168,7 @@ def markdown(table: SweepTable) -> str:
     escaped = [
         [cell.replace("|", "\\|").replace("*", "\\*") for cell in line] for line in (header(table), *lines(table))
     ]
-    below = [f"{one}.".replace("*", "\\*") for one in notes(table)]
+    below = [f"{note}.".replace("*", "\\*") for note in notes(table)]
     return "\n".join([f"{title(table)}:", "", *markdown_table(escaped), *([""] if below else []), *below]) + "\n"
 
 
@@ -221,10 +222,10 @@ def escaped(text: str) -> str:
 
 def _math(number: str) -> str:
     """Number of a table in LaTeX's mathematics: 1.2e-05 becomes 1.2 times a power of ten."""
-    found = re.fullmatch(r"(-?[0-9.]+)(?:e([+-]?\d+))?", number)
-    if found is None:
+    parts = re.fullmatch(r"(-?[0-9.]+)(?:e([+-]?\d+))?", number)
+    if parts is None:
         return {"inf": r"\infty", "-inf": r"-\infty"}.get(number, rf"\mathrm{{{number}}}")
-    return found[1] + (rf" \times 10^{{{int(found[2])}}}" if found[2] else "")
+    return parts[1] + (rf" \times 10^{{{int(parts[2])}}}" if parts[2] else "")
 
 
 def _latex_cell(cell: Cell, aggregate: str | None) -> str:
@@ -249,7 +250,7 @@ def _units(measures: Sequence[str]) -> str:
 
 def latex(table: SweepTable) -> str:
     """Table in LaTeX, for the package booktabs, with title, notes and units in the caption."""
-    said = [escaped(f"{one}.") for one in (title(table), *notes(table))]
+    said = [escaped(f"{sentence}.") for sentence in (title(table), *notes(table))]
     keys, columns = len(table.row_keys), len(table.columns)
     above, label = [], escaped
     if table.column_key:

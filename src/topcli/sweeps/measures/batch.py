@@ -122,14 +122,14 @@ class Batch:
             columns=cut(self.columns),
             deviations=cut(self.deviations),
             drifts=cut(self.drifts),
-            faults={name: [found[i] for i in which.tolist()] for name, found in self.faults.items()},
+            faults={name: [reasons[i] for i in which.tolist()] for name, reasons in self.faults.items()},
             **{name: getattr(self, name)[which] for name in each},
         )
 
 
 def bytes_per_run(experiment: Experiment, measures: Sequence[Measure]) -> int:
     """Memory that recording one run for ``measures`` takes, references included."""
-    needs = {need for one in measures for need in one.needs}
+    needs = {need for measure in measures for need in measure.needs}
     d, rows = len(experiment.top.components), experiment.N // experiment.output.every + 1
     numbers = 1 + len(_columns(needs)) + d * (STATES in needs) + (d + 1) * (ERROR in needs)
     return 8 * (rows * numbers + d * PROBE_STATES + 2 * BLOCKS * len(_named(needs, DRIFT)))
@@ -141,8 +141,9 @@ def rows_fault(experiment: Experiment, measures: Sequence[Measure]) -> str:
     if size <= MAX_BYTES:
         return ""
     rows, every = experiment.N // experiment.output.every + 1, experiment.output.every
+    names = ", ".join(measure.name for measure in measures)
     return (
-        f"output.every: {rows} recorded rows do not fit in memory for {', '.join(one.name for one in measures)}; "
+        f"output.every: {rows} recorded rows do not fit in memory for {names}; "
         f"record fewer with output.every: {every * math.ceil(size / MAX_BYTES)} or more"
     )
 
@@ -168,17 +169,18 @@ class BatchRecorder:
         self.experiment, self.initial, self._limited = experiment, initial, limited
         self._kind = reference or reference_kind(experiment.top, experiment.scheme)
         top, every = experiment.top, experiment.output.every
-        needs = {need for one in measures for need in one.needs}
+        needs = {need for measure in measures for need in measure.needs}
         self._n = np.arange(0, experiment.N + 1, every, dtype=np.int64)
         count, m, d = len(initial), len(self._n), len(top.components)
         self._integrals = {
-            one.name: one for one in integrals_of(top, experiment.scheme, experiment.h, experiment.options)
+            integral.name: integral
+            for integral in integrals_of(top, experiment.scheme, experiment.h, experiment.options)
         }
         self._summed = {what: _named(needs, what) for what in (DEVIATION, DRIFT)}
         tallied = {name for names in self._summed.values() for name in names}
         energy = energy_of(top)
         watched = tallied | ({energy.name} if energy else set())
-        summed = [one for one in self._integrals.values() if one.name in watched]
+        summed = [integral for integral in self._integrals.values() if integral.name in watched]
         last, drifts = int(self._n[-1]), bool(self._summed[DRIFT])
         self._tally = InvariantTally(summed, experiment.h, top, count, last, drifts)
         self._columns = {name: np.full((count, m), np.nan) for name in _columns(needs)}
@@ -196,10 +198,10 @@ class BatchRecorder:
         """Reference of run ``i`` at the steps ``n``; None if it is not needed or, with the fault noted, not known."""
         if need not in self._needs:
             return None
-        one = self.experiment
+        experiment = self.experiment
         try:
             with self._limited():
-                return REFERENCES.states(one.top, self._kind, self.initial[i], one.h, n)
+                return REFERENCES.states(experiment.top, self._kind, self.initial[i], experiment.h, n)
         except RunError as error:
             self._faults[need][i] = str(error)
             return None
@@ -214,12 +216,12 @@ class BatchRecorder:
         row = int(n[0]) // self.experiment.output.every
         runs, rows = slice(first, first + count), slice(row, row + m)
         with np.errstate(all="ignore"):
-            values = {one.name: one.value(flat) for one in self._tally.invariants}
+            values = {integral.name: integral.value(flat) for integral in self._tally.invariants}
         self._tally.add(n, states, values, first, kept)
         reached = None if (kept == m).all() else np.arange(m) < kept[:, None]
         for name, column in self._columns.items():
-            found = self._column(name, states, flat, values)
-            column[runs, rows] = found if reached is None else np.where(reached, found, np.nan)
+            recorded = self._column(name, states, flat, values)
+            column[runs, rows] = recorded if reached is None else np.where(reached, recorded, np.nan)
         if self._states.size:
             self._states[runs, rows] = states if reached is None else np.where(reached[..., None], states, np.nan)
         if len(self._probe_rows):
@@ -243,10 +245,10 @@ class BatchRecorder:
     def finish(self, endings: Endings, last: Array, seconds: Array, one_step: Callable[[Array, float], Array]) -> Batch:
         """Return the batch; ``endings`` of runs that left their energy surface get the outcome ``left_motion``."""
         endings.mark_left(self._tally.left)
-        one = self.experiment
+        experiment = self.experiment
         for i in range(len(self.initial)):
             whole = endings.outcome[i] in WHOLE
-            end = self._reference(END_ERROR, i, np.array([one.N])) if whole else None
+            end = self._reference(END_ERROR, i, np.array([experiment.N])) if whole else None
             if end is not None:
                 self.end_error[i] = distances(last[i], end[0])
             if whole and ERROR in self._needs and self._references[i] is None:
@@ -254,7 +256,7 @@ class BatchRecorder:
         index = {invariant.name: i for i, invariant in enumerate(self._tally.invariants)}
         slopes = self._tally.slopes(len(self._n), int(self._n[-1]))
         return Batch(
-            experiment=one,
+            experiment=experiment,
             n=self._n,
             initial=self.initial,
             last=last,

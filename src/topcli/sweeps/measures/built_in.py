@@ -50,8 +50,8 @@ def swing_spacing(batch: Batch) -> Array:
 def first_spacing(batch: Batch) -> Array:
     """Distance of the first two deep minima; nan for fewer than two."""
     values = batch.columns[batch.experiment.top.swing]
-    found = [spacing_of_first(batch.t, of_one) for of_one in values]
-    return np.array([np.nan if spacing is None else spacing for spacing in found])
+    spacings = [spacing_of_first(batch.t, of_one) for of_one in values]
+    return np.array([np.nan if spacing is None else spacing for spacing in spacings])
 
 
 @measure(

@@ -72,18 +72,18 @@ def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ign
     return columns
 
 
-def _values(one: Measure, batch: Batch, on_fault: Callable[[int, str], None]) -> Array:
+def _values(measure: Measure, batch: Batch, on_fault: Callable[[int, str], None]) -> Array:
     """Values of a measure; if it fails, run by run, so that only the runs that make it fail have none."""
     check_stop()
     try:
-        return _checked(one, one.evaluate(batch), len(batch))
+        return _checked(measure, measure.evaluate(batch), len(batch))
     except StopAsked:
         raise
     except Exception as error:
         if len(batch) > 1:
             return np.concatenate(
                 [
-                    _values(one, batch.of(np.array([i])), lambda _, reason, i=i: on_fault(i, reason))
+                    _values(measure, batch.of(np.array([i])), lambda _, reason, i=i: on_fault(i, reason))
                     for i in range(len(batch))
                 ]
             )
@@ -94,14 +94,14 @@ def _values(one: Measure, batch: Batch, on_fault: Callable[[int, str], None]) ->
         return np.full(1, np.nan)
 
 
-def _checked(one: Measure, values: Any, count: int) -> Array:
+def _checked(measure: Measure, values: Any, count: int) -> Array:
     """``values`` of a measure as an array (count,). Raises UsageError for anything else."""
     try:
         made = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         made = np.empty(0)
     if made.shape != (count,):
-        raise UsageError(f"measure {one.name!r}: its function must return an array of one number for each run")
+        raise UsageError(f"measure {measure.name!r}: its function must return an array of one number for each run")
     return made
 
 
@@ -152,22 +152,21 @@ def _code(experiment: Experiment, tile: int, side_by_side: bool) -> EnsembleCode
 
     Tops whose methods are equal share the machine code; constants of the top are its arguments.
     """
-    one = experiment
-    kind = (one.scheme.build, type(one.top), one.options.model_dump_json(), tile, side_by_side)
-    key = (*kind, one.top.model_dump_json())
-    found = _codes.get(key)
-    if found is None:
+    kind = (experiment.scheme.build, type(experiment.top), experiment.options.model_dump_json(), tile, side_by_side)
+    key = (*kind, experiment.top.model_dump_json())
+    code = _codes.get(key)
+    if code is None:
         if len(_codes) >= MAX_CODES:
             _codes.clear()
             _latest.clear()
-        method, known = one.method(), _latest.get(kind)
+        method, known = experiment.method(), _latest.get(kind)
         if known is not None and same_method(method, known.method):
-            found = known.with_constants(one.top)
+            code = known.with_constants(experiment.top)
         else:
-            found = _latest[kind] = EnsembleCode(one.top, method, tile, side_by_side)
-            found.single_loop()  # so that no run has to wait for it
-        found = _codes.setdefault(key, found)
-    return found
+            code = _latest[kind] = EnsembleCode(experiment.top, method, tile, side_by_side)
+            code.single_loop()  # so that no run has to wait for it
+        code = _codes.setdefault(key, code)
+    return code
 
 
 class BatchRun:

@@ -184,7 +184,7 @@ def integrals_of(
 
 def names_of(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list[str]:
     """Names of all measures that fit ``top`` and ``scheme``, those of families included."""
-    return [one.name for one in _fitting(top, scheme, options)]
+    return [measure.name for measure in _fitting(top, scheme, options)]
 
 
 def _fitting(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list[Measure]:
@@ -201,8 +201,10 @@ def _fitting(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list
 def measures_of_form(form: str) -> list[Measure]:
     """Measures that fit the top of this form under any of its schemes, those of families included, sorted by name."""
     top = TOPS[form].new()
-    found = {one.name: one for scheme in all_schemes() if scheme.top == form for one in _fitting(top, scheme)}
-    return [found[name] for name in sorted(found)]
+    named = {
+        fitting.name: fitting for scheme in all_schemes() if scheme.top == form for fitting in _fitting(top, scheme)
+    }
+    return [named[name] for name in sorted(named)]
 
 
 def resolve_measures(
@@ -239,20 +241,20 @@ def resolve_measures(
     UsageError
         For a name that is given twice.
     """
-    found = []
+    resolved = []
     for i, name in enumerate(names):
         if name in names[:i]:
             raise UsageError(f"measure {quoted(name)} is named twice")
         try:
-            one = _find(name, top, scheme, options)
+            measure = _find(name, top, scheme, options)
         except NoCounterError:
             if not any_counter:
                 raise
-            one = MEASURES[COUNTER + FAMILY].member(name.partition(".")[2])
-        if reason := _misfit(one, top, scheme, options):
+            measure = MEASURES[COUNTER + FAMILY].member(name.partition(".")[2])
+        if reason := _misfit(measure, top, scheme, options):
             raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {reason}")
-        found.append(replace(one, needs=tuple(top.swing if need == SWING else need for need in one.needs)))
-    return tuple(found)
+        resolved.append(replace(measure, needs=tuple(top.swing if need == SWING else need for need in measure.needs)))
+    return tuple(resolved)
 
 
 def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Measure:
@@ -274,23 +276,27 @@ def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Mea
     if not known:
         raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {whose} has no {family.noun}")
     if member in ("", "NAME"):
-        raise UnknownNameError(f"measure {quoted(name)}: give one of {', '.join(f'{base}.{one}' for one in known)}")
+        raise UnknownNameError(
+            f"measure {quoted(name)}: give one of {', '.join(f'{base}.{member}' for member in known)}"
+        )
     raise UnknownNameError(
         f"measure {quoted(name)}: {whose} has no {family.noun} {quoted(member)}; {nearest(member, known)}"
     )
 
 
-def _misfit(one: Measure, top: Top, scheme: Scheme, options: BaseModel | None) -> str:
+def _misfit(measure: Measure, top: Top, scheme: Scheme, options: BaseModel | None) -> str:
     """Reason why a measure does not fit; empty if it does."""
-    if SWING in one.needs and not hasattr(top, "swing"):
+    if SWING in measure.needs and not hasattr(top, "swing"):
         return f"top {top.kind!r} names no component whose minima are its swings"
-    columns = [need for need in one.needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT)]
+    columns = [
+        need for need in measure.needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT)
+    ]
     if columns:
         known = [*top.components, *(integral.name for integral in integrals_of(top, scheme, options=options))]
         for column in columns:
             if column not in known:
                 return f"it needs {quoted(column)}, which top {top.kind!r} under scheme {scheme.name!r} does not have"
-    return one.obstacle(top, scheme) if one.obstacle else ""
+    return measure.obstacle(top, scheme) if measure.obstacle else ""
 
 
 def integral_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
