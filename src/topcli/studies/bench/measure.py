@@ -481,7 +481,9 @@ def _peer_competitors(
         except NoResultError as failure:
             failed.append((peer.name, str(failure)))
             continue
-        competitors += [PeerCompetitor(*variant, group, peer.patience) for variant in answers[0]]
+        competitors += [
+            PeerCompetitor(name, parameter, values, group, peer.patience) for name, parameter, values in answers[0]
+        ]
     return competitors, absent, failed
 
 
