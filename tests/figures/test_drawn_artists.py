@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import same_color
@@ -39,8 +40,13 @@ SCENES = {
 
 @pytest.mark.parametrize("name", PANELS)
 def test_lines_are_the_named_columns(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the run and, under the same names and in the order of the panels, of the data file beside the picture."""
     figure = drawn_from(name, tmp_path, monkeypatch, ["N=900"])
     series = series_of(tmp_path, SCENES[name])
+    beside = pq.read_table(tmp_path / f"{name}.parquet")
+    assert beside.column_names == ["t", *(column for _, lines in PANELS[name] for column, _ in lines)]
+    for column in beside.column_names:
+        np.testing.assert_array_equal(beside.column(column).to_numpy(), series[column])
     for axes, (ylabel, lines) in zip(figure.axes, PANELS[name], strict=True):
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("$t$", ylabel)
         assert (axes.get_xscale(), axes.get_yscale()) == ("linear", "linear")
