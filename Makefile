@@ -34,8 +34,10 @@ figures: $(VENV)/.installed
 quick: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto -m "not slow"
 
+# in parts, each with processes of its own: what numba has compiled stays in memory as long as its process
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n auto
+	@failed=0; for part in 1 2 3 4; do \
+		$(BIN)/python -m pytest -n auto --part $$part/4 || failed=1; done; exit $$failed
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

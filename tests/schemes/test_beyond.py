@@ -137,9 +137,9 @@ SYMMETRIC = ("hk-symproj", "dg4", "midpoint4")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_FOUR)
 @pytest.mark.parametrize(("y0", "h"), [(GEN, 0.05), (PAPER, 0.01), (AT_REST, 0.02)], ids=["generic", "paper", "rest"])
-def test_four_integrals_over_a_million_steps(name: str, y0: Floats, h: float) -> None:
+def test_four_integrals_over_many_steps(name: str, y0: Floats, h: float) -> None:
     """Within a few ulp of their terms throughout, without any growth; HK is far off from the start."""
-    states, ending = ran(stepper(name), y0, h, 1_000_000, 100)
+    states, ending = ran(stepper(name), y0, h, 200_000, 100)
     assert ending.outcome is Outcome.COMPLETED
     assert max(deviations(states).values()) < 20.0
     control, _ = ran(stepper("hk"), y0, h, 10_000)

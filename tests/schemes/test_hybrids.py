@@ -45,8 +45,8 @@ def test_hybrid_does_not_satisfy_the_symmetric_relations() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["hybrid-sym", "hybrid-xi"])
 @pytest.mark.parametrize(("y0", "h"), SCENES)
-def test_lengths_stay_within_ulps_over_a_million_steps(name: str, y0: Floats, h: float) -> None:
-    states, ending = ran(stepper(name), y0, h, 1_000_000, 100)
+def test_lengths_stay_within_ulps_over_many_steps(name: str, y0: Floats, h: float) -> None:
+    states, ending = ran(stepper(name), y0, h, 200_000, 100)
     assert ending.outcome is Outcome.COMPLETED
     found = deviations(states)
     assert found["gamma_sq"] < 5.0
@@ -115,15 +115,15 @@ def test_reversal_over_long_runs(y0: Floats, defect: float) -> None:
 
 @pytest.mark.slow
 def test_steps_of_many_orbits_converge() -> None:
-    """100 random orbits, 1e4 steps of 0.1: some pass close to omega1 + i omega2 = 0, where the roots merge."""
+    """30 random orbits, 1e4 steps of 0.1: some pass close to omega1 + i omega2 = 0, where the roots merge."""
     closest, iterations = 1.0, 0
-    for y in map(tuple, random_states(100, seed=7)):
+    for y in map(tuple, random_states(30, seed=7)):
         states, ending = ran(stepper("hybrid-sym"), y, 0.1, 10_000, 1)
         assert ending.outcome is Outcome.COMPLETED
         closest = min(closest, float(np.hypot(states[:, 0], states[:, 1]).min()))
         iterations += ending.counters["iterations"]
     assert closest < 0.01
-    assert 1.5e6 < iterations < 3e6
+    assert 4.5e5 < iterations < 9e5
 
 
 def test_a_step_that_does_not_converge_ends_the_run() -> None:

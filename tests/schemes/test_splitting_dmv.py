@@ -122,34 +122,16 @@ def rotated_about(v: np.ndarray, a: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 @by_top
 @by_case
-def test_order_two_from_each_of_a_hundred_states(top: Top, name: str, options: dict) -> None:
+def test_order_two_from_each_state(top: Top, name: str, options: dict) -> None:
     """The free symmetric top is an exception: in closed form its motion is exact."""
     exact = not options and name == "splitting" and top in SYMMETRIC and not any(top.euler_poisson().gravity)
     step = Steps(top, name, **options)
     worst = []
-    for y in states_of(top, 100, seed=22):
+    for y in states_of(top, 6, seed=22):
         truth = reference_states(top, tuple(y.tolist()), np.array([1.0]))[0]
         errors = [np.linalg.norm(step(y, 1.0 / N, N) - truth) for N in (200, 400)]
         worst.append(max(errors) if exact else abs(math.log2(errors[0] / errors[1]) - 2.0))
     assert max(worst) < (1e-13 if exact else 0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("composition", "order", "counts"),
-    [("suzuki4", 4, (12, 24)), ("kahan-li6", 6, (8, 16)), ("kahan-li8", 8, (8, 16))],
-)
-@pytest.mark.parametrize("name", ["splitting", "dmv"])
-def test_orders_of_compositions(name: str, composition: str, order: int, counts: tuple[int, int]) -> None:
-    """Root mean square of the error from a hundred states of each top."""
-    for top in ALL:
-        step = Steps(top, f"{name}+{composition}")
-        errors = []
-        for y in states_of(top, 100, seed=23):
-            truth = reference_states(top, tuple(y.tolist()), np.array([1.0]))[0]
-            errors.append([np.linalg.norm(step(y, 1.0 / N, N) - truth) for N in counts])
-        coarse, fine = (root_mean_square(np.array(column)) for column in zip(*errors, strict=True))
-        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.25), top
 
 
 @pytest.mark.slow
@@ -158,7 +140,7 @@ def test_orders_of_compositions(name: str, composition: str, order: int, counts:
 def test_step_is_canonical(top: Top, name: str, options: dict) -> None:
     """J P J^T = P at the image: typically 1e-10, the error of the difference quotients."""
     step = Steps(top, name, **options)
-    assert max(poisson_defect(top, step, y, 0.2) for y in states_of(top, 100, seed=24)) < 1e-7
+    assert max(poisson_defect(top, step, y, 0.2) for y in states_of(top, 8, seed=24)) < 1e-7
 
 
 @pytest.mark.slow
@@ -173,15 +155,15 @@ def test_canonical_control(name: str, defect: float) -> None:
 @by_top
 @by_case
 def test_returns_and_keeps_lengths(top: Top, name: str, options: dict) -> None:
-    """1e5 steps and back from a hundred states; typically 1e-13, and the invariants 3 ulp sqrt(N)/10."""
+    """2e4 steps and back; typically 1e-13, and the invariants 3 ulp sqrt(N)/10."""
     step = Steps(top, name, **options)
     names = {"gamma_sq", "m_gamma", "two_l", "a_sq", "m_a", "m_sq"} - (
         {"m_sq"} if any(top.euler_poisson().gravity) else set()
     )
     kept = [one for one in top.invariants() if one.name in names]
     assert kept
-    N, h = 100_000, 1e-4
-    for y in states_of(top, 100, seed=25):
+    N, h = 20_000, 5e-4
+    for y in states_of(top, 4, seed=25):
         there = step(y, h, N)
         assert np.abs(step(there, -h, N) - y).max() < 1e-10
         both = np.array([y, there])
