@@ -52,7 +52,7 @@ def test_a_known_slope_is_found_within_its_error(kind: str, direction: float) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", TIMES)
-@pytest.mark.parametrize("m", [64, 600])
+@pytest.mark.parametrize("m", [64, 150])
 @pytest.mark.parametrize("noise", ["white", "walk"])
 def test_slope_errors_are_honest_at_uneven_times(kind: str, m: int, noise: str) -> None:
     """Without a trend the slope rarely reaches the 5 standard errors of the verdict.
@@ -62,7 +62,7 @@ def test_slope_errors_are_honest_at_uneven_times(kind: str, m: int, noise: str) 
     """
     random = np.random.default_rng(11)
     fits = []
-    for _ in range(80):
+    for _ in range(100):
         t = TIMES[kind](random, m)
         steps = np.append(0.0, np.sqrt(np.diff(t))) if noise == "walk" else np.ones(len(t))
         jumps = random.normal(size=len(t)) * steps
