@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by numpy; its threads cost twenty times what they save here
+
 import numpy as np
 import pytest
 from hypothesis import settings
