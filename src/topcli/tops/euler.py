@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-import numpy as np
 from pydantic import Field
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
+from topcli.tops.integrals import VERTICAL, BodyTop, length_sq, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -37,20 +37,20 @@ class Euler(Top):
     equations are still defined.
     """
 
-    kind: ClassVar[str] = "euler"
-    form: ClassVar[str] = "euler"
-    title: ClassVar[str] = "Euler top (free rigid body)"
-    citation: ClassVar[str] = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.2"
-    formula: ClassVar[str] = r"""
+    kind = "euler"
+    form = "euler"
+    title = "Euler top (free rigid body)"
+    citation = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.2"
+    formula = r"""
 A\dot\omega_1 = (B - C)\,\omega_2\omega_3, \qquad B\dot\omega_2 = (C - A)\,\omega_3\omega_1, \qquad
 C\dot\omega_3 = (A - B)\,\omega_1\omega_2
 """
-    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3")
+    components = ("omega1", "omega2", "omega3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3)}
-    energy: ClassVar[str] = "m_omega"
-    energy_factor: ClassVar[float] = 0.5
-    swing: ClassVar[str] = "omega2"
-    step_constants: ClassVar[tuple[str, ...]] = (
+    energy = "m_omega"
+    energy_factor = 0.5
+    swing = "omega2"
+    step_constants = (
         "A",
         "B",
         "C",
@@ -58,7 +58,7 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
         "alpha2 = (C - A)/B",
         "alpha3 = (A - B)/C",
     )
-    field: ClassVar = staticmethod(field)
+    field = staticmethod(field)
 
     A: float = Field(default=3.0, gt=0.0, description="first moment of inertia; positive")
     B: float = Field(default=2.0, gt=0.0, description="second moment of inertia; positive")
@@ -85,53 +85,36 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
             return A * y[:, 0] ** 2 + B * y[:, 1] ** 2 + C * y[:, 2] ** 2
 
         return (
-            Invariant("m_sq", "m²", r"\boldsymbol{m}^2", "angular momentum, squared", m_sq, m_sq),
-            Invariant(
-                "m_omega", "m·ω", r"\boldsymbol{m}\cdot\boldsymbol{\omega}", "twice the energy", m_omega, m_omega
-            ),
+            sum_of_products("m_sq", "m²", r"\boldsymbol{m}^2", "angular momentum, squared", m_sq),
+            sum_of_products("m_omega", "m·ω", r"\boldsymbol{m}\cdot\boldsymbol{\omega}", "twice the energy", m_omega),
         )
 
 
 class EulerGamma(Euler):
     """Euler top with the vertical gamma, a direction fixed in space, expressed in the body frame."""
 
-    form: ClassVar[str] = "euler+gamma"
-    title: ClassVar[str] = "Euler top (free rigid body) with the vertical"
-    formula: ClassVar[str] = (
+    form = "euler+gamma"
+    title = "Euler top (free rigid body) with the vertical"
+    formula = (
         Euler.formula
         + r"""
 \dot\gamma = \gamma\times\omega
 """
     )
-    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
-    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
-    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
-    field: ClassVar = staticmethod(field_with_gamma)
+    components = BodyTop.components
+    vectors = BodyTop.vectors
+    unit_vectors = BodyTop.unit_vectors
+    field = staticmethod(field_with_gamma)
 
     def invariants(self) -> tuple[Invariant, ...]:
         """Return m², m·omega, gamma² and m·gamma."""
         A, B, C = self.A, self.B, self.C
 
-        def gamma_sq(y: Array) -> Array:
-            return y[:, 3] ** 2 + y[:, 4] ** 2 + y[:, 5] ** 2
-
         def m_gamma(y: Array) -> Array:
             return A * (y[:, 0] * y[:, 3]) + B * (y[:, 1] * y[:, 4]) + C * (y[:, 2] * y[:, 5])
 
-        def m_gamma_scale(y: Array) -> Array:
-            return m_gamma(np.abs(y))
-
         return (
             *super().invariants(),
-            Invariant(
-                "gamma_sq", "γ²", r"\boldsymbol{\gamma}^2", "length of the vertical, squared", gamma_sq, gamma_sq
-            ),
-            Invariant(
-                "m_gamma",
-                "m·γ",
-                r"\boldsymbol{m}\cdot\boldsymbol{\gamma}",
-                "angular momentum about the vertical",
-                m_gamma,
-                m_gamma_scale,
-            ),
+            length_sq("gamma_sq", "γ²", r"\boldsymbol{\gamma}^2"),
+            sum_of_products("m_gamma", "m·γ", r"\boldsymbol{m}\cdot\boldsymbol{\gamma}", VERTICAL, m_gamma),
         )

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 from pydantic import Field
 
-from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
+from topcli.contracts import Array, EulerPoisson, Floats, Invariant
+from topcli.tops.integrals import VERTICAL, BodyTop, length_sq, sum_of_products
 
 
 def field(s: Floats, p: Floats) -> Floats:
@@ -25,27 +23,24 @@ def field(s: Floats, p: Floats) -> Floats:
     )
 
 
-class Heavy(Top):
+class Heavy(BodyTop):
     """Heavy top with moments (A, B, C) and mg(x0, y0, z0); dimensionless.
 
     With only three integrals it is not integrable: apart from special orbits the motion is chaotic, unless the
     parameters are those of Euler's, Lagrange's or Kowalevski's top. The default top is chaotic.
     """
 
-    kind: ClassVar[str] = "heavy"
-    form: ClassVar[str] = "heavy"
-    title: ClassVar[str] = "heavy top (any moments of inertia and centre of gravity)"
-    citation: ClassVar[str] = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.1, EulerPoisson"
-    formula: ClassVar[str] = r"""
+    kind = "heavy"
+    form = "heavy"
+    title = "heavy top (any moments of inertia and centre of gravity)"
+    citation = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.1, EulerPoisson"
+    formula = r"""
 J\dot\omega = J\omega\times\omega + \gamma\times r, \qquad \dot\gamma = \gamma\times\omega, \qquad
 J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
 """
-    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
-    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
-    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
-    swing: ClassVar[str] = "gamma1"
-    step_constants: ClassVar[tuple[str, ...]] = ("A", "B", "C", "x0", "y0", "z0")
-    field: ClassVar = staticmethod(field)
+    swing = "gamma1"
+    step_constants = ("A", "B", "C", "x0", "y0", "z0")
+    field = staticmethod(field)
 
     A: float = Field(default=2.0, gt=0.0, description="first moment of inertia")
     B: float = Field(default=1.5, gt=0.0, description="second moment of inertia")
@@ -67,23 +62,14 @@ J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
         moments = np.array((self.A, self.B, self.C))
         gravity = np.array((self.x0, self.y0, self.z0))
 
-        def gamma_sq(y: Array) -> Array:
-            return (y[:, 3:] ** 2).sum(axis=1)
-
         def m_gamma(y: Array) -> Array:
             return (moments * y[:, :3] * y[:, 3:]).sum(axis=1)
 
-        def m_gamma_scale(y: Array) -> Array:
-            return m_gamma(np.abs(y))
-
-        def energy(y: Array) -> Array:
+        def energy(y: Array, gravity: Array = gravity) -> Array:
             return (0.5 * moments * y[:, :3] ** 2 + gravity * y[:, 3:]).sum(axis=1)
 
-        def energy_scale(y: Array) -> Array:
-            return (0.5 * moments * y[:, :3] ** 2 + np.abs(gravity * y[:, 3:])).sum(axis=1)
-
         return (
-            Invariant("gamma_sq", "γ²", r"\gamma^2", "length of the vertical, squared", gamma_sq, gamma_sq),
-            Invariant("m_gamma", "m·γ", r"m\cdot\gamma", "angular momentum about the vertical", m_gamma, m_gamma_scale),
-            Invariant("energy", "E", r"E", "energy", energy, energy_scale),
+            length_sq("gamma_sq", "γ²", r"\gamma^2"),
+            sum_of_products("m_gamma", "m·γ", r"m\cdot\gamma", VERTICAL, m_gamma),
+            Invariant("energy", "E", r"E", "energy", energy, lambda y: energy(np.abs(y), np.abs(gravity))),
         )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
+from topcli.contracts import Array, EulerPoisson, Floats, Invariant
+from topcli.tops.integrals import VERTICAL, BodyTop, energy, length_sq, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -26,7 +25,7 @@ def field(y: Floats, p: Floats) -> Floats:
     )
 
 
-class Kowalevski(Top):
+class Kowalevski(BodyTop):
     """Kowalevski top with moments (A, A, A/2) and mg(x0, y0, z0) = (c0, 0, 0); dimensionless.
 
     The paper sets A = B = 2, C = 1 "without loss of generality"; these are the defaults. For another A, dividing the
@@ -35,20 +34,17 @@ class Kowalevski(Top):
     number; c0 = 0 is the free symmetric top.
     """
 
-    kind: ClassVar[str] = "kowalevski"
-    form: ClassVar[str] = "kowalevski"
-    title: ClassVar[str] = "Kowalevski top (A = B = 2C, centre of gravity on the first axis)"
-    citation: ClassVar[str] = "Kowalevski 1889; Sogo, Discrete Spinning Tops, section 3"
-    formula: ClassVar[str] = r"""
+    kind = "kowalevski"
+    form = "kowalevski"
+    title = "Kowalevski top (A = B = 2C, centre of gravity on the first axis)"
+    citation = "Kowalevski 1889; Sogo, Discrete Spinning Tops, section 3"
+    formula = r"""
 2\dot\omega_1 = \omega_2\omega_3, \qquad 2\dot\omega_2 = -\omega_3\omega_1 + c\,\gamma_3, \qquad
 \dot\omega_3 = -c\,\gamma_2, \qquad \dot\gamma = \gamma\times\omega, \qquad c = \frac{c_0}{C}
 """
-    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
-    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
-    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
-    swing: ClassVar[str] = "gamma1"
-    step_constants: ClassVar[tuple[str, ...]] = ("c = c0/C",)
-    field: ClassVar = staticmethod(field)
+    swing = "gamma1"
+    step_constants = ("c = c0/C",)
+    field = staticmethod(field)
 
     c0: float = Field(default=1.0, description="mg x0, the moment of gravity about the fixed point; any real number")
     A: float = Field(default=2.0, gt=0.0, description="first and second moment of inertia; the third is A/2")
@@ -83,20 +79,11 @@ class Kowalevski(Top):
         """Return gamma², 2l = m·gamma, E and Kowalevski's k²; Sogo, section 3.1."""
         C, c0, c = self.C, self.c0, self.c0 / self.C
 
-        def gamma_sq(y: Array) -> Array:
-            return y[:, 3] ** 2 + y[:, 4] ** 2 + y[:, 5] ** 2
-
         def two_l(y: Array) -> Array:
             return C * (2.0 * (y[:, 0] * y[:, 3] + y[:, 1] * y[:, 4]) + y[:, 2] * y[:, 5])
 
-        def two_l_scale(y: Array) -> Array:
-            return two_l(np.abs(y))
-
-        def energy(y: Array) -> Array:
-            return C * (y[:, 0] ** 2 + y[:, 1] ** 2 + 0.5 * y[:, 2] ** 2) + c0 * y[:, 3]
-
-        def energy_scale(y: Array) -> Array:
-            return C * (y[:, 0] ** 2 + y[:, 1] ** 2 + 0.5 * y[:, 2] ** 2) + np.abs(c0 * y[:, 3])
+        def kinetic(y: Array) -> Array:
+            return C * (y[:, 0] ** 2 + y[:, 1] ** 2 + 0.5 * y[:, 2] ** 2)
 
         def k_sq(y: Array) -> Array:
             re = y[:, 0] ** 2 - y[:, 1] ** 2 - c * y[:, 3]
@@ -107,8 +94,8 @@ class Kowalevski(Top):
             return (y[:, 0] ** 2 + y[:, 1] ** 2 + np.hypot(c * y[:, 3], c * y[:, 4])) ** 2
 
         return (
-            Invariant("gamma_sq", "γ²", r"\gamma^2", "length of the vertical, squared", gamma_sq, gamma_sq),
-            Invariant("two_l", "2l", r"2\ell", "angular momentum about the vertical", two_l, two_l_scale),
-            Invariant("energy", "E", r"E", "energy", energy, energy_scale),
+            length_sq("gamma_sq", "γ²", r"\gamma^2"),
+            sum_of_products("two_l", "2l", r"2\ell", VERTICAL, two_l),
+            energy(kinetic, c0, 3),
             Invariant("k_sq", "k²", r"k^2", "Kowalevski's integral |ω² - cγ|²", k_sq, k_sq_scale),
         )

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
+from topcli.tops.integrals import VERTICAL, BodyTop, energy, length_sq, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -36,28 +36,25 @@ def inertial_field(y: Floats, p: Floats) -> Floats:
     return (-a2, a1, 0.0, m2 * a3 - m3 * a2, m3 * a1 - m1 * a3, m1 * a2 - m2 * a1)
 
 
-class Lagrange(Top):
+class Lagrange(BodyTop):
     """Lagrange top with moments (A, A, C) and mg(x0, y0, z0) = (0, 0, mu), in the body frame; dimensionless.
 
     With mu > 0 the centre of gravity is above the fixed point when gamma_3 = 1. mu may be any real number; mu = 0 is
     the free symmetric top. The state is (omega, gamma).
     """
 
-    kind: ClassVar[str] = "lagrange"
-    form: ClassVar[str] = "lagrange"
-    title: ClassVar[str] = "Lagrange top (A = B, centre of gravity on the third axis)"
-    citation: ClassVar[str] = "Lagrange 1788; Sogo, Discrete Spinning Tops, section 2"
-    formula: ClassVar[str] = r"""
+    kind = "lagrange"
+    form = "lagrange"
+    title = "Lagrange top (A = B, centre of gravity on the third axis)"
+    citation = "Lagrange 1788; Sogo, Discrete Spinning Tops, section 2"
+    formula = r"""
 A\dot\omega_1 = (A - C)\,\omega_2\omega_3 + \mu\,\gamma_2, \qquad
 A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
 \dot\omega_3 = 0, \qquad \dot\gamma = \gamma\times\omega
 """
-    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
-    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
-    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
-    swing: ClassVar[str] = "gamma3"
-    step_constants: ClassVar[tuple[str, ...]] = ("alpha = (A - C)/A", "nu = mu/A")
-    field: ClassVar = staticmethod(field)
+    swing = "gamma3"
+    step_constants = ("alpha = (A - C)/A", "nu = mu/A")
+    field = staticmethod(field)
 
     A: float = Field(default=1.0, gt=0.0, description="first and second moment of inertia")
     B: float | None = Field(
@@ -86,37 +83,18 @@ A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
         """Return gamma², m·gamma, E (Sogo, constant) and Lagrange's integral m·e3 = C omega3."""
         A, C, mu = self.A, self.C, self.mu
 
-        def gamma_sq(y: Array) -> Array:
-            return y[:, 3] ** 2 + y[:, 4] ** 2 + y[:, 5] ** 2
-
         def m_gamma(y: Array) -> Array:
             return A * (y[:, 0] * y[:, 3] + y[:, 1] * y[:, 4]) + C * y[:, 2] * y[:, 5]
 
-        def energy(y: Array) -> Array:
-            return 0.5 * (A * (y[:, 0] ** 2 + y[:, 1] ** 2) + C * y[:, 2] ** 2) + mu * y[:, 5]
+        def kinetic(y: Array) -> Array:
+            return 0.5 * (A * (y[:, 0] ** 2 + y[:, 1] ** 2) + C * y[:, 2] ** 2)
 
-        def energy_scale(y: Array) -> Array:
-            return 0.5 * (A * (y[:, 0] ** 2 + y[:, 1] ** 2) + C * y[:, 2] ** 2) + np.abs(mu * y[:, 5])
-
+        spin = "angular momentum about the top's axis, Cω₃ (Lagrange's integral)"
         return (
-            Invariant("gamma_sq", "γ²", r"\gamma^2", "length of the vertical, squared", gamma_sq, gamma_sq),
-            Invariant(
-                "m_gamma",
-                "m·γ",
-                r"m\cdot\gamma",
-                "angular momentum about the vertical",
-                m_gamma,
-                lambda y: m_gamma(np.abs(y)),
-            ),
-            Invariant("energy", "E", r"E", "energy", energy, energy_scale),
-            Invariant(
-                "m_axis",
-                "m·e₃",
-                r"m\cdot e_3",
-                "angular momentum about the top's axis, Cω₃ (Lagrange's integral)",
-                lambda y: C * y[:, 2],
-                lambda y: np.abs(C * y[:, 2]),
-            ),
+            length_sq("gamma_sq", "γ²", r"\gamma^2"),
+            sum_of_products("m_gamma", "m·γ", r"m\cdot\gamma", VERTICAL, m_gamma),
+            energy(kinetic, mu, 5),
+            sum_of_products("m_axis", "m·e₃", r"m\cdot e_3", spin, lambda y: C * y[:, 2]),
         )
 
 
@@ -127,18 +105,18 @@ class LagrangeInertial(Top):
     the angular momentum m·a about the axis, which is C omega3 in the body frame.
     """
 
-    kind: ClassVar[str] = "lagrange"
-    form: ClassVar[str] = "lagrange/inertial"
-    title: ClassVar[str] = "Lagrange top in the inertial frame (dimensionless: A = B = mg z0 = 1)"
-    citation: ClassVar[str] = "Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3"
-    formula: ClassVar[str] = r"\dot m = p\times a, \qquad \dot a = m\times a, \qquad p = e_3"
-    components: ClassVar[tuple[str, ...]] = ("m1", "m2", "m3", "a1", "a2", "a3")
+    kind = "lagrange"
+    form = "lagrange/inertial"
+    title = "Lagrange top in the inertial frame (dimensionless: A = B = mg z0 = 1)"
+    citation = "Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3"
+    formula = r"\dot m = p\times a, \qquad \dot a = m\times a, \qquad p = e_3"
+    components = ("m1", "m2", "m3", "a1", "a2", "a3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 3), "a": (3, 6)}
-    unit_vectors: ClassVar[tuple[str, ...]] = ("a",)
-    in_space: ClassVar[bool] = True
-    swing: ClassVar[str] = "a3"
-    step_constants: ClassVar[tuple[str, ...]] = ("1",)
-    field: ClassVar = staticmethod(inertial_field)
+    unit_vectors = ("a",)
+    in_space = True
+    swing = "a3"
+    step_constants = ("1",)
+    field = staticmethod(inertial_field)
 
     def constants(self) -> Floats:
         """Return ``(1,)``, which is mg z0/A in these units."""
@@ -151,9 +129,6 @@ class LagrangeInertial(Top):
     def invariants(self) -> tuple[Invariant, ...]:
         """Return a², m·p, m·a and the energy m²/2 + a·p of the continuous motion (Sogo, section 2.3)."""
 
-        def a_sq(y: Array) -> Array:
-            return y[:, 3] ** 2 + y[:, 4] ** 2 + y[:, 5] ** 2
-
         def m_a(y: Array) -> Array:
             return y[:, 0] * y[:, 3] + y[:, 1] * y[:, 4] + y[:, 2] * y[:, 5]
 
@@ -161,24 +136,8 @@ class LagrangeInertial(Top):
             return 0.5 * (y[:, 0] ** 2 + y[:, 1] ** 2 + y[:, 2] ** 2)
 
         return (
-            Invariant("a_sq", "a²", r"a^2", "length of the axis, squared", a_sq, a_sq),
-            Invariant(
-                "m_p",
-                "m·p",
-                r"m\cdot p",
-                "angular momentum about the vertical",
-                lambda y: y[:, 2],
-                lambda y: np.abs(y[:, 2]),
-            ),
-            Invariant(
-                "m_a", "m·a", r"m\cdot a", "angular momentum about the top's axis", m_a, lambda y: m_a(np.abs(y))
-            ),
-            Invariant(
-                "energy",
-                "E",
-                r"E",
-                "energy m²/2 + a·p",
-                lambda y: kinetic(y) + y[:, 5],
-                lambda y: kinetic(y) + np.abs(y[:, 5]),
-            ),
+            length_sq("a_sq", "a²", r"a^2", "length of the axis, squared"),
+            sum_of_products("m_p", "m·p", r"m\cdot p", VERTICAL, lambda y: y[:, 2]),
+            sum_of_products("m_a", "m·a", r"m\cdot a", "angular momentum about the top's axis", m_a),
+            energy(kinetic, 1.0, 5, "energy m²/2 + a·p"),
         )
