@@ -27,7 +27,7 @@ from topcli.schemes.kowalevski.exact import _kept, exact_accuracy
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
-RANDOM_STATES = int(os.environ.get("TOPCLI_RANDOM_TOPS", "24"))
+RANDOM_STATES = int(os.environ.get("TOPCLI_RANDOM_TOPS", "12"))
 TIMES = np.array([1, 7, 30, 100])
 
 FAMILIES = {
@@ -85,7 +85,7 @@ def test_random_motions(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_degenerate_motions_and_their_neighbours(family: str) -> None:
-    for distance in (0.0, 1e-3, 1e-6, 1e-9, 1e-12):
+    for distance in (0.0, 1e-4, 1e-8, 1e-12):
         assert_is_the_motion(FAMILIES[family](distance))
 
 
@@ -110,7 +110,7 @@ NATURAL = {
 @pytest.mark.parametrize("name", NATURAL)
 def test_degenerate_motions_of_whole_numbers(name: str) -> None:
     """Typical errors 1e-15. Times measured from the slow part of the motion would be off by 1e-8."""
-    for distance in (0.0, 1e-3, 1e-6, 1e-9, 1e-12):
+    for distance in (0.0, 1e-4, 1e-8, 1e-12):
         y = np.array(NATURAL[name])
         y[1] += distance
         assert_is_the_motion(y, times=np.array([1, 2, 7]))

@@ -133,10 +133,10 @@ def stepper(
     )
 
 
-def increment_stepper(change: Change, d: int, options: object) -> Stepper:
+def increment_stepper(change: Change, d: int, options: object, iterative: bool = False) -> Stepper:
     """Stepper of d components from their ``change``, compensated if ``options`` say so."""
     compensated = is_compensated(options)
-    return stepper(change, d, lost=range(d * compensated), checked=d * compensated)
+    return stepper(change, d, lost=range(d * compensated), checked=d * compensated, iterative=iterative)
 
 
 def with_counter(stepper: Stepper, name: str, event: Event, branch: bool = False) -> Stepper:

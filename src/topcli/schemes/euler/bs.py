@@ -10,11 +10,11 @@ from topcli.arithmetic.rotations import Vector
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.declarations import NEWTON_SINGULAR
 from topcli.schemes.euler.hk import hk_increment
-from topcli.schemes.euler.newton import newton, with_status
-from topcli.schemes.euler.omega_gamma import (
+from topcli.schemes.euler.steps import (
     CITATION,
     FORMS,
     new_omega,
+    newton,
     old_omega,
     omega_gamma_stepper,
     rotation_invariants,
@@ -144,4 +144,4 @@ def build_bs_implicit(top: Top, options: CompensatedOption) -> Stepper:
     conserved; m·omega decreases until the top rotates about the axis of its largest moment. If a step does not
     converge, the run ends as `no_convergence`.
     """
-    return with_status(omega_gamma_stepper(top, implicit_change, new_omega, options), len(top.components))
+    return omega_gamma_stepper(top, implicit_change, new_omega, options, iterative=True)

@@ -35,7 +35,7 @@ from topcli.arithmetic.quaternions import products, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.euler.hk import hk_integrals
-from topcli.schemes.euler.omega_gamma import FORMS
+from topcli.schemes.euler.steps import FORMS
 from topcli.schemes.registry import scheme
 
 

@@ -41,7 +41,7 @@ from topcli.arithmetic.fused import fma
 from topcli.arithmetic.rotations import Vector
 from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, Stepper, Top
 from topcli.schemes.declarations import SINGULAR
-from topcli.schemes.euler.omega_gamma import CITATION, FORMS, omega_change
+from topcli.schemes.euler.steps import CITATION, FORMS, omega_change
 from topcli.schemes.layout import (
     NEAR_SINGULAR,
     CompensatedOption,

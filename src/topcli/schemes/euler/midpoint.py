@@ -9,8 +9,7 @@ from topcli.arithmetic.rotations import Vector
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.declarations import NEWTON_SINGULAR, NO_SOLUTION
 from topcli.schemes.euler.hk import hk_increment
-from topcli.schemes.euler.newton import newton, with_status
-from topcli.schemes.euler.omega_gamma import CITATION, FORMS, mean_omega, omega_gamma_stepper
+from topcli.schemes.euler.steps import CITATION, FORMS, mean_omega, newton, omega_gamma_stepper
 from topcli.schemes.layout import CompensatedOption
 from topcli.schemes.registry import scheme
 
@@ -84,4 +83,4 @@ def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
     Newton's method in three unknowns starts from HK's step, whose error is O(h³); two or three corrections reach
     round-off. If a step does not converge, the run ends as `no_convergence`.
     """
-    return with_status(omega_gamma_stepper(top, midpoint_change, mean_omega, options), len(top.components))
+    return omega_gamma_stepper(top, midpoint_change, mean_omega, options, iterative=True)
