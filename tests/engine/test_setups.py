@@ -262,7 +262,7 @@ def test_a_run_counts_its_set_up_apart(folder: Path, monkeypatch: pytest.MonkeyP
     assert not run.setup.cached
     assert run.setup.seconds > 0.0
     exact._kept().clear()
-    monkeypatch.setattr(exact, "_made", None)  # a second process computes nothing
+    monkeypatch.setattr(exact, "set_up", None)  # a second process computes nothing
     again = Run(Kowalevski(), method(), GEN, 0.1, 50)
     again.collect()
     assert again.setup is not None
