@@ -14,7 +14,7 @@ import pytest
 from conftest import ROOT
 from terminal import in_terminal
 from topcli.cli.app import _Topcli
-from topcli.cli.hints import show_hint
+from topcli.cli.options import show_hint
 from topcli.config.files import is_config
 from topcli.config.starter import starter_config
 from topcli.errors import LIST_LENGTH, nearest

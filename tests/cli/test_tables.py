@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from conftest import ROOT
 from topcli.cli import output
-from topcli.cli.tables import table_lines
+from topcli.cli.output import table_lines
 
 COMMANDS = [
     "list tops",

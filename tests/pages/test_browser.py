@@ -10,8 +10,7 @@ import pytest
 from browser import Browser, running_browser
 from stored_results import store_comparison, store_ensemble, store_order, store_run, store_stress, store_sweep
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Text
-from topcli.pages.find import report_page
-from topcli.pages.page import rendered
+from topcli.pages.page import rendered, report_page
 
 pytestmark = pytest.mark.slow
 

@@ -21,11 +21,9 @@ from shown import shows
 from stored_results import store_ensemble, store_run
 from sweep_rows import write_rows
 from topcli.pages.contents import Chapter, Pictures
-from topcli.pages.find import all_chapters, report_page
-from topcli.pages.page import rendered
+from topcli.pages.page import all_chapters, rendered, report_page
 from topcli.pages.runs import outcome_notes
-from topcli.pages.studies import claims_chapter
-from topcli.pages.study import study_chapter
+from topcli.pages.studies import claims_chapter, study_chapter
 from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
 from topcli.store.series import read_series
 from topcli.studies.order import ORDER

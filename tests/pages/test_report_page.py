@@ -29,8 +29,7 @@ from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.figures.picture import Panel
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
-from topcli.pages.find import all_chapters, report_page
-from topcli.pages.page import page_of, rendered
+from topcli.pages.page import all_chapters, page_of, rendered, report_page
 from topcli.pages.pictures import before_explosion, deviations
 from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment

@@ -17,8 +17,7 @@ import pytest
 import topcli
 from shown import distinct, named_differently
 from stored_results import BASE
-from topcli.show.report import Report
-from topcli.show.study import StudyReport
+from topcli.show.report import Report, StudyReport
 from topcli.studies.compare import COMPARE
 from topcli.studies.order import ORDER
 from topcli.studies.stress.study import STRESS

@@ -21,9 +21,8 @@ from reading_html import read_html
 from stored_results import BASE, START
 from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
 from topcli.show.claims import ClaimsReport
-from topcli.show.report import SUFFIXES, Report
+from topcli.show.report import SUFFIXES, Report, StudyReport
 from topcli.show.runs import RunReport
-from topcli.show.study import StudyReport
 from topcli.show.sweeps import SweepReport
 from topcli.store.series import read_series
 from topcli.studies.compare import COMPARE
@@ -330,7 +329,7 @@ def test_comparison_of_an_ensemble(ensemble: RunReport) -> None:
 
 @pytest.mark.slow
 def test_a_saved_comparison_is_read_by_the_command(compared: StudyReport, tmp_path: Path) -> None:
-    from topcli.pages.find import report_page
+    from topcli.pages.page import report_page
 
     path = compared.save(tmp_path / "compared.json")
     assert len(read_html(report_page([str(path)]).text).all("svg")) == 2

@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from topcli.cli.files import Overwrite, write_text
-from topcli.cli.hints import hint_instead, show_hint
 from topcli.cli.options import (
     Json,
+    Overwrite,
     SchemeFiles,
     Sets,
     complete_config,
     complete_scheme,
+    hint_instead,
     load_scheme_files,
+    show_hint,
     top_option,
+    write_text,
 )
-from topcli.cli.output import emit, emit_text, print_document, print_json, print_message, print_table, prose_width
+from topcli.cli.output import (
+    emit,
+    emit_prose,
+    emit_text,
+    print_cells,
+    print_document,
+    print_json,
+    print_message,
+    print_table,
+    prose_width,
+)
+from topcli.errors import UsageError
 
 
 def complete_config_or_scheme(incomplete: str) -> list[str]:
@@ -52,8 +66,6 @@ def show(
 
     load_scheme_files(scheme_files)
     if motion:
-        from topcli.cli.motion import show_motion
-
         return show_motion(config, row, sets or [], as_json)
     folder, stored = Path(config), Path(config) / "config.yaml"
     if row is None and os.path.isdir(folder) and os.path.isfile(stored):  # the folder of a run
@@ -159,3 +171,27 @@ def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
         "problems": "; ".join(data["problems"]) or "none",
     }
     print_table([], [[key, str(value)] for key, value in facts.items()], numbers=False)
+
+
+def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool) -> None:
+    """Print what the closed form says about the motion of a config. Raises UsageError for a sweep or an ensemble."""
+    from topcli.analysis.motion import NEIGHBOURS, QUANTITIES
+    from topcli.analysis.motion.of_top import motion_of
+    from topcli.config.load import load_experiment
+
+    if row is not None or Path(config).is_dir():
+        raise UsageError(
+            "--motion: needs a single experiment, not a sweep; "
+            "save a row with `topcli show SWEEP --row NUMBER > FILE.yaml` and name that file"
+        )
+    experiment = load_experiment(config, sets, any_precision=True)
+    motion = motion_of(experiment.top, experiment.y0)
+    if as_json:
+        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "motion": motion.as_dict()})
+        return
+    print_cells(QUANTITIES.cells(motion), f"{experiment.name}: {motion.title}")
+    if motion.neighbours:
+        emit()
+        print_cells(NEIGHBOURS.cells(motion), NEIGHBOURS.title_of(motion))
+    for note in motion.notes:
+        emit_prose(note)

@@ -1,4 +1,4 @@
-"""``topcli list``: tops, schemes, measures, scenes, sweeps, cases, figures and runs."""
+"""``topcli list``: tops, schemes, measures, scenes, sweeps, cases, figures and runs; ``topcli cite``: their works."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from topcli.cli.command import Command
-from topcli.cli.options import Json, SchemeFiles, load_scheme_files, top_option
+from topcli.cli.app import Command
+from topcli.cli.options import Json, SchemeFiles, complete_scheme, complete_top, load_scheme_files, top_option
 from topcli.cli.output import emit_text, print_cells, print_json, print_message
 from topcli.errors import shortened
 from topcli.table import Column, Table
@@ -268,3 +268,32 @@ def runs(
     progress = ["step", "resumable"] if any(item["resumable"] or not item["ended"] for item in items) else []
     columns = ["name", "outcome", *progress, "scheme", "h", "N", "digest", "ended"]
     return Listing(items if as_json else list(map(_short, items)), columns, f"no runs in {folder}")
+
+
+def complete_cited(incomplete: str) -> list[str]:
+    """Names of tops and schemes that begin with ``incomplete``."""
+    return [*complete_top(incomplete), *complete_scheme(incomplete)]
+
+
+def cite(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="SCHEME|TOP",
+            help="Schemes, compositions and tops; by default topcli and the paper.",
+            autocompletion=complete_cited,
+        ),
+    ] = None,
+    as_json: Json = False,
+    scheme_files: SchemeFiles = None,
+) -> None:
+    """Print the BibTeX of a scheme, a top, or topcli itself."""
+    from topcli.studies.citations import own_works, works_of
+
+    load_scheme_files(scheme_files)
+    found = {entry.key: entry for name in names or () for entry in works_of(name)} if names else None
+    entries = own_works() if found is None else list(found.values())
+    if as_json:
+        print_json("cite", {"entries": [{"key": entry.key, "bibtex": entry.bibtex} for entry in entries]})
+    else:
+        emit_text("\n\n".join(entry.bibtex for entry in entries))

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from topcli.cli.hints import hint_instead, plot_hint
-from topcli.cli.options import FigureOut, Force, Json, Sets, complete_figure
+from topcli.cli.options import FigureOut, Force, Json, Sets, complete_figure, hint_instead, plot_hint
 from topcli.cli.output import ProgressDisplay, emit, print_json, print_message
-from topcli.cli.table import Aggregate, Where
+from topcli.cli.results import Aggregate, Where
 
 if TYPE_CHECKING:
     from topcli.figures.figure import Figure

@@ -11,16 +11,17 @@ from typing import Annotated, Any, Union, get_args, get_origin
 
 import typer
 
-from topcli.cli.files import Overwrite, require_new
 from topcli.cli.options import (
     FigureOut,
     Json,
     Out,
+    Overwrite,
     SchemeFiles,
     complete_config,
     complete_scheme,
     complete_top,
     load_scheme_files,
+    require_new,
 )
 from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
 from topcli.errors import UsageError

@@ -1,18 +1,28 @@
-"""Content of a page: chapters of facts, tables, pictures and texts, as plain strings that the template escapes."""
+"""Content of a page: chapters of facts, tables, pictures and texts, as plain strings that the template escapes.
+
+The blocks on the origin of a result, its config, files and works, are common to all chapters.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from topcli.errors import TopcliError, shortened
-from topcli.table import Cells
+from topcli.config.load import load
+from topcli.config.models import Experiment
+from topcli.config.yaml_text import to_yaml
+from topcli.errors import TopcliError, UsageError, shortened
+from topcli.schemes.registry import find_scheme
+from topcli.table import DASH, Cells, number
+from topcli.tops import TOPS
 
 if TYPE_CHECKING:
     from topcli.contracts import Array
     from topcli.figures.picture import Drawable
     from topcli.store.manifest import StoredRun
+
 
 REASON_LENGTH = 160
 """Longest reason for missing content that a page repeats."""
@@ -132,3 +142,114 @@ def reason_of(error: Exception) -> str:
     if not (isinstance(error, TopcliError | OSError) and first):
         first = f"not of the form that topcli writes ({type(error).__name__}: {first})"
     return shortened(first, REASON_LENGTH)
+
+
+LONGEST_TEXT = 400
+"""Lines of a config that a page shows; an ensemble may list thousands of states."""
+LONGEST_LINE = 2000
+PAPER = "K. Sogo, Discrete Spinning Tops: Difference equations for Euler, Lagrange, and Kowalevski tops"
+Parts = Iterable[tuple[str, str]]
+"""Form of a top and name of a scheme that steps it, for every scheme that took part."""
+
+
+def value_text(value: object) -> str:
+    """Value of a config or manifest in one short line."""
+    if value is None:
+        return DASH
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return shortened(", ".join(map(str, value)), 200) or DASH
+    if isinstance(value, Mapping):
+        value = ", ".join(f"{key} = {value_text(part)}" for key, part in value.items())
+    return shortened(str(value), 200)
+
+
+def text_block(title: str, text: str) -> Text:
+    """A text line by line, without the rest of very long ones."""
+    lines = [shortened(line, LONGEST_LINE) for line in text.splitlines()]
+    left = len(lines) - LONGEST_TEXT
+    return Text(title, lines if left <= 0 else [*lines[:LONGEST_TEXT], f"... and {left} more lines"])
+
+
+def config_block(config: Mapping[str, Any]) -> Text:
+    """The resolved config as YAML."""
+    return text_block("Resolved config", to_yaml(dict(config)))
+
+
+def _seconds(value: Any) -> Any:
+    """Seconds of a manifest, or several by name, with few digits."""
+    if isinstance(value, Mapping):
+        return {name: _seconds(part) for name, part in value.items()}
+    return number(value) if isinstance(value, float) else value
+
+
+def provenance_block(manifest: Mapping[str, Any]) -> Facts:
+    """Times, versions, machine, commit and digests of a manifest or a study."""
+    commit, dirty = manifest.get("commit"), " with uncommitted changes" if manifest.get("dirty") else ""
+    facts = {
+        "started": manifest.get("started"),
+        "ended": manifest.get("ended", manifest.get("written")),
+        "seconds": _seconds(manifest.get("seconds")),
+        **(manifest.get("environment") or {}),
+        "commit": f"{commit}{dirty}" if commit else None,
+        "code of the scheme": manifest.get("scheme_origin"),
+        "digest of the experiment": manifest.get("digest"),
+        "digest of the code": manifest.get("code", manifest.get("source")),
+    }
+    return Facts("Provenance", [(name, value_text(value)) for name, value in facts.items() if value is not None])
+
+
+def files_block(folder: Path, files: Mapping[str, Any], damage: Mapping[str, str]) -> Cells:
+    """Files of a folder with the sizes and checksums of the manifest."""
+    lines = []
+    for name, entry in files.items():
+        size, digest = (entry["size"], entry["sha256"]) if isinstance(entry, Mapping) else (entry, DASH)
+        lines.append([name, str(size), str(digest), damage.get(name, "intact")])
+    header, broken = ["file", "bytes", "SHA-256", "state"], dict.fromkeys(damage.values(), "bad")
+    return Cells("Files", header, lines, f"In {folder}", numbers=False, marks=broken)
+
+
+def experiment_of(config: Mapping[str, Any]) -> Experiment | None:
+    """Experiment of a resolved config, or the first of an ensemble; None if this topcli does not know its parts."""
+    try:
+        loaded = load(config)
+    except MALFORMED:
+        return None
+    return loaded if isinstance(loaded, Experiment) else loaded.first
+
+
+def parts_of(experiment: Experiment | None) -> Parts:
+    """Top and scheme of an experiment; nothing for None."""
+    return [(experiment.top.form, experiment.scheme.name)] if experiment else []
+
+
+def citation_block(parts: Parts, version: object) -> Notes:
+    """References to cite: the program, the paper, and the sources of all tops and schemes."""
+    sources: list[str] = []
+    for form, name in dict.fromkeys(parts):
+        if form in TOPS:
+            sources.append(f"{TOPS[form].kind} top: {TOPS[form].citation}")
+        try:
+            sources.append(f"scheme {name}: {find_scheme(name, form).citation}")
+        except UsageError:
+            sources.append(f"scheme {shortened(name)}: its source is unknown to this topcli")
+    release = shortened(version) if isinstance(version, str) else "unknown"
+    own = f"the topcli authors, topcli: numerical experiments on discrete spinning tops, version {release}"
+    return Notes("Citation", [own, PAPER, *dict.fromkeys(sources)])
+
+
+def add_origin(chapter: Chapter, manifest: Mapping[str, Any], parts: Callable[[], Parts] | Parts = ()) -> None:
+    """Add config, provenance and citation of a result, of which its ``manifest`` or the data of a study tell."""
+    if isinstance(config := manifest.get("config"), Mapping) and config:
+        chapter.attempt("config", config_block, config)
+    if manifest.keys() - {"config"}:
+        chapter.attempt("provenance", provenance_block, manifest)
+    environment = manifest.get("environment")
+    version = environment.get("topcli") if isinstance(environment, Mapping) else None
+    chapter.attempt("citation", lambda: citation_block(parts() if callable(parts) else parts, version))
+
+
+def add_files(chapter: Chapter, folder: Path, manifest: Mapping[str, Any], damage: Mapping[str, str]) -> None:
+    """Add the list of the files in ``folder``."""
+    chapter.attempt("files", lambda: files_block(folder, manifest["files"], damage))

@@ -1,18 +1,28 @@
-"""Render chapters as one self-contained HTML page: no script, no request, light and dark, for paper and phones."""
+"""One self-contained HTML page on results: no script, no request, light and dark, for paper and phones."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from topcli import __version__
-from topcli.errors import printable
+from topcli.errors import UsageError, nearest, printable, quoted
 from topcli.pages.contents import Chapter, Picture
 from topcli.pages.pictures import svg_of
-from topcli.pages.runs import comparisons
+from topcli.pages.runs import comparisons, damaged_chapter, part_chapter, run_chapter
+from topcli.pages.studies import bench_chapter, claims_chapter, study_chapter
+from topcli.pages.sweeps import sweep_chapter
+from topcli.store.files import SEAL, DamagedError, check_study, read_json
+from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run
+from topcli.store.parts import is_part, linked_file, parts_of
 from topcli.store.provenance import now
+from topcli.studies import STUDIES, find_study
+from topcli.studies.study import stored_result
+from topcli.sweeps.rows import ROWS
+from topcli.sweeps.run import SWEEP_FILE, is_sweep
 
 FOLDER = Path(__file__).parent
 TEMPLATE = "page.html.jinja"
@@ -77,3 +87,116 @@ def page_of(chapters: Sequence[Chapter], title: str | None = None, draw: Callabl
     """Page on ``chapters``, after comparisons of the runs among them that share a top; ``draw`` draws the pictures."""
     whole = [*comparisons(chapters), *chapters]
     return Page(whole, rendered(whole, title or ", ".join(chapter.title for chapter in chapters), draw))
+
+
+STUDY_FILES = ("stress.json", "order.json")
+"""Files of studies, found in a folder of their own."""
+_RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "trajectories.parquet", "trajectories.csv")
+_KNOWN = "give the folder of a run or sweep, or a JSON file of topcli compare, order or stress"
+
+
+def all_chapters(places: Sequence[str], results: Path) -> list[Chapter]:
+    """Chapters on all ``places``, each once. Raises UsageError."""
+    chapters: list[Chapter] = []
+    for place in dict.fromkeys(places):
+        chapters += _chapters(place, results, f"part{len(chapters) + 1}")
+    return chapters
+
+
+def report_page(
+    places: Sequence[str],
+    results: Path = Path("results"),
+    title: str | None = None,
+    draw: Callable[[Picture], str] = svg_of,
+) -> Page:
+    """Page on the results that ``places`` name: paths, or names of folders in ``results``. Raises UsageError."""
+    return page_of(all_chapters(places, results), title, draw)
+
+
+def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
+    """Chapters on what ``place`` names: a path, or the name of a folder in ``results``.
+
+    ``name`` is unique on the page. Raises UsageError if there is nothing that topcli stored.
+    """
+    try:
+        for path in (Path(place), results / place):
+            if path.exists():
+                return [_of_folder(path, name) if path.is_dir() else _of_file(path, name)]
+        parts = parts_of(results, place)
+    except OSError as error:
+        raise UsageError(f"{place[:400]}: cannot be read ({error.strerror})") from None
+    if not parts:
+        hint = f"; {nearest(place, known)}" if (known := _names(results)) else ""
+        raise UsageError(f"{quoted(place)}: no such file or folder, and no run of this name in {results}{hint}")
+    return [part_chapter(part, place) for part in parts]
+
+
+def _names(results: Path) -> list[str]:
+    """Names of the folders in ``results``."""
+    try:
+        return [entry.name for entry in os.scandir(results) if entry.is_dir() and not entry.name.startswith(".")]
+    except OSError:
+        return []
+
+
+def _link_in(folder: Path) -> Path | None:
+    """A link, or anything but a regular file, in the place of a file of a result; None if there is none."""
+    others = (folder / name for name in (ROWS, SWEEP_FILE, *STUDY_FILES))
+    return linked_file(folder) or next((path for path in others if path.is_symlink()), None)
+
+
+def _of_folder(folder: Path, name: str) -> Chapter:
+    if link := _link_in(folder):  # a page shows nothing of files that its results do not hold
+        chapter = Chapter(folder.name, "run")
+        chapter.damaged([f"{link.name}: is not a regular file; nothing of this folder is shown"])
+        return chapter
+    run = read_run(folder)
+    if isinstance(run, StoredRun):
+        return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
+    if is_sweep(folder) or (folder / ROWS).exists():
+        return sweep_chapter(folder, name)
+    if run is not None:
+        return damaged_chapter(run, name)
+    if is_part(folder):
+        own = folder.absolute()
+        for part in parts_of(own.parent, own.name[1:].rpartition(".part-")[0]):
+            if part.folder.name == own.name:
+                return part_chapter(part, own.name)
+    for file in STUDY_FILES:
+        if (folder / file).is_file():
+            return _of_file(folder / file, name)
+    if any((folder / file).exists() for file in _RUN_FILES):
+        return damaged_chapter(DamagedRun(folder, f"{MANIFEST}: missing; the run is not finished"), name)
+    inside = [entry.name for entry in sorted(folder.iterdir()) if read_run(entry) or is_sweep(entry)]
+    hint = f"; name what is in it, such as {folder / inside[0]}" if inside else ""
+    raise UsageError(f"{folder}: no run, sweep or study is stored here{hint}")
+
+
+def _of_file(path: Path, name: str) -> Chapter:
+    """Chapter on a file: a study as JSON, or a file of a run or sweep, which stands for its folder."""
+    if path.name in (ROWS, SWEEP_FILE, MANIFEST, *_RUN_FILES):
+        return _of_folder(path.parent, name)
+    try:
+        data = read_json(path)
+    except DamagedError as error:
+        wrong = f"{error}" if path.suffix == ".json" else "not a file that topcli report reads"
+        raise UsageError(f"{path}: {wrong}", _KNOWN) from None
+    chapter = _study(data, name)
+    if chapter is None:
+        raise UsageError(f"{path}: not a result that topcli report shows", _KNOWN)
+    if SEAL in data:
+        try:
+            check_study(data)
+        except DamagedError as error:
+            chapter.damaged([f"{path.name}: {error}"])
+    return chapter
+
+
+def _study(data: dict[str, Any], name: str) -> Chapter | None:
+    """Chapter on a study; None if the data is that of none."""
+    if isinstance(data.get("claims"), list):
+        return claims_chapter(data, name)
+    for study in map(find_study, STUDIES):
+        if data.get("command") == study.name or study.known(data):
+            return study_chapter(study, stored_result(data), name)
+    return None

@@ -8,8 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from topcli.contracts import Outcome
-from topcli.pages.contents import UNFINISHED, Chapter, Facts, Notes
-from topcli.pages.origin import add_files, add_origin, experiment_of, parts_of, text_block, value_text
+from topcli.pages.contents import (
+    UNFINISHED,
+    Chapter,
+    Facts,
+    Notes,
+    add_files,
+    add_origin,
+    experiment_of,
+    parts_of,
+    text_block,
+    value_text,
+)
 from topcli.pages.pictures import quantile_pictures, series_pictures
 from topcli.runs.report import INVARIANTS, comparison_lines, ensemble_table, precision_note, warning_of
 from topcli.runs.resume import OUTSIDE_IDENTITY, flattened

@@ -1,18 +1,36 @@
-"""Chapters on studies: comparisons, orders, stress and benchmarks, from their plain data."""
+"""Chapters on studies, from their declarations, on claims and benchmarks, and on the closed form of a motion."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+from topcli.analysis.motion import NEIGHBOURS, QUANTITIES, Motion
+from topcli.analysis.motion.of_top import closed_form_top
+from topcli.config.models import Experiment
 from topcli.figures.claims import verdict_category, verdict_panel
-from topcli.pages.contents import Cells, Chapter, Picture, Pictures
-from topcli.pages.origin import add_files, add_origin, value_text
+from topcli.figures.motion import motion_drawn
+from topcli.pages.contents import (
+    Block,
+    Cells,
+    Chapter,
+    Notes,
+    Picture,
+    Pictures,
+    add_files,
+    add_origin,
+    citation_block,
+    config_block,
+    value_text,
+)
 from topcli.paper.ledger import OURS, PAPER
 from topcli.store.manifest import StoredRun
+from topcli.studies import imported
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
-from topcli.table import number
+from topcli.studies.study import Result, Study
+from topcli.table import Table, number
 
 
 def claims_chapter(found: dict[str, Any], name: str | None = None) -> Chapter:
@@ -61,3 +79,75 @@ def bench_chapter(run: StoredRun) -> Chapter:
     add_origin(chapter, manifest)
     add_files(chapter, run.folder, manifest, damage)
     return chapter
+
+
+def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
+    """Chapter on a ``result`` of a study, which may hold anything if it was read from a file.
+
+    ``name`` is unique within the page; None leaves out pictures.
+    """
+    data = result.data
+    chapter = Chapter(study.name.capitalize(), study.name)
+
+    def head() -> Block | None:
+        chapter.title, chapter.subtitle, chapter.state, chapter.good, chapter.message = study.head(data)
+        return None
+
+    chapter.attempt("outcome", head)
+    tables: list[Table] = []
+    chapter.attempt("tables", lambda: tables.extend(study.tables_of(data)))
+    for i, table in enumerate(tables):
+        what = table.heading[:1].lower() + table.heading[1:]
+        chapter.attempt(what, lambda table=table: cells if (cells := table.cells(data)).lines else None)
+        if name and study.figure and i == 0:
+            chapter.attempt("pictures", lambda: _pictures(study, result, name))
+    chapter.attempt("notes", lambda: _notes(study, result, chapter.message))
+    add_origin(chapter, data, lambda: study.parts(data))
+    return chapter
+
+
+def _notes(study: Study, result: Result, told: str) -> Notes | None:
+    """Notes and faults, without those that the head tells."""
+    lines = [*study.notes(result.data), *(line for line in study.faults(result.data).lines if line not in told)]
+    return Notes("Notes", lines) if lines else None
+
+
+def _pictures(study: Study, result: Result, name: str) -> Pictures:
+    """Pictures of the panels of the study's figure."""
+    loaded = imported(study.figure)(result)
+    if not loaded.panels:
+        return Pictures([])
+    data = loaded.data()
+    captions = study.captions(result.data) if callable(study.captions) else study.captions
+    pictures = [
+        Picture(panel, data, f"{name}-{i}", caption)
+        for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
+    ]
+    return Pictures(pictures)
+
+
+def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> Chapter:
+    """Chapter on the ``motion`` that an experiment starts.
+
+    ``name`` is unique within the page; None leaves out pictures.
+    """
+    from topcli import __version__
+
+    chapter = Chapter(experiment.name, "motion", motion.top, motion.kind, message=motion.title)
+    chapter.blocks.append(replace(QUANTITIES.cells(motion), numbers=False))
+    if motion.neighbours:
+        chapter.blocks.append(NEIGHBOURS.cells(motion))
+    if motion.notes:
+        chapter.blocks.append(Notes("Notes", motion.notes))
+    if name:
+        chapter.attempt("pictures", lambda: _motion_picture(motion, experiment, name))
+    config = experiment.resolved()
+    chapter.blocks.append(config_block({key: config[key] for key in ("top", "initial")}))
+    chapter.blocks.append(citation_block([], __version__))
+    return chapter
+
+
+def _motion_picture(motion: Motion, experiment: Experiment, name: str) -> Pictures:
+    panel, data = motion_drawn(closed_form_top(experiment.top), motion, experiment.name)
+    caption = motion.title
+    return Pictures([Picture(panel, data, name, caption, (5.6, 4.0))])

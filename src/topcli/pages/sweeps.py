@@ -16,8 +16,17 @@ from topcli.config.rows import RowReader
 from topcli.config.sweep import MISSING, Sweep
 from topcli.errors import TopcliError
 from topcli.figures.sweep import Choice, curves
-from topcli.pages.contents import UNFINISHED, Chapter, Facts, Picture, Pictures
-from topcli.pages.origin import Parts, add_files, add_origin, text_block
+from topcli.pages.contents import (
+    UNFINISHED,
+    Chapter,
+    Facts,
+    Parts,
+    Picture,
+    Pictures,
+    add_files,
+    add_origin,
+    text_block,
+)
 from topcli.store.manifest import stored_sweep
 from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
 from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file

@@ -44,7 +44,7 @@ class MotionReport(Motion, Report):
 
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page."""
-        from topcli.pages.motions import motion_chapter
+        from topcli.pages.studies import motion_chapter
 
         return motion_chapter(self, self.experiment, name)
 
