@@ -43,10 +43,10 @@ class Commands(MutableMapping[str, Any]):
         self._commands: dict[str, Any] = dict(places)
 
     def __getitem__(self, name: str) -> Any:
-        found = self._commands[name]
-        if isinstance(found, str):
-            found = self._commands[name] = _imported(name, found)
-        return found
+        command = self._commands[name]
+        if isinstance(command, str):
+            command = self._commands[name] = _imported(name, command)
+        return command
 
     def __setitem__(self, name: str, command: Any) -> None:
         self._commands[name] = command
@@ -80,13 +80,13 @@ def _imported(name: str, place: str) -> Any:
     return _typer_command(getattr(import_module(f"topcli.cli.{module}"), attribute), name)
 
 
-def _typer_command(found: Any, name: str) -> Any:
+def _typer_command(function: Any, name: str) -> Any:
     """Command of typer from a function or a group of commands."""
-    if not isinstance(found, typer.Typer):
+    if not isinstance(function, typer.Typer):
         single = typer.Typer(add_completion=False, rich_markup_mode=None)
-        single.command(name, cls=Command)(found)
-        found = single
-    command = get_command(found)
+        single.command(name, cls=Command)(function)
+        function = single
+    command = get_command(function)
     command.name = name
     return command
 

@@ -46,41 +46,41 @@ def _print_details(row: Decided) -> None:
         emit_prose(f"{label}: {text}", indent="  ")
 
 
-def _judge(found: Claims) -> None:
+def _judge(decided: Claims) -> None:
     """Report what differs from the record, and exit with 4 if anything does, with 1 if a run failed."""
-    for row in found.rows:
+    for row in decided.rows:
         if row.measurement is None:
             print_message(f"{'error: ' if row.failed else ''}{row.claim.id}: {row.reason}")
-    for row in found.rows:
+    for row in decided.rows:
         if row.changed:
             print_message(f"error: {row.claim.id}: the verdict is {row.verdict!r}; recorded: {row.claim.recorded!r}")
-    for control in found.controls:
+    for control in decided.controls:
         if not control.caught:
             print_message(
                 f"error: check {control.check.name!r}: did not find its positive control: {control.check.defect}"
             )
-    if found.changed or found.uncaught:
+    if decided.changed or decided.uncaught:
         raise typer.Exit(4)
-    if found.failed:
+    if decided.failed:
         raise typer.Exit(1)
 
 
-def report_claims(found: Claims, details: bool, as_json: bool, as_markdown: bool) -> None:
+def report_claims(decided: Claims, details: bool, as_json: bool, as_markdown: bool) -> None:
     """Print decided claims, and exit with 4 or 1 if something is wrong with them."""
     if as_json:
-        print_json("claims", found.as_dict())
+        print_json("claims", decided.as_dict())
     elif as_markdown:
-        emit_text(found.to_markdown())
+        emit_text(decided.to_markdown())
     elif details:
-        for row in found.rows:
+        for row in decided.rows:
             _print_details(row)
     else:
         from topcli.paper.page import CLAIMS
 
-        print_cells(CLAIMS.cells(found.as_dict()))
+        print_cells(CLAIMS.cells(decided.as_dict()))
     if not as_markdown:
-        print_message(found.summary)
-    _judge(found)
+        print_message(decided.summary)
+    _judge(decided)
 
 
 def claims(
@@ -109,7 +109,7 @@ def claims(
     display = ProgressDisplay(1, as_json or as_markdown, unit="checks")
     display.begin("claims")
     try:
-        found = decide_claims(ids or (), fast=fast, on_progress=display)
+        decided = decide_claims(ids or (), fast=fast, on_progress=display)
     finally:
         display.close()
-    report_claims(found, bool(ids), as_json, as_markdown)
+    report_claims(decided, bool(ids), as_json, as_markdown)

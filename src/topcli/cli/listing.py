@@ -291,8 +291,8 @@ def cite(
     from topcli.studies.citations import own_works, works_of
 
     load_scheme_files(scheme_files)
-    found = {entry.key: entry for name in names or () for entry in works_of(name)} if names else None
-    entries = own_works() if found is None else list(found.values())
+    works = {entry.key: entry for name in names or () for entry in works_of(name)}
+    entries = list(works.values()) if names else own_works()
     if as_json:
         print_json("cite", {"entries": [{"key": entry.key, "bibtex": entry.bibtex} for entry in entries]})
     else:

@@ -130,10 +130,10 @@ def hint_instead(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[N
     try:
         yield
     except UnknownNameError as error:
-        found = next((text for name in names if quoted(name) in str(error) and (text := hint(name))), "")
-        if not found:
+        message = next((text for name in names if quoted(name) in str(error) and (text := hint(name))), "")
+        if not message:
             raise
-        raise UsageError(found) from error
+        raise UsageError(message) from error
 
 
 def stored_folder(name: str, results: Path) -> Path | None:

@@ -294,7 +294,7 @@ def _least(
         longest = min(max(words[1:], default=-GAP), width - GAP - min(words[0], (width - GAP) // 2))
         least[0] = min(least[0], width - GAP - longest)
     room = width - sum(least[:keys]) - GAP * keys
-    return [*least[:keys], *(min(one, room) for one in least[keys:])], keys
+    return [*least[:keys], *(min(width, room) for width in least[keys:])], keys
 
 
 def _blocks(least: Sequence[int], width: int | None, keys: int) -> list[list[int]]:

@@ -229,7 +229,9 @@ def plot(
                     emit(f"{outcome.name}: {outcome.status}: {', '.join(str(path) for path in outcome.files)}")
     if as_json:
         drawn = [made[figure.name] for figure in figures if figure.name in made]
-        items = [{"name": one.name, "status": one.status, "files": [str(path) for path in one.files]} for one in drawn]
+        items = [
+            {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn
+        ]
         print_json("plot", {"figures": items})
     if failed:
         print_message(f"{len(failed)} of {len(figures)} figures failed")

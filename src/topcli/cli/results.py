@@ -28,18 +28,18 @@ def verify(
     """
     from topcli.studies.checks import check_all
 
-    checked = [one for run in runs for one in check_all(run, out)]
+    checked = [result for run in runs for result in check_all(run, out)]
     if as_json:
-        print_json("verify", {"runs": [one.data() for one in checked]})
-    for one in checked:
-        for file in one.files:
+        print_json("verify", {"runs": [result.data() for result in checked]})
+    for result in checked:
+        for file in result.files:
             if file.damaged:
-                print_message(f"error: {one.folder / file.name}: damaged: {file.reason}")
-        if not (as_json or one.damaged):
-            kind = "finished" if one.finished else "unfinished"
-            notes = "".join(f"; {file.name}: {file.reason}" for file in one.files if file.reason)
-            emit(f"{one.folder}: {kind}, {len(one.files)} files intact{notes}")
-    if any(one.damaged for one in checked):
+                print_message(f"error: {result.folder / file.name}: damaged: {file.reason}")
+        if not (as_json or result.damaged):
+            kind = "finished" if result.finished else "unfinished"
+            notes = "".join(f"; {file.name}: {file.reason}" for file in result.files if file.reason)
+            emit(f"{result.folder}: {kind}, {len(result.files)} files intact{notes}")
+    if any(result.damaged for result in checked):
         raise typer.Exit(1)
 
 
@@ -108,19 +108,19 @@ def table(
 
     if form not in FORMATS:
         raise UsageError(f"--format {quoted(form)}: unknown format; {nearest(form, FORMATS)}")
-    found = sweep_table(read_rows(folder).where(where or []), row_keys, column_key, values, aggregate)
+    shown = sweep_table(read_rows(folder).where(where or []), row_keys, column_key, values, aggregate)
     if out is not None:
         require_new(out, force)
-        write_text(_text(found, form), out)
+        write_text(_text(shown, form), out)
         print_message(f"wrote {out}")
     elif as_json:
-        print_json("table", found.as_dict())
+        print_json("table", shown.as_dict())
     elif form == "text":
         keys = len(row_keys)
-        print_table(header(found), lines(found), title(found), range(keys, keys + len(found.columns)), keys)
+        print_table(header(shown), lines(shown), title(shown), range(keys, keys + len(shown.columns)), keys)
     else:
-        emit_text(_text(found, form))
-    for note in notes(found):
+        emit_text(_text(shown, form))
+    for note in notes(shown):
         print_message(note)
 
 

@@ -124,7 +124,7 @@ def command(study: Study) -> Callable[..., None]:
     made = [option for p in (*measured, *flags) if (option := _option(p, helps.get(p.name, ""))) is not None]
     made += [_parameter(name, annotation, default) for name, (annotation, default) in shared.items()]
     call.__signature__ = inspect.Signature(made)  # pyright: ignore[reportFunctionMemberAccess]
-    call.__annotations__ = {one.name: one.annotation for one in made}
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in made}
     call.__doc__ = (study.measure.__doc__ or "").partition("Parameters\n")[0]
     return call
 
@@ -214,7 +214,7 @@ def _parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 def _plain(annotation: Any, several: bool) -> tuple[Any, bool]:
     """Type of a value on the command line, and whether the option may be repeated."""
     if get_origin(annotation) in (Union, UnionType):
-        annotation = next(one for one in get_args(annotation) if one is not NoneType)
+        annotation = next(kind for kind in get_args(annotation) if kind is not NoneType)
     if get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) in (Sequence, list):

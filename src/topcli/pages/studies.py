@@ -33,29 +33,29 @@ from topcli.studies.study import Result, Study
 from topcli.table import Table, number
 
 
-def claims_chapter(found: dict[str, Any], name: str | None = None) -> Chapter:
+def claims_chapter(data: dict[str, Any], name: str | None = None) -> Chapter:
     """Chapter on claims of the paper with their verdicts.
 
     ``name`` is unique within the page; None leaves out pictures.
     """
     chapter = Chapter("Claims of the paper", "claims", "each with the figure that decides it and its bound", "decided")
-    chapter.attempt("claims", lambda: _claims(chapter, found["claims"]))
+    chapter.attempt("claims", lambda: _claims(chapter, data["claims"]))
     if name:
-        chapter.attempt("pictures", lambda: _claims_picture(found["claims"], name))
-    add_origin(chapter, found)
+        chapter.attempt("pictures", lambda: _claims_picture(data["claims"], name))
+    add_origin(chapter, data)
     return chapter
 
 
 def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Cells:
     parts = []
     for origin, title in ((PAPER, ""), (OURS, "findings of ours: ")):
-        counted = Counter(verdict_category(str(one["verdict"])) for one in claims if one["origin"] == origin)
+        counted = Counter(verdict_category(str(row["verdict"])) for row in claims if row["origin"] == origin)
         if counted:
             parts.append(title + ", ".join(f"{count} {verdict}" for verdict, count in counted.most_common()))
     chapter.message = "; ".join(parts)
     keys = ("id", "origin", "statement", "verdict", "figure", "bound", "source")
-    shown = [{**one, "bound": one.get("bound_text", one["bound"])} for one in claims]
-    lines = [[_figure(one[key]) for key in keys] for one in shown]
+    shown = [{**row, "bound": row.get("bound_text", row["bound"])} for row in claims]
+    lines = [[_figure(row[key]) for key in keys] for row in shown]
     return Cells("Claims", keys, lines, numbers=False, marks={"holds": "good", "does not hold as stated": "bad"})
 
 

@@ -87,12 +87,12 @@ def claims(ids: str | Sequence[str] = (), *, fast: bool = False, progress: bool 
     Examples
     --------
     >>> import topcli
-    >>> found = topcli.claims(["hybrid-k-sq", "hybrid-reversible"])
-    >>> found.table["verdict"].tolist()
+    >>> report = topcli.claims(["hybrid-k-sq", "hybrid-reversible"])
+    >>> report.table["verdict"].tolist()
     ['holds', 'does not hold as stated']
-    >>> found.changed, found.uncaught
+    >>> report.changed, report.uncaught
     ((), ())
     """
     with Progress("claims", progress, unit="checks") as bar:
-        found = decide_claims(ids, fast=fast, on_progress=bar)
-    return ClaimsReport(found.rows, found.controls)
+        decided = decide_claims(ids, fast=fast, on_progress=bar)
+    return ClaimsReport(decided.rows, decided.controls)

@@ -119,5 +119,5 @@ def motion(
         length = {} if "T" in {**(config or {}), **changes} else {"N": 1}
         config = {"name": "motion", **IRRELEVANT, **length, **(config or {})}
     experiment = load_experiment(config, overrides, changes, any_precision=True)
-    found = motion_of(experiment.top, experiment.y0)
-    return MotionReport(**{one.name: getattr(found, one.name) for one in fields(found)}, experiment=experiment)
+    plain = motion_of(experiment.top, experiment.y0)
+    return MotionReport(**{entry.name: getattr(plain, entry.name) for entry in fields(plain)}, experiment=experiment)

@@ -140,7 +140,11 @@ class RunReport(Report):
         experiment = load(stored.manifest["config"])
         assert isinstance(experiment, Experiment)
         vectors = list(pictures.vectors_of(known, experiment).values())
-        integrals = [one.name for one in (*experiment.top.invariants(), *experiment.modified) if one.name in known]
+        integrals = [
+            invariant.name
+            for invariant in (*experiment.top.invariants(), *experiment.modified)
+            if invariant.name in known
+        ]
         chosen = list(columns) or (integrals if deviation else (vectors or [integrals])[-1])
         time = "t" if "t" in known else "n"
         data = envelope(stored.series, list(dict.fromkeys([time, *chosen])))
@@ -218,7 +222,7 @@ def run(
     >>> topcli.run("kowalevski_hybrid", folder, h=0.01, N=1000).status
     'up to date'
     """
-    found = load(config, overrides, changes, rename=True)
-    with Progress(found.name, progress) as bar:
+    experiment = load(config, overrides, changes, rename=True)
+    with Progress(experiment.name, progress) as bar:
         options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, on_progress=bar)
-        return RunReport(run_into(found, Path(out), options))
+        return RunReport(run_into(experiment, Path(out), options))
