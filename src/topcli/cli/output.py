@@ -285,8 +285,9 @@ def _least(
     A column is at least as wide as its longest word, and any column fits beside those that name a row.
     """
     words = [max((len(part) for row in table for part in row[i].split()), default=0) for i in range(len(natural))]
-    for i in right:  # numbers stay whole, with their errors and units; only the header is wrapped
-        words[i] = max(words[i], *(len(row[i]) for row in table[1:] or table))
+    for i in range(len(words)):
+        if i in right:  # numbers stay whole, with their errors and units; only the header is wrapped
+            words[i] = max(words[i], *(len(row[i]) for row in table[1:] or table))
     least = [word if i in right else max(word, min(natural[i], COMFORTABLE)) for i, word in enumerate(words)]
     longest = max(words[keys:], default=-GAP)
     if sum(least[:keys]) + GAP * keys > min(width * 2 // 3, width - longest) or keys >= len(words):
