@@ -51,8 +51,9 @@ def run_python(python: Path, where: Path, *arguments: str, **environment: str) -
 
 def use(python: Path, where: Path, package: Path, **environment: str) -> None:
     """Run a scene of each file format and list the schemes with the topcli in ``package``, in the folder ``where``."""
-    run_python(python, where, "-m", "topcli", "run", "kowalevski-hk", "--set", "N=100", "-q", **environment)
-    assert (where / "results" / "kowalevski_hk" / "series.parquet").exists()
+    short = ("run", "kowalevski-hk", "--name", "short", "--set", "N=100", "-q")
+    run_python(python, where, "-m", "topcli", *short, **environment)
+    assert (where / "results" / "short" / "series.parquet").exists()
     asked = (
         "import topcli; print(topcli.__file__); print(len(topcli.simulate('kowalevski_generic_hk', N=100).states));"
         "from topcli.schemes.registry import all_schemes; print({scheme.name for scheme in all_schemes()})"
