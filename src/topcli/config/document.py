@@ -6,16 +6,17 @@ gathered, so that several are reported at once, each with its place and key.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from decimal import Decimal
+from functools import cache
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import to_json
 
 from topcli.errors import NAME_LENGTH, ConfigError, UnknownNameError, UsageError, nearest, quoted, shortened
 
@@ -138,6 +139,7 @@ def plain(value: object, document: Document, path: KeyPath = ()) -> Any:
 
     def copy(value: Any, path: KeyPath) -> Any:
         nonlocal count
+        made: Any = None
         count += 1
         if count > MAX_NODES:
             raise ConfigError(document.message((), f"more than {MAX_NODES} values; a config is small"))
@@ -154,7 +156,7 @@ def plain(value: object, document: Document, path: KeyPath = ()) -> Any:
                 return [copy(item, (*path, index)) for index, item in enumerate(value)]
             case str():
                 fault = HALF_PAIR if has_half_pair(value) else ""
-                made: Any = str.__str__(value)
+                made = str.__str__(value)
             case float():
                 return float(value)
             case int():
@@ -197,10 +199,14 @@ class Problems:
         try:
             yield
         except ValidationError as error:
-            for fault in error.errors(include_url=False):
-                self.add((*path, *fault["loc"]), _explain(fault, model))
+            self.explain(error, path, model)
         except (ValueError, UsageError) as error:
             self.add(path, str(error), unknown_name=isinstance(error, UnknownNameError))
+
+    def explain(self, error: ValidationError, path: KeyPath, model: type[BaseModel] | None) -> None:
+        """Add pydantic's errors about data for ``model`` at ``path``."""
+        for fault in error.errors(include_url=False):
+            self.add((*path, *fault["loc"]), _explain(fault, model))
 
     def raise_any(self) -> None:
         """Raise the first three: UnknownNameError if all are unknown names, otherwise ConfigError."""
@@ -223,6 +229,7 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     return f"unknown key; {nearest(key, names)}"
 
 
+@cache
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Fields of ``model`` by their keys in a config."""
     return {field.alias or name: field for name, field in model.model_fields.items()}
@@ -235,23 +242,26 @@ def validate(
 
     Unknown keys are refused even by a model that allows them; ``beside`` lists further keys of the section.
     """
-    keys = [*beside, *fields_of(model)]
+    fields = fields_of(model)
     if not isinstance(data, dict):
-        problems.add(path, f"must be a section with {', '.join(keys)}, not {describe(data)}")
+        problems.add(path, f"must be a section with {', '.join([*beside, *fields])}, not {describe(data)}")
         return None
-    unknown = data.keys() - keys
-    for key in filter(unknown.__contains__, data):
-        problems.add((*path, key), unknown_key(key, keys))
-    instance = None
-    with problems.at(*path, model=model):
-        instance = read_model(model, {key: value for key, value in data.items() if key not in (*unknown, *beside)})
-    return None if unknown else instance
+    known = {key: value for key, value in data.items() if key in fields}
+    unknown = [key for key in data if key not in fields and key not in beside] if len(known) < len(data) else []
+    for key in unknown:
+        problems.add((*path, key), unknown_key(key, [*beside, *fields]))
+    try:
+        instance = read_model(model, known)
+        return None if unknown else instance
+    except ValidationError as error:
+        problems.explain(error, path, model)
+    return None
 
 
 def read_model(model: type[Model], data: object) -> Model:
     """Return an instance of ``model`` from plain data. Raises pydantic's ValidationError."""
     # JSON, because pydantic's strict mode then still accepts a list for a tuple and text for an enum
-    return model.model_validate_json(json.dumps(data), strict=True)
+    return model.model_validate_json(to_json(data, inf_nan_mode="constants"), strict=True)
 
 
 _EXPECTED = {

@@ -106,11 +106,9 @@ def _draw_type(cls: type[Top], name: str) -> Any:
         kinds["sphere"] = Field(default=None, ge=1.0, le=1.0, description="uniform on the unit sphere")
     if fault:
         del kinds["energy"]
-    model: Any = create_model(
-        "Draw",
-        __config__=STRICT | {"json_schema_extra": {"minProperties": 1, "maxProperties": 1}},
-        **{kind: (float, field) for kind, field in kinds.items()},
-    )
+    config = STRICT | {"json_schema_extra": {"minProperties": 1, "maxProperties": 1}}
+    fields: dict[str, Any] = {kind: (float, field) for kind, field in kinds.items()}
+    model: Any = create_model("Draw", __config__=config, **fields)
 
     def read(raw: object) -> object:
         if raw == "sphere" and unit:
@@ -131,7 +129,7 @@ def _draw_type(cls: type[Top], name: str) -> Any:
 def random_model(cls: type[Top], parameters: bool = False) -> type[Random]:
     """Model of the section ``random`` for tops of class ``cls``; that of a sweep also draws ``parameters``."""
     drawn: dict[str, Any] = {name: _draw_type(cls, name) for name, (i, j) in cls.vectors.items() if j - i == 3}
-    fields = {name: (kind, Field(default=None)) for name, kind in drawn.items()}
+    fields: dict[str, Any] = {name: (kind, Field(default=None)) for name, kind in drawn.items()}
     if parameters:
         fields |= {f"top.{name}": (Interval, Field(default=None)) for name in cls.model_fields}
         fields["count"] = (Size, Field(default=1))

@@ -53,7 +53,8 @@ def section_model(cls: type[Top]) -> type[Section]:
         WithJsonSchema(initial | {"properties": initial_model(cls).model_json_schema()["properties"]}),
     ]
     keys = (*(f"top.{name}" for name in cls.model_fields), *cls.components)  # the last one varies fastest
-    grid: Any = create_model("Grid", __config__=STRICT, **{key: (Numbers, Field(default=None)) for key in keys})
+    axes: dict[str, Any] = {key: (Numbers, Field(default=None)) for key in keys}
+    grid: Any = create_model("Grid", __config__=STRICT, **axes)
     kinds = {"states": Annotated[list[state], Field(min_length=1)], "grid": grid, "random": random_model(cls)}
     first = next(iter(cls.vectors))
     examples = {

@@ -6,7 +6,7 @@ import hashlib
 import json
 import unicodedata
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
@@ -143,7 +143,10 @@ class Config(BaseModel):
     )
     scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
-    N: Count = Field(default=None, description="the number of steps, a whole number from 1 to 1e12; or T in its place")
+    N: Count = Field(
+        default=cast(int, None),  # which is replaced by T/h
+        description="the number of steps, a whole number from 1 to 1e12; or T in its place",
+    )
     T: StepSize | None = Field(default=None, description="the time N*h to run, in the place of N: N = T/h is whole")
     precision: Precision = Field(
         default=DOUBLE,
@@ -185,9 +188,8 @@ def digest_of(resolved: Mapping[str, Any], own_code: str = "") -> str:
     return hashlib.sha256((canonical(identity_of(resolved)) + own_code).encode()).hexdigest()
 
 
-def canonical(data: object) -> str:
-    """JSON with sorted keys and without spaces: equal plain data, equal text."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
+"""JSON with sorted keys and without spaces: equal plain data, equal text."""
 
 
 class Experiment(BaseModel):

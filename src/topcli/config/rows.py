@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from topcli.config.document import STRICT, Document, KeyPath, Problems, as_integer, describe, validate
 from topcli.config.draws import ABSOLUTE, first_drawn, random_model
@@ -289,20 +289,25 @@ class RowReader:
                 problems.add(("output", key), "a sweep records no attitude; run single rows with it")
             elif key not in ("every", "format", "columns", "attitude"):
                 problems.add(("output", key), "unknown key; only 'every' matters in a sweep")
-        given = {key: self._value(key, values, None) for key in ("h", "N", "T")}
-        given["h"] = base.get("h") if given["h"] is None else given["h"]
-        if given["N"] is None and given["T"] is None:  # one that varies replaces the other of the base
-            given |= {"N": base.get("N"), "T": base.get("T")}
-        elif given["h"] is None and given["T"] is None:
-            given["T"] = base.get("T")
-        present = [key for key, value in given.items() if value is not None]
-        if len(present) != 2:
+        h = self._value("h", values, None)
+        h = base.get("h") if h is None else h
+        N, T = self._value("N", values, None), self._value("T", values, None)
+        if N is None and T is None:  # one that varies replaces the other of the base
+            N, T = base.get("N"), base.get("T")
+        elif h is None and T is None:
+            T = base.get("T")
+        if (h is None) + (N is None) + (T is None) != 1:
+            present = [key for key, value in (("h", h), ("N", N), ("T", T)) if value is not None]
             text = f"two of h, N and T are needed, and there is {' and '.join(present) or 'none of them'}"
             problems.add((present[-1],) if present else (), text)
         if len(problems.messages) > before:
             return None
         every = self._value("output.every", values, output.get("every", 1))
-        steps = validate(_Steps, given | {"output": {"every": every}}, (), problems)
+        given = {"h": h, "N": N, "T": T, "output": {"every": every}}
+        try:  # without JSON, which takes longer than the rest
+            steps: _Steps | None = _Steps.model_validate(given)
+        except (ValidationError, OverflowError):
+            steps = validate(_Steps, given, (), problems)
         if steps is None:
             return None
         h, N = self._from_duration(steps, problems)

@@ -118,7 +118,7 @@ class Vector:
             wanted = f"{len(self.components)} numbers ({', '.join(self.components)})"
             raise ValueError(f"must be a list of {wanted}, not {given}")
         signs = {i: AUTO[x] for i, x in enumerate(raw) if self.unit and isinstance(x, str) and x in AUTO}
-        vector = [signs[i] if i in signs else number_of(x) for i, x in enumerate(raw)]
+        vector: list[Any] = [signs[i] if i in signs else number_of(x) for i, x in enumerate(raw)]
         for component, given, number in zip(self.components, raw, vector, strict=True):
             if number is None:
                 words = ", or auto, +auto, -auto" if self.unit else ""
@@ -155,6 +155,7 @@ class Vector:
         return vector
 
 
+@cache
 def vectors_of(cls: type[Top]) -> list[Vector]:
     """Vectors of the initial state of tops of class ``cls``."""
     return [

@@ -421,7 +421,7 @@ def known_keys(data: dict[str, Any], base: dict[str, Any]) -> list[str]:
         name = raw.get("name") if isinstance(raw, dict) else raw
         for cls in classes if isinstance(name, str) else ():
             try:
-                keys += [f"scheme.{option}" for option in find_scheme(name, cls.form).options.model_fields]
+                keys += [f"scheme.{option}" for option in find_scheme(str(name), cls.form).options.model_fields]
             except UsageError:
                 continue
     if data.get("random") is not None:
