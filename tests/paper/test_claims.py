@@ -21,6 +21,7 @@ from topcli.figures.claims import VerdictPanel
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Measurement
 from topcli.paper.decide import Claims, decide_claims
 from topcli.paper.ledger import ledger, read_ledger
+from topcli.paper.page import claims_page
 from topcli.show.claims import ClaimsReport
 
 CLAIMS = {claim.id: claim for claim in ledger().claims}
@@ -172,7 +173,7 @@ def test_missing_package_is_not_tried(report, monkeypatch: pytest.MonkeyPatch) -
     code, out, _ = report(found)
     assert code == 0
     assert re.search(r"^fig2-abc .* not tried +– +– ", out, re.MULTILINE)
-    page = found.to_markdown()
+    page = claims_page(found)
     assert "not tried: 1" in page
     listed = page.partition("## What does not hold")[2].partition("## HK scheme")[0]
     assert "**fig2-abc**" not in listed

@@ -22,7 +22,7 @@ from topcli.runs.report import SHOWN, EndingTally
 from topcli.tops.kowalevski import Kowalevski
 
 START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
-GRID = {"top.c0": [0.5, 1.0, 2.0], "omega1": {"start": 0.1, "stop": 0.9, "count": 90}}
+GRID = {"top.c0": [0.5, 1.0, 2.0], "omega1": {"from": 0.1, "to": 0.9, "count": 90}}
 
 
 def peak(folder: Path, count: int, **changes: Any) -> int:

@@ -179,7 +179,10 @@ def test_a_picture_of_several_invariants_has_a_colour_for_each_and_dashes_for_co
         {"name": name, "symbol": name, "steps": steps, "rms": [size, size, size]}
         for name, size in (("a", 1.0), ("b", 2.0))
     ]
-    study = {"forms": [{"form": form, "scheme": "hk", "invariants": rows} for form in ("plain", "compensated")]}
+    forms = [
+        {"form": form, "scheme": "hk", "outcome": "completed", "invariants": rows} for form in ("plain", "compensated")
+    ]
+    study = {"forms": forms}
     loaded = loaded_roundoff(Result({**study, "h": 0.1, "config": {}, "steps": 8, "copies": 2}))
     (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
     own = [line for line in axes.lines if line.get_marker() in "os^D"]

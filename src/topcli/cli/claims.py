@@ -70,7 +70,9 @@ def report_claims(decided: Claims, details: bool, as_json: bool, as_markdown: bo
     if as_json:
         print_json("claims", decided.as_dict())
     elif as_markdown:
-        emit_text(decided.to_markdown())
+        from topcli.paper.page import claims_page
+
+        emit_text(claims_page(decided))
     elif details:
         for row in decided.rows:
             _print_details(row)

@@ -93,7 +93,7 @@ def _print_result(result: RunResult, labelled: bool) -> None:
 
 def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
-    from topcli.runs.run import plan_of
+    from topcli.runs.dispatch import plan_of
 
     identity, plan = plan_of(experiment, out, options)
     return {
@@ -145,7 +145,7 @@ def _run_config(
     config: str, request: _Request, options: RunOptions, display: ProgressDisplay
 ) -> tuple[int, dict[str, Any]]:
     """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
-    from topcli.runs.run import run_into
+    from topcli.runs.dispatch import run_into
 
     try:
         experiment = _experiment(config, request, options.resume)

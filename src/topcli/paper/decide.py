@@ -175,12 +175,6 @@ class Claims:
             "findings": self.findings,
         }
 
-    def to_markdown(self) -> str:
-        """Page of the documentation with the claims."""
-        from topcli.paper.page import claims_page
-
-        return claims_page(self)
-
 
 def carry_out(check: Check, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of the result of a check, which has no measurement if it needs a package that is missing, or fails."""

@@ -13,7 +13,7 @@ from topcli.contracts import Method, Outcome
 from topcli.engine.loop import Run
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.runs.identity import Identity, Origin, store_run
-from topcli.runs.plan import Plan, Progress, RunOptions, plan_run
+from topcli.runs.plan import Progress, RunOptions, plan_run
 from topcli.runs.prepare import run_of
 from topcli.runs.recorder import Recorder
 from topcli.runs.report import (
@@ -40,7 +40,6 @@ from topcli.store.provenance import Commit
 from topcli.store.run_folder import RunWriter
 
 if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
     from topcli.engine.precise.loop import PreciseRun
 
 
@@ -174,27 +173,6 @@ def prepared_precision(experiment: Experiment) -> PreciseRun | None:
     from topcli.runs.precise import precise_run
 
     return precise_run(experiment)
-
-
-def plan_of(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> tuple[Identity, Plan]:
-    """Identity and plan of an experiment or ensemble. Raises UsageError for one that would be refused."""
-    if not isinstance(experiment, Experiment):
-        from topcli.runs.ensemble import plan_ensemble
-
-        return plan_ensemble(experiment, out, options)
-    prepared_precision(experiment)
-    identity = Identity.of(experiment, [experiment.method()])
-    source = find_source(identity, out) if options.resume else None
-    return identity, plan_run(identity, out, options, source)
-
-
-def run_into(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
-    """Run an experiment or ensemble into the folder ``out/<name>``; see ``run_experiment`` and ``run_ensemble``."""
-    if not isinstance(experiment, Experiment):
-        from topcli.runs.ensemble import run_ensemble
-
-        return run_ensemble(experiment, out, options)
-    return run_experiment(experiment, out, options)
 
 
 def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from topcli.paper.decide import Claims, decide_claims
-from topcli.paper.page import CLAIMS
+from topcli.paper.page import CLAIMS, claims_page
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 
@@ -37,6 +37,10 @@ class ClaimsReport(Claims, Report):
     def table(self) -> pd.DataFrame:
         """DataFrame of the claims, one row each, indexed by ``id``."""
         return CLAIMS.frame(self.as_dict())
+
+    def to_markdown(self) -> str:
+        """Page of the documentation with the claims."""
+        return claims_page(self)
 
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page."""

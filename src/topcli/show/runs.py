@@ -13,9 +13,10 @@ from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
+from topcli.runs.dispatch import run_into
 from topcli.runs.plan import RunOptions
 from topcli.runs.resume import CHECKPOINT_SECONDS
-from topcli.runs.run import RunResult, run_into
+from topcli.runs.run import RunResult
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 

@@ -29,7 +29,6 @@ from topcli.schemes.kowalevski.closed_form.multiprecision import (
     pi,
     sqrt,
 )
-from topcli.schemes.kowalevski.closed_form.table import NODES
 
 NARROWNESS = 9.0
 """Smallest Bernstein parameter of a panel: the integrals converge to 9^-40 = 7e-39.
@@ -41,6 +40,10 @@ MAX_PANELS = 2000
 """Panels of half an oval; usually there are some tens."""
 TAIL = 2.0**-64
 """Part of an interval of angles before a double root that is left out; the distance from the root is its square."""
+
+
+NODES = 20
+"""Gauss-Legendre nodes of a panel."""
 
 
 @cache

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Real = Any
 """A number of mpmath."""
 NODES = 20
-"""Nodes of a panel: Gauss-Legendre for the half periods, Chebyshev for the tables."""
+"""Chebyshev nodes of a panel."""
 Complexes = NDArray[np.complex128]
 SLOW = 200.0
 """Half period, in a unit of time of the order of one, of which the motion next to theta = 0 takes nearly all; times are
