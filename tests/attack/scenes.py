@@ -22,8 +22,7 @@ from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.yaml_text import to_yaml
 from topcli.engine import loop
-from topcli.runs.ensemble import run_ensemble
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import series
 from topcli.sweeps import evaluate, journal
@@ -158,7 +157,7 @@ def prepare(base: Path) -> Scenes:
         done_in_fork(lambda suffix=suffix, whole=whole: run_experiment(experiment(suffix), whole))
         reference[suffix] = content(whole / NAME)
     many = load(configs / f"{ENSEMBLE}.yaml")
-    done_in_fork(lambda: run_ensemble(many, base / "reference-ensemble"))  # pyright: ignore[reportArgumentType]
+    done_in_fork(lambda: run_experiment(many, base / "reference-ensemble"))  # pyright: ignore[reportArgumentType]
     other = load_experiment(CONFIGS / f"{NAME}.yaml", ["N=30", f"name={OTHER}"])
     done_in_fork(lambda: run_experiment(other, base / "beside"))
     reference["ensemble"] = content(base / "reference-ensemble" / ENSEMBLE)
@@ -182,7 +181,7 @@ def prepare(base: Path) -> Scenes:
             suffix,
             lambda out, one=one, asked=asked: run_experiment(one, out, RunOptions(stop=lambda: next(asked) == 12)),
         )
-    scene("finished", "ensemble", lambda out: run_ensemble(many, out))  # pyright: ignore[reportArgumentType]
+    scene("finished", "ensemble", lambda out: run_experiment(many, out))  # pyright: ignore[reportArgumentType]
     for kind, keys in PRECISE.items():
         path = configs / kind / f"{NAME}.yaml"
         path.parent.mkdir()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from topcli.__main__ import main
+from topcli.engine.loop import Run
 
 
 @pytest.mark.slow
@@ -76,7 +77,7 @@ def test_impossible_output_folder_is_refused_before_computing(
             return stat(path, *rest, **options)
 
         monkeypatch.setattr(os, "stat", denied)  # the tests may run as root, whom nothing is denied
-    monkeypatch.setattr("topcli.runs.run.Run", None)
+    monkeypatch.setattr(Run, "__iter__", None)
     said = cli("run", "kowalevski_hk", "--set", "N=5", *arguments)
     assert said.code == 2
     assert "nothing was written" in said.err

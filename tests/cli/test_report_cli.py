@@ -108,7 +108,7 @@ def test_what_is_no_result_is_refused_in_two_lines(cli: Cli, stored: Path, argum
 def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
     """A killed process leaves a part folder with a checkpoint."""
     from stored_results import experiment
-    from topcli.runs.plan import RunOptions
+    from topcli.runs.decision import RunOptions
     from topcli.runs.run import run_experiment
 
     class Killed(BaseException):

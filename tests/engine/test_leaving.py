@@ -20,8 +20,7 @@ from topcli.analysis.tally import InvariantTally
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Invariant, Outcome, Top
-from topcli.runs.ensemble import run_ensemble
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.runs.simulate import simulate, simulate_ensemble
 from topcli.schemes.registry import find_scheme
@@ -219,7 +218,7 @@ def test_leaving_survives_an_interruption(tmp_path: Path, suffix: str, chunks: i
 def test_ensembles_count_left_motions(tmp_path: Path) -> None:
     experiment = load("kowalevski_ensemble", ["h=2", "N=300", "ensemble.store=final"])
     assert isinstance(experiment, EnsembleExperiment)
-    result = run_ensemble(experiment, tmp_path)
+    result = run_experiment(experiment, tmp_path)
     report = result.report
     table = pq.read_table(tmp_path / "kowalevski_ensemble" / "trajectories.parquet")
     outcomes, steps = (table.column(name).to_pylist() for name in ("outcome", "left_motion"))

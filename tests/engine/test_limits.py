@@ -27,7 +27,7 @@ from topcli.engine.loop import Run, nanoseconds_per_step
 from topcli.engine.precise.arithmetic import LONG, Exact
 from topcli.engine.setups import Setups
 from topcli.errors import RunError
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.schemes.any_top import dmv, dop853
 from topcli.schemes.kowalevski import exact

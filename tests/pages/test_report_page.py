@@ -31,7 +31,7 @@ from topcli.figures.picture import Panel
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
 from topcli.pages.page import all_chapters, page_of, rendered, report_page
 from topcli.pages.pictures import before_explosion, deviations
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store.files import write_study
 from topcli.store.series import read_series

@@ -216,7 +216,7 @@ def test_a_failed_run_is_repeated_only_on_request(tmp_path: Path) -> None:
 
 def test_the_interval_of_checkpoints_reaches_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: set[float] = set()
-    monkeypatch.setattr("topcli.runs.resume.Checkpoints.consider", lambda self, *chunk: seen.add(self.seconds))
+    monkeypatch.setattr("topcli.runs.recorder.Checkpoints.consider", lambda self, *chunk: seen.add(self.seconds))
     topcli.run(CONFIG, tmp_path)
     topcli.run(CONFIG, tmp_path, checkpoint_every=0.25, force=True)
     assert seen == {10.0, 0.25}

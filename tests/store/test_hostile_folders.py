@@ -16,9 +16,9 @@ import pytest
 
 from resuming import NAME, after, content, killed, small
 from topcli.contracts import Outcome
+from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
-from topcli.runs import run as run_study
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
@@ -98,7 +98,7 @@ def test_damaged_manifest_is_reported_as_damage(cli, in_tmp: Path, monkeypatch: 
     listed = cli("list", "runs", "--json").json()["runs"]
     assert [(run["name"], run["outcome"]) for run in listed] == [("fine", "completed"), (NAME, "damaged")]
     assert cli("list", "runs").code == 0
-    monkeypatch.setattr(run_study, "Run", None)  # refused before anything is computed
+    monkeypatch.setattr(Run, "__iter__", None)  # refused before anything is computed
     for more in ((), ("--force",), ("--resume",), ("--dry-run",)):
         said = cli("run", "kowalevski_hk", "--name", "kowalevski_hk", "--set", "N=300", *more)
         assert said.code == 2
@@ -245,7 +245,7 @@ def test_a_link_in_the_place_of_the_run_is_refused_before_computing(
     (out / NAME).symlink_to(target)
     if kind == "same":
         assert run_experiment(small(), out).status == "up to date"
-    monkeypatch.setattr(run_study, "Run", None)
+    monkeypatch.setattr(Run, "__iter__", None)
     with pytest.raises(UsageError, match=f"{NAME}: is a symbolic link.*nothing was written"):
         run_experiment(small(), out, RunOptions(force=True))
     assert [path.name for path in out.iterdir()] == [NAME]
@@ -266,7 +266,7 @@ def test_a_finished_run_that_cannot_be_put_in_its_place_says_where_it_is(
     (left,) = tmp_path.iterdir()
     assert str(left) in str(caught.value)
     left.rename(new_part(tmp_path, NAME).with_name(f".{NAME}.part-999999999-00000000"))
-    monkeypatch.setattr(run_study, "Run", None)
+    monkeypatch.setattr(Run, "__iter__", None)
     assert run_experiment(small(), tmp_path, RunOptions(resume=True)).outcome is Outcome.COMPLETED
 
 

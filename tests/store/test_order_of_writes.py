@@ -15,7 +15,7 @@ from resuming import small
 from stored_results import store_comparison, store_ensemble, store_sweep
 from sweeping import sweep, with_grid
 from topcli.errors import RunError
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store.checkpoint import read_checkpoint
 from topcli.store.manifest import stored_run

@@ -17,15 +17,15 @@ from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Scheme, Stepper
-from topcli.engine.loop import Run
+from topcli.engine.loop import Position, Run
 from topcli.errors import UsageError
-from topcli.runs import resume
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
+from topcli.runs.recorder import COST, Checkpoints
 from topcli.runs.run import run_experiment
 from topcli.schemes.registry import all_schemes
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint, write_checkpoint
 from topcli.store.manifest import stored_run, stored_runs
-from topcli.store.series import read_series
+from topcli.store.series import SeriesMark, read_series
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -130,14 +130,14 @@ def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
         raise Killed
 
     with monkeypatch.context() as patched:
-        patched.setattr("topcli.store.run_folder.RunWriter._rename", rename)
+        patched.setattr("topcli.store.folder.RunWriter._rename", rename)
         with pytest.raises(Killed):
             run_experiment(small(), tmp_path)
         assert stored_runs(tmp_path) == []
     (left,) = tmp_path.iterdir()
     assert sorted(path.name for path in left.iterdir()) == sorted([*FILES, "series.parquet"])
     left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that has ended
-    monkeypatch.setattr("topcli.runs.run.Run", None)  # nothing is integrated
+    monkeypatch.setattr(Run, "__iter__", None)  # nothing is integrated
     assert run_experiment(small(), tmp_path, RunOptions(resume=True)).outcome is Outcome.COMPLETED
     assert [path.name for path in tmp_path.iterdir()] == [NAME]
 
@@ -270,28 +270,25 @@ def test_space_is_reserved_from_the_first_checkpoint_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("cost", "pause"), [(0.05, 10.0), (2.0, None)])
-def test_slow_checkpoints_are_written_less_often(
-    cost: float, pause: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_checkpoints_are_written_less_often(cost: float, pause: float | None, tmp_path: Path) -> None:
     """The next one is due ten seconds after the end of the last, or COST times as long as that one took."""
     clock, written = [0.0], []
 
-    def write(folder: Path, checkpoint: Any) -> None:
+    def state(flush: bool) -> Any:
         clock[0] += cost
-        written.append(checkpoint.done)
+        written.append(flush)
+        return {}, mark, (np.empty(0), np.empty(0))
 
-    state = SimpleNamespace(done=7, series=SimpleNamespace(length=1))
-    recorder = SimpleNamespace(series=state.series)
-    monkeypatch.setattr(resume, "write_checkpoint", write)
-    monkeypatch.setattr(resume, "reserve", lambda folder: None)
-    monkeypatch.setattr(resume.Checkpoints, "_remember", lambda self, run, recorder, flush: state)
-    kept: Any = resume.Checkpoints(SimpleNamespace(folder=tmp_path), {}, 10.0, lambda: clock[0])
+    mark = SeriesMark(1, {}, "")
+    run: Any = SimpleNamespace(position=lambda: Position(7, np.zeros(1), 1, 1), run_seconds=0.0)
+    recorder: Any = SimpleNamespace(series=mark, state=state, stored=lambda numbers: numbers)
+    kept = Checkpoints(tmp_path, {}, 10.0, lambda: clock[0])
     clock[0] = 5.0
-    kept.consider(None, recorder)
-    assert written == [7]
-    ended, pause = clock[0], pause or resume.COST * cost
+    kept.consider(run, recorder)
+    assert written == [True]
+    ended, pause = clock[0], pause or COST * cost
     assert pause > 10.0 or cost < 1.0
     for time, count in ((ended + 0.999 * pause, 1), (ended + 1.001 * pause, 2)):
         clock[0] = time
-        kept.consider(None, recorder)
+        kept.consider(run, recorder)
         assert len(written) == count

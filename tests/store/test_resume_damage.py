@@ -18,7 +18,7 @@ import pytest
 
 from resuming import HK, NAME, content, killed, small
 from topcli.errors import RunError, UsageError
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
@@ -215,7 +215,7 @@ def test_living_process_excludes_others(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""
     code = (
         "import sys; from pathlib import Path; from topcli.config.load import load_experiment\n"
-        "from topcli.runs.plan import RunOptions\n"
+        "from topcli.runs.decision import RunOptions\n"
         "from topcli.runs.run import run_experiment\n"
         f"experiment = load_experiment({str(HK)!r}, ['N=300'])\n"
         "def wait(done, total):\n"

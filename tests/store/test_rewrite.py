@@ -12,12 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from topcli.config.load import load, load_experiment
+from topcli.engine.ensemble import EnsembleRun
+from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
-from topcli.runs import ensemble, run
-from topcli.runs.ensemble import run_ensemble
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.store import run_folder
+from topcli.store import folder as store_folder
 from topcli.store.files import sealed
 from topcli.store.manifest import MANIFEST_SEAL, stored_run
 from topcli.store.series import copy_series, read_series, write_parquet
@@ -51,8 +51,8 @@ def never_computes(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*arguments: Any, **options: Any) -> None:
         raise AssertionError("computed again")
 
-    for module, name in ((run, "_carry_out"), (ensemble, "_carry_out")):
-        monkeypatch.setattr(module, name, refuse)
+    for loop in (Run, EnsembleRun):
+        monkeypatch.setattr(loop, "__iter__", refuse)
 
 
 VALUES = [0.0, -0.0, 0.1, -1e-308, 5e-324, 1.7976931348623157e308, np.inf, -np.inf, np.nan, 1 / 3, 2.0**53 + 2, -7.0]
@@ -122,10 +122,10 @@ def test_an_ensemble_is_rewritten_with_all_its_tables(
     def many(kind: str) -> Any:
         return load("kowalevski_hk", [*MANY, f"ensemble.store={store}", f"output.format={kind}"])
 
-    run_ensemble(many("parquet"), tmp_path)
-    direct = contents(run_ensemble(many("csv"), tmp_path / "direct").stored.folder)
+    run_experiment(many("parquet"), tmp_path)
+    direct = contents(run_experiment(many("csv"), tmp_path / "direct").stored.folder)
     request.getfixturevalue("never_computes")
-    made = run_ensemble(many("csv"), tmp_path)
+    made = run_experiment(many("csv"), tmp_path)
     assert made.status == "rewritten as csv"
     found = contents(made.stored.folder)
     tables = {name for name in direct if name.endswith(".csv")}
@@ -133,7 +133,7 @@ def test_an_ensemble_is_rewritten_with_all_its_tables(
     assert {name: found[name] for name in tables} == {name: direct[name] for name in tables}
     assert found.keys() == direct.keys()
     assert made.stored.manifest["trajectories"] == "trajectories.csv"
-    back = run_ensemble(many("parquet"), tmp_path)
+    back = run_experiment(many("parquet"), tmp_path)
     assert back.status == "rewritten as parquet"
     assert back.stored.damage() == {}
 
@@ -152,7 +152,7 @@ def test_a_failure_keeps_the_earlier_format(tmp_path: Path, at: str, monkeypatch
         if at == "series":
             patch.setattr("topcli.store.series.GrowingFile.append", fail)
         elif at == "manifest":
-            patch.setattr(run_folder, "write_whole", fail)
+            patch.setattr(store_folder, "write_whole", fail)
         else:
             patch.setattr(os, "rename", fail)
         with pytest.raises(RunError, match="no space left on the device"):
@@ -181,7 +181,6 @@ def test_the_earlier_file_is_there_until_the_new_one_is_complete(tmp_path: Path,
 def test_damaged_tables_are_computed_again_whatever_their_size(tmp_path: Path, monkeypatch) -> None:
     """Rewriting would give a damaged large file a valid checksum; a run in the same format compares its size only."""
     monkeypatch.setattr("topcli.store.manifest.CHECKED_AT_ONCE", 0)
-    monkeypatch.setattr("topcli.runs.plan.CHECKED_AT_ONCE", 0)
     series = run_experiment(experiment(CSV), tmp_path).stored.series
     text = series.read_bytes()
     series.write_bytes(text[:-3] + bytes([text[-3] ^ 1]) + text[-2:])

@@ -19,13 +19,14 @@ from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
+from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
-from topcli.runs import run as run_study
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.store import run_folder, series
+from topcli.store import folder as store_folder
+from topcli.store import series
+from topcli.store.folder import RunWriter
 from topcli.store.manifest import stored_run, stored_runs
-from topcli.store.run_folder import RunWriter
 from topcli.store.series import SeriesWriter, read_metadata, read_series
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
@@ -200,7 +201,7 @@ def test_interrupted_runs_are_kept_marked_and_repeated(tmp_path: Path, monkeypat
 def test_killed_before_the_manifest_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     """Leftovers of a killed process are no result, hinder nothing, and are removed by the next run."""
     code = (
-        "import os, sys; from pathlib import Path; from topcli.store.run_folder import RunWriter\n"
+        "import os, sys; from pathlib import Path; from topcli.store.folder import RunWriter\n"
         "with RunWriter(Path(sys.argv[1]), 'kowalevski_hk') as writer:\n"
         "    writer.write('report.json', '{}')\n"
         "    os._exit(9)\n"
@@ -239,7 +240,7 @@ def test_renaming_is_the_last_step(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def fail(path: Path) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(run_folder, "sync", fail)
+    monkeypatch.setattr(store_folder, "sync", fail)
     with pytest.raises(RunError, match="Input/output error"):
         run_experiment(small(), tmp_path, RunOptions(force=True))
     assert stored_run(first.stored.folder) is not None
@@ -252,7 +253,7 @@ def test_nothing_is_integrated_for_a_refusal(tmp_path: Path, monkeypatch: pytest
     def never(*args: object, **kwargs: object) -> None:
         raise AssertionError("integrated")
 
-    monkeypatch.setattr(run_study, "Run", never)
+    monkeypatch.setattr(Run, "__iter__", never)
     with pytest.raises(UsageError):
         run_experiment(small("N=301"), tmp_path)
     assert run_experiment(small(), tmp_path).status == "up to date"
@@ -279,22 +280,16 @@ def test_concurrent_different_experiments_are_both_kept(tmp_path: Path) -> None:
         assert kept == {400_000, 400_001}
 
 
-def test_a_different_run_that_came_meanwhile_stays_and_copies_are_dropped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_different_run_that_came_meanwhile_stays_and_copies_are_dropped(tmp_path: Path) -> None:
     """Without --force nobody is displaced, who comes second is kept aside, and of identical runs there is one."""
-    carry_out = run_study._carry_out
 
-    def late(job, *rest: object) -> object:
-        if job.experiment.h == 0.002:
-            run_experiment(small(), tmp_path, RunOptions(force=True))
-        return carry_out(job, *rest)
+    def late(done: int, total: int) -> None:
+        run_experiment(small(), tmp_path, RunOptions(force=True))
 
-    monkeypatch.setattr(run_study, "_carry_out", late)
     for _ in range(2):
         shutil.rmtree(tmp_path / "kowalevski_hk", ignore_errors=True)
         with pytest.raises(RunError, match="meanwhile put a different experiment there; this run is kept as") as caught:
-            run_experiment(small("h=0.002"), tmp_path)
+            run_experiment(small("h=0.002"), tmp_path, RunOptions(on_progress=late))
         aside = f"kowalevski_hk.{small('h=0.002').digest[:8]}"
         assert str(caught.value).endswith(aside)
         assert stored_run(tmp_path / "kowalevski_hk").manifest["config"]["h"] == 0.001

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from resuming import after, content, killed, small
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.runs.run_list import listed_runs
 

@@ -10,7 +10,7 @@ import pytest
 
 from resuming import NAME, after, content, killed, small
 from topcli.errors import RunError
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import manifest as manifest_module
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint

@@ -18,8 +18,8 @@ from topcli.config.rows import RowReader
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Outcome
 from topcli.errors import UsageError
+from topcli.runs.decision import RunOptions
 from topcli.runs.identity import Identity
-from topcli.runs.plan import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.schemes.registry import scheme
 from topcli.store.series import read_series

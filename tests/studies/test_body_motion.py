@@ -13,7 +13,7 @@ from resuming import after, killed, small
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
 from topcli.figures.body_motion import BodyMotion, stored_body_motion
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from turning import TURNED, stored, turned_apart

@@ -16,9 +16,9 @@ from topcli.contracts import Ending, Invariant, Outcome
 from topcli.engine import ensemble as engine
 from topcli.engine.endings import CODES, Endings
 from topcli.runs import ensemble as study
-from topcli.runs.ensemble import run_ensemble
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.report import SHOWN, EndingTally
+from topcli.runs.run import run_experiment
 from topcli.tops.kowalevski import Kowalevski
 
 START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
@@ -30,7 +30,9 @@ def peak(folder: Path, count: int, **changes: Any) -> int:
     ensemble = {"random": {**RANDOM, "count": count}, "store": changes.pop("store")}
     tracemalloc.start()
     try:
-        run_ensemble(experiment(N=2, output={"every": 1}, ensemble=ensemble, **changes), folder, RunOptions(threads=1))
+        run_experiment(
+            experiment(N=2, output={"every": 1}, ensemble=ensemble, **changes), folder, RunOptions(threads=1)
+        )
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -99,9 +101,9 @@ def test_blocks_change_no_number(
     ensemble = {**(changes.get("ensemble") or {"random": {**RANDOM, "count": 200}}), "store": store}
     found = experiment(**{**changes, "ensemble": ensemble})
     monkeypatch.setattr(engine, "GROUP", 1)
-    whole = run_ensemble(found, tmp_path / "whole")
+    whole = run_experiment(found, tmp_path / "whole")
     monkeypatch.setattr(study, "BLOCK", 64)
-    cut = run_ensemble(found, tmp_path / "cut")
+    cut = run_experiment(found, tmp_path / "cut")
     for table in {whole.stored.manifest["series"], whole.stored.manifest["trajectories"]}:
         one, other = columns(whole.stored.folder / table), columns(cut.stored.folder / table)
         assert list(one) == list(other)
@@ -122,7 +124,7 @@ def test_indices_are_unique_over_groups(tmp_path: Path, monkeypatch: pytest.Monk
     found = experiment(
         initial={"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}, ensemble={"grid": GRID, "store": "final"}
     )
-    stored = run_ensemble(found, tmp_path).stored
+    stored = run_experiment(found, tmp_path).stored
     table, last = columns(stored.folder / "trajectories.parquet"), columns(stored.series)
     for rows in (table, last):
         assert rows["trajectory"].tolist() == list(range(270))
@@ -140,7 +142,7 @@ def test_indices_are_unique_over_groups(tmp_path: Path, monkeypatch: pytest.Monk
 def test_numbers_of_failures_count_over_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "GROUP", 1)
     monkeypatch.setattr(study, "BLOCK", 64)
-    report = run_ensemble(experiment(**failing(200)), tmp_path).report
+    report = run_experiment(experiment(**failing(200)), tmp_path).report
     assert report["outcomes"] == {"completed": 150, "blew_up": 50}
     assert [failure["trajectory"] for failure in report["failures"]] == list(range(1, 4 * SHOWN, 4))
 
@@ -202,7 +204,7 @@ def test_verdicts_do_not_depend_on_every() -> None:
 def test_members_never_begun_are_not_zeros(scheme: str, begun: int, tmp_path: Path) -> None:
     """Stopped at once: side by side they are at their initial states, one by one most have not even that."""
     store = {"ensemble": {"random": RANDOM, "store": "final"}}
-    result = run_ensemble(experiment(scheme=scheme, N=100, **store), tmp_path, RunOptions(stop=lambda: True))
+    result = run_experiment(experiment(scheme=scheme, N=100, **store), tmp_path, RunOptions(stop=lambda: True))
     report, table = result.report, columns(result.stored.folder / "trajectories.parquet")
     begun = begun or 1  # the first one was begun before it was asked
     assert report["outcomes"] == {"interrupted": 70}
@@ -242,7 +244,7 @@ def test_modified_integrals_are_in_every_table(store: str, tmp_path: Path) -> No
     )  # fmt: skip
     own = [invariant.name for invariant in found.first.modified]
     assert own
-    result = run_ensemble(found, tmp_path)
+    result = run_experiment(found, tmp_path)
     assert [row["name"] for row in result.report["invariants"]][-len(own) :] == own
     table = columns(result.stored.folder / "trajectories.parquet")
     for row in result.report["invariants"][-len(own) :]:

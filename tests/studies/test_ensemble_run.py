@@ -20,9 +20,8 @@ from topcli.config.load import load
 from topcli.contracts import Outcome
 from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
-from topcli.runs.ensemble import run_ensemble
-from topcli.runs.plan import RunOptions
-from topcli.runs.run import RunResult
+from topcli.runs.decision import RunOptions
+from topcli.runs.run import RunResult, run_experiment
 from topcli.store.manifest import stored_run
 from topcli.store.series import read_series
 
@@ -47,7 +46,7 @@ def experiment(**changes: Any) -> EnsembleExperiment:
 
 
 def run(tmp_path: Path, **changes: Any) -> RunResult:
-    return run_ensemble(experiment(**changes), tmp_path)
+    return run_experiment(experiment(**changes), tmp_path)
 
 
 def failing(count: int = 40) -> dict[str, Any]:
@@ -65,7 +64,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
 
 def test_the_series_holds_single_runs(tmp_path: Path) -> None:
     found = experiment()
-    stored = run_ensemble(found, tmp_path).stored
+    stored = run_experiment(found, tmp_path).stored
     series = columns(stored.series)
     assert list(series) == ["trajectory", "n", "t", *found.top.components, "gamma_sq", "two_l", "energy", "k_sq"]
     assert np.array_equal(series["trajectory"], np.repeat(np.arange(70), 21))
@@ -84,7 +83,7 @@ def test_a_row_group_for_each_block(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert [group.column(0).statistics.min for group in groups] == [0, 64]  # found without reading the rest
     whole = columns(stored.series)
     monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
-    pieces = pq.ParquetFile(run_ensemble(experiment(), tmp_path / "cut").stored.series)
+    pieces = pq.ParquetFile(run_experiment(experiment(), tmp_path / "cut").stored.series)
     assert pieces.num_row_groups == 6  # three stretches of time for each block
     cut = pieces.read()
     order = np.lexsort((cut["n"].to_numpy(), cut["trajectory"].to_numpy()))
@@ -102,7 +101,7 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeyp
     """In pieces and without rows, against each single trajectory's own report."""
     monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
     found = experiment()
-    stored = run_ensemble(found, tmp_path / "rows").stored
+    stored = run_experiment(found, tmp_path / "rows").stored
     without = run(tmp_path / "none", ensemble={"random": RANDOM, "store": "statistics"})
     assert without.stored.manifest["series"] == "trajectories.parquet"
     assert not (without.stored.folder / "series.parquet").exists()
@@ -140,7 +139,7 @@ def test_a_drift_needs_all_rows_and_eight_of_them(tmp_path: Path, monkeypatch: p
         assert np.isfinite(found).all() == known
         assert np.isnan(found).all() != known
     monkeypatch.setattr(engine, "CHUNK_ROWS", 2)
-    stopped = run_ensemble(experiment(N=400, output={"every": 10}), tmp_path / "stopped", RunOptions(stop=after(12)))
+    stopped = run_experiment(experiment(N=400, output={"every": 10}), tmp_path / "stopped", RunOptions(stop=after(12)))
     table = columns(stopped.stored.folder / "trajectories.parquet")
     assert 80 < table["n"].min() <= table["n"].max() < 400, "more than eight rows"
     assert np.isnan(table["energy_drift"]).all()
@@ -155,7 +154,7 @@ def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool
     grid = {"grid": {"top.c0": [1.0, 2.0], "omega1": [0.1, 0.2]}}
     changes = {"initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "ensemble": grid} if varied else {}
     found = experiment(**changes)
-    table = columns(run_ensemble(found, tmp_path).stored.folder / "trajectories.parquet")
+    table = columns(run_experiment(found, tmp_path).stored.folder / "trajectories.parquet")
     page = (ROOT / "docs" / "ensembles.md").read_text().split("## The table of trajectories")[1].split("\n## ")[0]
     documented = DOCUMENTED.findall(page)
     named = {
@@ -182,7 +181,7 @@ def test_the_verdict_is_that_of_single_runs() -> None:
 def test_only_the_last_states(tmp_path: Path) -> None:
     """Also where N is no multiple of every: the state at step N."""
     found = experiment(N=205, ensemble={"random": RANDOM, "store": "final"})
-    last = columns(run_ensemble(found, tmp_path).stored.series)
+    last = columns(run_experiment(found, tmp_path).stored.series)
     assert len(last["n"]) == 70
     assert set(last["n"]) == {205}
     single = topcli.simulate({**found.member(66).resolved(), "output": {"every": 205}})
@@ -214,8 +213,8 @@ def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
 def test_threads_change_no_byte_of_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
     found = experiment(ensemble={"random": {**RANDOM, "count": 200}})
-    one = run_ensemble(found, tmp_path / "1", RunOptions(threads=1)).stored
-    two = run_ensemble(found, tmp_path / "2", RunOptions(threads=2)).stored
+    one = run_experiment(found, tmp_path / "1", RunOptions(threads=1)).stored
+    two = run_experiment(found, tmp_path / "2", RunOptions(threads=2)).stored
     for name in ("series.parquet", "trajectories.parquet"):
         assert pq.read_table(one.folder / name).equals(pq.read_table(two.folder / name))
 
@@ -244,7 +243,7 @@ def test_an_interrupted_ensemble_is_kept_and_marked(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(engine, "GROUP", 1)
     monkeypatch.setattr(engine, "CHUNK_STEPS", 100)
     answers = iter([False, False, False, True, True])
-    result = run_ensemble(experiment(), tmp_path, RunOptions(stop=lambda: next(answers)))
+    result = run_experiment(experiment(), tmp_path, RunOptions(stop=lambda: next(answers)))
     assert result.outcome is Outcome.INTERRUPTED
     assert result.report["outcomes"] == {"completed": 64, "interrupted": 6}
     rows = np.bincount(columns(result.stored.series)["trajectory"])

@@ -19,7 +19,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.precise import PreciseTally, precise_run
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series

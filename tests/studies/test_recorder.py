@@ -14,8 +14,7 @@ from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Invariant
-from topcli.runs.ensemble import run_ensemble
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import RunResult, run_experiment
 from topcli.store.series import read_series
 from topcli.tops.kowalevski import Kowalevski
@@ -24,7 +23,7 @@ from topcli.tops.kowalevski import Kowalevski
 def run(config: str, *overrides: str, out: Path) -> RunResult:
     experiment = load(ROOT / "configs" / f"{config}.yaml", list(overrides))
     if isinstance(experiment, EnsembleExperiment):
-        return run_ensemble(experiment, out, RunOptions(threads=1))
+        return run_experiment(experiment, out, RunOptions(threads=1))
     return run_experiment(experiment, out, RunOptions(checkpoint_every=0.0))
 
 

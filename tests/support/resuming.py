@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.runs.plan import RunOptions
+from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"

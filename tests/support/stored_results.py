@@ -8,7 +8,6 @@ from pathlib import Path
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
-from topcli.runs.ensemble import run_ensemble
 from topcli.runs.run import run_experiment
 from topcli.studies.compare import COMPARE, compare_schemes
 from topcli.studies.order import ladders, order_study
@@ -36,7 +35,7 @@ def store_euler(out: Path, name: str = "euler") -> Path:
 def store_ensemble(out: Path, name: str = "many", count: int = 12) -> Path:
     made = load({**BASE, "name": name, "scheme": "hk", "ensemble": {"random": {"count": count, "gamma": "sphere"}}})
     assert not isinstance(made, Experiment)
-    return run_ensemble(made, out).stored.folder
+    return run_experiment(made, out).stored.folder
 
 
 def store_sweep(out: Path, name: str = "sweep") -> Path:

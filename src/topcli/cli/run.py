@@ -17,7 +17,7 @@ from topcli.errors import TopcliError, UsageError, quoted
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
-    from topcli.runs.plan import RunOptions
+    from topcli.runs.decision import RunOptions
     from topcli.runs.run import RunResult
 
 
@@ -93,14 +93,14 @@ def _print_result(result: RunResult, labelled: bool) -> None:
 
 def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
-    from topcli.runs.dispatch import plan_of
+    from topcli.runs.run import decision_on
 
-    identity, plan = plan_of(experiment, out, options)
+    identity, decision = decision_on(experiment, out, options)
     return {
         "config": identity.config,
         "digest": identity.digest,
         "folder": str(out / identity.name),
-        "action": plan.action,
+        "action": decision.action,
         "rows": experiment.rows,
     }
 
@@ -133,7 +133,7 @@ def _experiment(config: str, request: _Request, resume: bool) -> Experiment | En
     from topcli.config.load import load, load_named
 
     if resume and not is_config(config):
-        from topcli.runs.resume import config_to_resume
+        from topcli.runs.decision import config_to_resume
 
         name = config.removeprefix(f"{request.out}{os.sep}").removesuffix(os.sep)
         if data := config_to_resume(request.out, name):
@@ -145,7 +145,7 @@ def _run_config(
     config: str, request: _Request, options: RunOptions, display: ProgressDisplay
 ) -> tuple[int, dict[str, Any]]:
     """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
-    from topcli.runs.dispatch import run_into
+    from topcli.runs.run import run_experiment
 
     try:
         experiment = _experiment(config, request, options.resume)
@@ -158,7 +158,7 @@ def _run_config(
             return 0, plan
         display.begin(experiment.name)
         try:
-            result = run_into(experiment, request.out, options)
+            result = run_experiment(experiment, request.out, options)
         finally:
             display.close()
     except Exception as error:
@@ -240,7 +240,7 @@ def run(
         raise UsageError("--resume continues a run and --force repeats it; use one of them")
     if not checkpoint_every >= 0.0:
         raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds, at least 0")
-    from topcli.runs.plan import RunOptions
+    from topcli.runs.decision import RunOptions
 
     overrides = (*(sets or ()), *([f"output.format={output_format}"] if output_format else ()))
     request = _Request(out, overrides, name, dry_run, quiet, as_json, len(configs) > 1)

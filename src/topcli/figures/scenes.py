@@ -90,7 +90,7 @@ def _load(name: str, scenes: Mapping[str, str], panels: Sequence[RunPanel], layo
 def _run(name: str, scene: str, request: Request) -> tuple[RunResult, DrawnRun]:
     """Completed run of ``scene``. Raises UsageError and RunError."""
     from topcli.config.load import load_experiment, load_named
-    from topcli.runs.plan import RunOptions
+    from topcli.runs.decision import RunOptions
     from topcli.runs.run import run_experiment
 
     config = scene_config(scene, request.configs)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from topcli.config.models import OUTSIDE_IDENTITY
 from topcli.contracts import Outcome
 from topcli.pages.contents import (
     UNFINISHED,
@@ -21,8 +22,8 @@ from topcli.pages.contents import (
     value_text,
 )
 from topcli.pages.pictures import quantile_pictures, series_pictures
+from topcli.runs.decision import flattened
 from topcli.runs.report import INVARIANTS, comparison_lines, ensemble_table, precision_note, warning_of
-from topcli.runs.resume import OUTSIDE_IDENTITY, flattened
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.files import DamagedError, read_json
 from topcli.store.manifest import MANIFEST, REPORT, DamagedRun, StoredRun

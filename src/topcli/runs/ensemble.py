@@ -6,7 +6,6 @@ import hashlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -17,23 +16,15 @@ from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
-from topcli.errors import UsageError
-from topcli.runs.identity import Identity, Origin, store_run
-from topcli.runs.plan import Plan, RunOptions, plan_run
+from topcli.runs.decision import RunOptions
 from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report, setup_message
-from topcli.runs.run import RunResult, existing_result
-from topcli.store.provenance import Commit, environment, now
-from topcli.store.run_folder import RunWriter
+from topcli.runs.run import Recording
+from topcli.store.checkpoint import Checkpoint
 from topcli.store.series import SeriesWriter
 
 Columns = dict[str, np.ndarray]
 Values = Mapping[str, Array]
 Made = TypeVar("Made")
-
-
-def ensemble_identity(experiment: EnsembleExperiment) -> Identity:
-    """Identity of an ensemble, with the code of the scheme made ready for each of its tops."""
-    return Identity.of(experiment, [experiment.of_group(group).method() for group in experiment.members.groups])
 
 
 class GroupRun(Generic[Made]):
@@ -213,73 +204,44 @@ class _Record:
         return ensemble_report(self.experiment, digest, self.endings, self.summary.rows(), self.seconds)
 
 
-def _tables(experiment: EnsembleExperiment, folder: Path) -> tuple[Path, Path]:
-    """Paths of the table of rows and of that of trajectories; the same path if no rows are stored."""
-    suffix = experiment.first.output.format
-    table = folder / f"trajectories.{suffix}"
-    return (table if experiment.store == "statistics" else folder / f"series.{suffix}"), table
-
-
-def _carry_out(
-    experiment: EnsembleExperiment,
-    writer: RunWriter,
-    origin: Origin,
-    options: RunOptions,
-) -> RunResult:
-    """Run into the tables of the run folder and put it in its place. Raises OSError."""
-    path, table = _tables(experiment, writer.folder)
-    metadata = origin.metadata()
-    with ExitStack() as stack:
-        series = None
-        if path != table:
-            names = list(experiment.first.output.columns or column_names(experiment.top))
-            series = stack.enter_context(SeriesWriter(path, ["trajectory", *names], metadata))
-
-        def table_of(names: list[str]) -> SeriesWriter:
-            return stack.enter_context(SeriesWriter(table, names, metadata))
-
-        spool = stack.enter_context(tempfile.TemporaryFile(dir=writer.folder))
-        record = _Record(experiment, series, table_of, spool)
-        record.run(options)
-        report = record.finish(origin.identity.digest)
-        for name, written in ((path.name, series), (table.name, record.trajectories)):
-            if written is not None:
-                writer.sha256[name] = written.sha256
-    manifest = {
-        "kind": "ensemble",
-        "series": path.name,
-        "trajectories": table.name,
-        "initial_states_sha256": record.initial.hexdigest(),
-    }
-    stored = store_run(writer, origin, report, ensemble_markdown(report), manifest)
-    return RunResult(stored, report, "ran", writer.set_aside)
-
-
-def plan_ensemble(experiment: EnsembleExperiment, out: Path, options: RunOptions) -> tuple[Identity, Plan]:
-    """Identity and plan of an ensemble. Raises UsageError for one that would be refused."""
-    if options.resume:
-        raise UsageError("--resume works for runs of one trajectory; run the ensemble again without it")
-    identity = ensemble_identity(experiment)
-    return identity, plan_run(identity, out, options)
-
-
-def run_ensemble(experiment: EnsembleExperiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
-    """Run an ensemble into the folder ``out/<name>``, unless it has been run before; see ``run_experiment``.
+class EnsembleRecording(Recording):
+    """An ensemble on its way into its tables.
 
     ``series.parquet`` has a column ``trajectory`` and the rows selected by ``store``, one row group per block of
     trajectories, or per stretch of a block in a long run. ``trajectories.parquet`` has one row per trajectory; with
     ``store: statistics`` it is the only table. The results do not depend on the threads.
-
-    Raises UsageError before anything is written, and RunError if writing fails; then nothing is left behind.
     """
-    identity, plan = plan_ensemble(experiment, out, options)
-    if plan.up_to_date and plan.existing is not None:
-        return existing_result(plan.existing, identity, out, plan.rewrite)
-    if message := setup_message(experiment, options.threads):
-        options.on_message(f"{identity.name}: {message}")
-    with Commit() as commit, RunWriter(out, identity.name, displace=options.force or options.retry_failed) as writer:
-        origin = Origin(identity, experiment.first.scheme, type(experiment.top), now(), environment(), commit)
-        try:
-            return _carry_out(experiment, writer, origin, options)
-        except OSError as error:
-            raise writer.failure(error) from error
+
+    experiment: EnsembleExperiment
+
+    def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
+        """Run into the tables; the report, its Markdown, and entries of the manifest. Raises OSError."""
+        experiment, writer, metadata = self.experiment, self.writer, self.origin.metadata()
+        if message := setup_message(experiment, options.threads):
+            options.on_message(f"{experiment.name}: {message}")
+        suffix = experiment.first.output.format
+        table = writer.folder / f"trajectories.{suffix}"
+        path = table if experiment.store == "statistics" else writer.folder / f"series.{suffix}"
+        with ExitStack() as stack:
+            series = None
+            if path != table:
+                names = list(experiment.first.output.columns or column_names(experiment.top))
+                series = stack.enter_context(SeriesWriter(path, ["trajectory", *names], metadata))
+
+            def table_of(names: list[str]) -> SeriesWriter:
+                return stack.enter_context(SeriesWriter(table, names, metadata))
+
+            spool = stack.enter_context(tempfile.TemporaryFile(dir=writer.folder))
+            record = _Record(experiment, series, table_of, spool)
+            record.run(options)
+            report = record.finish(self.origin.identity.digest)
+            for name, written in ((path.name, series), (table.name, record.trajectories)):
+                if written is not None:
+                    writer.sha256[name] = written.sha256
+        manifest = {
+            "kind": "ensemble",
+            "series": path.name,
+            "trajectories": table.name,
+            "initial_states_sha256": record.initial.hexdigest(),
+        }
+        return report, ensemble_markdown(report), manifest

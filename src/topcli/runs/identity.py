@@ -8,7 +8,6 @@ stored, and every format holds the same bits.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,10 +18,6 @@ from topcli.config.models import Experiment, digest_of
 from topcli.contracts import Block, Method, Sampler, Scheme, Top
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
-from topcli.schemes.registry import top_origin
-from topcli.store.manifest import StoredRun
-from topcli.store.provenance import Commit, now
-from topcli.store.run_folder import RunWriter
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -95,61 +90,3 @@ class Identity:
     def same(self, about: Mapping[str, Any]) -> bool:
         """True if ``about``, a manifest or the data of a checkpoint, has both digests."""
         return about.get("digest") == self.digest and about.get("code") == self.code
-
-
-def table_metadata(identity: Identity, environment: Mapping[str, Any]) -> dict[str, str]:
-    """Metadata of the tables of a run that was made in ``environment``."""
-    return {
-        "topcli.config": json.dumps(identity.config),
-        "topcli.digest": identity.digest,
-        "topcli.environment": json.dumps(environment),
-    }
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Origin of the files of a run folder: the experiment, its scheme, the time and the environment."""
-
-    identity: Identity
-    scheme: Scheme
-    top: type[Top]
-    started: str
-    environment: dict[str, Any]
-    commit: Commit
-
-    def metadata(self) -> dict[str, str]:
-        """Metadata of the tables."""
-        return table_metadata(self.identity, self.environment)
-
-
-def store_run(
-    writer: RunWriter, origin: Origin, report: dict[str, Any], markdown: str, manifest: Mapping[str, Any]
-) -> StoredRun:
-    """Write the reports and the config beside the tables and put the folder in its place.
-
-    ``manifest`` holds the entries of one kind of run; those of every run are added. Raises OSError, and RunError if
-    another process has put a different run there.
-    """
-    from topcli.config.yaml_text import to_yaml
-
-    identity = origin.identity
-    writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-    writer.write("report.md", markdown)
-    writer.write("config.yaml", to_yaml(identity.config))
-    return writer.commit(
-        {
-            "name": identity.name,
-            **identity.digests,
-            "outcome": report["outcome"],
-            "message": report["message"],
-            **manifest,
-            "config": identity.config,
-            "scheme_origin": origin.scheme.origin,
-            "top_origin": top_origin(origin.top),
-            "started": origin.started,
-            "ended": now(),
-            "seconds": report["seconds"],
-            "environment": origin.environment,
-            **origin.commit.read(),
-        }
-    )

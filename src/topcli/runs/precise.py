@@ -144,6 +144,11 @@ class PreciseRecorder(Recorder):
         """Tally of the report."""
         return self.precise
 
+    @property
+    def growth(self) -> DigitGrowth | None:
+        """Growth of the numbers; None unless they are rational."""
+        return self.precise.growth
+
     def all_names(self, names: Sequence[str]) -> list[str]:
         """Names of the columns of the series: the recorded ones, then those as decimal texts."""
         return [*names, *(name + DECIMAL for name in names if self._digits and name != "n")]

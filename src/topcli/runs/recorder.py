@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +16,21 @@ from topcli.analysis.columns import attitude_columns, columns, invariant_values
 from topcli.analysis.tally import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending
-from topcli.engine.loop import Chunk
+from topcli.engine.loop import Chunk, Position, Run
+from topcli.runs.decision import CHECKPOINT_SECONDS
 from topcli.runs.report import left_motion
-from topcli.store.checkpoint import Checkpoint
+from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from topcli.store.parts import release_reserve, reserve
 from topcli.store.series import SeriesMark, SeriesWriter
+
+if TYPE_CHECKING:
+    from topcli.analysis.roundoff import DigitGrowth
 
 BATCH = 256
 """Rows that are evaluated and written together: doing so for a single row costs as much as some thousand steps."""
+
+COST = 100.0
+"""The next checkpoint waits at least this many times the seconds that the last one took: at most 1% of the run."""
 
 Rows = tuple[NDArray[np.int64], Array]
 """Step numbers (m,) and states (m, d)."""
@@ -97,6 +107,15 @@ class Recorder:
         """Numbers that ``stored`` has made."""
         return stored
 
+    def position(self, start: Checkpoint) -> Position:
+        """Position at which the time loop continues."""
+        return Position(start.done, self.loaded(start.work), *start.about["chunks"])
+
+    @property
+    def growth(self) -> DigitGrowth | None:
+        """Growth of the numbers of a run in rational numbers; None for any other."""
+        return None
+
     def __enter__(self) -> Recorder:
         self.series.__enter__()
         return self
@@ -141,3 +160,64 @@ class Recorder:
         left = {} if ending.left is None else {"topcli.left_motion": json.dumps(left_motion(ending))}
         self.series.finish({"topcli.outcome": ending.outcome.value, "topcli.message": ending.message, **left})
         return ending
+
+
+@dataclass
+class Checkpoints:
+    """Save the state of a run: on the disk every ``seconds``, in memory after every row group.
+
+    ``about`` goes into every checkpoint. ``last`` is the last state that could still be written if the disk is full.
+    """
+
+    folder: Path
+    about: dict[str, Any]
+    seconds: float = CHECKPOINT_SECONDS
+    clock: Callable[[], float] = time.monotonic
+    last: Checkpoint | None = None
+
+    def __post_init__(self) -> None:
+        self._due = self.clock() + 0.5 * self.seconds
+        self._length = self.last.series.length if self.last else 0
+        self._earlier: Checkpoint | None = None
+
+    def consider(self, run: Run, recorder: Recorder) -> None:
+        """Write a checkpoint if it is due; to be called between two chunks. Raises OSError."""
+        if self.clock() >= self._due:
+            reserve(self.folder)
+            self.save(run, recorder)
+        elif recorder.series.length != self._length:
+            self._length = recorder.series.length
+            self._remember(run, recorder, flush=False)
+
+    def _remember(self, run: Run, recorder: Recorder, flush: bool) -> Checkpoint | None:
+        position = run.position()
+        if position is None:
+            return None
+        chunks = [position.chunk_rows, position.chunk_steps, position.into]
+        about = {**self.about, "run_seconds": run.run_seconds, "chunks": chunks}
+        self._earlier = self.last
+        self.last = Checkpoint(position.done, recorder.stored(position.work), *recorder.state(flush), about)
+        return self.last
+
+    def save(self, run: Run, recorder: Recorder) -> None:
+        """Write a checkpoint now, except after a failed step, which ends the run. Raises OSError."""
+        began = self.clock()
+        checkpoint = self._remember(run, recorder, flush=True)
+        if checkpoint is None:
+            return
+        write_checkpoint(self.folder, checkpoint)
+        self._length = checkpoint.series.length
+        ended = self.clock()
+        self._due = ended + (max(self.seconds, COST * (ended - began)) if self.seconds else 0.0)
+
+    def to_save(self) -> Iterator[Checkpoint]:
+        """Yield states that may still be written if the disk is full, the furthest first, after making room.
+
+        States before the checkpoint that is on the disk by then are left out: writing one would cut the series off
+        too early.
+        """
+        release_reserve(self.folder)
+        for state in (self.last, self._earlier):
+            on_disk = read_checkpoint(self.folder)
+            if state is not None and state.done >= (on_disk.done if on_disk else 0):
+                yield state

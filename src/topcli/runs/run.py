@@ -1,21 +1,22 @@
-"""Run an experiment into a run folder: the series, the report on its invariants, the manifest."""
+"""Run an experiment or an ensemble into a folder: look at it, decide, run, record, commit."""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.config.models import Experiment
-from topcli.contracts import Method, Outcome
-from topcli.engine.loop import Run
+from topcli.contracts import Outcome
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.runs.identity import Identity, Origin, store_run
-from topcli.runs.plan import Progress, RunOptions, plan_run
-from topcli.runs.prepare import run_of
-from topcli.runs.recorder import Recorder
+from topcli.runs.decision import Decision, RunOptions, decide, difference
+from topcli.runs.identity import Identity
+from topcli.runs.prepare import Prepared, prepared, recorder_of, run_of
+from topcli.runs.recorder import Checkpoints
 from topcli.runs.report import (
     accuracy_data,
     heading,
@@ -25,22 +26,20 @@ from topcli.runs.report import (
     report_markdown,
     seconds_of,
 )
-from topcli.runs.resume import (
-    Checkpoints,
-    checked_start,
-    checkpoint_data,
-    find_source,
-    position_of,
-    report_unfinished,
-)
+from topcli.schemes.registry import top_origin
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.files import io_failure
+from topcli.store.folder import Folder, RunWriter, Source
 from topcli.store.manifest import StoredRun, stored_run
-from topcli.store.provenance import Commit
-from topcli.store.run_folder import RunWriter
+from topcli.store.parts import is_result, remove_own
+from topcli.store.provenance import Commit, environment, now
+from topcli.store.series import copy_series
 
 if TYPE_CHECKING:
-    from topcli.engine.precise.loop import PreciseRun
+    from topcli.config.ensemble import EnsembleExperiment
+
+_TABLES = ("series", "trajectories")
+"""Entries of a manifest that name tables; they are the same file if an ensemble keeps no rows."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,7 @@ class RunResult:
         if self.set_aside is None:
             return ""
         earlier = stored_run(self.set_aside)
-        new = self.stored.manifest
-        if earlier is not None and earlier.same(new):
+        if earlier is not None and earlier.same(self.stored.manifest):
             return f"kept the earlier folder of this run, with files that are not topcli's, as {self.set_aside}"
         return f"renamed the earlier, different run to {self.set_aside}"
 
@@ -75,108 +73,40 @@ class RunResult:
 
 
 @dataclass(frozen=True)
-class _Job:
-    """A run with all that it needs: the scheme made ready, the folder to fill, its checkpoints and its origin."""
+class Origin:
+    """Origin of the files of a run folder: the experiment, when and where it was begun, and the commit of the code."""
 
-    experiment: Experiment
-    method: Method
-    writer: RunWriter
-    checkpoints: Checkpoints
-    origin: Origin
-    precise: PreciseRun | None = None
+    identity: Identity
+    started: str
+    environment: dict[str, Any]
+    commit: Commit
 
-    @property
-    def series(self) -> Path:
-        """File of the series."""
-        return self.writer.folder / f"series.{self.experiment.output.format}"
+    def metadata(self) -> dict[str, str]:
+        """Metadata of the tables."""
+        return table_metadata(self.identity, self.environment)
 
 
-def _record(job: _Job, run: Run, recorder: Recorder, progress: Progress) -> None:
-    """Carry out ``run`` and record its rows. Raises OSError."""
-    with recorder:
-        for chunk in run:
-            recorder.add(chunk)
-            job.checkpoints.consider(run, recorder)
-            progress(chunk.done, run.N)
-        assert run.ending is not None
-        if run.ending.outcome is Outcome.INTERRUPTED:
-            job.checkpoints.save(run, recorder)
-        run.ending = recorder.finish(run.ending)
-
-
-def _summary(job: _Job, run: Run, precision: dict[str, Any]) -> dict[str, Any]:
-    experiment, ending = job.experiment, run.ending
-    assert ending is not None
+def table_metadata(identity: Identity, made_in: dict[str, Any]) -> dict[str, str]:
+    """Metadata of the tables of a run that was made in this environment."""
     return {
-        **heading(experiment, experiment.name, job.origin.identity.digest),
-        "outcome": ending.outcome.value,
-        "message": ending.message,
-        "step": ending.step,
-        "t": ending.t,
-        "left_motion": left_motion(ending),
-        "counters": dict(ending.counters),
-        "seconds": seconds_of(run),
-        **accuracy_data(job.method, experiment, ending.step),
-        **precision,
+        "topcli.config": json.dumps(identity.config),
+        "topcli.digest": identity.digest,
+        "topcli.environment": json.dumps(made_in),
     }
 
 
-def _started(
-    job: _Job, start: Checkpoint | None, stop: Callable[[], bool]
-) -> tuple[Run, Recorder, Callable[[], dict[str, Any]]]:
-    """Time loop and recorder, in the precision of the experiment, and what the report says on that precision."""
-    experiment, precise = job.experiment, job.precise
-    metadata = job.origin.metadata()
-    if precise is None:
-        recorder = Recorder(experiment, job.series, metadata, start)
-        position = position_of(start, recorder) if start else None
-        return run_of(experiment, job.method, stop, position), recorder, dict
-    from topcli.runs.precise import PreciseRecorder
-
-    exact = PreciseRecorder(experiment, precise, job.series, metadata, start)
-    position = position_of(start, exact) if start else None
-    every = experiment.output.every
-    run = Run(precise.top, precise.loop, precise.y0, precise.h, experiment.N, every, stop, position)
-    return run, exact, lambda: precision_data(experiment.precision, precise.arithmetic.library, exact.precise.growth)
+def decision_on(
+    experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions
+) -> tuple[Identity, Decision]:
+    """Identity of an experiment, and the decision on it. Raises UsageError for a run that would be refused."""
+    identity = prepared(experiment, options.resume).identity
+    return identity, decide(identity, Folder.look(out, identity.name), options)
 
 
-def _carry_out(
-    job: _Job, start: Checkpoint | None, progress: Progress, stop: Callable[[], bool]
-) -> tuple[StoredRun, dict[str, Any]]:
-    """Run from ``start``, or from step 0, to the end or until ``stop``, and put the folder in its place.
-
-    Raises OSError.
-    """
-    writer = job.writer
-    try:
-        run, recorder, precision = _started(job, start, stop)
-    except (KeyError, ValueError) as error:
-        if start is None:
-            raise
-        raise UsageError(
-            f"{writer.folder}: its checkpoint was written by another version of topcli ({error})"
-        ) from None
-    run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
-    _record(job, run, recorder, progress)
-    writer.sha256[job.series.name] = recorder.series.sha256
-    report = report_data(_summary(job, run, precision()), recorder.tally.report())
-    manifest = {"step": report["step"], "left_motion": report["left_motion"], "series": job.series.name}
-    if resumed := job.checkpoints.about["resumed"]:
-        manifest["resumed"] = resumed
-    return store_run(writer, job.origin, report, report_markdown(report), manifest), report
-
-
-def prepared_precision(experiment: Experiment) -> PreciseRun | None:
-    """Prepare a run in another precision than double; None for double. Raises UsageError if the scheme has none."""
-    if experiment.exact is None:
-        return None
-    from topcli.runs.precise import precise_run
-
-    return precise_run(experiment)
-
-
-def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
-    """Run ``experiment`` into the folder ``out/<name>``, unless it has been run before.
+def run_experiment(
+    experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions = RunOptions()
+) -> RunResult:
+    """Run an experiment or ensemble into the folder ``out/<name>``, unless it has been run before.
 
     A finished run of the same experiment and code is not repeated unless ``force``, or if it failed ``retry_failed``;
     one in another format is rewritten from its stored tables.
@@ -184,42 +114,49 @@ def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunO
 
     Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
     """
-    method, precise, tell = experiment.method(), prepared_precision(experiment), options.on_message
-    identity = Identity.of(experiment, [method])
-    source = find_source(identity, out) if options.resume else None
-    plan = plan_run(identity, out, options, source)
-    if plan.up_to_date and plan.existing is not None:
-        return existing_result(plan.existing, identity, out, plan.rewrite)
-    if not options.resume:
-        report_unfinished(identity, out, tell)
-    if plan.damaged:
-        tell(f"{identity.name}: {plan.action}")
-    where, displace = source and source.where, options.force or options.retry_failed
-    with Commit() as commit, RunWriter(out, identity.name, identity.digests, where, displace) as writer:
+    ready = prepared(experiment, options.resume)
+    identity, tell = ready.identity, options.on_message
+    name = identity.name
+    folder = Folder.look(out, name)
+    decision = decide(identity, folder, options)
+    for note in decision.notes:
+        tell(f"{name}: {note}")
+    if decision.verb != "run":
+        assert folder.run is not None
+        return _finished_result(identity, folder.run, out, decision.verb == "rewrite")
+    source, displace = decision.source, options.force or options.retry_failed
+    with Commit() as commit, RunWriter(out, name, identity.digests, source and source.where, displace) as writer:
         if writer.complete is not None:
             return _put_in_place(writer, writer.complete, tell)
-        start = checked_start(identity, writer, source, tell) if options.resume else None
-        about = checkpoint_data(identity, start)
-        checkpoints = Checkpoints(writer, about, options.checkpoint_every, last=start)
-        origin = Origin(
-            identity, experiment.scheme, type(experiment.top), about["started"], about["environment"], commit
-        )
-        job = _Job(experiment, method, writer, checkpoints, origin, precise)
+        start = _checked_start(identity, writer, source, tell) if source else None
+        begun = start.about if start else {"started": now(), "environment": environment(), "resumed": []}
+        origin = Origin(identity, begun["started"], begun["environment"], commit)
+        if isinstance(experiment, Experiment):
+            resumed = [*begun["resumed"], *([{"step": start.done, "at": now()}] if start else [])]
+            recording: Recording = SingleRecording(experiment, writer, origin, options, ready, resumed, start)
+        else:
+            from topcli.runs.ensemble import EnsembleRecording
+
+            recording = EnsembleRecording(experiment, writer, origin, options)
         try:
-            stored, report = _carry_out(job, start, options.on_progress, options.stop)
+            stored, report = recording.carry_out(start, options)
         except OSError as error:
-            raise _saved(job, error) from error
-    return RunResult(stored, report, "ran" if start is None else "resumed", writer.set_aside)
+            raise recording.failure(error) from error
+    return RunResult(stored, report, "resumed" if start else "ran", writer.set_aside)
 
 
-def existing_result(existing: StoredRun, identity: Identity, out: Path, rewrite: bool) -> RunResult:
-    """Result of a run that was finished before, with ``rewrite`` in the format of ``identity``. Raises RunError."""
-    if not rewrite:
-        return RunResult(existing, existing.report(), "up to date")
-    from topcli.runs.rewrite import rewrite_run
+def _checked_start(identity: Identity, writer: RunWriter, source: Source, tell: Callable[[str], None]) -> Checkpoint:
+    """Checkpoint of a run to be resumed, now that this process holds its lock.
 
-    stored, set_aside = rewrite_run(identity, existing, out)
-    return RunResult(stored, stored.report(), f"rewritten as {identity.config['output']['format']}", set_aside)
+    Raises UsageError if the folder has changed since ``source`` was seen.
+    """
+    start, name = writer.checkpoint, identity.name
+    if start is None or not identity.same(start.about):
+        raise UsageError(f"{source.where.folder}: changed while it was being resumed; try again")
+    tell(f"{name}: continues from step {start.done} of {identity.config['N']}")
+    if changed := difference(start.about["environment"], environment()):
+        tell(f"{name}: started in another environment ({changed}); the last bits may differ from an uninterrupted run")
+    return start
 
 
 def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], None]) -> RunResult:
@@ -232,17 +169,175 @@ def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], 
     return RunResult(stored, stored.report(), "resumed", writer.set_aside)
 
 
-def _saved(job: _Job, error: OSError) -> RunError:
-    """Error to report after a failed write; first saves the run as interrupted, or its last checkpoint, if possible."""
-    writer, checkpoints, last = job.writer, job.checkpoints, None
-    for last in [] if writer.finished or not writer.folder.exists() else checkpoints.to_save():
-        with contextlib.suppress(OSError, TopcliError):
-            stored, _ = _carry_out(job, last, lambda done, total: None, lambda: True)
-            kept = "the finished run is in its place"
-            if stored.interrupted:
-                kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
-            return io_failure(error, writer.target, kept)
-    if last is not None and read_checkpoint(writer.folder) is None:
-        with contextlib.suppress(OSError):
-            write_checkpoint(writer.folder, last)
-    return writer.failure(error)
+def _write_config(writer: RunWriter, identity: Identity) -> None:
+    from topcli.config.yaml_text import to_yaml  # slow to import, for runs alone that are computed
+
+    writer.write("config.yaml", to_yaml(identity.config))
+
+
+class Recording:
+    """A run on its way into its folder; a subclass runs it into tables."""
+
+    def __init__(
+        self, experiment: Experiment | EnsembleExperiment, writer: RunWriter, origin: Origin, options: RunOptions
+    ) -> None:
+        self.experiment, self.writer, self.origin, self.options = experiment, writer, origin, options
+
+    def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
+        """Run into tables; the report, its Markdown, and entries of the manifest. Raises OSError."""
+        raise NotImplementedError
+
+    def carry_out(self, start: Checkpoint | None, options: RunOptions) -> tuple[StoredRun, dict[str, Any]]:
+        """Run from ``start``, or from step 0, to the end or until stopped, and put the folder in its place.
+
+        Raises OSError, and RunError if another process has put a different run there.
+        """
+        report, markdown, entries = self.record(start, options)
+        writer, origin, identity = self.writer, self.origin, self.origin.identity
+        writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+        writer.write("report.md", markdown)
+        _write_config(writer, identity)
+        first = self.experiment if isinstance(self.experiment, Experiment) else self.experiment.first
+        manifest = {
+            "name": identity.name,
+            **identity.digests,
+            "outcome": report["outcome"],
+            "message": report["message"],
+            **entries,
+            "config": identity.config,
+            "scheme_origin": first.scheme.origin,
+            "top_origin": top_origin(type(first.top)),
+            "started": origin.started,
+            "ended": now(),
+            "seconds": report["seconds"],
+            "environment": origin.environment,
+            **origin.commit.read(),
+        }
+        return writer.commit(manifest), report
+
+    def failure(self, error: OSError) -> RunError:
+        """Error to report after a failed write."""
+        return self.writer.failure(error)
+
+
+class SingleRecording(Recording):
+    """A run of one trajectory, with its checkpoints."""
+
+    experiment: Experiment
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        writer: RunWriter,
+        origin: Origin,
+        options: RunOptions,
+        ready: Prepared,
+        resumed: list[dict[str, Any]],
+        start: Checkpoint | None,
+    ) -> None:
+        super().__init__(experiment, writer, origin, options)
+        self.ready, self.resumed = ready, resumed
+        identity = origin.identity
+        about = {
+            **identity.digests,
+            "name": identity.name,
+            "config": identity.config,
+            "environment": origin.environment,
+            "started": origin.started,
+            "resumed": resumed,
+        }
+        self.checkpoints = Checkpoints(writer.folder, about, options.checkpoint_every, last=start)
+
+    def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
+        """Run into the series; the report, its Markdown, and entries of the manifest. Raises OSError."""
+        experiment, writer, precise = self.experiment, self.writer, self.ready.precise
+        path = writer.folder / f"series.{experiment.output.format}"
+        try:
+            recorder = recorder_of(experiment, precise, path, self.origin.metadata(), start)
+            position = start and recorder.position(start)
+            run = run_of(experiment, self.ready.method, precise, options.stop, position)
+        except (KeyError, ValueError) as error:
+            if start is None:
+                raise
+            raise UsageError(
+                f"{writer.folder}: its checkpoint was written by another version of topcli ({error})"
+            ) from None
+        run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
+        with recorder:
+            for chunk in run:
+                recorder.add(chunk)
+                self.checkpoints.consider(run, recorder)
+                options.on_progress(chunk.done, run.N)
+            assert run.ending is not None
+            if run.ending.outcome is Outcome.INTERRUPTED:
+                self.checkpoints.save(run, recorder)
+            ending = recorder.finish(run.ending)
+        writer.sha256[path.name] = recorder.series.sha256
+        summary = {
+            **heading(experiment, experiment.name, self.origin.identity.digest),
+            "outcome": ending.outcome.value,
+            "message": ending.message,
+            "step": ending.step,
+            "t": ending.t,
+            "left_motion": left_motion(ending),
+            "counters": dict(ending.counters),
+            "seconds": seconds_of(run),
+            **accuracy_data(self.ready.method, experiment, ending.step),
+            **((precise and precision_data(experiment.precision, precise.arithmetic.library, recorder.growth)) or {}),
+        }
+        report = report_data(summary, recorder.tally.report())
+        manifest = {"step": ending.step, "left_motion": report["left_motion"], "series": path.name}
+        return report, report_markdown(report), manifest | ({"resumed": self.resumed} if self.resumed else {})
+
+    def failure(self, error: OSError) -> RunError:
+        """Error to report after a failed write; saves the run as interrupted, or its last checkpoint, if possible."""
+        writer, last = self.writer, None
+        for last in [] if writer.finished or not writer.folder.exists() else self.checkpoints.to_save():
+            with contextlib.suppress(OSError, TopcliError):
+                stored, _ = self.carry_out(last, RunOptions(stop=lambda: True))
+                kept = "the finished run is in its place"
+                if stored.interrupted:
+                    kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
+                return io_failure(error, writer.target, kept)
+        if last is not None and read_checkpoint(writer.folder) is None:
+            with contextlib.suppress(OSError):
+                write_checkpoint(writer.folder, last)
+        return writer.failure(error)
+
+
+def _finished_result(identity: Identity, run: StoredRun, out: Path, rewrite: bool) -> RunResult:
+    """Result of a finished run, as it is or with its tables written again in the format of ``identity``.
+
+    The earlier folder is then removed after the new one is complete; if it holds files of the user it is renamed.
+    Raises RunError if reading or writing fails; the earlier run is unchanged.
+    """
+    if not rewrite:
+        return RunResult(run, run.report(), "up to date")
+    manifest, suffix = run.manifest, identity.config["output"]["format"]
+    tables = {manifest[key]: f"{Path(manifest[key]).stem}.{suffix}" for key in _TABLES if key in manifest}
+    metadata = table_metadata(identity, manifest.get("environment", {}))
+    with RunWriter(out, identity.name, identity.digests, displace=False) as writer:
+        try:
+            for name in manifest["files"]:
+                if name in tables:
+                    target = writer.folder / tables[name]
+                    writer.sha256[target.name] = copy_series(run.folder / name, target, metadata, _ended(manifest))
+                elif is_result(name):
+                    shutil.copyfile(run.folder / name, writer.folder / name)
+            _write_config(writer, identity)
+            kept = {key: value for key, value in manifest.items() if key != "files"}
+            kept |= {key: tables[manifest[key]] for key in _TABLES if key in manifest}
+            rewritten = {"from": sorted(tables), "at": now()}
+            stored = writer.commit({**kept, "name": identity.name, "config": identity.config, "rewritten": rewritten})
+        except OSError as error:
+            if stored_run(run.folder) is not None:  # not moved yet: the unplaced copy is of no use
+                remove_own(writer.folder)
+            raise writer.failure(error, f"the run is kept as {run.series.suffix[1:]}") from error
+    return RunResult(stored, stored.report(), f"rewritten as {suffix}", writer.set_aside)
+
+
+def _ended(manifest: dict[str, Any]) -> dict[str, str]:
+    """Metadata of tables that are known at the end of a run."""
+    ended = {"topcli.outcome": manifest["outcome"], "topcli.message": manifest.get("message", "")}
+    left = manifest.get("left_motion")
+    return ended if left is None else {**ended, "topcli.left_motion": json.dumps(left)}

@@ -13,10 +13,8 @@ from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
-from topcli.runs.dispatch import run_into
-from topcli.runs.plan import RunOptions
-from topcli.runs.resume import CHECKPOINT_SECONDS
-from topcli.runs.run import RunResult
+from topcli.runs.decision import CHECKPOINT_SECONDS, RunOptions
+from topcli.runs.run import RunResult, run_experiment
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 
@@ -226,4 +224,4 @@ def run(
     experiment = load(config, overrides, changes, rename=True)
     with Progress(experiment.name, progress) as bar:
         options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, on_progress=bar)
-        return RunReport(run_into(experiment, Path(out), options))
+        return RunReport(run_experiment(experiment, Path(out), options))

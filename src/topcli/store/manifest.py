@@ -128,8 +128,8 @@ class StoredRun:
         except (OSError, DamagedError) as error:
             raise RunError(f"{path}: cannot be read ({str(error)[:120]}); run again with --force") from None
 
-    def damage(self, largest: int | None = None) -> dict[str, str]:
-        """Damaged files and their faults; checksums are compared for files of at most ``largest`` bytes."""
+    def damage(self, quick: bool = False) -> dict[str, str]:
+        """Damaged files and their faults; if ``quick``, of files beyond ``CHECKED_AT_ONCE`` bytes only by size."""
         faults = {}
         try:
             check_seal(self.manifest, MANIFEST_SEAL)
@@ -137,7 +137,7 @@ class StoredRun:
             faults[MANIFEST] = str(error)
         for name, entry in self.manifest["files"].items():
             try:
-                check_file(self.folder / name, entry, largest)
+                check_file(self.folder / name, entry, CHECKED_AT_ONCE if quick else None)
             except DamagedError as error:
                 faults[name] = str(error)
         return faults
@@ -149,7 +149,7 @@ class StoredRun:
     def up_to_date(self, about: Mapping[str, Any]) -> bool:
         """True if this is a complete, undamaged run of the experiment and code that ``about`` has."""
         complete = self.same(about) and not self.interrupted and REPORT in self.manifest["files"]
-        return complete and not self.damage(CHECKED_AT_ONCE)
+        return complete and not self.damage(quick=True)
 
     def identical(self, other: Mapping[str, Any]) -> bool:
         """True if ``other`` is the manifest of the same run with a bit-identical series."""

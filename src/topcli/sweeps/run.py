@@ -24,10 +24,10 @@ from topcli.config.sweep import Sweep, load_sweep
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
 from topcli.store.files import io_failure, require_writable, sync, write_whole
+from topcli.store.folder import require_real
 from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
-from topcli.store.run_folder import require_real
 from topcli.sweeps.evaluate import Results, Work, batches, unfinished
 from topcli.sweeps.journal import COMPLETED, JOURNAL, Block, Journal
 from topcli.sweeps.plan import REASONS, Plan, Survey, changes, manifest_text, plan_sweep, survey, write_rows
@@ -318,7 +318,7 @@ class _Runner:
 
     def _store_series(self, row: Row) -> None:
         """Run a row again into a run folder of its own."""
-        from topcli.runs.plan import RunOptions
+        from topcli.runs.decision import RunOptions
         from topcli.runs.run import run_experiment
 
         try:

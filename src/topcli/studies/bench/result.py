@@ -11,9 +11,9 @@ from typing import Any
 
 from topcli.analysis.pareto import Point, at_error, pareto_front
 from topcli.errors import RunError, UsageError
+from topcli.store.folder import RunWriter, require_real
 from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
 from topcli.store.provenance import Commit
-from topcli.store.run_folder import RunWriter, require_real
 from topcli.store.series import write_table
 from topcli.table import Column, Table, number
 

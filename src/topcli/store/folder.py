@@ -1,23 +1,26 @@
-"""Run folders: written under a temporary name and renamed when complete; an earlier result is never lost.
+"""The folder of a run: looked at once, written under a temporary name, renamed into place when complete.
 
 A folder ``<out>/<name>/`` holds ``series.parquet`` (or ``.csv``), ``report.json``, ``report.md``, ``config.yaml`` and,
-written last, ``manifest.json``. A folder without a manifest is an unfinished run and is never read as a result.
+written last, ``manifest.json``. A folder without a manifest is an unfinished run and is never read as a result. An
+earlier result is never lost.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
 import os
 import shutil
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint
 from topcli.store.files import DamagedError, io_failure, json_text, named, require_writable, sync, write_whole
-from topcli.store.manifest import MANIFEST, StoredRun, check_file, read_run, sealed_manifest, stored_run
+from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, check_file, read_run, sealed_manifest, stored_run
 from topcli.store.parts import (
     LOCK,
     TEMPORARIES,
@@ -38,6 +41,115 @@ from topcli.store.series import damaged
 _KEPT = "what its last checkpoint holds is kept, and --resume continues it when writing is possible again"
 
 
+@dataclass(frozen=True)
+class Source:
+    """A run to continue after ``done`` steps: one that was stopped before its end, or one that was killed.
+
+    ``checkpoint`` is None for a complete run that only has to be renamed into its place. ``about`` is its manifest, or
+    the data of the checkpoint.
+    """
+
+    where: StoredRun | Part
+    done: int
+    checkpoint: Checkpoint | None
+    about: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Folder:
+    """One look at the place of the run ``name`` in ``out``, which changes nothing there.
+
+    Attributes
+    ----------
+    fault : tuple of str
+        Lines of an error if no run can be written there; empty if one can.
+    run : StoredRun or None
+        Finished run in the place.
+    linked : bool
+        True if the place is a symbolic link.
+    parts : tuple of Part
+        Runs in progress, and what killed processes left.
+    sources : tuple of Source
+        Runs of this name that can be continued, in the place, in parts and set aside.
+    damaged_checkpoint : Path or None
+        A checkpoint from which nothing can be continued, if there is no source.
+    """
+
+    out: Path
+    name: str
+    fault: tuple[str, ...] = ()
+    run: StoredRun | None = None
+    linked: bool = False
+    parts: tuple[Part, ...] = ()
+    sources: tuple[Source, ...] = ()
+    damaged_checkpoint: Path | None = None
+
+    @property
+    def target(self) -> Path:
+        """Path of the place."""
+        return self.out / self.name
+
+    @classmethod
+    def look(cls, out: Path, name: str) -> Folder:
+        """Look at the place."""
+        target = out / name
+        try:
+            if out.exists() and not out.is_dir():
+                return cls(out, name, (f"output folder {out}: is not a folder; choose another with --out",))
+            run = read_run(target)
+            foreign = run is None and target.exists() and (not target.is_dir() or any(target.iterdir()))
+        except OSError as error:
+            wrong = f"{str(error.filename or target)[:400]}: {(error.strerror or str(error)).lower()}"
+            hint = "choose another folder with --out, or another name with --name"
+            return cls(out, name, (f"{wrong}; nothing was written", hint))
+        if foreign or isinstance(run, DamagedRun):
+            why = f"holds a damaged run ({run.reason})" if run else "exists and is not a finished run"
+            hint = "move it away, or choose another folder with --out or another name with --name"
+            return cls(out, name, (f"{target}: {why}; nothing was written", hint))
+        parts = tuple(parts_of(out, name))
+        places = [target]
+        with contextlib.suppress(OSError), os.scandir(out) as entries:
+            places += [out / entry for entry in sorted(e.name for e in entries if e.name.startswith(f"{name}."))]
+        sources = (*_left_by_killed(parts), *_interrupted(places, name))
+        left = [] if sources else [*(part.folder for part in parts if not part.alive), *places]
+        damaged_checkpoint = next((path for folder in left if (path := folder / CHECKPOINT).exists()), None)
+        return cls(out, name, (), run, target.is_symlink(), parts, sources, damaged_checkpoint)
+
+
+def _left_by_killed(parts: tuple[Part, ...]) -> Iterator[Source]:
+    for part in parts:
+        if part.alive:
+            continue
+        stored = stored_run(part.folder)
+        if stored is not None and not stored.interrupted:
+            yield Source(part, stored.manifest.get("step", 0), None, stored.manifest)
+        elif checkpoint := read_checkpoint(part.folder):
+            yield Source(part, checkpoint.done, checkpoint, checkpoint.about)
+
+
+def _interrupted(places: list[Path], name: str) -> Iterator[Source]:
+    for place in places:
+        stored = stored_run(place)
+        if stored is None or not stored.interrupted or stored.manifest["name"] != name:
+            continue
+        if checkpoint := read_checkpoint(place):
+            yield Source(stored, checkpoint.done, checkpoint, checkpoint.about)
+
+
+def link_error(target: Path) -> UsageError:
+    """Error for a run that would replace the symbolic link ``target``."""
+    return UsageError(
+        f"{target}: is a symbolic link, which no run can replace; nothing was written",
+        "remove it, or choose another name with --name",
+    )
+
+
+def require_real(target: Path) -> None:
+    """Raise UsageError if a run would replace a symbolic link."""
+    if target.is_symlink():
+        raise link_error(target)
+
+
 def _own(name: str, run: StoredRun) -> bool:
     """True if ``name`` is a file of the run, not one that a user added to its folder."""
     return name in {MANIFEST, CHECKPOINT, LOCK, *run.manifest["files"]}
@@ -52,40 +164,6 @@ def replaceable(existing: StoredRun, new: Mapping[str, Any]) -> bool:
         existing.interrupted and existing.manifest.get("step", 0) <= new.get("step", 0)
     )
     return existing.same(new) and not further and all(_own(name, existing) for name in os.listdir(existing.folder))
-
-
-def require_place(out: Path, name: str) -> StoredRun | None:
-    """Finished run at ``out/<name>``, if there is one. Raises UsageError if no run can be written there."""
-    target = out / name
-    try:
-        if out.exists() and not out.is_dir():
-            raise UsageError(f"output folder {out}: is not a folder; choose another with --out")
-        found = read_run(target)
-        other = found is None and target.exists() and (not target.is_dir() or any(target.iterdir()))
-    except OSError as error:
-        raise UsageError(
-            f"{str(error.filename or target)[:400]}: {(error.strerror or str(error)).lower()}; nothing was written",
-            "choose another folder with --out, or another name with --name",
-        ) from None
-    if isinstance(found, StoredRun):
-        return found
-    if other or found:
-        why = f"holds a damaged run ({found.reason})" if found else "exists and is not a finished run"
-        raise UsageError(
-            f"{target}: {why}; nothing was written",
-            "move it away, or choose another folder with --out or another name with --name",
-        )
-    require_real(target)
-    return None
-
-
-def require_real(target: Path) -> None:
-    """Raise UsageError if a run would replace a symbolic link."""
-    if target.is_symlink():
-        raise UsageError(
-            f"{target}: is a symbolic link, which no run can replace; nothing was written",
-            "remove it, or choose another name with --name",
-        )
 
 
 def _superseded(part: Part, manifest: Mapping[str, Any]) -> bool:
