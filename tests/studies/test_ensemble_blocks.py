@@ -17,6 +17,7 @@ from topcli.engine import ensemble as engine
 from topcli.engine.endings import CODES, Endings
 from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
+from topcli.runs.prepare import prepared
 from topcli.runs.report import SHOWN, EndingTally
 from topcli.runs.run import run_experiment
 from topcli.tops.kowalevski import Kowalevski
@@ -270,6 +271,6 @@ def test_the_code_of_every_group_is_part_of_the_identity() -> None:
     def code(*moments: float) -> str:
         top = {"kind": "heavy", "A": 2.0, "B": 1.0, "C": 1.0, "x0": 1.0}
         grid = {"ensemble": {"grid": {"top.B": list(moments)}}}
-        return study.ensemble_identity(experiment(top=top, scheme="splitting", initial=START, **grid)).code
+        return prepared(experiment(top=top, scheme="splitting", initial=START, **grid)).identity.code
 
     assert len({code(1.0, 1.5), code(1.0, 2.0), code(2.0, 1.0), code(2.0)}) == 4

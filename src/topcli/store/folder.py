@@ -103,7 +103,8 @@ class Folder:
             hint = "choose another folder with --out, or another name with --name"
             return cls(out, name, (f"{wrong}; nothing was written", hint))
         if foreign or isinstance(run, DamagedRun):
-            why = f"holds a damaged run ({run.reason})" if run else "exists and is not a finished run"
+            damage = isinstance(run, DamagedRun) and f"holds a damaged run ({run.reason})"
+            why = damage or "exists and is not a finished run"
             hint = "move it away, or choose another folder with --out or another name with --name"
             return cls(out, name, (f"{target}: {why}; nothing was written", hint))
         parts = tuple(parts_of(out, name))
