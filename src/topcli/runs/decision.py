@@ -12,7 +12,6 @@ from topcli.contracts import Outcome
 from topcli.errors import UsageError
 from topcli.runs.identity import Identity
 from topcli.store.folder import Folder, Source, link_error
-from topcli.store.manifest import StoredRun
 from topcli.store.series import damaged
 
 CHECKPOINT_SECONDS = 10.0
@@ -72,49 +71,38 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
 
     Raises UsageError for a run that is refused, and RunError if there is only a damaged one to continue.
     """
-    run = folder.run
+    run, suffix = folder.run, identity.config["output"]["format"]
     if folder.fault:
         raise UsageError(*folder.fault)
     if run is None and folder.linked:
         raise link_error(folder.target)
-    current = run is not None and run.up_to_date(identity.digests)
-    source = _source(identity, folder) if options.resume and not current else None
-    reuse = run and current and not options.force and not (options.retry_failed and _failed(run))
-    decision = (_reuse(identity, run) if run and reuse else None) or _compute(identity, folder, options, source)
-    if folder.linked and decision.verb != "leave":
+    current = run is not None and run.complete(identity.digests)
+    failed = run is not None and run.outcome is not Outcome.COMPLETED
+    source = _source(identity, folder) if options.resume and (folder.damage or not current) else None
+    decision = _run(identity, folder, options, source)
+    if run and current and not folder.damage and not options.force and not (failed and options.retry_failed):
+        hint = f"; the existing run ended as {run.outcome.value}; --retry-failed runs it again" if failed else ""
+        if run.series.suffix == f".{suffix}":
+            return Decision("leave", f"up to date{hint}")
+        decision = Decision("rewrite", f"will be rewritten as {suffix}")
+    if folder.linked:
         raise link_error(folder.target)
     return decision
 
 
-def _failed(run: StoredRun) -> bool:
-    return run.outcome is not Outcome.COMPLETED
-
-
-def _reuse(identity: Identity, run: StoredRun) -> Decision | None:
-    """Decision on a run that is up to date, perhaps in another format; None if its tables are too damaged for that."""
-    suffix = identity.config["output"]["format"]
-    if run.series.suffix == f".{suffix}":
-        hint = f"; the existing run ended as {run.outcome.value}; --retry-failed runs it again" if _failed(run) else ""
-        return Decision("leave", f"up to date{hint}")
-    # a rewritten file gets a checksum of its own, so the earlier one must be whole, however large
-    return None if run.damage() else Decision("rewrite", f"will be rewritten as {suffix}")
-
-
-def _compute(identity: Identity, folder: Folder, options: RunOptions, source: Source | None) -> Decision:
-    """Decision on a run to be computed, from the start or from ``source``."""
-    run, notes = folder.run, _notes(identity, folder, options, source)
+def _run(identity: Identity, folder: Folder, options: RunOptions, source: Source | None) -> Decision:
+    """Decision to run, from the start or from ``source``, in the place of the run that is there."""
+    notes = _notes(identity, folder, options, source)
     begin = f"will continue from step {source.done}" if source else "will run"
-    if run is None:
+    if folder.run is None:
         return Decision("run", begin, source, notes)
-    if run.manifest["digest"] == identity.digest:
-        quick = run.series.suffix == f".{identity.config['output']['format']}"
-        damage = run.damage(quick)
+    if folder.run.manifest["digest"] == identity.digest:
         action = begin if source else "will run again"
-        action += "".join(f"; {name} is damaged: {why}" for name, why in damage.items())
-        return Decision("run", action, source, (action, *notes) if damage else notes)
+        action += "".join(f"; {name} is damaged: {why}" for name, why in folder.damage.items())
+        return Decision("run", action, source, (action, *notes) if folder.damage else notes)
     if not options.force and source is None:
         raise UsageError(
-            f"{folder.target}: holds {_other(identity, run.manifest)}; nothing was written",
+            f"{folder.target}: holds {_other(identity, folder.run.manifest)}; nothing was written",
             "choose another name with --name or another folder with --out, or use --force, which renames "
             "the earlier run",
         )

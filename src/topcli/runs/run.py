@@ -100,7 +100,8 @@ def decision_on(
 ) -> tuple[Identity, Decision]:
     """Identity of an experiment, and the decision on it. Raises UsageError for a run that would be refused."""
     identity = prepared(experiment, options.resume).identity
-    return identity, decide(identity, Folder.look(out, identity.name), options)
+    folder = Folder.look(out, identity.name, identity.config["output"]["format"])
+    return identity, decide(identity, folder, options)
 
 
 def run_experiment(
@@ -117,7 +118,7 @@ def run_experiment(
     ready = prepared(experiment, options.resume)
     identity, tell = ready.identity, options.on_message
     name = identity.name
-    folder = Folder.look(out, name)
+    folder = Folder.look(out, name, identity.config["output"]["format"])
     decision = decide(identity, folder, options)
     for note in decision.notes:
         tell(f"{name}: {note}")

@@ -13,7 +13,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,8 @@ class Folder:
         Lines of an error if no run can be written there; empty if one can.
     run : StoredRun or None
         Finished run in the place.
+    damage : mapping
+        Damaged files of that run and their faults.
     linked : bool
         True if the place is a symbolic link.
     parts : tuple of Part
@@ -79,6 +81,7 @@ class Folder:
     name: str
     fault: tuple[str, ...] = ()
     run: StoredRun | None = None
+    damage: Mapping[str, str] = field(default_factory=dict)
     linked: bool = False
     parts: tuple[Part, ...] = ()
     sources: tuple[Source, ...] = ()
@@ -90,8 +93,12 @@ class Folder:
         return self.out / self.name
 
     @classmethod
-    def look(cls, out: Path, name: str) -> Folder:
-        """Look at the place."""
+    def look(cls, out: Path, name: str, suffix: str = "") -> Folder:
+        """Look at the place, before a run that is written in the format ``suffix``.
+
+        Of a finished run in another format, which may have to be rewritten, large files are compared whole: the new
+        ones get checksums of their own.
+        """
         target = out / name
         try:
             if out.exists() and not out.is_dir():
@@ -114,7 +121,8 @@ class Folder:
         sources = (*_left_by_killed(parts), *_interrupted(places, name))
         left = [] if sources else [*(part.folder for part in parts if not part.alive), *places]
         damaged_checkpoint = next((path for folder in left if (path := folder / CHECKPOINT).exists()), None)
-        return cls(out, name, (), run, target.is_symlink(), parts, sources, damaged_checkpoint)
+        damage = run.damage(quick=not suffix or run.series.suffix == f".{suffix}") if run else {}
+        return cls(out, name, (), run, damage, target.is_symlink(), parts, sources, damaged_checkpoint)
 
 
 def _left_by_killed(parts: tuple[Part, ...]) -> Iterator[Source]:
@@ -349,7 +357,7 @@ class RunWriter:
         if existing is None:
             return False
         same_format = existing.manifest["series"] == manifest["series"]
-        if same_format and existing.up_to_date(manifest):
+        if same_format and existing.complete(manifest) and not existing.damage(quick=True):
             remove_own(self.folder)
             return True
         if existing.manifest["digest"] == manifest["digest"]:

@@ -146,10 +146,9 @@ class StoredRun:
         """True if ``about`` has the digest and the code of this run, and agrees in ``more`` entries."""
         return all(self.manifest.get(key) == about.get(key) for key in ("digest", "code", *more))
 
-    def up_to_date(self, about: Mapping[str, Any]) -> bool:
-        """True if this is a complete, undamaged run of the experiment and code that ``about`` has."""
-        complete = self.same(about) and not self.interrupted and REPORT in self.manifest["files"]
-        return complete and not self.damage(quick=True)
+    def complete(self, about: Mapping[str, Any]) -> bool:
+        """True if this is a complete run of the experiment and code that ``about`` has."""
+        return self.same(about) and not self.interrupted and REPORT in self.manifest["files"]
 
     def identical(self, other: Mapping[str, Any]) -> bool:
         """True if ``other`` is the manifest of the same run with a bit-identical series."""
