@@ -203,7 +203,7 @@ def test_killed_before_the_manifest_leaves_nothing_that_looks_whole(tmp_path: Pa
     code = (
         "import os, sys; from pathlib import Path; from topcli.store.folder import RunWriter\n"
         "with RunWriter(Path(sys.argv[1]), 'kowalevski_hk') as writer:\n"
-        "    writer.write('report.json', '{}')\n"
+        "    (writer.folder / 'report.json').write_text('{}')\n"
         "    os._exit(9)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
@@ -307,8 +307,7 @@ def test_forced_runs_in_turn_leave_one_copy_of_each(tmp_path: Path) -> None:
 def test_result_written_meanwhile_is_set_aside(tmp_path: Path) -> None:
     with RunWriter(tmp_path, "kowalevski_hk") as writer:
         other = run_experiment(small(), tmp_path)
-        writer.write("series.csv", "x")
-        writer.commit({"digest": "f" * 64, "code": "c", "series": "series.csv"})
+        writer.commit({"digest": "f" * 64, "code": "c", "series": "series.csv"}, {"series.csv": "x"})
     assert writer.set_aside is not None
     assert stored_run(writer.set_aside).manifest["digest"] == other.stored.manifest["digest"]
 

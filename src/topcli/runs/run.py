@@ -28,7 +28,7 @@ from topcli.runs.report import (
 )
 from topcli.schemes.registry import top_origin
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from topcli.store.files import io_failure
+from topcli.store.files import io_failure, json_text
 from topcli.store.folder import Folder, RunWriter, Source
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.parts import is_result, remove_own
@@ -93,6 +93,13 @@ def table_metadata(identity: Identity, made_in: dict[str, Any]) -> dict[str, str
         "topcli.digest": identity.digest,
         "topcli.environment": json.dumps(made_in),
     }
+
+
+def config_text(identity: Identity) -> str:
+    """Config of a run as YAML."""
+    from topcli.config.yaml_text import to_yaml  # slow to import; runs that are up to date do not need it
+
+    return to_yaml(identity.config)
 
 
 def decision_on(
@@ -170,12 +177,6 @@ def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], 
     return RunResult(stored, stored.report(), "resumed", writer.set_aside)
 
 
-def _write_config(writer: RunWriter, identity: Identity) -> None:
-    from topcli.config.yaml_text import to_yaml  # slow to import, for runs alone that are computed
-
-    writer.write("config.yaml", to_yaml(identity.config))
-
-
 class Recording:
     """A run on its way into its folder; a subclass runs it into tables."""
 
@@ -195,9 +196,7 @@ class Recording:
         """
         report, markdown, entries = self.record(start, options)
         writer, origin, identity = self.writer, self.origin, self.origin.identity
-        writer.write("report.json", json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-        writer.write("report.md", markdown)
-        _write_config(writer, identity)
+        texts = {"report.json": json_text(report), "report.md": markdown, "config.yaml": config_text(identity)}
         first = self.experiment if isinstance(self.experiment, Experiment) else self.experiment.first
         manifest = {
             "name": identity.name,
@@ -214,7 +213,7 @@ class Recording:
             "environment": origin.environment,
             **origin.commit.read(),
         }
-        return writer.commit(manifest), report
+        return writer.commit(manifest, texts), report
 
     def failure(self, error: OSError) -> RunError:
         """Error to report after a failed write."""
@@ -325,11 +324,11 @@ def _finished_result(identity: Identity, run: StoredRun, out: Path, rewrite: boo
                     writer.sha256[target.name] = copy_series(run.folder / name, target, metadata, _ended(manifest))
                 elif is_result(name):
                     shutil.copyfile(run.folder / name, writer.folder / name)
-            _write_config(writer, identity)
             kept = {key: value for key, value in manifest.items() if key != "files"}
             kept |= {key: tables[manifest[key]] for key in _TABLES if key in manifest}
             rewritten = {"from": sorted(tables), "at": now()}
-            stored = writer.commit({**kept, "name": identity.name, "config": identity.config, "rewritten": rewritten})
+            kept |= {"name": identity.name, "config": identity.config, "rewritten": rewritten}
+            stored = writer.commit(kept, {"config.yaml": config_text(identity)})
         except OSError as error:
             if stored_run(run.folder) is not None:  # not moved yet: the unplaced copy is of no use
                 remove_own(writer.folder)

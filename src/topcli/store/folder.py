@@ -290,20 +290,18 @@ class RunWriter:
             kept = f"{_KEPT} (up to step {left.done})"
         return io_failure(error, self.target, kept)
 
-    def write(self, name: str, text: str) -> None:
-        """Write one text file of the folder. Raises OSError naming it."""
-        path = self.folder / name
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise named(error, path) from None
-
-    def commit(self, manifest: dict[str, Any]) -> StoredRun:
-        """Write the manifest, flush everything to the disk and rename the folder into place.
+    def commit(self, manifest: Mapping[str, Any], texts: Mapping[str, str]) -> StoredRun:
+        """Write ``texts`` by file name and the manifest, flush all to the disk and rename the folder into place.
 
         The checkpoint is removed after the manifest has been written, unless the run is interrupted.
         Raises OSError, and RunError if another process has put a different run there.
         """
+        for name, text in texts.items():
+            path = self.folder / name
+            try:
+                path.write_text(text, encoding="utf-8")
+            except OSError as error:
+                raise named(error, path) from None
         release_reserve(self.folder)
         kept = {CHECKPOINT} if manifest.get("outcome") == "interrupted" else set()
         files = sorted(name for name in os.listdir(self.folder) if is_result(name) or name in kept)

@@ -11,6 +11,7 @@ from typing import Any
 
 from topcli.analysis.pareto import Point, at_error, pareto_front
 from topcli.errors import RunError, UsageError
+from topcli.store.files import json_text
 from topcli.store.folder import RunWriter, require_real
 from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
 from topcli.store.provenance import Commit
@@ -260,9 +261,7 @@ def store_bench(
         try:
             about = {"topcli.bench": result["name"], "topcli.digest": digest}
             write_table(writer.folder / POINTS, points_table(result), about)
-            text = json.dumps({"schema_version": SCHEMA_VERSION, **result}, indent=1, ensure_ascii=False)
-            writer.write(REPORT, text + "\n")
-            writer.write("report.md", report_text(result))
+            report = json_text({"schema_version": SCHEMA_VERSION, **result})
             stored = writer.commit(
                 {
                     "name": result["name"],
@@ -276,7 +275,8 @@ def store_bench(
                     "ended": ended,
                     "environment": result["environment"],
                     **commit.read(),
-                }
+                },
+                {REPORT: report, "report.md": report_text(result)},
             )
         except OSError as error:
             raise writer.failure(error, "nothing was kept of this bench") from error
