@@ -60,7 +60,7 @@ def left(done: int, *, where: Any = None, complete: bool = False, **changes: Any
     return Source(where or part(), done, checkpoint, manifest(**changes))
 
 
-OTHER_RUN = run(digest="b" * 64, config=config(h=0.2))
+OTHER_RUN = run(digest="b" * 64, config=config(h=0.2, name="earlier"))
 OTHER_CODE = run(digest="b" * 64, top_origin="mine.py")
 
 
@@ -95,6 +95,9 @@ CASES = {
     "up to date": Case({"run": run()}, PLAIN, "leave", "up to date"),
     "up to date, to be resumed": Case({"run": run()}, RESUME, "leave", "up to date"),
     "up to date, beside a killed run": Case({"run": run(), "sources": (left(40),)}, RESUME, "leave", "up to date"),
+    "up to date, beside a killed run of other code": Case(
+        {"run": run(), "sources": (left(40, code="other"),)}, RESUME, "leave", "up to date"
+    ),
     "up to date, by force": Case({"run": run()}, FORCE, action="will run again"),
     "not failed, to be retried": Case({"run": run()}, RETRY, "leave", "up to date"),
     "failed": Case(
@@ -133,6 +136,11 @@ CASES = {
     "the same run by a user's top": Case(
         {"run": OTHER_CODE}, PLAIN, "as computed by other code of mine.py (digest bbbbbbbb, this one aaaaaaaa)"
     ),
+    "a very different run": Case(
+        {"run": run(digest="b" * 64, config=config(scheme={"name": "rk4"}, h=0.2, N=7, output={"every": 2}))},
+        PLAIN,
+        "(scheme.name: rk4 there, hk here; h: 0.2 there, 0.1 here; N: 7 there, 100 here; ...); nothing",
+    ),
     "a different run, by force": Case(
         {"run": OTHER_RUN}, FORCE, action="will run; the existing different run is renamed, not overwritten"
     ),
@@ -142,7 +150,7 @@ CASES = {
         action="will continue from step 40; the existing different run is renamed, not overwritten",
         step=40,
     ),
-    "killed": Case({"parts": (part(),), "sources": (left(40),)}, PLAIN, action="will run", notes=(HINT,)),
+    "killed": Case({"parts": (part(),), "sources": (left(30), left(40))}, PLAIN, action="will run", notes=(HINT,)),
     "killed, to be resumed": Case(
         {"parts": (part(),), "sources": (left(40), left(60), left(50))},
         RESUME,

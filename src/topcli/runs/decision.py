@@ -74,8 +74,6 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
     run, suffix = folder.run, identity.config["output"]["format"]
     if folder.fault:
         raise UsageError(*folder.fault)
-    if run is None and folder.linked:
-        raise link_error(folder.target)
     current = run is not None and run.complete(identity.digests)
     failed = run is not None and run.outcome is not Outcome.COMPLETED
     source = _source(identity, folder) if options.resume and (folder.damage or not current) else None

@@ -115,9 +115,9 @@ class Folder:
             hint = "move it away, or choose another folder with --out or another name with --name"
             return cls(out, name, (f"{target}: {why}; nothing was written", hint))
         parts = tuple(parts_of(out, name))
-        places = [target]
-        with contextlib.suppress(OSError), os.scandir(out) as entries:
-            places += [out / entry for entry in sorted(e.name for e in entries if e.name.startswith(f"{name}."))]
+        places, aside = [target], f"{name}."
+        with contextlib.suppress(OSError):
+            places += sorted(out / entry for entry in os.listdir(out) if entry.startswith(aside))
         sources = (*_left_by_killed(parts), *_interrupted(places, name))
         left = [] if sources else [*(part.folder for part in parts if not part.alive), *places]
         damaged_checkpoint = next((path for folder in left if (path := folder / CHECKPOINT).exists()), None)

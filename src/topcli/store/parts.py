@@ -225,7 +225,8 @@ def _part_folders(out: Path, name: str | None) -> list[Path]:
             return sorted(
                 out / entry.name
                 for entry in entries
-                if (part := _PART.fullmatch(entry.name))
+                if entry.name[0] == "."
+                and (part := _PART.fullmatch(entry.name))
                 and name in (None, part[1])
                 and entry.is_dir(follow_symlinks=False)
             )
