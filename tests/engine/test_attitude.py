@@ -21,7 +21,7 @@ from topcli.engine.driver import loop_of
 from topcli.engine.loop import Run
 from topcli.engine.native import native
 from topcli.errors import UsageError
-from topcli.runs.prepare import run_of
+from topcli.runs.recorder import run_of
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
 

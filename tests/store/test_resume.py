@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -130,7 +131,7 @@ def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
         raise Killed
 
     with monkeypatch.context() as patched:
-        patched.setattr("topcli.store.folder.RunWriter._rename", rename)
+        patched.setattr(os, "rename", rename)
         with pytest.raises(Killed):
             run_experiment(small(), tmp_path)
         assert stored_runs(tmp_path) == []

@@ -17,7 +17,7 @@ from topcli.engine import ensemble as engine
 from topcli.engine.endings import CODES, Endings
 from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
-from topcli.runs.prepare import prepared
+from topcli.runs.identity import prepared
 from topcli.runs.report import SHOWN, EndingTally
 from topcli.runs.run import run_experiment
 from topcli.tops.kowalevski import Kowalevski

@@ -71,7 +71,7 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
 
     Raises UsageError for a run that is refused, and RunError if there is only a damaged one to continue.
     """
-    run, suffix = folder.run, identity.config["output"]["format"]
+    run = folder.run
     if folder.fault:
         raise UsageError(*folder.fault)
     current = run is not None and run.complete(identity.digests)
@@ -80,9 +80,9 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
     decision = _run(identity, folder, options, source)
     if run and current and not folder.damage and not options.force and not (failed and options.retry_failed):
         hint = f"; the existing run ended as {run.outcome.value}; --retry-failed runs it again" if failed else ""
-        if run.series.suffix == f".{suffix}":
+        if run.series.suffix == f".{identity.format}":
             return Decision("leave", f"up to date{hint}")
-        decision = Decision("rewrite", f"will be rewritten as {suffix}")
+        decision = Decision("rewrite", f"will be rewritten as {identity.format}")
     if folder.linked:
         raise link_error(folder.target)
     return decision

@@ -21,6 +21,7 @@ from topcli.errors import UsageError
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
+    from topcli.engine.precise.loop import PreciseRun
 
 
 def method_fingerprint(method: Method) -> str:
@@ -77,6 +78,11 @@ class Identity:
         return self.config["name"]
 
     @property
+    def format(self) -> str:
+        """Format of its tables, and their suffix."""
+        return self.config["output"]["format"]
+
+    @property
     def digests(self) -> dict[str, str]:
         """``digest`` and ``code``, as locks, checkpoints and manifests hold them."""
         return {"digest": self.digest, "code": self.code}
@@ -90,3 +96,32 @@ class Identity:
     def same(self, about: Mapping[str, Any]) -> bool:
         """True if ``about``, a manifest or the data of a checkpoint, has both digests."""
         return about.get("digest") == self.digest and about.get("code") == self.code
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """An experiment made ready: its ``identity``, and, unless it is an ensemble, its method and its other precision."""
+
+    identity: Identity
+    method: Method
+    precise: PreciseRun | None = None
+
+
+def prepared(experiment: Experiment | EnsembleExperiment, resume: bool = False) -> Prepared:
+    """Make an experiment ready. Raises UsageError if it cannot be computed, or not resumed."""
+    if isinstance(experiment, Experiment):
+        method, precise = experiment.method(), precise_of(experiment)
+        return Prepared(Identity.of(experiment, [method]), method, precise)
+    if resume:
+        raise UsageError("--resume works for runs of one trajectory; run the ensemble again without it")
+    methods = [experiment.of_group(group).method() for group in experiment.members.groups]
+    return Prepared(Identity.of(experiment, methods), methods[0])
+
+
+def precise_of(experiment: Experiment) -> PreciseRun | None:
+    """Prepare a run in another precision than double; None for double. Raises UsageError if the scheme has none."""
+    if experiment.exact is None:
+        return None
+    from topcli.runs.precise import precise_run
+
+    return precise_run(experiment)

@@ -1,4 +1,4 @@
-"""The recorder: rows leave the time loop once, for the report, the series and the checkpoints of a run."""
+"""Time loop, recorder and checkpoints of a run: rows leave the loop once, for the report and the series."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from topcli.analysis.columns import attitude_columns, columns, invariant_values
 from topcli.analysis.tally import InvariantTally
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Ending
+from topcli.contracts import Array, Ending, Method
 from topcli.engine.loop import Chunk, Position, Run
 from topcli.runs.decision import CHECKPOINT_SECONDS
 from topcli.runs.report import left_motion
@@ -25,6 +25,7 @@ from topcli.store.series import SeriesMark, SeriesWriter
 
 if TYPE_CHECKING:
     from topcli.analysis.roundoff import DigitGrowth
+    from topcli.engine.precise.loop import PreciseRun
 
 BATCH = 256
 """Rows that are evaluated and written together: doing so for a single row costs as much as some thousand steps."""
@@ -160,6 +161,40 @@ class Recorder:
         left = {} if ending.left is None else {"topcli.left_motion": json.dumps(left_motion(ending))}
         self.series.finish({"topcli.outcome": ending.outcome.value, "topcli.message": ending.message, **left})
         return ending
+
+
+def run_of(
+    experiment: Experiment,
+    method: Method,
+    precise: PreciseRun | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    start: Position | None = None,
+) -> Run:
+    """Time loop of an experiment in its precision; ``output.attitude`` appends the quaternion to its states."""
+    top, y0, h, N, every = experiment.top, experiment.y0, experiment.h, experiment.N, experiment.output.every
+    if precise is not None:
+        return Run(precise.top, precise.loop, precise.y0, precise.h, N, every, stop, start)
+    if not experiment.output.attitude:
+        return Run(top, method, y0, h, N, every, stop, start)
+    from topcli.engine.attitude import attitude_loop, start_attitude
+
+    loop = attitude_loop(top, experiment.scheme, experiment.options, method)
+    return Run(top, loop, (*y0, *start_attitude(top, y0)), h, N, every, stop, start)
+
+
+def recorder_of(
+    experiment: Experiment,
+    precise: PreciseRun | None,
+    path: Path,
+    metadata: Mapping[str, str],
+    start: Checkpoint | None,
+) -> Recorder:
+    """Recorder of an experiment in its precision, for a series at ``path``; it continues from ``start``."""
+    if precise is None:
+        return Recorder(experiment, path, metadata, start)
+    from topcli.runs.precise import PreciseRecorder
+
+    return PreciseRecorder(experiment, precise, path, metadata, start)
 
 
 @dataclass

@@ -14,9 +14,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.runs.decision import Decision, RunOptions, decide, difference
-from topcli.runs.identity import Identity
-from topcli.runs.prepare import Prepared, prepared, recorder_of, run_of
-from topcli.runs.recorder import Checkpoints
+from topcli.runs.identity import Identity, Prepared, prepared
+from topcli.runs.recorder import Checkpoints, recorder_of, run_of
 from topcli.runs.report import (
     accuracy_data,
     heading,
@@ -107,8 +106,7 @@ def decision_on(
 ) -> tuple[Identity, Decision]:
     """Identity of an experiment, and the decision on it. Raises UsageError for a run that would be refused."""
     identity = prepared(experiment, options.resume).identity
-    folder = Folder.look(out, identity.name, identity.config["output"]["format"])
-    return identity, decide(identity, folder, options)
+    return identity, decide(identity, Folder.look(out, identity.name, identity.format), options)
 
 
 def run_experiment(
@@ -122,10 +120,9 @@ def run_experiment(
 
     Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
     """
-    ready = prepared(experiment, options.resume)
-    identity, tell = ready.identity, options.on_message
-    name = identity.name
-    folder = Folder.look(out, name, identity.config["output"]["format"])
+    ready, tell = prepared(experiment, options.resume), options.on_message
+    identity, name = ready.identity, ready.identity.name
+    folder = Folder.look(out, name, identity.format)
     decision = decide(identity, folder, options)
     for note in decision.notes:
         tell(f"{name}: {note}")
@@ -141,11 +138,13 @@ def run_experiment(
         origin = Origin(identity, begun["started"], begun["environment"], commit)
         if isinstance(experiment, Experiment):
             resumed = [*begun["resumed"], *([{"step": start.done, "at": now()}] if start else [])]
-            recording: Recording = SingleRecording(experiment, writer, origin, options, ready, resumed, start)
+            recording: Recording = SingleRecording(
+                experiment, writer, origin, ready, resumed, start, options.checkpoint_every
+            )
         else:
             from topcli.runs.ensemble import EnsembleRecording
 
-            recording = EnsembleRecording(experiment, writer, origin, options)
+            recording = EnsembleRecording(experiment, writer, origin)
         try:
             stored, report = recording.carry_out(start, options)
         except OSError as error:
@@ -180,10 +179,8 @@ def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], 
 class Recording:
     """A run on its way into its folder; a subclass runs it into tables."""
 
-    def __init__(
-        self, experiment: Experiment | EnsembleExperiment, writer: RunWriter, origin: Origin, options: RunOptions
-    ) -> None:
-        self.experiment, self.writer, self.origin, self.options = experiment, writer, origin, options
+    def __init__(self, experiment: Experiment | EnsembleExperiment, writer: RunWriter, origin: Origin) -> None:
+        self.experiment, self.writer, self.origin = experiment, writer, origin
 
     def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
         """Run into tables; the report, its Markdown, and entries of the manifest. Raises OSError."""
@@ -221,7 +218,7 @@ class Recording:
 
 
 class SingleRecording(Recording):
-    """A run of one trajectory, with its checkpoints."""
+    """A run of one trajectory, with a checkpoint every some ``seconds``."""
 
     experiment: Experiment
 
@@ -230,12 +227,12 @@ class SingleRecording(Recording):
         experiment: Experiment,
         writer: RunWriter,
         origin: Origin,
-        options: RunOptions,
         ready: Prepared,
         resumed: list[dict[str, Any]],
         start: Checkpoint | None,
+        seconds: float,
     ) -> None:
-        super().__init__(experiment, writer, origin, options)
+        super().__init__(experiment, writer, origin)
         self.ready, self.resumed = ready, resumed
         identity = origin.identity
         about = {
@@ -246,7 +243,7 @@ class SingleRecording(Recording):
             "started": origin.started,
             "resumed": resumed,
         }
-        self.checkpoints = Checkpoints(writer.folder, about, options.checkpoint_every, last=start)
+        self.checkpoints = Checkpoints(writer.folder, about, seconds, last=start)
 
     def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
         """Run into the series; the report, its Markdown, and entries of the manifest. Raises OSError."""
@@ -313,7 +310,7 @@ def _finished_result(identity: Identity, run: StoredRun, out: Path, rewrite: boo
     """
     if not rewrite:
         return RunResult(run, run.report(), "up to date")
-    manifest, suffix = run.manifest, identity.config["output"]["format"]
+    manifest, suffix = run.manifest, identity.format
     tables = {manifest[key]: f"{Path(manifest[key]).stem}.{suffix}" for key in _TABLES if key in manifest}
     metadata = table_metadata(identity, manifest.get("environment", {}))
     with RunWriter(out, identity.name, identity.digests, displace=False) as writer:

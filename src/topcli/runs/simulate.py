@@ -19,7 +19,7 @@ from topcli.engine.endings import Endings
 from topcli.engine.ensemble import Piece
 from topcli.errors import UsageError
 from topcli.runs.ensemble import GroupRun, varied_parameters
-from topcli.runs.prepare import run_of
+from topcli.runs.recorder import run_of
 from topcli.tops import TOPS
 
 
