@@ -23,6 +23,7 @@ from topcli.errors import UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import RunResult, run_experiment
 from topcli.store.manifest import stored_run
+from topcli.store.parts import parts_of
 from topcli.store.series import read_series
 
 RANDOM = {"count": 70, "seed": 3, "gamma": "sphere", "omega": {"near": 0.3}}
@@ -73,6 +74,16 @@ def test_the_series_holds_single_runs(tmp_path: Path) -> None:
         single = topcli.simulate(found.member(i).resolved())
         for name in ("n", "t", *found.top.components, "k_sq"):
             assert np.array_equal(series[name][rows], single[name]), name
+
+
+def test_a_running_ensemble_shows_what_it_computes(tmp_path: Path) -> None:
+    seen: set[str] = set()
+
+    def progress(done: int, total: int) -> None:
+        seen.update(part.owner["digest"] for part in parts_of(tmp_path))
+
+    stored = run_experiment(experiment(), tmp_path, RunOptions(on_progress=progress)).stored
+    assert seen == {stored.manifest["digest"]}
 
 
 def test_a_row_group_for_each_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
