@@ -133,79 +133,8 @@ def _no_rows(group: GroupRun[Any], piece: Piece, values: Values) -> Columns | No
     return None
 
 
-class _Record:
-    """Tables and sums of an ensemble that runs, in memory that does not grow with the number of trajectories.
-
-    ``series`` is the table of rows, if rows are stored. ``table_of(names)`` opens the table of trajectories.
-    """
-
-    def __init__(
-        self,
-        experiment: EnsembleExperiment,
-        series: SeriesWriter | None,
-        table_of: Callable[[list[str]], SeriesWriter],
-        spool: Any,
-    ) -> None:
-        self.experiment, self.series, self._table_of = experiment, series, table_of
-        self.trajectories: SeriesWriter | None = None
-        self.varied = varied_parameters(experiment)
-        self.initial = hashlib.sha256()
-        self.endings = EndingTally(experiment.first.N)
-        self.summary = EnsembleSummary(spool)
-        self.seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
-
-    def run(self, options: RunOptions) -> None:
-        """Run each group, block by block."""
-        N, total = self.experiment.first.N, self.experiment.first.N * self.experiment.count
-        keep = _all_rows if self.experiment.store == "trajectories" else _no_rows
-        offset = 0
-        for group in self.experiment.members.groups:
-            one = GroupRun(self.experiment, group, offset, keep, options.stop, options.threads)
-            for y0 in group.source.blocks(BLOCK):
-                self._write_block(one, y0, lambda done, one=one: options.on_progress(one.offset * N + done, total))
-            self._add_seconds(one.run)
-            offset += group.count
-
-    def _write_block(self, one: GroupRun[Columns | None], y0: Array, advanced: Callable[[int], None]) -> None:
-        tile = -1
-        for made, done in one.block(y0):
-            if made is not None and self.series is not None:
-                begins = int(made["trajectory"][0] - one.offset) // one.run.tile
-                if one.run.side_by_side or begins != tile:
-                    self.series.end_group()
-                tile = begins
-                self.series.write(made)
-            advanced(done)
-        if self.experiment.store == "final" and self.series is not None:
-            self.series.write(one.last_rows())
-        self.initial.update(np.ascontiguousarray(y0, dtype="<f8").data)
-        self.endings.add(one.run.endings)
-        self.summary.add(one.tally)
-        made = one.trajectories(self.varied)
-        if self.trajectories is None:
-            self.trajectories = self._table_of(list(made))
-        self.trajectories.write(made)
-
-    def _add_seconds(self, run: EnsembleRun[Any]) -> None:
-        self.seconds["compile"] += run.compile_seconds
-        self.seconds["compile_cached"] &= run.cached
-        if run.setup is not None:
-            self.seconds["setup"] = self.seconds.get("setup", 0.0) + run.setup.seconds
-            self.seconds["setup_cached"] = self.seconds.get("setup_cached", True) and run.setup.cached
-        self.seconds["run"] += run.run_seconds
-        self.seconds["threads"] = run.threads
-
-    def finish(self, digest: str) -> dict[str, Any]:
-        """Complete the tables and return the report. Raises OSError."""
-        ended = {"topcli.outcome": self.endings.outcome.value, "topcli.message": self.endings.message}
-        for table in (self.series, self.trajectories):
-            if table is not None:
-                table.finish(ended)
-        return ensemble_report(self.experiment, digest, self.endings, self.summary.rows(), self.seconds)
-
-
 class EnsembleRecording(Recording):
-    """An ensemble on its way into its tables.
+    """An ensemble on its way into its tables, in memory that does not grow with the number of trajectories.
 
     ``series.parquet`` has a column ``trajectory`` and the rows selected by ``store``, one row group per block of
     trajectories, or per stretch of a block in a long run. ``trajectories.parquet`` has one row per trajectory; with
@@ -216,32 +145,76 @@ class EnsembleRecording(Recording):
 
     def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
         """Run into the tables; the report, its Markdown, and entries of the manifest. Raises OSError."""
-        experiment, writer, metadata = self.experiment, self.writer, self.origin.metadata()
+        experiment, N = self.experiment, self.experiment.first.N
         if message := setup_message(experiment, options.threads):
             options.on_message(f"{experiment.name}: {message}")
-        suffix = experiment.first.output.format
-        table = writer.folder / f"trajectories.{suffix}"
-        path = table if experiment.store == "statistics" else writer.folder / f"series.{suffix}"
-        with ExitStack() as stack:
-            series = None
-            if path != table:
-                names = list(experiment.first.output.columns or column_names(experiment.top))
-                series = stack.enter_context(SeriesWriter(path, ["trajectory", *names], metadata))
-
-            def table_of(names: list[str]) -> SeriesWriter:
-                return stack.enter_context(SeriesWriter(table, names, metadata))
-
-            spool = stack.enter_context(tempfile.TemporaryFile(dir=writer.folder))
-            record = _Record(experiment, series, table_of, spool)
-            record.run(options)
-            report = record.finish(self.origin.identity.digest)
-            for name, written in ((path.name, series), (table.name, record.trajectories)):
-                if written is not None:
-                    writer.sha256[name] = written.sha256
+        self._varied = varied_parameters(experiment)
+        self._tables: dict[str, SeriesWriter] = {}
+        self._endings, self._initial, offset = EndingTally(N), hashlib.sha256(), 0
+        seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
+        keep = _all_rows if experiment.store == "trajectories" else _no_rows
+        with ExitStack() as self._open:
+            if experiment.store != "statistics":
+                self._table(
+                    "series", ["trajectory", *(experiment.first.output.columns or column_names(experiment.top))]
+                )
+            self._summary = EnsembleSummary(self._open.enter_context(tempfile.TemporaryFile(dir=self.writer.folder)))
+            for group in experiment.members.groups:
+                run = GroupRun(experiment, group, offset, keep, options.stop, options.threads)
+                for y0 in group.source.blocks(BLOCK):
+                    for done in self._block(run, y0):
+                        options.on_progress(run.offset * N + done, N * experiment.count)
+                _add_seconds(seconds, run.run)
+                offset += group.count
+            ended = {"topcli.outcome": self._endings.outcome.value, "topcli.message": self._endings.message}
+            files = {name: f"{name}.{experiment.first.output.format}" for name in self._tables}
+            for name, table in self._tables.items():
+                table.finish(ended)
+                self.writer.sha256[files[name]] = table.sha256
+            summary = self._summary.rows()
+            report = ensemble_report(experiment, self.origin.identity.digest, self._endings, summary, seconds)
         manifest = {
             "kind": "ensemble",
-            "series": path.name,
-            "trajectories": table.name,
-            "initial_states_sha256": record.initial.hexdigest(),
+            "series": files.get("series", files["trajectories"]),
+            "trajectories": files["trajectories"],
+            "initial_states_sha256": self._initial.hexdigest(),
         }
         return report, ensemble_markdown(report), manifest
+
+    def _table(self, name: str, columns: list[str]) -> SeriesWriter:
+        """The table ``name``, which is opened with these columns when it is first needed."""
+        if name not in self._tables:
+            path = self.writer.folder / f"{name}.{self.experiment.first.output.format}"
+            table = SeriesWriter(path, columns, self.origin.metadata())
+            self._tables[name] = self._open.enter_context(table)
+        return self._tables[name]
+
+    def _block(self, group: GroupRun[Columns | None], y0: Array) -> Iterator[int]:
+        """Run a block of trajectories into the tables; yield the trajectory-steps done."""
+        series, tile = self._tables.get("series"), -1
+        for rows, done in group.block(y0):
+            if rows is not None and series is not None:
+                begins = int(rows["trajectory"][0] - group.offset) // group.run.tile
+                if group.run.side_by_side or begins != tile:
+                    series.end_group()
+                tile = begins
+                series.write(rows)
+            yield done
+        if self.experiment.store == "final" and series is not None:
+            series.write(group.last_rows())
+        self._initial.update(np.ascontiguousarray(y0, dtype="<f8").data)
+        self._endings.add(group.run.endings)
+        self._summary.add(group.tally)
+        rows = group.trajectories(self._varied)
+        self._table("trajectories", list(rows)).write(rows)
+
+
+def _add_seconds(seconds: dict[str, Any], run: EnsembleRun[Any]) -> None:
+    """Add the times of the latest group."""
+    seconds["compile"] += run.compile_seconds
+    seconds["compile_cached"] &= run.cached
+    if run.setup is not None:
+        seconds["setup"] = seconds.get("setup", 0.0) + run.setup.seconds
+        seconds["setup_cached"] = seconds.get("setup_cached", True) and run.setup.cached
+    seconds["run"] += run.run_seconds
+    seconds["threads"] = run.threads
