@@ -17,8 +17,8 @@ from topcli.contracts import Array, Invariant
 from topcli.engine.endings import OUTCOMES
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
 from topcli.runs.decision import RunOptions
+from topcli.runs.recording import Recording
 from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report, setup_message
-from topcli.runs.run import Recording
 from topcli.store.checkpoint import Checkpoint
 from topcli.store.series import SeriesWriter
 

@@ -17,7 +17,6 @@ from topcli.analysis.tally import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Method
 from topcli.engine.loop import Chunk, Position, Run
-from topcli.runs.decision import CHECKPOINT_SECONDS
 from topcli.runs.report import left_motion
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.parts import release_reserve, reserve
@@ -182,21 +181,6 @@ def run_of(
     return Run(top, loop, (*y0, *start_attitude(top, y0)), h, N, every, stop, start)
 
 
-def recorder_of(
-    experiment: Experiment,
-    precise: PreciseRun | None,
-    path: Path,
-    metadata: Mapping[str, str],
-    start: Checkpoint | None,
-) -> Recorder:
-    """Recorder of an experiment in its precision, for a series at ``path``; it continues from ``start``."""
-    if precise is None:
-        return Recorder(experiment, path, metadata, start)
-    from topcli.runs.precise import PreciseRecorder
-
-    return PreciseRecorder(experiment, precise, path, metadata, start)
-
-
 @dataclass
 class Checkpoints:
     """Save the state of a run: on the disk every ``seconds``, in memory after every row group.
@@ -206,7 +190,7 @@ class Checkpoints:
 
     folder: Path
     about: dict[str, Any]
-    seconds: float = CHECKPOINT_SECONDS
+    seconds: float
     clock: Callable[[], float] = time.monotonic
     last: Checkpoint | None = None
 
