@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
+import resuming
 from topcli.errors import RunError, UsageError
 from topcli.runs.decision import Decision, RunOptions, decide
 from topcli.runs.identity import Identity
+from topcli.runs.run import run_experiment
 from topcli.store.folder import Folder, Source
 from topcli.store.manifest import REPORT, StoredRun
 from topcli.store.parts import Part
@@ -224,3 +226,14 @@ def test_a_look_changes_nothing(tmp_path: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     assert Folder.look(tmp_path, NAME).parts == ()
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+def test_a_look_finds_the_unfinished_runs_of_its_name_alone(tmp_path: Path, small_chunks: None) -> None:
+    """``wobble.2`` is the name of another run as well as of one that was set aside."""
+    longer = f"{resuming.NAME}.2"
+    stop = RunOptions(stop=resuming.after(5))
+    run_experiment(resuming.small(f"name={longer}"), tmp_path, stop)
+    assert Folder.look(tmp_path, resuming.NAME).sources == ()
+    (source,) = Folder.look(tmp_path, longer).sources
+    assert source.where.folder == tmp_path / longer
+    assert source.done > 0
