@@ -165,9 +165,9 @@ class Recorder:
 def run_of(
     experiment: Experiment,
     method: Method,
-    precise: PreciseRun | None = None,
     stop: Callable[[], bool] = lambda: False,
     start: Position | None = None,
+    precise: PreciseRun | None = None,
 ) -> Run:
     """Time loop of an experiment in its precision; ``output.attitude`` appends the quaternion to its states."""
     top, y0, h, N, every = experiment.top, experiment.y0, experiment.h, experiment.N, experiment.output.every

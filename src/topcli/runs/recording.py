@@ -142,7 +142,7 @@ class SingleRecording(Recording):
         try:
             recorder = _recorder(experiment, precise, path, self.origin.metadata(), start)
             position = start and recorder.position(start)
-            run = run_of(experiment, self.ready.method, precise, options.stop, position)
+            run = run_of(experiment, self.ready.method, options.stop, position, precise)
         except (KeyError, ValueError) as error:
             if start is None:
                 raise
