@@ -15,7 +15,7 @@ from attack.damage import Sandbox, try_all
 from attack.judge import Finding, content, wrong_content
 from attack.scenes import NAME, SHORT, Scenes
 from attack.spoil import DAMAGES, HOSTILE
-from topcli.config.yaml_text import to_yaml
+from topcli.config.text import to_yaml
 
 EXACT = ["--set", "scheme=exact", "--set", "N=20", "--name", NAME]
 DIGITS = 2000

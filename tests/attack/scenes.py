@@ -20,7 +20,7 @@ from attack.judge import Content, content, judged
 from attack.studies import SweepScene, sweep_scenes
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
-from topcli.config.yaml_text import to_yaml
+from topcli.config.text import to_yaml
 from topcli.engine import loop
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment

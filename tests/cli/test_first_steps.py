@@ -16,7 +16,7 @@ from terminal import in_terminal
 from topcli.cli.app import _Topcli
 from topcli.cli.options import show_hint
 from topcli.config.files import is_config
-from topcli.config.starter import starter_config
+from topcli.config.schema import starter_config
 from topcli.errors import LIST_LENGTH, nearest
 from topcli.tops import TOPS
 

@@ -16,8 +16,7 @@ from kick_turn import KICK_TURN
 from test_config_schema import fits
 from topcli.cli.options import complete_scheme
 from topcli.config.load import load_experiment
-from topcli.config.schema import config_schema
-from topcli.config.starter import starter_config
+from topcli.config.schema import config_schema, starter_config
 from topcli.contracts import Stepper, Top
 from topcli.schemes import registry
 from topcli.schemes.compose import COMPOSITIONS

@@ -12,10 +12,9 @@ import pytest
 
 from config_texts import BASE, CONFIGS, ENSEMBLES, FILES, PAPER_GAMMA, refusal, write
 from topcli.config.document import Document
-from topcli.config.files import scene_files
+from topcli.config.files import apply_overrides, parse_override, scene_files
 from topcli.config.load import load_experiment
-from topcli.config.overrides import apply_overrides, parse_override
-from topcli.config.yaml_text import parse_yaml, resolve_scalar, to_yaml
+from topcli.config.text import parse_yaml, resolve_scalar, to_yaml
 from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError
 

@@ -9,8 +9,7 @@ import pytest
 
 from config_texts import BASE, BASE_TOML, refusal, write
 from topcli.config.load import load_experiment
-from topcli.config.toml_text import key_lines
-from topcli.config.yaml_text import parse_yaml
+from topcli.config.text import key_lines, parse_yaml
 from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError
 from topcli.schemes import registry

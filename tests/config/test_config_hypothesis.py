@@ -14,11 +14,10 @@ from hypothesis import HealthCheck, example, given, reject, settings
 from hypothesis import strategies as st
 
 from config_texts import CONFIGS
+from topcli.config.files import parse_override
 from topcli.config.load import load_experiment
 from topcli.config.models import name_fault
-from topcli.config.overrides import parse_override
-from topcli.config.toml_text import key_lines
-from topcli.config.yaml_text import parse_yaml, to_yaml
+from topcli.config.text import key_lines, parse_yaml, to_yaml
 from topcli.errors import ConfigError, StepTooLongError, TopcliError
 from topcli.schemes.registry import all_schemes
 

@@ -10,9 +10,8 @@ import pytest
 
 from config_texts import CONFIGS, FILES, write
 from topcli.config.load import load_experiment
-from topcli.config.schema import config_schema
-from topcli.config.starter import starter_config
-from topcli.config.yaml_text import parse_yaml
+from topcli.config.schema import config_schema, starter_config
+from topcli.config.text import parse_yaml
 from topcli.errors import TopcliError, UnknownNameError
 from topcli.schemes import registry
 

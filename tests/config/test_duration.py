@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.config.duration import steps_of, steps_over
 from topcli.config.load import load, load_experiment
+from topcli.config.ranges import steps_of, steps_over
 from topcli.errors import ConfigError, UsageError
 
 

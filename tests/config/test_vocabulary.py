@@ -18,9 +18,8 @@ from topcli.cli import options
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.files import scene_files
 from topcli.config.load import load, load_experiment
-from topcli.config.schema import config_schema
-from topcli.config.starter import starter_config
-from topcli.config.yaml_text import parse_yaml
+from topcli.config.schema import config_schema, starter_config
+from topcli.config.text import parse_yaml
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import names_for
 from topcli.studies.bench.peers import PEERS, missing

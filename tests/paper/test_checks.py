@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.paper import exact_checks, identities, printed, root_checks, run_checks
+from topcli.paper import exact_checks, identities, printed, run_checks
 from topcli.paper.algebra import Draws, Gauss, exact
 from topcli.paper.claim import FAILS, HOLDS, MISPRINT, Measurement
 from topcli.paper.ledger import ledger
@@ -347,10 +347,10 @@ def test_singular_states_of_the_methods() -> None:
     measured, _ = measure("abc-complete")
     assert (measured.figure, measured.note) == (2.0, "(B) at γ₃ = -1; (C) at ω = 0")
     w, c = np.array([0.7, -0.4, 1.3]), np.array([0.6, 0.48, 0.64])
-    h = root_checks.H
+    h = exact_checks.H
     for letter, order in (("A", 3), ("B", 2), ("C", 3)):  # one step of 0.01 against exp(h W) gamma, to the order
         turned = c + h * np.cross(c, w) + 0.5 * h**2 * np.cross(np.cross(c, w), w)
-        new = root_checks.METHODS[letter](exact(*w.tolist()), exact(*c.tolist())).astype(float)
+        new = exact_checks.METHODS[letter](exact(*w.tolist()), exact(*c.tolist())).astype(float)
         assert np.abs(new - turned).max() < 5.0 * h**order, letter
         assert np.dot(new, new) == pytest.approx(1.0, abs=1e-15)
 
@@ -362,7 +362,7 @@ def test_angles_modulo_two_pi_miss_one_root() -> None:
     assert measured.corrected is not None
     assert measured.corrected < 1e-15
     for halves, expected in ((1, HOLDS), (4, MISPRINT)):
-        assert verdict("angles of the roots", root_checks.angles(0.5, halves, 1)) == expected
+        assert verdict("angles of the roots", exact_checks.angles(0.5, halves, 1)) == expected
 
 
 @pytest.mark.slow
@@ -376,7 +376,7 @@ def test_choice_by_sign_is_right_in_figure_2_and_wrong_elsewhere() -> None:
 def test_a_wrong_root_at_the_papers_step_by_plain_complex_numbers() -> None:
     """(A), then Bohlin's equation, then the sign: some states, computed here, get the root -omega'."""
     h, wrong = 0.001, 0
-    for state in root_checks.next_to_axis(h)["ensemble"]["states"]:
+    for state in exact_checks.next_to_axis(h)["ensemble"]["states"]:
         w, g = np.array(state["omega"]), np.array(state["gamma"])
         W = 0.5 * h * np.array([[0, w[2], -w[1]], [-w[2], 0, w[0]], [w[1], -w[0], 0]])
         new = np.linalg.solve(np.eye(3) - W, (np.eye(3) + W) @ g)

@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT
 from topcli.config.files import scene_files
 from topcli.config.load import load_experiment
-from topcli.config.yaml_text import parse_yaml
+from topcli.config.text import parse_yaml
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.sweeps.measures import BatchRun, evaluate, resolve_measures
 from topcli.tops import top_class

@@ -76,5 +76,5 @@ def test_loading_a_scene_imports_only_what_it_names() -> None:
         "topcli.tops.integrals",
         "topcli.tops.kowalevski",
     }
-    assert not {"topcli.config.toml_text", "topcli.config.ensemble"} & set(found)
-    assert "topcli.config.yaml_text" in found
+    assert not {"topcli.config.text", "topcli.config.ensemble"} & set(found)
+    assert "topcli.config.text" in found

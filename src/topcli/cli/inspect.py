@@ -120,8 +120,7 @@ def init(
     import json
 
     from topcli.config.files import SUFFIXES
-    from topcli.config.schema import config_schema
-    from topcli.config.starter import starter_config
+    from topcli.config.schema import config_schema, starter_config
     from topcli.errors import UsageError
 
     load_scheme_files(scheme_files)

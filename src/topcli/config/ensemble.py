@@ -17,7 +17,7 @@ from topcli.config.draws import ABSOLUTE, MAX_TRAJECTORIES, Drawn, Random, draw_
 from topcli.config.models import Experiment, digest_of
 from topcli.config.ranges import Numbers, Range
 from topcli.config.sections import initial_model, read_initial, vectors_of
-from topcli.config.yaml_text import to_yaml
+from topcli.config.text import to_yaml
 from topcli.contracts import Array, Top
 
 SEARCH_BLOCK = 1 << 14

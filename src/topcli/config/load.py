@@ -9,11 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.config.document import Document, Problems, plain, validate
-from topcli.config.duration import duration_fault, steps_of
 from topcli.config.exact import read_exact, with_written_numbers
-from topcli.config.files import find_config, first_sentence, read_document, scene_files
+from topcli.config.files import (
+    apply_overrides,
+    drop_partner,
+    find_config,
+    first_sentence,
+    override_label,
+    parse_override,
+    read_document,
+    scene_files,
+)
 from topcli.config.models import Config, Experiment, changed_name, name_fault
-from topcli.config.overrides import apply_overrides, drop_partner, override_label, parse_override
+from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
 from topcli.contracts import Top, checked_equations
 from topcli.engine.precise.numbers import DOUBLE, MAX_DIGITS, RATIONAL

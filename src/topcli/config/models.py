@@ -12,9 +12,9 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from topcli.analysis.columns import ATTITUDES, column_names
 from topcli.config.document import STRICT, as_integer, describe
-from topcli.config.duration import MAX_STEPS
 from topcli.config.exact import ExactNumbers
-from topcli.config.yaml_text import to_yaml
+from topcli.config.ranges import MAX_STEPS
+from topcli.config.text import to_yaml
 from topcli.contracts import Invariant, Method, Scheme, Top
 from topcli.engine.fingerprint import own_code
 from topcli.engine.precise.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL

@@ -23,9 +23,9 @@ from pydantic import BaseModel, ValidationError
 
 from topcli.config.document import STRICT, Document, KeyPath, Problems, as_integer, describe, validate
 from topcli.config.draws import ABSOLUTE, first_drawn, random_model
-from topcli.config.duration import duration_fault, steps_of
+from topcli.config.files import BARE
 from topcli.config.models import Count, StepSize, canonical
-from topcli.config.overrides import BARE
+from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_initial, read_scheme, read_top, vectors_of
 from topcli.config.sweep import MISSING, Assignment, Sweep
 from topcli.contracts import Top

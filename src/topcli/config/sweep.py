@@ -18,11 +18,10 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from topcli.config.document import STRICT, Document, KeyPath, Problems, describe, plain, unknown_key, validate
-from topcli.config.files import find_config, read_document
+from topcli.config.files import apply_overrides, find_config, read_document
 from topcli.config.models import Name, canonical, name_fault
-from topcli.config.overrides import apply_overrides
 from topcli.config.ranges import MAX_ROWS, Range, is_range, read_axis
-from topcli.config.yaml_text import to_yaml
+from topcli.config.text import to_yaml
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError, quoted
 from topcli.schemes.registry import find_scheme

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from topcli.config.load import load
 from topcli.config.models import Experiment
-from topcli.config.yaml_text import to_yaml
+from topcli.config.text import to_yaml
 from topcli.errors import TopcliError, UsageError, shortened
 from topcli.schemes.registry import find_scheme
 from topcli.table import DASH, Cells, number

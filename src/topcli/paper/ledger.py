@@ -21,9 +21,9 @@ from pydantic import (
     model_validator,
 )
 
-from topcli.config.yaml_text import parse_yaml
+from topcli.config.text import parse_yaml
 from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
-from topcli.paper import exact_checks, root_checks, run_checks
+from topcli.paper import exact_checks, run_checks
 from topcli.paper.claim import Bound, Measurement
 from topcli.paper.scenes import AND_VARIED, LedgerScene
 
@@ -41,7 +41,7 @@ class LedgerEntry(BaseModel):
 @cache
 def _function(name: str) -> tuple[Callable[..., Measurement], type[BaseModel]]:
     """Function of a check, and the model of its parameters that follows from its annotations."""
-    for module in (exact_checks, run_checks, root_checks):
+    for module in (exact_checks, run_checks):
         if function := vars(module).get(name):
             hints = get_type_hints(function, include_extras=True)
             fields: dict[str, Any] = {

@@ -61,7 +61,7 @@ def table_metadata(identity: Identity, made_in: dict[str, Any]) -> dict[str, str
 
 def config_text(identity: Identity) -> str:
     """Config of a run as YAML."""
-    from topcli.config.yaml_text import to_yaml  # slow to import; runs that are up to date do not need it
+    from topcli.config.text import to_yaml  # slow to import; runs that are up to date do not need it
 
     return to_yaml(identity.config)
 

@@ -15,10 +15,10 @@ from typing import Any
 from pydantic import ValidationError, create_model
 
 from topcli.config.document import describe, number_of
-from topcli.config.duration import steps_over
+from topcli.config.files import override_label, parse_override
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.config.overrides import override_label, parse_override
+from topcli.config.ranges import steps_over
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
 from topcli.schemes.registry import find_scheme

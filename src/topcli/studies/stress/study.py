@@ -7,7 +7,7 @@ from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any
 
-from topcli.config.overrides import override_label, parse_override
+from topcli.config.files import override_label, parse_override
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.studies import SILENT, Watch
 from topcli.studies.stress.cases import case_names
