@@ -62,9 +62,9 @@ def _unexpected(error: Exception) -> int:
     from topcli.cli.output import print_error, print_message, print_message_text
     from topcli.schemes.user_code import users_error
 
-    if found := users_error(error):
-        print_error(found)
-        return found.exit_code
+    if shown := users_error(error):
+        print_error(shown)
+        return shown.exit_code
     if isinstance(error, ImportError) and not (error.name or "").startswith("topcli"):
         print_message(
             f"error: a package cannot be loaded: {error}; is it installed, and is there enough memory (ulimit -v)?"

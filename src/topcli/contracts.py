@@ -255,18 +255,18 @@ def _compared(top: Top) -> tuple[EulerPoisson, str]:
             y = np.concatenate([omega * direction[:3], (gamma if d == 6 else 0.0) * direction[3:]])
             expected, terms = _euler_poisson_rates(equations, y)
             with np.errstate(all="ignore"):
-                found = np.array(field(tuple(y[:d].tolist()), p), dtype=float)
-            if found.shape != (d,):
-                return equations, f"the field has {found.size} components, the state {d}"
+                rates = np.array(field(tuple(y[:d].tolist()), p), dtype=float)
+            if rates.shape != (d,):
+                return equations, f"the field has {rates.size} components, the state {d}"
             # beyond the range of a double there is nothing to compare
-            judged = np.isfinite(found) & np.isfinite(terms[:d])
+            judged = np.isfinite(rates) & np.isfinite(terms[:d])
             with np.errstate(all="ignore"):
-                wrong = judged & (np.abs(found - expected[:d]) > AGREEMENT * terms[:d])
+                wrong = judged & (np.abs(rates - expected[:d]) > AGREEMENT * terms[:d])
             if wrong.any():
                 i = int(np.argmax(wrong))
                 state = ", ".join(f"{value:.3g}" for value in y[:d])
                 return equations, (
-                    f"{top.components[i]}' is {found[i]:.10g} by the field and {expected[i]:.10g} by the equations "
+                    f"{top.components[i]}' is {rates[i]:.10g} by the field and {expected[i]:.10g} by the equations "
                     f"at ({state})"
                 )
     return equations, ""

@@ -215,24 +215,24 @@ class Drawn:
         """Yield the states in order, ``size`` at a time; none if no candidate can have the energy."""
         generator = np.random.Generator(np.random.PCG64(self.seed))
         total = sum(NUMBERS[draw.kind] for draw in self.draws)
-        found: list[Array] = []
+        accepted: list[Array] = []
         left, have, batches = self.count, 0, 0
         while left:
-            found.append(_candidates(self.top, self.centre, self.draws, generator.random((BATCH, total))))
-            have += len(found[-1])
+            accepted.append(_candidates(self.top, self.centre, self.draws, generator.random((BATCH, total))))
+            have += len(accepted[-1])
             batches += 1
             if not have and left == self.count and batches == PATIENCE:
                 return
             wanted = min(size, left)
             if have < wanted:
                 continue
-            states = np.concatenate(found)
+            states = np.concatenate(accepted)
             while left and len(states) >= wanted:
                 yield states[:wanted]
                 states = states[wanted:]
                 left -= wanted
                 wanted = min(size, left)
-            found, have = [states], len(states)
+            accepted, have = [states], len(states)
 
 
 def first_drawn(top: Top, centre: Array, draws: tuple[Draw, ...], seed: int) -> Array | None:
@@ -241,8 +241,8 @@ def first_drawn(top: Top, centre: Array, draws: tuple[Draw, ...], seed: int) -> 
     total = sum(NUMBERS[draw.kind] for draw in draws)
     tried, size = 0, 1
     while tried < PATIENCE * BATCH:
-        found = _candidates(top, centre, draws, generator.random((size, total)))
-        if len(found):
-            return found[0]
+        states = _candidates(top, centre, draws, generator.random((size, total)))
+        if len(states):
+            return states[0]
         tried, size = tried + size, min(8 * size, BATCH)
     return None

@@ -67,14 +67,17 @@ def _for_top(cls: type[Top]) -> Schema:
     kind: Schema = {"const": cls.kind}
     schemes = [scheme for scheme in all_schemes() if scheme.top == cls.form]
     top = cls.new()
-    integrals = [*top.invariants(), *(one for s in schemes if s.modified for one in s.modified(top, 0.01, s.options()))]
+    integrals = [
+        *top.invariants(),
+        *(invariant for s in schemes if s.modified for invariant in s.modified(top, 0.01, s.options())),
+    ]
     attitude = [name for names in ATTITUDES.values() for name in names]
     columns = [
         "n",
         "t",
         *cls.components,
         *attitude,
-        *(text for one in integrals for text in spellings(one.name, one.symbol)),
+        *(text for integral in integrals for text in spellings(integral.name, integral.symbol)),
     ]
     items: Schema = {"anyOf": [{"enum": list(dict.fromkeys(columns))}, {"pattern": "^modified_"}]}
     initial = {name: _vector(cls, name) for name in cls.vectors}
@@ -258,8 +261,8 @@ def starter_config(
     """
     cls = top_class(top)
     names = names_for(cls.form)
-    found = find_scheme(scheme or _default_scheme(cls, names), cls.form)
-    return "\n".join(_lines(cls, found, schema, toml)) + "\n"
+    chosen = find_scheme(scheme or _default_scheme(cls, names), cls.form)
+    return "\n".join(_lines(cls, chosen, schema, toml)) + "\n"
 
 
 def _default_scheme(cls: type[Top], names: Sequence[str]) -> str:
@@ -278,7 +281,7 @@ def _lines(cls: type[Top], scheme: Scheme, schema: str, toml: bool) -> list[str]
     sign, write = (" =", _toml_value) if toml else (":", flow)
     sections = _sections(cls, scheme)
     if toml:  # a bare key cannot follow a table
-        sections = sorted(sections, key=lambda one: bool(one[0]))
+        sections = sorted(sections, key=lambda section: bool(section[0]))
     for title, comment, section in sections:
         lines += [f"# {comment}"] if comment else []
         lines += [f"[{title}]" if toml else f"{title}:"] if title else []

@@ -191,8 +191,10 @@ def read_columns(
     if given is None:
         return None
     plain = {name: name for name in ("n", "t", *components, *output.attitude_columns)}
-    names = {text: one.name for one in integrals for text in spellings(one.name, one.symbol)} | plain
-    found: list[str] = []
+    names = {
+        text: integral.name for integral in integrals for text in spellings(integral.name, integral.symbol)
+    } | plain
+    chosen: list[str] = []
     for text in given:
         name = names.get(text)
         form = next((form for form, columns in ATTITUDES.items() if text in columns), None)
@@ -201,10 +203,10 @@ def read_columns(
         elif name is None:
             near = nearest(text, names)
             if near.startswith("known"):
-                near = f"known: {', '.join([*plain, *(f'{one.name} ({one.symbol})' for one in integrals)])}"
+                near = f"known: {', '.join([*plain, *(f'{known.name} ({known.symbol})' for known in integrals)])}"
             problems.add(("output", "columns"), f"unknown column {quoted(text)}; {near}")
-        elif name in found:
+        elif name in chosen:
             problems.add(("output", "columns"), f"names {quoted(name)} twice")
         else:
-            found.append(name)
-    return tuple(found)
+            chosen.append(name)
+    return tuple(chosen)

@@ -304,18 +304,18 @@ def parse_toml(text: str, label: str) -> tuple[dict[str, Any], dict[KeyPath, int
     """
     import tomllib
 
-    if found := _DEEP_KEY.search(text):  # tomllib's time and memory grow with the square of a key's parts
-        number = text.count("\n", 0, found.start()) + 1
+    if deep := _DEEP_KEY.search(text):  # tomllib's time and memory grow with the square of a key's parts
+        number = text.count("\n", 0, deep.start()) + 1
         raise ConfigError(f"{label}:{number}: TOML: a key of more than {MAX_DEPTH} parts")
     try:
         data = tomllib.loads(text, parse_float=lambda number: written_float(number.replace("_", "")))
     except tomllib.TOMLDecodeError as error:
         message = " ".join(str(error).split())
-        found = _WHERE.fullmatch(message)
+        match = _WHERE.fullmatch(message)
         where = label
-        if found:
-            message = found[1]
-            where += f":{found[2]}:{found[3]}" if found[2] else f":{text.rstrip().count(chr(10)) + 1}"
+        if match:
+            message = match[1]
+            where += f":{match[2]}:{match[3]}" if match[2] else f":{text.rstrip().count(chr(10)) + 1}"
         if "overwrite" in message:
             message += "; is a key given twice?"
         raise ConfigError(f"{where}: TOML: {message}") from None
@@ -359,9 +359,9 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 def _dotted_key(text: str, position: int) -> tuple[KeyPath, int]:
     """Return the parts of the key at ``position`` and its end; no parts for a blank line or a comment."""
     parts: list[str] = []
-    while found := _KEY_PART.match(text, position):
-        parts.append(next(part for part in found.groups()[:3] if part is not None))
-        position = found.end()
-        if not found[4] or len(parts) > 32:
+    while match := _KEY_PART.match(text, position):
+        parts.append(next(part for part in match.groups()[:3] if part is not None))
+        position = match.end()
+        if not match[4] or len(parts) > 32:
             break
     return tuple(parts), position

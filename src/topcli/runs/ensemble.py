@@ -43,15 +43,15 @@ class GroupRun(Generic[Made]):
         stop: Callable[[], bool],
         threads: int | None,
     ) -> None:
-        one = experiment.of_group(group)
+        first = experiment.of_group(group)
         self.experiment, self.group, self.offset = experiment, group, offset
         """``offset`` is the number of the block's first trajectory in the ensemble."""
         self._next = offset
-        self.modified: tuple[Invariant, ...] = one.modified
+        self.modified: tuple[Invariant, ...] = first.modified
         self.invariants = (*group.top.invariants(), *self.modified)
-        self._last = one.N // one.output.every * one.output.every
+        self._last = first.N // first.output.every * first.output.every
         self.tally = self._tally(0)
-        self.names = list(one.output.columns or column_names(group.top))
+        self.names = list(first.output.columns or column_names(group.top))
 
         def made(piece: Piece) -> Made:
             values = invariant_values(self.invariants, piece.states.reshape(-1, piece.states.shape[-1]))
@@ -60,11 +60,11 @@ class GroupRun(Generic[Made]):
 
         self.run = EnsembleRun(
             group.top,
-            one.method(),
+            first.method(),
             np.empty((0, len(group.top.components))),
-            one.h,
-            one.N,
-            one.output.every,
+            first.h,
+            first.N,
+            first.output.every,
             made=made,
             # where all rows are stored, row groups are tiles
             execution=Execution(stop, threads, tile_of(group.count), wide=experiment.store != "trajectories"),
@@ -105,8 +105,8 @@ class GroupRun(Generic[Made]):
         made["outcome"] = _OUTCOME_NAMES[run.endings.outcome]
         made["n"] = run.endings.step
         made["left_motion"] = run.endings.left
-        one = self.experiment.first
-        return made | measure_columns(self.tally, one.N, one.output.every)
+        first = self.experiment.first
+        return made | measure_columns(self.tally, first.N, first.output.every)
 
 
 _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)

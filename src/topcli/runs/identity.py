@@ -62,8 +62,8 @@ class Identity:
         """Identity of an experiment under one method, or of an ensemble under those of its groups."""
         config = experiment.resolved()
         codes = [method_fingerprint(method) for method in methods]
-        one = experiment if isinstance(experiment, Experiment) else experiment.first
-        digest = digest_of(config, one.own_code)
+        first = experiment if isinstance(experiment, Experiment) else experiment.first
+        digest = digest_of(config, first.own_code)
         if isinstance(experiment, Experiment) and experiment.output.attitude:
             from topcli.engine.attitude import attitude_code
 
@@ -90,7 +90,7 @@ class Identity:
     def other_code(self, manifest: Mapping[str, Any]) -> str:
         """Reason why a run with an equal config has another digest, in half a line."""
         origins = [manifest.get("top_origin"), manifest.get("scheme_origin")]
-        users = " and ".join(one for one in dict.fromkeys(origins) if one not in (None, "topcli"))
+        users = " and ".join(origin for origin in dict.fromkeys(origins) if origin not in (None, "topcli"))
         return f"computed by other code of {users}" if users else "identified by another version of topcli"
 
     def same(self, about: Mapping[str, Any]) -> bool:

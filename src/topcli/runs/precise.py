@@ -61,16 +61,16 @@ class PreciseTally:
     def values(self, states: NDArray[Any]) -> dict[str, list[Any]]:
         """Values of the invariants at ``states`` (m, d) in this precision; None where one does not exist."""
         with self._run.arithmetic.active():
-            return {one.name: _values(one, states) for one in self._invariants}
+            return {invariant.name: _values(invariant, states) for invariant in self._invariants}
 
     def add(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, list[Any]]:
         """Add rows: step numbers (m,) and states (m, d); return the values of the invariants."""
         values = self.values(states)
         deviations: dict[str, Array] = {}
-        for name, found in values.items():
+        for name, exact in values.items():
             first = self._firsts[name]
             with self._run.arithmetic.active():
-                off = [None if x is None or first is None else x - first for x in found]
+                off = [None if x is None or first is None else x - first for x in exact]
             deviations[name] = np.array([_double(x) for x in off])
             self._unequal[name] += sum(x is None or x != 0 for x in off)
         self._count += len(n)
@@ -155,14 +155,14 @@ class PreciseRecorder(Recorder):
 
     def evaluated(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Add rows to the tally; return their columns."""
-        found = self.precise.add(n, states)
-        doubles = {name: np.array([_double(x) for x in values]) for name, values in found.items()}
+        exact = self.precise.add(n, states)
+        doubles = {name: np.array([_double(x) for x in values]) for name, values in exact.items()}
         top, h = self._experiment.top, self._experiment.h
         made = columns(top, n, h, states.astype(np.float64), self._names, self._modified, doubles)
         if self._digits:
             at = {name: list(states[:, i]) for i, name in enumerate(top.components)}
             with self._run.arithmetic.active():
-                at |= {"t": [int(step) * self._run.h for step in n], **found}
+                at |= {"t": [int(step) * self._run.h for step in n], **exact}
             made |= {name + DECIMAL: self._texts(at[name]) for name in self._names if name != "n"}
         return made
 

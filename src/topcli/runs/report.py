@@ -262,22 +262,22 @@ def accuracy_data(method: Method, experiment: Experiment, steps: int) -> dict[st
     if not isinstance(method, Sampler) or method.accuracy is None:
         return {}
     n = np.unique(np.linspace(0, max(steps, 1), SAMPLES).astype(np.int64))
-    found = method.accuracy(np.array(experiment.y0), experiment.h, n, experiment.top.constants())
-    return {"accuracy": found._asdict()}
+    accuracy = method.accuracy(np.array(experiment.y0), experiment.h, n, experiment.top.constants())
+    return {"accuracy": accuracy._asdict()}
 
 
 def accuracy_note(report: Mapping[str, Any]) -> str:
     """Accuracy of a closed form, in one line; empty for other methods."""
-    found = report.get("accuracy")
-    if not found:
+    accuracy = report.get("accuracy")
+    if not accuracy:
         return ""
-    change = found["sensitivity"]
+    change = accuracy["sensitivity"]
     then = (
         "the sensitivity to the initial state is unknown, because a state one ulp away is not covered"
         if change is None
         else f"one ulp in the initial state, which is taken as exact, changes the states by up to {change:.0e}"
     )
-    return f"round-off at most about {found['round_off']:.0e} ({found['reason']}); {then}"
+    return f"round-off at most about {accuracy['round_off']:.0e} ({accuracy['reason']}); {then}"
 
 
 SHOWN = 20

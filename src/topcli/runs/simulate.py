@@ -111,32 +111,32 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
             for i, kept in enumerate(piece.kept):
                 states[where + i, start : start + kept] = piece.states[i, :kept]
 
-    runs: list[GroupRun[None]] = []
+    parts: list[GroupRun[None]] = []
     offset = 0
     for group in experiment.members.groups:
-        one = GroupRun(experiment, group, offset, keep, lambda: False, threads)
-        for _ in one.block(group.states):
+        part = GroupRun(experiment, group, offset, keep, lambda: False, threads)
+        for _ in part.block(group.states):
             pass
-        runs.append(one)
+        parts.append(part)
         offset += group.count
     varied = varied_parameters(experiment)
-    tables = [one.trajectories(varied) for one in runs]
+    tables = [part.trajectories(varied) for part in parts]
     return Ensemble(
-        tops=tuple(one.group.top for one in runs for _ in range(one.group.count)),
+        tops=tuple(part.group.top for part in parts for _ in range(part.group.count)),
         scheme=first.scheme.name,
         h=first.h,
         n=np.arange(each, dtype=np.int64) * first.output.every,
         states=states,
-        initial=np.concatenate([one.run.y0 for one in runs]),
-        last=np.concatenate([one.run.last for one in runs]),
-        last_n=np.concatenate([one.run.last_n for one in runs]),
-        endings=Endings.joined([one.run.endings for one in runs]),
-        tallies=tuple(one.tally for one in runs),
+        initial=np.concatenate([part.run.y0 for part in parts]),
+        last=np.concatenate([part.run.last for part in parts]),
+        last_n=np.concatenate([part.run.last_n for part in parts]),
+        endings=Endings.joined([part.run.endings for part in parts]),
+        tallies=tuple(part.tally for part in parts),
         table={name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
-        modified=tuple(one.modified for one in runs for _ in range(one.group.count)),
-        compile_seconds=sum(one.run.compile_seconds for one in runs),
-        run_seconds=sum(one.run.run_seconds for one in runs),
-        setup_seconds=sum(one.run.setup.seconds for one in runs if one.run.setup),
+        modified=tuple(part.modified for part in parts for _ in range(part.group.count)),
+        compile_seconds=sum(part.run.compile_seconds for part in parts),
+        run_seconds=sum(part.run.run_seconds for part in parts),
+        setup_seconds=sum(part.run.setup.seconds for part in parts if part.run.setup),
     )
 
 
@@ -208,9 +208,9 @@ def _experiment(
     return _from_states({"name": name, **document.data}, states)
 
 
-def _ensemble(found: Experiment | EnsembleExperiment) -> EnsembleExperiment:
-    if isinstance(found, EnsembleExperiment):
-        return found
+def _ensemble(experiment: Experiment | EnsembleExperiment) -> EnsembleExperiment:
+    if isinstance(experiment, EnsembleExperiment):
+        return experiment
     raise UsageError(
         "simulate_ensemble: no initial states; give states=..., or ensemble={'states' or 'grid' or 'random': ...}"
     )
@@ -237,15 +237,15 @@ def _from_states(data: dict[str, Any], states: Any) -> EnsembleExperiment:
         _check_units(top, array)
         data["initial"] = {name: array[0, start:stop].tolist() for name, (start, stop) in top.vectors.items()}
     # an ensemble of the first state alone, so that ``store`` is checked like any other key
-    found = load({**data, "ensemble": {**section, "states": [{}]}})
-    assert isinstance(found, EnsembleExperiment)
-    d = len(found.top.components)
+    single = load({**data, "ensemble": {**section, "states": [{}]}})
+    assert isinstance(single, EnsembleExperiment)
+    d = len(single.top.components)
     if array.shape[1] != d:
-        raise UsageError(f"simulate_ensemble: a state of {found.top.kind} has {d} components, not {array.shape[1]}")
+        raise UsageError(f"simulate_ensemble: a state of {single.top.kind} has {d} components, not {array.shape[1]}")
     members = Members(
-        (Group(found.top, Listed(array)),), {**found.members.section, "states": []}, found.members.initial
+        (Group(single.top, Listed(array)),), {**single.members.section, "states": []}, single.members.initial
     )
-    return EnsembleExperiment(found.first, members, found.top)
+    return EnsembleExperiment(single.first, members, single.top)
 
 
 def _check_units(top: type[Top], states: Array) -> None:

@@ -175,11 +175,11 @@ def sweep(
     >>> start = {"omega": [2, 0, 0], "gamma": ["auto", 0, 0.1]}
     >>> base = {"top": "kowalevski", "initial": start, "scheme": "hk", "T": 10}
     >>> study = {"base": base, "grid": {"h": [0.02, 0.01]}, "measure": ["deviation.energy"]}
-    >>> found = topcli.sweep(study, tempfile.mkdtemp())
-    >>> coarse, fine = found.table["deviation.energy"]
+    >>> result = topcli.sweep(study, tempfile.mkdtemp())
+    >>> coarse, fine = result.table["deviation.energy"]
     >>> bool(3.9 < coarse / fine < 4.1)
     True
-    >>> found.plot().get_xlabel()
+    >>> result.plot().get_xlabel()
     'h'
     """
     loaded = load_sweep(file, overrides)

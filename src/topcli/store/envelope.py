@@ -30,7 +30,7 @@ def envelope(path: Path, names: Sequence[str], stretches: int = STRETCHES) -> di
         kept.append(_extremes({name: values[:whole] for name, values in rows.items()}, size))
         rest = {name: values[whole:] for name, values in rows.items()}
     kept.append(_extremes(rest, size))
-    return {name: np.concatenate([one[name] for one in kept]) for name in names}
+    return {name: np.concatenate([piece[name] for piece in kept]) for name in names}
 
 
 def thinned(data: Mapping[str, Array], stretches: int = STRETCHES) -> dict[str, Array]:
@@ -42,7 +42,7 @@ def thinned(data: Mapping[str, Array], stretches: int = STRETCHES) -> dict[str, 
         _extremes({name: values[part] for name, values in data.items()}, size)
         for part in (slice(0, whole), slice(whole, None))
     ]
-    return {name: np.concatenate([one[name] for one in parts]) for name in data}
+    return {name: np.concatenate([part[name] for part in parts]) for name in data}
 
 
 def _stretch(rows: int, columns: int, stretches: int) -> int:
@@ -61,11 +61,11 @@ def _extremes(columns: Mapping[str, Array], size: int) -> Mapping[str, Array]:
         return columns
     size = min(size, rows)
     starts = np.arange(0, rows, size)
-    found: list[NDArray[np.int64]] = [starts, starts + size - 1]
+    needed: list[NDArray[np.int64]] = [starts, starts + size - 1]
     for values in columns.values():
         stretches = values.reshape(-1, size)
         missing = np.isnan(stretches)
-        found.append(starts + np.where(missing, np.inf, stretches).argmin(axis=1))
-        found.append(starts + np.where(missing, -np.inf, stretches).argmax(axis=1))
-    kept = np.unique(np.concatenate(found))
+        needed.append(starts + np.where(missing, np.inf, stretches).argmin(axis=1))
+        needed.append(starts + np.where(missing, -np.inf, stretches).argmax(axis=1))
+    kept = np.unique(np.concatenate(needed))
     return {name: values[kept] for name, values in columns.items()}

@@ -95,12 +95,12 @@ class ForeignSeries:
 
     def read(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Columns ``names`` as float64, each (m,). Raises UsageError for values that are not finite numbers."""
-        found = self._read_csv(names) if self._separator else self._read_parquet(names)
-        for name, values in found.items():
+        columns = self._read_csv(names) if self._separator else self._read_parquet(names)
+        for name, values in columns.items():
             if not np.isfinite(values).all():
                 at = int(np.argmin(np.isfinite(values)))
                 raise UsageError(f"{self.path}: row {at + 1}: {name} is not finite ({values[at]})")
-        return found
+        return columns
 
     def _read_parquet(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         import pyarrow as pa
@@ -112,14 +112,14 @@ class ForeignSeries:
                 table = file.read(columns=list(names), use_threads=False)
         except (OSError, ValueError, pa.ArrowException) as error:
             raise UsageError(f"{self.path}: is a damaged Parquet file ({_first_line(error)})") from None
-        found = {}
+        columns = {}
         for name in names:
             column = table.column(name)
             if column.null_count:
                 at = int(np.argmax(column.is_null().to_numpy()))
                 raise UsageError(f"{self.path}: row {at + 1}: {name} is empty")
-            found[name] = column.to_numpy().astype(np.float64)
-        return found
+            columns[name] = column.to_numpy().astype(np.float64)
+        return columns
 
     def _check_parquet(self, file: Any, names: Sequence[str]) -> None:
         """Raise UsageError for columns that hold no numbers or too many, before any of them is decompressed."""
@@ -173,7 +173,7 @@ class ForeignSeries:
     def _read_slowly(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Read a CSV file that the fast reader refuses; raises UsageError with the row at fault."""
         places = {name: self.names.index(name) for name in names}
-        found: dict[str, list[float]] = {name: [] for name in names}
+        columns: dict[str, list[float]] = {name: [] for name in names}
         for row, cells in enumerate(self._rows(), 1):
             self._check_count(row)
             if len(cells) != len(self.names):
@@ -183,8 +183,8 @@ class ForeignSeries:
                 if value is None:
                     wrong = f"is not a number: {quoted(cells[place])}" if cells[place].strip() else "is empty"
                     raise UsageError(f"{self.path}: row {row}: {name} {wrong}")
-                found[name].append(value)
-        return {name: np.array(values) for name, values in found.items()}
+                columns[name].append(value)
+        return {name: np.array(values) for name, values in columns.items()}
 
     def _rows(self) -> Iterator[list[str]]:
         """Rows of a CSV file without the header and without empty lines."""

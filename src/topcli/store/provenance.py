@@ -50,16 +50,14 @@ def cpu_name() -> str:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
         text = ""
-    found = {
-        key.strip().lower(): value.strip() for key, _, value in (line.partition(":") for line in text.splitlines())
-    }
-    if name := found.get("model name"):
+    core = {key.strip().lower(): value.strip() for key, _, value in (line.partition(":") for line in text.splitlines())}
+    if name := core.get("model name"):
         return name
-    if "cpu part" in found:
-        designer = found.get("cpu implementer", "")
-        numbers = f"part {found['cpu part']} variant {found.get('cpu variant', '?')}"
+    if "cpu part" in core:
+        designer = core.get("cpu implementer", "")
+        numbers = f"part {core['cpu part']} variant {core.get('cpu variant', '?')}"
         return (
-            f"{platform.machine()} {ARM_DESIGNERS.get(designer, designer)} {numbers} r{found.get('cpu revision', '?')}"
+            f"{platform.machine()} {ARM_DESIGNERS.get(designer, designer)} {numbers} r{core.get('cpu revision', '?')}"
         )
     if sys.platform == "darwin":
         with contextlib.suppress(OSError, subprocess.SubprocessError):
@@ -83,7 +81,7 @@ class Commit:
     def __init__(self) -> None:
         root = Path(__file__).resolve().parents[3]
         self._process: subprocess.Popen[str] | None = None
-        self._found: dict[str, Any] | None = None
+        self._state: dict[str, Any] | None = None
         if not (root / ".git").exists():
             return
         with contextlib.suppress(OSError):
@@ -106,22 +104,22 @@ class Commit:
 
     def read(self) -> dict[str, Any]:
         """``{"commit": hash or None, "dirty": bool or None}``; waits at most two seconds."""
-        if self._found is not None:
-            return self._found
-        found: dict[str, Any] = {"commit": None, "dirty": None}
-        self._found = found
+        if self._state is not None:
+            return self._state
+        state: dict[str, Any] = {"commit": None, "dirty": None}
+        self._state = state
         if self._process is None:
-            return found
+            return state
         try:
             lines = self._process.communicate(timeout=2)[0].splitlines()
         except subprocess.TimeoutExpired:
-            return found
+            return state
         for line in lines:
             if line.startswith("# branch.oid ") and "(initial)" not in line:
-                found["commit"] = line.split()[-1]
-        if found["commit"]:
-            found["dirty"] = any(not line.startswith("#") for line in lines)
-        return found
+                state["commit"] = line.split()[-1]
+        if state["commit"]:
+            state["dirty"] = any(not line.startswith("#") for line in lines)
+        return state
 
 
 @cache
@@ -129,8 +127,8 @@ def _platform() -> str:
     """System, release, machine and C library; on Linux without the process that ``platform.platform`` starts."""
     if sys.platform != "linux":
         return platform.platform()
-    found, library = platform.uname(), "".join(platform.libc_ver())
-    return f"{found.system}-{found.release}-{found.machine}" + (f"-with-{library}" if library else "")
+    system, library = platform.uname(), "".join(platform.libc_ver())
+    return f"{system.system}-{system.release}-{system.machine}" + (f"-with-{library}" if library else "")
 
 
 def environment() -> dict[str, Any]:

@@ -338,10 +338,10 @@ def read_metadata(path: Path) -> dict[str, str]:
     import pyarrow.parquet as pq
 
     try:
-        found = pq.read_schema(path).metadata or {}
+        metadata = pq.read_schema(path).metadata or {}
     except (OSError, pa.ArrowException):
         return {}
-    return {key.decode(): value.decode() for key, value in found.items()}
+    return {key.decode(): value.decode() for key, value in metadata.items()}
 
 
 _BLOCK = 1 << 20

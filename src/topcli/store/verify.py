@@ -63,12 +63,12 @@ def _unfinished(folder: Path) -> CheckedRun:
     series = next((path for path in sorted(folder.glob("series.*"))), folder / "series")
     if length:
         try:
-            found = series.stat().st_size
-            whole = found >= length and sha256_of(series, length) == checkpoint.series.sha256
-            reason = f"{length} of {found} bytes belong to the checkpoint"
+            size = series.stat().st_size
+            whole = size >= length and sha256_of(series, length) == checkpoint.series.sha256
+            reason = f"{length} of {size} bytes belong to the checkpoint"
             if not whole:
-                short = f"{found} bytes, {length} at the checkpoint"
-                reason = short if found < length else f"the SHA-256 of its first {length} bytes differs"
+                short = f"{size} bytes, {length} at the checkpoint"
+                reason = short if size < length else f"the SHA-256 of its first {length} bytes differs"
             files.append(CheckedFile(series.name, not whole, reason))
         except OSError as error:
             files.append(CheckedFile(series.name, True, f"cannot be read ({error.strerror})"))
@@ -77,11 +77,11 @@ def _unfinished(folder: Path) -> CheckedRun:
 
 def check_run(folder: Path) -> CheckedRun | None:
     """Check every file of the run or finished sweep in ``folder``; None if there is neither."""
-    found = read_run(folder)
-    if isinstance(found, DamagedRun):
-        return CheckedRun(folder, True, (CheckedFile(MANIFEST, True, found.reason.removeprefix(f"{MANIFEST}: ")),))
-    if found is not None:
-        return _finished(found)
+    run = read_run(folder)
+    if isinstance(run, DamagedRun):
+        return CheckedRun(folder, True, (CheckedFile(MANIFEST, True, run.reason.removeprefix(f"{MANIFEST}: ")),))
+    if run is not None:
+        return _finished(run)
     if (sweep := stored_sweep(folder)) is not None:
         return _finished(sweep)
     return _unfinished(folder) if is_part(folder) else None
