@@ -13,7 +13,7 @@ from __future__ import annotations
 
 __version__ = "0.1.0"
 HOMES = {
-    "Ensemble": "topcli.analysis.ensemble",
+    "Ensemble": "topcli.analysis.trajectory",
     "Motion": "topcli.analysis.motion",
     "Trajectory": "topcli.analysis.trajectory",
     "analyse": "topcli.show.report",

@@ -1,5 +1,5 @@
-from topcli.analysis.ensemble import Ensemble as Ensemble
 from topcli.analysis.motion import Motion as Motion
+from topcli.analysis.trajectory import Ensemble as Ensemble
 from topcli.analysis.trajectory import Trajectory as Trajectory
 from topcli.runs.simulate import simulate as simulate
 from topcli.runs.simulate import simulate_ensemble as simulate_ensemble

@@ -450,10 +450,10 @@ def test_stress_shows_its_trials(cli: Callable[..., Any]) -> None:
 
 def test_the_grid_of_hard_cases_shows_each_outcome(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """More trials than are listed one by one: a mark for each scheme and case, in the column of its number."""
-    from topcli.studies.stress import suite
+    from topcli.studies.stress.study import stress
 
     asked = ("stress", "hk", "rk4", "dop853", "--top", "kowalevski", "--case", "resonance", "--case", "singular-step")
-    judged = suite.stress(["hk", "rk4", "dop853"], ["resonance", "singular-step", "there-and-back"], "kowalevski")
+    judged = stress(["hk", "rk4", "dop853"], ["resonance", "singular-step", "there-and-back"], "kowalevski")
     monkeypatch.setattr("topcli.studies.stress.study.SHOWN", 2)
     monkeypatch.setattr("topcli.studies.stress.study.stress", lambda *arguments: judged)
     said = cli(*asked)

@@ -13,7 +13,7 @@ import pytest
 from scheme_files import loaded_file
 from test_config_schema import fits
 from test_ensemble_config import BASE, ensemble, loaded, states
-from topcli.analysis.leaving import step_of_leaving
+from topcli.analysis.columns import step_of_leaving
 from topcli.config.draws import Drawn
 from topcli.config.ensemble import Combined
 from topcli.config.schema import config_schema

@@ -15,7 +15,7 @@ import pytest
 
 from conftest import GEN, ROOT, Said
 from resuming import after, content, killed
-from topcli.analysis.leaving import EnergyWatch
+from topcli.analysis.columns import EnergyWatch
 from topcli.analysis.tally import InvariantTally
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
@@ -24,9 +24,8 @@ from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.runs.simulate import simulate, simulate_ensemble
 from topcli.schemes.registry import find_scheme
-from topcli.studies.stress.case import Case, CaseCache, Result
-from topcli.studies.stress.checks import stays_bounded
-from topcli.studies.stress.suite import tried
+from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, stays_bounded
+from topcli.studies.stress.study import tried
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -258,7 +257,7 @@ def test_stress_counts_left_motion_as_broken() -> None:
     config = {key: resolved[key] for key in ("top", "initial")} | {"h": 2.0, "N": 100}
     case = Case("far", "kowalevski", "?", lambda: config, stays_bounded)
     judged = tried(case, find_scheme("hk", "kowalevski"), CaseCache())
-    assert judged.finding.result is Result.BROKE
+    assert judged.finding.result is CaseOutcome.BROKE
     assert judged.finding.figures["largest"] == pytest.approx(7.05e10, rel=0.05)
     assert (judged.finding.step, judged.finding.why) == (14, "left its energy surface at step 14 (t = 28)")
 

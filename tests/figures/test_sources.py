@@ -13,7 +13,7 @@ from conftest import ROOT
 from figure_studies import PREPARE
 from sweep_rows import write_rows
 from topcli.analysis import order as analysis_of_orders
-from topcli.analysis import pareto, reference, roundoff, swings
+from topcli.analysis import reference, roundoff, swings
 from topcli.figures import (
     comparison,
     curves,
@@ -35,7 +35,9 @@ from topcli.schemes.kowalevski import hk
 from topcli.studies import order as study_of_orders
 from topcli.studies import roundoff as study_of_roundoff
 from topcli.studies.bench import measure
-from topcli.studies.stress import case, checks, suite
+from topcli.studies.bench.result import pareto_front
+from topcli.studies.stress import checks
+from topcli.studies.stress import study as study_of_stress
 from topcli.sweeps import table
 from topcli.sweeps.rows import read_rows
 
@@ -56,8 +58,8 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
         ],
     ),
     "stress": (
-        suite.stress_source,
-        [HK_STEP, suite.verdict_of, checks.keeps_order, case.claim_violated],
+        study_of_stress.stress_source,
+        [HK_STEP, study_of_stress.verdict_of, checks.keeps_order, checks.claim_violated],
     ),
     "error-and-cost": (
         errors.study_source,
@@ -113,7 +115,7 @@ def source_of(loaded: Loaded) -> str:
 DRAWING: dict[str, list[Any]] = {
     "order": [errors.order_data, curves.CurvePanel._curve, analysis_of_orders.convergence, picture.draw],
     "stress": [stress.figure_data, stress._step_text, stress.StressGrid.annotate],
-    "work-precision": [work_precision._curves, work_precision._shown, pareto.pareto_front],
+    "work-precision": [work_precision._curves, work_precision._shown, pareto_front],
     "compare": [comparison._data, comparison.ErrorPanel.paint, reference.distances, HK_STEP],
     "swings": [sweep._points, table.summary, picture.Grid.annotate],
 }

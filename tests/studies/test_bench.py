@@ -167,7 +167,7 @@ def test_repetitions_are_interleaved_and_the_best_process_counts(short: Problem)
 
 
 def test_a_missing_peer_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    absent = Peer("absent", "not there", "topcli.no_such_module", ("no_such_package_of_anybody",))
+    absent = Peer("absent", "not there", "topcli.no_such_module:variants", ("no_such_package_of_anybody",))
     assert "no_such_package_of_anybody not installed" in missing(absent)
     talk: list[str] = []
     result = bench(short, choose(short, ("hk",)), [absent], Effort(0.001, 1), on_message=talk.append)
@@ -182,7 +182,7 @@ def peer_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str]
 
     def write(text: str) -> Peer:
         (tmp_path / "peer_of_mine.py").write_text(text)
-        return Peer("mine", "", "peer_of_mine", ("numpy",))
+        return Peer("mine", "", "peer_of_mine:variants", ("numpy",))
 
     return write
 
@@ -308,8 +308,7 @@ def test_the_set_up_of_a_closed_form_is_timed_apart(monkeypatch: pytest.MonkeyPa
 
 PEER = """
 import numpy as np
-from topcli.studies.bench.peers import NoResultError
-from topcli.studies.bench.peers.worker import Variant, checked
+from topcli.studies.bench.peers import NoResultError, Variant, checked
 
 def variants(problem):
     def prepare(value):
@@ -324,7 +323,7 @@ def variants(problem):
 
 
 @pytest.mark.slow
-def test_a_peer_is_a_file_and_one_entry(
+def test_a_peer_is_a_function_and_one_entry(
     short: Problem, peer_file: Callable[[str], Peer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """``--against`` finds it, and its variants are measured in a process of its own."""

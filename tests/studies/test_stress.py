@@ -14,7 +14,6 @@ from mpmath import mp, mpc, mpf
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Scheme, Stepper, Top
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.stress.case import Case, CaseCache, Finding, Result, Trial
 from topcli.studies.stress.cases import (
     CASES,
     DELONE,
@@ -29,7 +28,8 @@ from topcli.studies.stress.cases import (
     singular_step,
     swing_time,
 )
-from topcli.studies.stress.suite import Judged, stress, verdict_of
+from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial
+from topcli.studies.stress.study import Judged, stress, verdict_of
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -158,64 +158,64 @@ def test_the_theory_of_the_swings() -> None:
 
 
 def test_order_checks_distinguish_kept_lost_and_left() -> None:
-    assert finding("pole", "bohlin-b").result is Result.HELD
+    assert finding("pole", "bohlin-b").result is CaseOutcome.HELD
     single = finding("pole", "bohlin-b", options={"chart": "single"})
-    assert (single.result, single.step) == (Result.BROKE, 59)
+    assert (single.result, single.step) == (CaseOutcome.BROKE, 59)
     assert "blew up at step 59" in single.why
-    assert finding("branch-point", "hk").result is Result.HELD
+    assert finding("branch-point", "hk").result is CaseOutcome.HELD
     hybrid = finding("branch-point", "hybrid")
-    assert hybrid.result is Result.DEGRADED
+    assert hybrid.result is CaseOutcome.DEGRADED
     assert hybrid.figures["order"] < 1.65
-    assert finding("real-axis", "bohlin-a").result is Result.HELD
+    assert finding("real-axis", "bohlin-a").result is CaseOutcome.HELD
     flipped = finding("real-axis", "bohlin-a", options={"branch": "sign"})
-    assert (flipped.result, flipped.step) == (Result.BROKE, 50)
-    assert finding("pole", "hk", order=3).result is Result.DEGRADED  # control: it has order 2
+    assert (flipped.result, flipped.step) == (CaseOutcome.BROKE, 50)
+    assert finding("pole", "hk", order=3).result is CaseOutcome.DEGRADED  # control: it has order 2
     still = finding("rest-on-axis", "bohlin-a")
-    assert (still.result, "left the motion" in still.why) == (Result.BROKE, True)
+    assert (still.result, "left the motion" in still.why) == (CaseOutcome.BROKE, True)
 
 
 def test_adaptive_and_exact_schemes_are_judged_by_their_error() -> None:
-    assert finding("backwards", "dop853").result is Result.HELD
-    assert finding("backwards", "rk2", adaptive=True).result is Result.DEGRADED
-    assert finding("backwards", "exact", "euler").result is Result.HELD
-    assert finding("backwards", "midpoint", "euler", order=None).result is Result.DEGRADED
+    assert finding("backwards", "dop853").result is CaseOutcome.HELD
+    assert finding("backwards", "rk2", adaptive=True).result is CaseOutcome.DEGRADED
+    assert finding("backwards", "exact", "euler").result is CaseOutcome.HELD
+    assert finding("backwards", "midpoint", "euler", order=None).result is CaseOutcome.DEGRADED
 
 
 def test_timing_of_swings_is_judged() -> None:
-    assert finding("homoclinic-1e-9", "hk").result is Result.HELD
+    assert finding("homoclinic-1e-9", "hk").result is CaseOutcome.HELD
     held = finding("homoclinic-spacing", "hk")
-    assert held.result is Result.HELD
+    assert held.result is CaseOutcome.HELD
     assert held.figures["time"] == pytest.approx(28.1722, abs=1e-3)
     early = finding("homoclinic-spacing", "bohlin-a")
-    assert (early.result, early.step) == (Result.BROKE, 15297)  # the paper's Figure 2
+    assert (early.result, early.step) == (CaseOutcome.BROKE, 15297)  # the paper's Figure 2
     none = finding("homoclinic-1e-9", "hk", N=1000)
-    assert none.result is Result.BROKE
+    assert none.result is CaseOutcome.BROKE
     assert "no swing" in none.why
 
 
 def test_timing_of_flips_is_judged() -> None:
     for offset in ("1e-3", "1e-12"):
         held = finding(f"racket-{offset}", "midpoint", "euler")
-        assert held.result is Result.HELD
+        assert held.result is CaseOutcome.HELD
         assert held.figures["relative_error"] < 1e-3
     kicked = finding(
         "racket-1e-12", "midpoint", "euler", conserves=(), build=bent(lambda s, h, p: (s[0] + 1e-9, *s[1:]))
     )
-    assert kicked.result is Result.BROKE
+    assert kicked.result is CaseOutcome.BROKE
     assert kicked.figures["time"] < 0.75 * kicked.figures["exact"]
     still = finding(
         "racket-1e-3", "midpoint", "euler", conserves=(), build=bent(lambda s, h, p: (1e-3, 1.0, 0.0, s[3]))
     )
-    assert (still.result, "no flip" in still.why) == (Result.BROKE, True)
+    assert (still.result, "no flip" in still.why) == (CaseOutcome.BROKE, True)
 
 
 def test_growth_beyond_the_bounds_is_judged() -> None:
-    assert finding("resonance", "midpoint").result is Result.HELD
+    assert finding("resonance", "midpoint").result is CaseOutcome.HELD
     grown = finding("singular-step", "hk")
-    assert (grown.result, grown.step) == (Result.BROKE, 1)
+    assert (grown.result, grown.step) == (CaseOutcome.BROKE, 1)
     assert 1e30 < grown.figures["largest"] < 1e60
-    assert finding("resonance", "rk4").result is Result.BROKE
-    assert finding("singular-step", "bohlin-a").result is Result.DEGRADED
+    assert finding("resonance", "rk4").result is CaseOutcome.BROKE
+    assert finding("singular-step", "bohlin-a").result is CaseOutcome.DEGRADED
 
 
 @pytest.mark.slow
@@ -224,39 +224,39 @@ def test_growth_beyond_the_bounds_is_judged() -> None:
 )
 def test_self_adjoint_schemes_return(scheme: Scheme) -> None:
     """1e5 steps forward and 1e5 back: nothing but round-off's growth is left."""
-    assert finding("there-and-back", scheme.name, scheme.top).result is Result.HELD
+    assert finding("there-and-back", scheme.name, scheme.top).result is CaseOutcome.HELD
 
 
 def test_the_papers_hybrid_does_not_return() -> None:
     missed = finding("there-and-back", "hybrid")
-    assert missed.result is Result.DEGRADED
+    assert missed.result is CaseOutcome.DEGRADED
     assert missed.figures["missed"] == pytest.approx(0.232, rel=0.05)
-    assert finding("there-and-back", "hybrid", self_adjoint=True).result is Result.BROKE
+    assert finding("there-and-back", "hybrid", self_adjoint=True).result is CaseOutcome.BROKE
 
 
 @pytest.mark.slow
 def test_claimed_invariants_do_not_drift() -> None:
     for scheme in ("hybrid-sym", "dg4", "hk-symproj"):
         held = finding("drift", scheme, N=200_000)
-        assert held.result is Result.HELD
+        assert held.result is CaseOutcome.HELD
         assert max(value for key, value in held.figures.items() if key.endswith(":ulp")) < 5.0
     false = finding("drift", "hk", N=10_000, conserves=("energy",))
-    assert (false.result, "claims E" in false.why) == (Result.BROKE, True)
-    assert finding("drift", "hk", N=100).result is Result.NOT_TRIED
+    assert (false.result, "claims E" in false.why) == (CaseOutcome.BROKE, True)
+    assert finding("drift", "hk", N=100).result is CaseOutcome.NOT_TRIED
 
     def biased(s: Floats, h: float, p: Floats) -> Floats:
         a = 1.0 + 2.0**-52
         return (a * s[0], a * s[1], a * s[2], s[3])
 
     slanted = finding("drift", "midpoint", "euler", N=100_000, build=bent(biased))
-    assert slanted.result is not Result.HELD
+    assert slanted.result is not CaseOutcome.HELD
 
 
 def test_a_violated_claim_breaks_whatever_the_question() -> None:
     violated = finding("backwards", "rk4", conserves=("gamma_sq",))
-    assert violated.result is Result.BROKE
+    assert violated.result is CaseOutcome.BROKE
     assert "claims γ²" in violated.why
-    assert finding("backwards", "rk4").result is Result.HELD
+    assert finding("backwards", "rk4").result is CaseOutcome.HELD
 
 
 def test_interpreted_schemes_take_some_four_hundred_longer_steps() -> None:
@@ -305,16 +305,16 @@ def test_limits_named_like_cases_are_cases_of_the_scheme() -> None:
 
 def test_verdicts_compare_outcomes_with_limits() -> None:
     hk = find_scheme("hk", "kowalevski")
-    assert verdict_of(hk, "huge", Result.BROKE) == "unexplained"
-    assert verdict_of(hk, "resonance", Result.BROKE) == "limit"
-    assert verdict_of(hk, "resonance", Result.DEGRADED) == "outlived limit"
-    assert verdict_of(hk, "huge", Result.DEGRADED) == "ok"
-    assert verdict_of(replace(hk, name="hk+suzuki4"), "resonance", Result.HELD) == "ok"
+    assert verdict_of(hk, "huge", CaseOutcome.BROKE) == "unexplained"
+    assert verdict_of(hk, "resonance", CaseOutcome.BROKE) == "limit"
+    assert verdict_of(hk, "resonance", CaseOutcome.DEGRADED) == "outlived limit"
+    assert verdict_of(hk, "huge", CaseOutcome.DEGRADED) == "ok"
+    assert verdict_of(replace(hk, name="hk+suzuki4"), "resonance", CaseOutcome.HELD) == "ok"
 
 
 def test_a_scheme_that_fails_in_the_interpreter_is_a_finding() -> None:
     (one,) = stress(["hk-exact"], ["singular-step"])
-    assert one.finding.result is Result.BROKE
+    assert one.finding.result is CaseOutcome.BROKE
     assert "use |h| <" in one.finding.why
 
 
@@ -325,14 +325,14 @@ def test_a_hard_case_is_one_entry(cli: Callable[..., Any], request: pytest.Fixtu
     def upright(trial: Trial) -> Finding:
         lowest = float(trial.run(N=10).states[:, 5].min())
         return Finding(
-            Result.HELD if lowest > 0.999 else Result.BROKE, f"gamma3 = {lowest:.6f}", 10, {"lowest": lowest}
+            CaseOutcome.HELD if lowest > 0.999 else CaseOutcome.BROKE, f"gamma3 = {lowest:.6f}", 10, {"lowest": lowest}
         )
 
     def config() -> dict[str, Any]:
         return {"top": "heavy", "initial": {"omega": [0, 0, 1], "gamma": [0, 0, 1]}, "h": 0.01, "N": 20}
 
     mine = Case("my-case", "heavy", "does it stay upright?", config, upright)
-    wrong = replace(mine, name="my-other", check=lambda trial: Finding(Result.BROKE, "never", 3))
+    wrong = replace(mine, name="my-other", check=lambda trial: Finding(CaseOutcome.BROKE, "never", 3))
     CASES.extend((mine, wrong))
     request.addfinalizer(lambda: CASES.__delitem__(slice(-2, None)))
     listed = cli("list", "cases", "--top", "heavy", "--json").json()["cases"]
@@ -347,4 +347,4 @@ def test_a_hard_case_is_one_entry(cli: Callable[..., Any], request: pytest.Fixtu
     broken = cli("stress", "rk4", "--case", "my-other", "--json")
     assert (broken.code, broken.json()["trials"][0]["verdict"]) == (4, "unexplained")
     declared = replace(find_scheme("rk4", "heavy"), limits={"my-other": "a limit of its own"})
-    assert verdict_of(declared, "my-other", Result.BROKE) == "limit"
+    assert verdict_of(declared, "my-other", CaseOutcome.BROKE) == "limit"

@@ -13,8 +13,17 @@ import pytest
 from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Ending, Invariant, Outcome
-from topcli.studies.stress.case import Trial, claim_violated
-from topcli.studies.stress.checks import Check, does_not_drift, flips, keeps_order, returns, stays_bounded, swings_at
+from topcli.studies.stress.checks import (
+    Check,
+    Trial,
+    claim_violated,
+    does_not_drift,
+    flips,
+    keeps_order,
+    returns,
+    stays_bounded,
+    swings_at,
+)
 
 EPS = 2.0**-52
 BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])

@@ -20,7 +20,8 @@ from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request
 from topcli.figures.long_energy import SCHEMES
 from topcli.figures.picture import draw
-from topcli.studies.stress.suite import CASES, chosen
+from topcli.studies.stress.cases import CASES
+from topcli.studies.stress.study import chosen
 
 ORDERS = {"bohlin-a": 1, "bohlin-b": 1, "bohlin-c": 1, "rk4": 4, "hk+kahan-li6": 6, "hk+kahan-li8": 8}
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from conftest import GEN
 from topcli.analysis import columns as columns_module
-from topcli.analysis import ensemble, order, trajectory
+from topcli.analysis import order, trajectory
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.order import convergence, observed_order
 from topcli.analysis.swings import minima_times, swing_spacing
@@ -24,7 +24,7 @@ from topcli.errors import UsageError
 from topcli.tops.kowalevski import Kowalevski, field
 
 
-@pytest.mark.parametrize("module", [columns_module, ensemble, order, trajectory], ids=lambda m: m.__name__)
+@pytest.mark.parametrize("module", [columns_module, order, trajectory], ids=lambda m: m.__name__)
 def test_the_examples_of_docstrings_run(module: ModuleType) -> None:
     done = doctest.testmod(module)
     assert done.attempted > 0

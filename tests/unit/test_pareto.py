@@ -8,8 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topcli.analysis.pareto import MAX_GAP, Point, at_error, pareto_front
-from topcli.studies.bench.result import DECADES, decade_rows, front, ranking, setting
+from topcli.studies.bench.result import (
+    DECADES,
+    MAX_GAP,
+    Point,
+    at_error,
+    decade_rows,
+    front,
+    pareto_front,
+    ranking,
+    setting,
+)
 
 # the front
 

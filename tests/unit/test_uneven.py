@@ -8,9 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from topcli.analysis.tally import InvariantRow, InvariantTally
+from topcli.analysis.tally import InvariantRow, InvariantTally, represented_times, uneven_report
 from topcli.analysis.trend import trend
-from topcli.analysis.uneven import represented_times, uneven_report
 from topcli.contracts import Invariant
 
 SERIES = Invariant("x", "x", "x", "a series", lambda y: y[:, 0], lambda y: np.abs(y[:, 0]) + 1.0)

@@ -1,7 +1,8 @@
-"""Result of a run held in memory."""
+"""Results held in memory: the trajectory of a run, and the trajectories of an ensemble."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns
-from topcli.analysis.leaving import step_of_leaving
-from topcli.analysis.tally import InvariantRow, invariant_report
+from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns, step_of_leaving
+from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
+from topcli.engine.endings import Endings
 from topcli.engine.loop import Run
 
 if TYPE_CHECKING:
@@ -138,3 +139,147 @@ class Trajectory:
         if self.rows is not None:
             return self.rows
         return invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states)
+
+
+@dataclass(frozen=True, repr=False)
+class Ensemble:
+    """Trajectories of one scheme from many initial states, as ``topcli.simulate_ensemble`` returns them.
+
+    ``ensemble[name]`` is a column of shape (trajectories, m) by name: a component of the state, an invariant of the
+    top, or a modified integral of the scheme. ``len(ensemble)`` is the number of trajectories.
+
+    Attributes
+    ----------
+    tops : tuple of Top
+        Top of each trajectory, with its parameters.
+    scheme : str
+        Name of the scheme.
+    h : float
+        Step size, in units of time.
+    n : ndarray of int64, shape (m,)
+        Recorded step numbers; m is 0 if the rows were not stored.
+    states : ndarray, shape (trajectories, m, d)
+        States in the order of ``top.components``; nan after the end of a trajectory that ended early.
+    initial : ndarray, shape (trajectories, d)
+        Initial states.
+    last : ndarray, shape (trajectories, d)
+        State at step N, or the last recorded one of a trajectory that ended early.
+    last_n : ndarray of int64, shape (trajectories,)
+        Step numbers of ``last``.
+    endings : Endings
+        Ending of each trajectory.
+    tallies : tuple of InvariantTally
+        Deviations of the invariants, one tally for each top.
+    table : dict of str to ndarray
+        Columns of ``trajectories()``.
+    modified : tuple of tuple of Invariant
+        Integrals of the scheme itself, for each trajectory.
+    compile_seconds, run_seconds, setup_seconds : float
+        Wall time of compiling or loading the machine code, of the steps, and of the set-ups of a closed form.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> states = [[0.0, 0.0, 1.0, 0.6, 0.0, 0.8], [0.0, 1.0, 0.0, 0.6, 0.0, 0.8]]
+    >>> ensemble = topcli.simulate_ensemble("kowalevski_hk", states=states, h=0.01, N=100)
+    >>> ensemble
+    <Ensemble of 2 under hk: 101 rows each, 2 completed>
+    >>> ensemble.states.shape, ensemble["energy"].shape
+    ((2, 101, 6), (2, 101))
+    >>> ensemble.trajectory(1).ending.step
+    100
+    """
+
+    tops: tuple[Top, ...]
+    scheme: str
+    h: float
+    n: NDArray[np.int64]
+    states: Array
+    initial: Array
+    last: Array
+    last_n: NDArray[np.int64]
+    endings: Endings
+    tallies: tuple[InvariantTally, ...]
+    table: dict[str, NDArray[Any]]
+    modified: tuple[tuple[Invariant, ...], ...]
+    compile_seconds: float
+    run_seconds: float
+    setup_seconds: float = 0.0
+
+    @property
+    def t(self) -> Array:
+        """Times ``n * h`` of the recorded states, shape (m,)."""
+        return self.n * self.h
+
+    @property
+    def outcomes(self) -> dict[Outcome, int]:
+        """Number of trajectories by outcome, for the outcomes that occur."""
+        return self.endings.outcomes
+
+    def __len__(self) -> int:
+        return len(self.endings)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items())
+        return f"<Ensemble of {len(self)} under {self.scheme}: {len(self.n)} rows each, {counts}>"
+
+    def _kept(self, index: int) -> int:
+        """Number of rows of trajectory ``index``."""
+        return int(np.count_nonzero(self.n <= self.last_n[index]))
+
+    def trajectory(self, index: int) -> Trajectory:
+        """Single trajectory. Raises IndexError, and ValueError if the rows were not stored."""
+        if not len(self.n):
+            raise ValueError("the rows were not stored; run with store='trajectories'")
+        index = range(len(self))[index]
+        kept = self._kept(index)
+        return Trajectory(
+            top=self.tops[index],
+            scheme=self.scheme,
+            h=self.h,
+            n=self.n[:kept],
+            states=self.states[index, :kept],
+            ending=self.endings[index],
+            compile_seconds=self.compile_seconds,
+            run_seconds=self.run_seconds / len(self),
+            modified=self.modified[index],
+        )
+
+    def __getitem__(self, name: str) -> Array:
+        """Column by name, shape (trajectories, m). Raises UsageError for an unknown name."""
+        made = np.empty(self.states.shape[:2])
+        for i, (top, modified) in enumerate(zip(self.tops, self.modified, strict=True)):
+            made[i] = columns(top, self.n, self.h, self.states[i], [name], modified)[name]
+        return made
+
+    def trajectories(self) -> pd.DataFrame:
+        """Return one row per trajectory: varied parameters, initial state, outcome, deviations and drifts."""
+        import pandas as pd
+
+        return pd.DataFrame(self.table).set_index("trajectory")
+
+    def invariants(self) -> pd.DataFrame:
+        """Return one row per invariant: quantiles of its deviations, and the number within round-off."""
+        import pandas as pd
+
+        summary = EnsembleSummary(io.BytesIO())
+        for tally in self.tallies:
+            summary.add(tally)
+        rows = []
+        for row in summary.rows():
+            measures = {key: value for key, value in row.items() if isinstance(value, dict)}
+            flat = {key: value for key, value in row.items() if key not in measures}
+            rows.append(
+                flat | {f"{measure}, {name}": x for measure, found in measures.items() for name, x in found.items()}
+            )
+        return pd.DataFrame(rows).set_index("name")
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return all recorded rows as a DataFrame: trajectory, n, t, the components, the invariants."""
+        import pandas as pd
+
+        frames: Sequence[pd.DataFrame] = [
+            pd.DataFrame({"trajectory": i, **{name: one[name] for name in column_names(one.top)}})
+            for i, one in enumerate(map(self.trajectory, range(len(self))))
+        ]
+        return pd.concat(frames, ignore_index=True)

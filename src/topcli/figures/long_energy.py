@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from topcli.analysis.leaving import energy_of
+from topcli.analysis.columns import energy_of
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint

@@ -151,7 +151,7 @@ class StressGrid(Grid):
 
 def _study(request: Request) -> tuple[dict[str, Any], str]:
     """The stress study and the digest of what it depends on; run if missing, out of date or forced."""
-    from topcli.studies.stress.suite import stored_stress, stress, stress_data, stress_source, write_stress
+    from topcli.studies.stress.study import stored_stress, stress, stress_data, stress_source, write_stress
 
     stored = stored_stress(request.results)
     if request.stored_only and stored is None:

@@ -88,8 +88,7 @@ def _nearest_to_front(report: dict[str, Any]) -> dict[str, float]:
 
 def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[Curve, tuple[np.ndarray, np.ndarray]]:
     """Errors and seconds of the curves of one result: every peer, and our schemes that are ``shown``."""
-    from topcli.analysis.pareto import pareto_front
-    from topcli.studies.bench.result import SETUP, points_of
+    from topcli.studies.bench.result import SETUP, pareto_front, points_of
 
     found = {}
     for competitor in report["competitors"]:

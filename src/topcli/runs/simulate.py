@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.ensemble import Ensemble
-from topcli.analysis.trajectory import Trajectory
+from topcli.analysis.trajectory import Ensemble, Trajectory
 from topcli.config.ensemble import SOURCES, EnsembleExperiment, Group, Listed, Members
 from topcli.config.load import load, load_experiment, read_config
 from topcli.config.models import Experiment

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import minima_times, swing_spacing
-from topcli.analysis.tally import InvariantRow, InvariantTally
-from topcli.analysis.uneven import uneven_report
+from topcli.analysis.tally import InvariantRow, InvariantTally, uneven_report
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top

@@ -23,7 +23,6 @@ from typing import IO, Any, NamedTuple, Protocol
 import numpy as np
 from pydantic import BaseModel
 
-from topcli.analysis.pareto import Point
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Invariant, Sampler, Scheme
 from topcli.engine.driver import Loop, loop_of
@@ -34,7 +33,7 @@ from topcli.schemes.user_code import users_error
 from topcli.store.provenance import environment, installed
 from topcli.studies.bench.contest import LineUp, Problem, Rung, ladder, tolerance_option
 from topcli.studies.bench.peers import NoResultError, Peer, missing
-from topcli.studies.bench.result import decade_rows, front
+from topcli.studies.bench.result import Point, decade_rows, front
 
 
 @dataclass(frozen=True)
@@ -160,13 +159,13 @@ class PeerProcess:
     def __init__(self, peer: Peer, problem: Problem) -> None:
         self._log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", "from topcli.studies.bench.peers.worker import main; main()"],
+            [sys.executable, "-P", "-c", "from topcli.studies.bench.peers import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
             env={**os.environ, **_ONE_THREAD},
         )
-        self.send("start", peer.module, problem.experiment.resolved(), problem.duration, problem.intervals)
+        self.send("start", peer.variants, problem.experiment.resolved(), problem.duration, problem.intervals)
 
     def send(self, method: str, *arguments: Any) -> None:
         """Send a request, a method of ``Worker``, without waiting for the answer."""

@@ -7,11 +7,14 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
+import numpy as np
+
+from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Top, checked_equations
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.schemes.heavy.hk import heavy_determinant
-from topcli.studies.stress.case import Case, config, state_before
 from topcli.studies.stress.checks import (
+    Case,
     Check,
     does_not_drift,
     flips,
@@ -24,6 +27,34 @@ from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
+
+
+def state_before(top: Top, state: Floats, t: float) -> list[float]:
+    """Return the state from which the motion of ``top`` reaches ``state`` after the time ``t``."""
+    return _state_before(top, tuple(state), t)  # pyright: ignore[reportArgumentType] (frozen, hence hashable)
+
+
+@cache
+def _state_before(top: Top, state: Floats, t: float) -> list[float]:
+    return reference_states(top, state, np.array([-t]))[0].tolist()
+
+
+def initial(top: Top, state: Floats) -> dict[str, list[float]]:
+    """Return the ``initial`` section of a config for ``state``, with its unit vectors normalized to the last bit."""
+    section: dict[str, list[float]] = {}
+    for name, (start, stop) in top.vectors.items():
+        vector = list(state[start:stop])
+        if name in top.unit_vectors:
+            length = math.hypot(*vector)
+            vector = [value / length for value in vector]
+        section[name] = vector
+    return section
+
+
+def config(top: Top, state: Floats, h: float, N: int) -> dict[str, Any]:
+    """Return a config without a scheme."""
+    return {"top": {"kind": top.kind, **top.model_dump(mode="json")}, "initial": initial(top, state), "h": h, "N": N}
+
 
 LARGEST_STEP = 60.0
 OMEGA, GAMMA = (0.7, -0.4, 1.3), (0.6, 0.48, 0.64)

@@ -1,20 +1,181 @@
-"""The checks: each answers the question of a case from runs of one scheme."""
+"""Hard cases: an experiment without a scheme, a question about it, and a check that answers it from runs of a scheme.
+
+Outcomes: *held*: the scheme does what it claims. *degraded*: it keeps every claim but loses its accuracy. *broke*: it
+blew up, did not converge, refused the case, left the motion altogether, or violated a claim. *not tried*: the case
+asks something that the scheme does not claim, or would take too long in the interpreter.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order, observed_order
+from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import minima_times
 from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
-from topcli.contracts import Array
-from topcli.studies.stress.case import Finding, Result, Trial, ended_badly, fault
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Sampler, Stepper, Top
+from topcli.engine.driver import Loop, loop_of
+from topcli.engine.loop import Run
+from topcli.schemes.registry import find_scheme
 
 EPS = float(np.finfo(float).eps)
+PLAIN_STEPS = 400
+"""Approximate number of steps of a scheme that runs in the interpreter, which takes longer ones instead."""
+
+CLAIM_ULPS = 50.0
+"""Allowed deviation of a claimed invariant, in ulp of its terms times sqrt(steps)."""
+
+
+class CaseOutcome(StrEnum):
+    """Outcome of a case, from good to bad."""
+
+    HELD = "held"
+    NOT_TRIED = "not tried"
+    DEGRADED = "degraded"
+    BROKE = "broke"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The answer: the result, the reason in one short phrase with figures, and the step at which it broke."""
+
+    result: CaseOutcome
+    why: str
+    step: int | None = None
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One hard case for the schemes of one form of a top.
+
+    ``config`` gives the experiment as a config without a scheme; ``check`` answers the ``question`` for a trial.
+    """
+
+    name: str
+    form: str
+    question: str
+    config: Callable[[], Mapping[str, Any]]
+    check: Callable[[Trial], Finding]
+
+    def experiment(self, scheme: str, options: Mapping[str, Any] | None = None) -> Experiment:
+        """Return the case as an experiment with ``scheme``. Raises UsageError for unknown names and options."""
+        name = f"stress_{self.name}".replace("-", "_")
+        return load_experiment({"name": name, "scheme": {"name": scheme, **(options or {})}, **self.config()})
+
+
+class CaseCache:
+    """Cache of compiled loops, by scheme and parameters of the top, and of references, by case."""
+
+    def __init__(self) -> None:
+        self._methods: dict[Any, tuple[Method, Loop]] = {}
+        self._references: dict[Any, Array] = {}
+
+    def method(self, experiment: Experiment) -> tuple[Method, Loop]:
+        """Return the method of an experiment and its loop."""
+        top = experiment.top
+        key = (experiment.scheme.name, top.form, repr(top), repr(experiment.options))
+        if key not in self._methods:
+            method = experiment.method()
+            self._methods[key] = (method, loop_of(method, len(top.components), len(top.constants())))
+        return self._methods[key]
+
+    def reference(self, top: Top, y0: Floats, times: Array) -> Array:
+        """Return the reference motion at ``times``, (m, d)."""
+        key = (top.form, repr(top), y0, times.tobytes())
+        if key not in self._references:
+            self._references[key] = reference_states(top, y0, times)
+        return self._references[key]
+
+
+class Trial:
+    """One scheme in one case, as the checks use it."""
+
+    def __init__(self, case: Case, experiment: Experiment, cache: CaseCache) -> None:
+        self.case, self.experiment = case, experiment
+        self.scheme, self.top, self.y0 = experiment.scheme, experiment.top, experiment.y0
+        self.order = self.scheme.order_for(experiment.options)
+        self.method, self._loop = cache.method(experiment)
+        self._cache = cache
+        self.plain = isinstance(self.method, Stepper) and self.method.plain
+        factor = max(1, experiment.N // PLAIN_STEPS) if self.plain else 1
+        self.h, self.N = experiment.h * factor, max(1, experiment.N // factor)
+        self.counters: dict[str, int] = {}
+        self.claim_ulps = CLAIM_ULPS
+
+    def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Floats | None = None) -> Trajectory:
+        """Run the case, or with another step, another number of steps, or from another state."""
+        h, N = h or self.h, N or self.N
+        with np.errstate(all="ignore"):
+            motion = Trajectory.of_run(Run(self.top, self._loop, y0 or self.y0, h, N, every), self.scheme.name)
+        if not self.counters:
+            self.counters = dict(motion.ending.counters)
+        return motion
+
+    def reference(self, times: Array) -> Array:
+        """Return the reference motion of the case at ``times``, (m, d)."""
+        return self._cache.reference(self.top, self.y0, times)
+
+    def closed_form(self, n: NDArray[np.int64]) -> Array:
+        """Return the states of the closed form of the top after ``n`` (m,) steps, (m, d)."""
+        method = find_scheme("exact", self.top.form).build(self.top, None)
+        assert isinstance(method, Sampler)
+        return method.states(np.array(self.y0), self.h, n, self.top.constants())
+
+    def claimed(self, h: float) -> list[Invariant]:
+        """Invariants that the scheme claims to conserve to round-off at the step ``h``."""
+        kept = [invariant for invariant in self.top.invariants() if invariant.name in self.scheme.conserves]
+        modified = self.scheme.modified(self.top, h, self.experiment.options) if self.scheme.modified else ()
+        return [*kept, *modified]
+
+
+def ended_badly(motion: Trajectory) -> Finding | None:
+    """Return the finding on a run that did not complete; None if it did."""
+    ending = motion.ending
+    if ending.outcome is Outcome.COMPLETED:
+        return None
+    if ending.outcome is Outcome.LEFT_MOTION:
+        why = f"left its energy surface at step {ending.left} (t = {ending.left_t:.4g})"
+        sizes = np.abs(motion.states).max(axis=1)
+        return Finding(CaseOutcome.BROKE, why, ending.left, {"largest": float(sizes.max() / sizes[0])})
+    what = {Outcome.BLEW_UP: "blew up", Outcome.NO_CONVERGENCE: "did not converge"}[ending.outcome]
+    return Finding(CaseOutcome.BROKE, f"{what} at step {ending.step} (t = {ending.t:.4g})", ending.step)
+
+
+def claim_violated(trial: Trial, motion: Trajectory) -> Finding | None:
+    """Return the finding on a run that violates a claimed invariant; None if it keeps them all."""
+    with np.errstate(all="ignore"):
+        for invariant in trial.claimed(motion.h):
+            values = invariant.value(motion.states)
+            scale = np.maximum.accumulate(invariant.scale(motion.states))
+            if not (np.isfinite(values).all() and np.isfinite(scale).all()):
+                continue  # terms beyond the range of a double cannot be judged
+            deviation = np.abs(values - values[0])
+            bound = trial.claim_ulps * EPS * np.sqrt(np.maximum(motion.n, 1)) * scale
+            # a denormal has an absolute error, which no relative bound covers
+            over = deviation > np.maximum(bound, 1e-300)
+            if over.any():
+                at = int(np.argmax(over))
+                why = f"claims {invariant.symbol}, off by {deviation[at]:.1e} (round-off: {bound[at]:.1e})"
+                return Finding(CaseOutcome.BROKE, why, int(motion.n[at]), {"deviation": float(deviation.max())})
+    return None
+
+
+def fault(trial: Trial, motion: Trajectory) -> Finding | None:
+    """Return the finding on a run that did not complete or violates a claim; None if neither."""
+    return ended_badly(motion) or claim_violated(trial, motion)
+
+
 Check = Callable[[Trial], Finding]
 
 LEFT = 0.5
@@ -59,23 +220,23 @@ def keeps_order(trial: Trial) -> Finding:
         if not worst < LEFT:
             at = int(np.argmax(~(errors < LEFT)))
             why = f"left the motion: error {errors[at]:.1g} of its size at t = {motion.t[at]:.3g}"
-            return Finding(Result.BROKE, why, int(motion.n[at]), {"error": worst})
+            return Finding(CaseOutcome.BROKE, why, int(motion.n[at]), {"error": worst})
         found.append(worst)
     last = found[-1]
     if len(found) == 1:
         allowed = EXACT_ERROR if trial.order is None else ADAPTIVE_ERROR
-        result = Result.HELD if last <= allowed else Result.DEGRADED
+        result = CaseOutcome.HELD if last <= allowed else CaseOutcome.DEGRADED
         return Finding(result, f"error {last:.1e}", figures={"error": last})
     floor = 64.0 * EPS * math.sqrt(4.0 * trial.N)
     order = observed_order([4.0, 2.0, 1.0], found, floor)
     figures = {"error": found[0], "error_quarter_step": last}
     if order is None:
-        return Finding(Result.HELD, f"error {last:.1e}: round-off", figures=figures)
+        return Finding(CaseOutcome.HELD, f"error {last:.1e}: round-off", figures=figures)
     assert trial.order is not None
     held = order >= trial.order - ORDER_LOST or last <= floor
     why = f"order {order:.2f}, error {found[0]:.1e}"
     return Finding(
-        Result.HELD if held else Result.DEGRADED,
+        CaseOutcome.HELD if held else CaseOutcome.DEGRADED,
         why if held else f"{why}: falls short of its order {trial.order}",
         figures={**figures, "order": order},
     )
@@ -101,12 +262,12 @@ def false_order(trial: Trial) -> str:
 
 def _timed(what: str, time: float, exact: float, trial: Trial, when: str = "at") -> Finding:
     off = abs(time - exact) / abs(exact)
-    result = Result.HELD if off <= RIGHT else Result.DEGRADED if off <= ROUGH else Result.BROKE
-    if result is Result.HELD:
+    result = CaseOutcome.HELD if off <= RIGHT else CaseOutcome.DEGRADED if off <= ROUGH else CaseOutcome.BROKE
+    if result is CaseOutcome.HELD:
         why = f"{what} {when} t = {time:.4f}, {off:.0e} off the theory"
     else:
         why = f"{what} {when} t = {time:.4f}, not {exact:.4f} ({100 * off:.0f}% off)"
-    step = None if result is not Result.BROKE else round(min(time, exact) / abs(trial.h))
+    step = None if result is not CaseOutcome.BROKE else round(min(time, exact) / abs(trial.h))
     return Finding(result, why, step, {"time": time, "exact": exact, "relative_error": off})
 
 
@@ -127,7 +288,7 @@ def swings_at(exact: float, spacing: bool = False) -> Check:
             times = np.diff(times)
         if not len(times):
             why = f"no {'second ' * spacing}swing up to t = {motion.t[-1]:.3g}; due at {exact:.4f}"
-            return Finding(Result.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
+            return Finding(CaseOutcome.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
         return _timed("swings", float(times[0]), exact, trial, "after" if spacing else "at")
 
     return check
@@ -154,7 +315,7 @@ def flips(trial: Trial) -> Finding:
     time = _crossing(motion.t, motion.states[:, 1])
     if time is None:
         why = f"no flip up to t = {motion.t[-1]:.3g}; due at {exact:.4f}"
-        return Finding(Result.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
+        return Finding(CaseOutcome.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
     return _timed("flips", time, exact, trial)
 
 
@@ -174,12 +335,12 @@ def stays_bounded(trial: Trial) -> Finding:
     largest = float(sizes.max())
     figures = {"largest": largest}
     if largest <= 2.0:
-        return Finding(Result.HELD, f"stays within {largest:.2g} times the motion's size", figures=figures)
+        return Finding(CaseOutcome.HELD, f"stays within {largest:.2g} times the motion's size", figures=figures)
     at = int(np.argmax(sizes > 2.0))
     why = f"grows to {largest:.1e} times the motion's size, beyond 2 at step {motion.n[at]}"
     if largest <= 100.0:
-        return Finding(Result.DEGRADED, why, int(motion.n[at]), figures)
-    return Finding(Result.BROKE, why, int(motion.n[at]), figures)
+        return Finding(CaseOutcome.DEGRADED, why, int(motion.n[at]), figures)
+    return Finding(CaseOutcome.BROKE, why, int(motion.n[at]), figures)
 
 
 def returns(trial: Trial) -> Finding:
@@ -189,7 +350,7 @@ def returns(trial: Trial) -> Finding:
     phases: after N steps the phases are off by ulp h N^(3/2), and after the way back by a few times that.
     """
     if trial.plain:
-        return Finding(Result.NOT_TRIED, "runs in the interpreter")
+        return Finding(CaseOutcome.NOT_TRIED, "runs in the interpreter")
     there = trial.run(every=trial.N)
     wrong = ended_badly(there)
     if wrong:
@@ -205,19 +366,19 @@ def returns(trial: Trial) -> Finding:
     figures = {"missed": missed, "bound": bound}
     why = f"misses the start by {missed:.1e} (round-off: {bound:.1e})"
     if missed <= bound:
-        return Finding(Result.HELD, why, figures=figures)
+        return Finding(CaseOutcome.HELD, why, figures=figures)
     if trial.scheme.self_adjoint:
-        return Finding(Result.BROKE, f"claims to be self-adjoint, {why}", 2 * trial.N, figures)
-    return Finding(Result.DEGRADED, f"{why}; not self-adjoint", figures=figures)
+        return Finding(CaseOutcome.BROKE, f"claims to be self-adjoint, {why}", 2 * trial.N, figures)
+    return Finding(CaseOutcome.DEGRADED, f"{why}; not self-adjoint", figures=figures)
 
 
 def does_not_drift(trial: Trial) -> Finding:
     """Check over a very long run that no claimed invariant has a slope beyond its uncertainty."""
     claimed = trial.claimed(trial.h)
     if not claimed:
-        return Finding(Result.NOT_TRIED, "claims no invariant")
+        return Finding(CaseOutcome.NOT_TRIED, "claims no invariant")
     if trial.plain:
-        return Finding(Result.NOT_TRIED, "runs in the interpreter")
+        return Finding(CaseOutcome.NOT_TRIED, "runs in the interpreter")
     motion = trial.run(every=max(1, trial.N // 8192))
     wrong = fault(trial, motion)
     if wrong:
@@ -240,8 +401,8 @@ def does_not_drift(trial: Trial) -> Finding:
             biased.append(slope_text)
     worst = max(rows, key=lambda row: row.max_deviation / (row.round_off_bound or 1.0))
     if drifting:
-        return Finding(Result.BROKE, f"drifts: {drifting[0]}", int(motion.n[-1]), figures)
+        return Finding(CaseOutcome.BROKE, f"drifts: {drifting[0]}", int(motion.n[-1]), figures)
     if biased:
-        return Finding(Result.DEGRADED, f"round-off is biased: {biased[0]}", figures=figures)
+        return Finding(CaseOutcome.DEGRADED, f"round-off is biased: {biased[0]}", figures=figures)
     why = f"no slope; worst {worst.symbol}: {worst.max_deviation:.0e} after {motion.n[-1]:.0e} steps"
-    return Finding(Result.HELD, why, figures=figures)
+    return Finding(CaseOutcome.HELD, why, figures=figures)
