@@ -166,7 +166,7 @@ def interleaved(forms: dict[str, Callable[[], None]], repetitions: int) -> dict[
 
 def compared(light_rows: int, heavy_rows: int, repetitions: int) -> dict[str, Any]:
     """Figures of light rows through one worker, and of heavy rows in several ways."""
-    from topcli.sweeps.connect import BATCH_SCALE, connected
+    from topcli.sweeps.cluster import BATCH_SCALE, connected
     from topcli.sweeps.run import in_threads
 
     few, many = rows_of(heavy(heavy_rows)), rows_of(light(light_rows))

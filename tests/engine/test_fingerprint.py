@@ -18,8 +18,8 @@ from topcli.engine.fingerprint import fingerprint, same_method
 from topcli.errors import SchemeCodeError
 from topcli.runs.identity import method_fingerprint
 from topcli.schemes.registry import all_schemes
+from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.evaluate import Shared, shared_experiment
-from topcli.sweeps.measures import BatchRun
 from topcli.tops import TOPS
 
 REST = "s[1], s[2], s[3], s[4], s[5])"
@@ -362,7 +362,7 @@ def test_edits_have_keys_of_their_own() -> None:
     assert len(set(keys)) == len(keys)
 
 
-evaluation = importlib.import_module("topcli.sweeps.measures.evaluate")
+evaluation = importlib.import_module("topcli.sweeps.batch_run")
 
 
 def stepper(factor: Any, default: Any = 1.0, other: bool = False) -> Stepper:

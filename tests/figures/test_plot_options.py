@@ -19,7 +19,7 @@ from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request, make_figure
 from topcli.figures.picture import draw, read_style, styled
-from topcli.sweeps.measures.references import exact_columns
+from topcli.runs.references import exact_columns
 from topcli.tops.heavy import Heavy
 
 GREY = "0.8"

@@ -165,7 +165,7 @@ def test_mistakes_are_refused_before_anything_runs(cli: Any, arguments: tuple[st
 def test_a_value_that_is_missing_is_explained(cli: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A reference that cannot be computed leaves the other measures, and the other trajectories, as they are."""
     from topcli.errors import RunError
-    from topcli.sweeps.measures.references import SharedReferences
+    from topcli.runs.references import SharedReferences
 
     original = SharedReferences.states
 

@@ -20,24 +20,22 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError
+from topcli.runs.references import SharedReferences
 from topcli.schemes import registry as schemes
 from topcli.schemes.registry import find_scheme
+from topcli.sweeps.batch import bytes_per_run
+from topcli.sweeps.batch_run import BatchRun, batch_size, evaluate
 from topcli.sweeps.measures import (
     MEASURES,
-    BatchRun,
     Measure,
     MeasureMisfitError,
     all_measures,
-    batch_size,
-    evaluate,
     measure,
     measures_of_form,
     names_of,
     references,
     resolve_measures,
 )
-from topcli.sweeps.measures.batch import bytes_per_run
-from topcli.sweeps.measures.references import SharedReferences
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -222,7 +220,7 @@ def free(scheme: str, h: float, N: int, **top: float) -> Experiment:
 
 def shared(monkeypatch: pytest.MonkeyPatch, max_bytes: int = 1 << 20) -> SharedReferences:
     found = SharedReferences(max_bytes)
-    monkeypatch.setattr("topcli.sweeps.measures.batch.REFERENCES", found)
+    monkeypatch.setattr("topcli.sweeps.batch.REFERENCES", found)
     return found
 
 

@@ -19,12 +19,12 @@ from topcli.contracts import Array, Outcome
 from topcli.engine.endings import Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError
+from topcli.runs.references import REFERENCES
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.studies.compare_ensemble import compare_ensemble
-from topcli.sweeps.measures import BatchRun, evaluate, resolve_measures
-from topcli.sweeps.measures.batch import BatchRecorder
-from topcli.sweeps.measures.references import REFERENCES
-from topcli.sweeps.measures.registry import MEASURES, measure
+from topcli.sweeps.batch import BatchRecorder
+from topcli.sweeps.batch_run import BatchRun, evaluate
+from topcli.sweeps.measures import MEASURES, measure, resolve_measures
 
 A, C = 2.0, 1.0
 OMEGA = (0.3, 0.4, 1.5)

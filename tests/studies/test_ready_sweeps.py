@@ -14,7 +14,8 @@ from topcli.config.files import scene_files
 from topcli.config.load import load_experiment
 from topcli.config.text import parse_yaml
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.sweeps.measures import BatchRun, evaluate, resolve_measures
+from topcli.sweeps.batch_run import BatchRun, evaluate
+from topcli.sweeps.measures import resolve_measures
 from topcli.tops import top_class
 
 FILES = sorted((ROOT / "configs" / "sweeps").iterdir())

@@ -21,8 +21,8 @@ from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.runs.simulate import trajectory_of
 from topcli.sweeps import evaluate as seam
+from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, batches, evaluate_batch
-from topcli.sweeps.measures import BatchRun
 from topcli.sweeps.run import SweepOptions, Watcher, find_row, in_threads, planned, run_sweep
 
 

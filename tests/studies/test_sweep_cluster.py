@@ -20,9 +20,8 @@ from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
-from topcli.sweeps import connect
-from topcli.sweeps.cluster import IN_FLIGHT, answer
-from topcli.sweeps.connect import connected, local_workers, require_dask, run_on_cluster
+from topcli.sweeps import cluster as connect
+from topcli.sweeps.cluster import IN_FLIGHT, answer, connected, local_workers, require_dask, run_on_cluster
 from topcli.sweeps.evaluate import forget
 from topcli.sweeps.run import SweepOptions, Watcher, run_sweep
 

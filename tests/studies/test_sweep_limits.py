@@ -20,12 +20,13 @@ from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import load_sweep
 from topcli.contracts import StopAsked, check_stop, stopping_when
 from topcli.errors import RunError
+from topcli.runs import references
+from topcli.runs.references import SharedReferences
 from topcli.schemes.registry import find_scheme
+from topcli.sweeps import batch as recording
 from topcli.sweeps import evaluate as seam
+from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, evaluate_batch, unfinished
-from topcli.sweeps.measures import BatchRun, references
-from topcli.sweeps.measures import batch as recording
-from topcli.sweeps.measures.references import SharedReferences
 from topcli.sweeps.run import Watcher
 from topcli.tops.kowalevski import Kowalevski
 

@@ -18,7 +18,7 @@ from sweeping import DATA
 from topcli.config.rows import RowReader
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
-from topcli.sweeps import connect
+from topcli.sweeps import cluster as connect
 from topcli.sweeps.cluster import ALONE, IN_FLIGHT, Cluster, batch_digest
 from topcli.sweeps.evaluate import Results, Work
 

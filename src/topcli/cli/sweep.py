@@ -199,7 +199,7 @@ def sweep(
             if dask is None:
                 result = run_sweep(loaded, out, options, watcher)
             else:
-                from topcli.sweeps.connect import run_on_cluster
+                from topcli.sweeps.cluster import run_on_cluster
 
                 result = run_on_cluster(dask, loaded, out, options, watcher)
         finally:

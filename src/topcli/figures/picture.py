@@ -65,7 +65,7 @@ class Runs:
 
     def overlaid(self, columns: Iterable[str]) -> tuple[str, ...]:
         """Columns behind which the exact motion is drawn, as far as it is known."""
-        from topcli.sweeps.measures.references import exact_names
+        from topcli.runs.references import exact_names
 
         if not self.overlay:
             return ()

@@ -121,8 +121,8 @@ class _Columns(dict[str, Any]):
 
     def __missing__(self, name: str) -> np.ndarray:
         """Column of this name. Raises UsageError if its run does not record it."""
+        from topcli.runs.references import exact_columns
         from topcli.store.series import read_series
-        from topcli.sweeps.measures.references import exact_columns
 
         plain = name.removeprefix(exact_column(""))
         key, _, column = plain.rpartition(":")

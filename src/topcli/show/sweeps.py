@@ -188,6 +188,6 @@ def sweep(
         watcher = Watcher(progress=lambda done, total, failed: bar(done, total, f"{failed} failed" if failed else ""))
         if dask is None:
             return SweepReport(run_sweep(loaded, Path(out), options, watcher))
-        from topcli.sweeps.connect import run_on_cluster
+        from topcli.sweeps.cluster import run_on_cluster
 
         return SweepReport(run_on_cluster(dask, loaded, Path(out), options, watcher))

@@ -21,13 +21,13 @@ from topcli.contracts import Array, Method, Outcome, Sampler
 from topcli.engine.loop import nanoseconds_per_step
 from topcli.engine.precise.numbers import MAX_DIGITS, RATIONAL
 from topcli.errors import UnknownNameError, UsageError, quoted
+from topcli.runs.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.runs.report import REPORT_COLUMNS, finite, left_motion
 from topcli.runs.simulate import trajectory_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.compare_ensemble import compare_ensemble
 from topcli.studies.entries import Entry, cited_parts, few_rows, read_entries, scheme_options, top_title, users_code
 from topcli.studies.study import PYTHON_ONLY, Data, Faults, Flag, Head, Overrides, Result, Study
-from topcli.sweeps.measures.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.table import Column, Table, number
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ from topcli.analysis.tally import quantiles
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
+from topcli.runs.references import METHODS, TAYLOR, reference_form
 from topcli.runs.report import EndingTally, finite
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
-from topcli.sweeps.measures import BatchRun, Measure, evaluate, names_of, resolve_measures
-from topcli.sweeps.measures.evaluate import MAX_RUNS
-from topcli.sweeps.measures.references import METHODS, TAYLOR, reference_form
+from topcli.sweeps.batch_run import MAX_RUNS, BatchRun, evaluate
+from topcli.sweeps.measures import Measure, names_of, resolve_measures
 
 QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
 MEASURED = ("error.max", "error.end", "reversal", "swing_spacing.first")

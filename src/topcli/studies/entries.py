@@ -21,9 +21,9 @@ from topcli.config.models import Experiment
 from topcli.config.ranges import steps_over
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
+from topcli.runs.references import EXACT
 from topcli.schemes.registry import find_scheme
 from topcli.schemes.user_code import users_error
-from topcli.sweeps.measures.references import EXACT
 from topcli.tops import TOPS, top_class
 
 STEP = "h"

@@ -27,7 +27,8 @@ from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import TopcliError
 from topcli.schemes.user_code import users_error
 from topcli.store.provenance import cpu_name
-from topcli.sweeps.measures import BatchRun, Limit, Measure, evaluate, resolve_measures
+from topcli.sweeps.batch_run import BatchRun, Limit, evaluate
+from topcli.sweeps.measures import Measure, resolve_measures
 from topcli.tops import TOPS
 
 FAILED = "failed"

@@ -25,18 +25,8 @@ from topcli.contracts import Array, Outcome
 from topcli.engine.endings import CODES, Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError, UsageError
-from topcli.sweeps.measures.references import REFERENCES, reference_kind
-from topcli.sweeps.measures.registry import (
-    DEVIATION,
-    DRIFT,
-    END_ERROR,
-    ERROR,
-    PROBES,
-    RECORDED,
-    STATES,
-    Measure,
-    integrals_of,
-)
+from topcli.runs.references import REFERENCES, reference_kind
+from topcli.sweeps.measures import DEVIATION, DRIFT, END_ERROR, ERROR, PROBES, RECORDED, STATES, Measure, integrals_of
 
 WHOLE = (CODES[Outcome.COMPLETED], CODES[Outcome.LEFT_MOTION])
 """Codes of the outcomes of runs that took all their steps."""

@@ -18,8 +18,8 @@ from topcli.engine.fingerprint import same_method
 from topcli.engine.tile import Piece
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.schemes.user_code import users_error
-from topcli.sweeps.measures.batch import Batch, BatchRecorder, bytes_per_run
-from topcli.sweeps.measures.registry import END_ERROR, ERROR, Measure
+from topcli.sweeps.batch import Batch, BatchRecorder, bytes_per_run
+from topcli.sweeps.measures import END_ERROR, ERROR, Measure
 
 OnFault = Callable[[int, str, str], None]
 """Called with the number of a run in its batch, the name of a measure and the reason why it has no value."""
