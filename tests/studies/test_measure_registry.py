@@ -20,7 +20,8 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError
-from topcli.runs.references import SharedReferences
+from topcli.runs import references
+from topcli.runs.references import SharedReferences, reference_kind
 from topcli.schemes import registry as schemes
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps.batch import bytes_per_run
@@ -33,7 +34,6 @@ from topcli.sweeps.measures import (
     measure,
     measures_of_form,
     names_of,
-    references,
     resolve_measures,
 )
 from topcli.tops.euler import Euler
@@ -366,8 +366,8 @@ def test_the_size_of_a_batch_follows_from_its_memory() -> None:
 
 
 def test_a_closed_form_serves_only_its_own_tops() -> None:
-    assert references.reference_kind(Kowalevski(), HK) == "taylor"
-    assert references.reference_kind(Euler(A=3.0, B=2.0, C=1.0), EULER_HK) == "exact"
+    assert reference_kind(Kowalevski(), HK) == "taylor"
+    assert reference_kind(Euler(A=3.0, B=2.0, C=1.0), EULER_HK) == "exact"
     exact: Scheme = find_scheme("exact", "euler")
-    assert references.reference_kind(Euler(A=3.0, B=2.0, C=1.0), exact) == "taylor"
+    assert reference_kind(Euler(A=3.0, B=2.0, C=1.0), exact) == "taylor"
     assert math.isfinite(max_error(free("exact", 0.1, 10)))

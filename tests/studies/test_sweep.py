@@ -23,7 +23,7 @@ from topcli.runs.simulate import trajectory_of
 from topcli.sweeps import evaluate as seam
 from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, batches, evaluate_batch
-from topcli.sweeps.run import SweepOptions, Watcher, find_row, in_threads, planned, run_sweep
+from topcli.sweeps.run import SweepOptions, find_row, in_threads, planned, run_sweep
 
 
 def deviation(row: dict[str, Any], out: Path) -> float:
@@ -159,7 +159,7 @@ FAILING = {**DATA, "grid": {"h": [0.01, 3.0, 0.02]}, "base": {**BASE, "scheme": 
 
 def test_a_failed_row_stays_a_row(tmp_path: Path) -> None:
     messages: list[tuple[int, str]] = []
-    result = sweep(tmp_path, FAILING, Watcher(failure=lambda row, outcome, _: messages.append((row.number, outcome))))
+    result = sweep(tmp_path, FAILING, on_failure=lambda row, outcome, _: messages.append((row.number, outcome)))
     assert messages == [(1, "blew_up")]
     assert (result.failed, result.finished) == (1, 3)
     row = table(tmp_path)[1]
@@ -236,7 +236,7 @@ def test_a_row_that_cannot_become_a_run_stays_a_row(tmp_path: Path) -> None:
         yield from ((batch, evaluate_batch(batch, work.measures, kept=KeptRuns(Broken))) for batch in made)
 
     data = {**DATA, "grid": {"initial.omega1": [0.125, 0.25, 0.5]}}
-    result = run_sweep(load_sweep(data), tmp_path, SweepOptions(), Watcher(), backend)
+    result = run_sweep(load_sweep(data), tmp_path, SweepOptions(), backend)
     assert result.outcomes == {"completed": 2, "failed": 1}
     found = [(row["outcome"], row["message"]) for row in table(tmp_path)]
     assert found == [("completed", found[0][1]), ("failed", "no luck"), ("completed", found[2][1])]
@@ -257,7 +257,7 @@ def test_an_unfinished_sweep_has_no_manifest(tmp_path: Path) -> None:
     sweep(tmp_path)
     manifest = tmp_path / "study" / "manifest.json"
     assert manifest.exists()
-    assert not sweep(tmp_path, with_grid(h=[0.03]), Watcher(stop=lambda: True)).finished
+    assert not sweep(tmp_path, with_grid(h=[0.03]), stop=lambda: True).finished
     assert not manifest.exists()
 
 

@@ -23,7 +23,7 @@ from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.sweeps import cluster as connect
 from topcli.sweeps.cluster import IN_FLIGHT, answer, connected, local_workers, require_dask, run_on_cluster
 from topcli.sweeps.evaluate import forget
-from topcli.sweeps.run import SweepOptions, Watcher, run_sweep
+from topcli.sweeps.run import SweepOptions, run_sweep
 
 LONG = {
     **MANY,
@@ -124,10 +124,9 @@ def test_rows_are_those_of_a_local_sweep_and_few_are_in_flight(cluster: Processe
     sweep(tmp_path / "here", MANY)
     flying: list[int] = []
     with connected(cluster.address) as found:
-        watcher = Watcher(progress=lambda *counts: flying.append(len(found._flying)))
         assert found.threads == 2
-        options = SweepOptions(threads=12)  # many small batches
-        result = run_sweep(load_sweep(MANY), tmp_path / "there", options, watcher, found)
+        many_batches = SweepOptions(threads=12, on_progress=lambda *counts: flying.append(len(found._flying)))
+        result = run_sweep(load_sweep(MANY), tmp_path / "there", many_batches, found)
     assert result.ran == 160
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
     assert len(flying) > 4 * IN_FLIGHT
@@ -146,9 +145,9 @@ def test_a_worker_that_is_killed_loses_no_row(cluster: Processes, tmp_path: Path
             victim.kill()
         done.append(count)
 
-    options = SweepOptions(threads=4)
+    options = SweepOptions(threads=4, on_progress=progress)
     with connected(cluster.address) as found:
-        result = run_sweep(load_sweep(LONG), tmp_path / "there", options, Watcher(progress=progress), found)
+        result = run_sweep(load_sweep(LONG), tmp_path / "there", options, found)
     assert victim.wait(SECONDS) == -signal.SIGKILL
     assert done[0] < 160 == done[-1] == result.ran, "it was killed during the sweep, and each row came once"
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
@@ -243,7 +242,7 @@ def test_replaced_workers_of_this_machine_compute_the_rest(
                 os.kill(nanny.pid, signal.SIGKILL)
             done.append(count)
 
-        result = run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12), Watcher(progress=progress), found)
+        result = run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12, on_progress=progress), found)
         assert len(local.worker_spec) > 1
     assert (result.ran, result.outcomes) == (160, {"completed": 160})
 
@@ -260,14 +259,14 @@ def test_a_sweep_that_is_stopped_keeps_what_is_finished_and_frees_the_workers(
 ) -> None:
     with connected(cluster.address) as found:
         client = found.client
-        watcher = Watcher(stop=once(lambda: any(client.processing().values()), "no row is computed"))
-        result = run_sweep(load_sweep(ENDLESS), tmp_path / "endless", SweepOptions(), watcher, found)
+        stopped = SweepOptions(stop=once(lambda: any(client.processing().values()), "no row is computed"))
+        result = run_sweep(load_sweep(ENDLESS), tmp_path / "endless", stopped, found)
         assert (result.interrupted, result.finished) == (True, 0)
         wait_until(lambda: not any(client.processing().values()), "the workers do not become free")
     done: list[int] = []
-    watcher = Watcher(progress=lambda count, total, failed: done.append(count), stop=lambda: bool(done))
+    options = SweepOptions(threads=12, on_progress=lambda count, *_: done.append(count), stop=lambda: bool(done))
     with connected(cluster.address) as found:
-        result = run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12), watcher, found)
+        result = run_sweep(load_sweep(MANY), tmp_path, options, found)
     assert result.interrupted
     assert 0 < result.finished < 160
     rest = run_on_cluster(cluster.address, load_sweep(MANY), tmp_path)
@@ -287,7 +286,7 @@ def test_a_lost_scheduler_is_reported_and_finished_rows_are_kept(cluster: Proces
         pytest.raises(RunError, match="connection to the scheduler was lost; finished rows are kept"),
         connected(cluster.address) as found,
     ):
-        run_sweep(load_sweep(LONG), tmp_path, SweepOptions(threads=4), Watcher(progress=progress), found)
+        run_sweep(load_sweep(LONG), tmp_path, SweepOptions(threads=4, on_progress=progress), found)
     assert 0 < sweep(tmp_path, LONG).ran < 160
 
 

@@ -27,7 +27,6 @@ from topcli.sweeps import batch as recording
 from topcli.sweeps import evaluate as seam
 from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, evaluate_batch, unfinished
-from topcli.sweeps.run import Watcher
 from topcli.tops.kowalevski import Kowalevski
 
 ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["error.max", "steps"]}
@@ -214,7 +213,7 @@ def test_hopeless_scales_are_outcomes_and_missing_values(tmp_path: Path) -> None
         "measure": ["error.max"],
     }
     failures: list[str] = []
-    result = sweep(tmp_path, data, Watcher(failure=lambda row, outcome, message: failures.append(message)))
+    result = sweep(tmp_path, data, on_failure=lambda row, outcome, message: failures.append(message))
     found = table(tmp_path)
     assert result.finished == len(found) == 5 * 3 * 4 * 3
     assert [row["message"] for row in found if "internal" in row["message"]] == []

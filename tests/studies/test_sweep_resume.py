@@ -23,14 +23,13 @@ from topcli.errors import RunError, UsageError
 from topcli.studies.checks import check_all
 from topcli.sweeps.journal import Block, Journal, damaged_lines
 from topcli.sweeps.plan import survey
-from topcli.sweeps.run import Watcher
 
 
 def test_an_interrupted_sweep_continues(tmp_path: Path) -> None:
     data = {**DATA, "grid": {"h": [0.001 * k for k in range(1, 21)]}}
     asked: list[int] = []
-    watcher = Watcher(progress=lambda done, total, failed: asked.append(done), stop=lambda: bool(asked))
-    result = sweep(tmp_path, data, watcher, threads=1)
+    after_one = {"on_progress": lambda done, total, note: asked.append(done), "stop": lambda: bool(asked)}
+    result = sweep(tmp_path, data, threads=1, **after_one)
     assert result.interrupted
     assert 0 < result.finished < 20
     rest = sweep(tmp_path, data)
@@ -89,7 +88,7 @@ def test_a_damaged_line_is_reported_and_its_rows_run_again(tmp_path: Path) -> No
     content[content.index(b'"deviation.energy":[') + 22] ^= 1  # a digit
     path.write_bytes(content)
     messages: list[str] = []
-    result = sweep(tmp_path, watcher=Watcher(message=messages.append))
+    result = sweep(tmp_path, on_message=messages.append)
     assert (result.ran, result.finished) == (lost, 4)
     assert messages == [f"warning: {path}: 1 damaged lines; their rows run again"]
 
@@ -241,8 +240,7 @@ def test_series_that_a_killed_process_has_not_stored_are_stored(tmp_path: Path) 
 
 
 def test_a_sweep_without_all_of_its_series_is_not_finished(tmp_path: Path) -> None:
-    watcher = Watcher(stop=lambda: bool(list(tmp_path.glob("study/series/*/manifest.json"))))
-    result = sweep(tmp_path, SERIES, watcher)
+    result = sweep(tmp_path, SERIES, stop=lambda: bool(list(tmp_path.glob("study/series/*/manifest.json"))))
     assert result.interrupted
     assert not (tmp_path / "study" / "manifest.json").exists()
     assert not sweep(tmp_path, SERIES).interrupted

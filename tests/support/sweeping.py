@@ -8,7 +8,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from topcli.config.sweep import load_sweep
-from topcli.sweeps.run import SweepOptions, SweepResult, Watcher, run_sweep
+from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
 BASE: dict[str, Any] = {
     "top": "kowalevski",
@@ -30,8 +30,8 @@ MANY = {
 }
 
 
-def sweep(out: Path, data: dict[str, Any] = DATA, watcher: Watcher | None = None, **options: Any) -> SweepResult:
-    return run_sweep(load_sweep(data), out, SweepOptions(**options), watcher or Watcher())
+def sweep(out: Path, data: dict[str, Any] = DATA, **options: Any) -> SweepResult:
+    return run_sweep(load_sweep(data), out, SweepOptions(**options))
 
 
 def table(out: Path, name: str = "study") -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -165,7 +166,7 @@ def sweep(
     was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
     """
     from topcli.config.sweep import load_sweep
-    from topcli.sweeps.run import SweepOptions, Watcher, run_sweep
+    from topcli.sweeps.run import SweepOptions, run_sweep
 
     if dask is not None and threads is not None:
         raise UsageError("--threads does not go with --dask: each worker has its own number of threads")
@@ -189,19 +190,16 @@ def sweep(
     display = ProgressDisplay(1, quiet, unit="rows")
     display.begin(loaded.name)
     with Interruption() as interruption:
-        watcher = Watcher(
-            progress=lambda done, total, failed: display(done, total, f"{failed} failed" if failed else ""),
-            failure=on_failure,
-            message=(lambda line: None) if quiet else print_message,
-            stop=interruption,
-        )
+        options = replace(options, stop=interruption, on_progress=display, on_failure=on_failure)
+        if not quiet:
+            options = replace(options, on_message=print_message)
         try:
             if dask is None:
-                result = run_sweep(loaded, out, options, watcher)
+                result = run_sweep(loaded, out, options)
             else:
                 from topcli.sweeps.cluster import run_on_cluster
 
-                result = run_on_cluster(dask, loaded, out, options, watcher)
+                result = run_on_cluster(dask, loaded, out, options)
         finally:
             display.close()
     if as_json:

@@ -319,11 +319,11 @@ def sweep_views(name: str, title: str, scene: str, views: tuple[View, ...], layo
 def _load_views(name: str, scene: str, views: tuple[View, ...], layout: Grid, request: Request) -> Loaded:
     """Load panels and data. Raises UsageError and RunError."""
     from topcli.config.sweep import load_sweep
-    from topcli.sweeps.run import Watcher, run_sweep
+    from topcli.sweeps.run import SweepOptions, run_sweep
 
     sweep = load_sweep(scene)
     shown = _Shown(sweep.keys, tuple(view.where for view in views), request.on_progress)
-    result = run_sweep(sweep, request.results, watcher=Watcher(message=request.on_message), backend=shown)
+    result = run_sweep(sweep, request.results, SweepOptions(on_message=request.on_message), shown)
     rows = read_rows(result.folder)
     if not result.outcomes.get("completed"):
         raise RunError(f"{name}: no run of the sweep {result.folder} was completed")

@@ -12,7 +12,7 @@ from topcli.errors import UsageError
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 from topcli.sweeps.rows import ROWS, SweepRows, read_rows
-from topcli.sweeps.run import SweepOptions, SweepResult, Watcher, run_sweep
+from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -183,11 +183,10 @@ def sweep(
     'h'
     """
     loaded = load_sweep(file, overrides)
-    options = SweepOptions(confirmed=True, retry_failed=retry_failed, threads=threads)
     with Progress(loaded.name, progress, unit="rows") as bar:
-        watcher = Watcher(progress=lambda done, total, failed: bar(done, total, f"{failed} failed" if failed else ""))
+        options = SweepOptions(confirmed=True, retry_failed=retry_failed, threads=threads, on_progress=bar)
         if dask is None:
-            return SweepReport(run_sweep(loaded, Path(out), options, watcher))
+            return SweepReport(run_sweep(loaded, Path(out), options))
         from topcli.sweeps.cluster import run_on_cluster
 
-        return SweepReport(run_on_cluster(dask, loaded, Path(out), options, watcher))
+        return SweepReport(run_on_cluster(dask, loaded, Path(out), options))

@@ -31,7 +31,7 @@ from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import loaded_scheme_files
 from topcli.schemes.user_code import reason_of
 from topcli.sweeps.evaluate import FAILED, Results, Work, unfinished
-from topcli.sweeps.run import SweepOptions, SweepResult, Watcher, run_sweep
+from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -302,14 +302,12 @@ def run_on_cluster(
     address: str,
     sweep: Sweep,
     out: Path,
-    options: SweepOptions | None = None,
-    watcher: Watcher | None = None,
+    options: SweepOptions = SweepOptions(),
 ) -> SweepResult:
     """Run what is new in ``sweep`` on the Dask cluster at ``address``; otherwise as ``run_sweep``."""
-    options, watcher = options or SweepOptions(), watcher or Watcher()
-    with connected(address, watcher.message, watcher.stop) as cluster:
+    with connected(address, options.on_message, options.stop) as cluster:
         divided = replace(options, threads=cluster.threads, batch_scale=BATCH_SCALE)
-        return run_sweep(sweep, out, divided, watcher, cluster)
+        return run_sweep(sweep, out, divided, cluster)
 
 
 def _require_answer(address: str) -> None:

@@ -54,7 +54,7 @@ begin; rows that are not done are left out."""
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """Options of a sweep that do not change what it computes."""
+    """Options and callbacks of a sweep, which do not change what it computes."""
 
     confirmed: bool = False
     """True if it may have more than ``MANY_ROWS`` rows."""
@@ -65,16 +65,11 @@ class SweepOptions:
     """Batches that are evaluated at the same time."""
     batch_scale: int = 1
     """Size of a batch in units of about a second of work."""
-
-
-@dataclass
-class Watcher:
-    """Functions that a sweep calls: ``progress(done, total, failed)`` and ``failure(row, outcome, message)``."""
-
-    progress: Callable[[int, int, int], None] = lambda done, total, failed: None
-    failure: Callable[[Row, str, str], None] = lambda row, outcome, message: None
-    message: Callable[[str], None] = lambda line: None
     stop: Callable[[], bool] = lambda: False
+    on_progress: Callable[[int, int, str], None] = lambda done, total, note: None
+    """Called with the rows done, their number, and a note on those that failed."""
+    on_failure: Callable[[Row, str, str], None] = lambda row, outcome, message: None
+    on_message: Callable[[str], None] = lambda line: None
 
 
 @dataclass(frozen=True)
@@ -201,7 +196,6 @@ def run_sweep(
     sweep: Sweep,
     out: Path,
     options: SweepOptions = SweepOptions(),
-    watcher: Watcher = Watcher(),  # noqa: B008 (never changed)
     backend: Backend | None = None,
 ) -> SweepResult:
     """Run what is new in ``sweep`` into ``out/<name>``; finished rows never run again.
@@ -213,7 +207,7 @@ def run_sweep(
     require_confirmed(sweep, options)
     surveyed = survey(sweep)
     for line in surveyed.warnings[:SHOWN_WARNINGS]:
-        watcher.message(f"warning: {sweep.name}: {line}")
+        options.on_message(f"warning: {sweep.name}: {line}")
     folder = out / sweep.name
     require_sweep_folder(folder)
     require_writable(out)
@@ -237,26 +231,24 @@ def run_sweep(
         _remove_temporary(folder)
         journal = stack.enter_context(Journal(folder, write=True))
         if journal.damaged:
-            watcher.message(f"warning: {journal.path}: {journal.damaged} damaged lines; their rows run again")
-        runner = _Runner(surveyed, folder, journal, options, watcher)
+            options.on_message(f"warning: {journal.path}: {journal.damaged} damaged lines; their rows run again")
+        runner = _Runner(surveyed, folder, journal, options)
         return runner.run(backend, began, commit)
 
 
 class _Runner:
     """A sweep that runs in its locked folder."""
 
-    def __init__(
-        self, surveyed: Survey, folder: Path, journal: Journal, options: SweepOptions, watcher: Watcher
-    ) -> None:
+    def __init__(self, surveyed: Survey, folder: Path, journal: Journal, options: SweepOptions) -> None:
         self.survey, self.sweep, self.folder = surveyed, surveyed.sweep, folder
-        self.journal, self.options, self.watcher = journal, options, watcher
+        self.journal, self.options = journal, options
         self.plan = plan_sweep(surveyed, journal.index(), options.retry_failed)
         self.tally = _Tally(done=self.plan.done, failed=self.plan.failed)
         self.started = now()
         self._written, self._table_seconds = time.monotonic(), 0.0
 
     def _stop(self) -> bool:
-        return self.tally.broken or self.watcher.stop()
+        return self.tally.broken or self.options.stop()
 
     def run(self, backend: Backend | None, began: float, commit: Commit) -> SweepResult:
         """Run the rows of the plan, and write the table and the manifest."""
@@ -271,7 +263,7 @@ class _Runner:
                 self._keep(batch, results)
         outcomes = self._table()
         complete = sum(outcomes.values()) == self.survey.count and (self.sweep.store != SERIES or self._store_all())
-        interrupted = self.watcher.stop() and not complete
+        interrupted = self.options.stop() and not complete
         seconds = time.perf_counter() - began
         if complete:
             text = manifest_text(self.folder, self.sweep, outcomes, self.started, seconds, commit)
@@ -299,22 +291,23 @@ class _Runner:
             if results.outcome[i] != COMPLETED:
                 self.tally.failed += 1
                 self.tally.broken |= self.options.fail_fast
-                self.watcher.failure(batch[i], results.outcome[i], results.message[i])
+                self.options.on_failure(batch[i], results.outcome[i], results.message[i])
         self.tally.done += len(which)
         self.tally.ran += len(which)
-        self.watcher.progress(self.tally.done, self.survey.count - self.plan.repeated, self.tally.failed)
+        note = f"{self.tally.failed} failed" if self.tally.failed else ""
+        self.options.on_progress(self.tally.done, self.survey.count - self.plan.repeated, note)
         if time.monotonic() - self._written > max(TABLE_SECONDS, 20.0 * self._table_seconds):
             self._table()
 
     def _store_all(self) -> bool:
         """Store the series of all rows that ran in this call or have none; False if the sweep is stopped before."""
         for row in RowReader(self.sweep).rows():
-            if self.watcher.stop():
+            if self.options.stop():
                 return False
             stored = stored_run(self.folder / SERIES / row.digest[:16])
             if self.plan.status[row.number] in REASONS or stored is None or stored.interrupted:
                 self._store_series(row)
-        return not self.watcher.stop()
+        return not self.options.stop()
 
     def _store_series(self, row: Row) -> None:
         """Run a row again into a run folder of its own."""
@@ -323,9 +316,9 @@ class _Runner:
 
         try:
             experiment = load_experiment(row.config(row.digest[:16]))
-            run_experiment(experiment, self.folder / SERIES, RunOptions(stop=self.watcher.stop))
+            run_experiment(experiment, self.folder / SERIES, RunOptions(stop=self.options.stop))
         except TopcliError as error:
-            self.watcher.message(f"warning: row {row.number}: its series cannot be stored: {error}")
+            self.options.on_message(f"warning: row {row.number}: its series cannot be stored: {error}")
 
     def _table(self) -> dict[str, int]:
         """Write ``rows.parquet``; the numbers of its current rows by outcome."""
