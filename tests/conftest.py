@@ -95,7 +95,8 @@ def pytest_runtest_teardown(item: pytest.Item) -> Generator[None]:
 @pytest.fixture
 def own_registry() -> Iterator[None]:
     """Schemes, tops and measures registered by a test are gone after it."""
-    from topcli.schemes.registry import all_schemes, load_scheme_file, registry
+    from topcli.schemes.plugins import registry
+    from topcli.schemes.registry import all_schemes, load_scheme_file
 
     all_schemes()  # so that the built-in ones are among them
     before = registry.snapshot()

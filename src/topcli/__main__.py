@@ -60,7 +60,7 @@ def _unexpected(error: Exception) -> int:
     import traceback
 
     from topcli.cli.output import print_error, print_message, print_message_text
-    from topcli.schemes.user_code import users_error
+    from topcli.schemes.plugins import users_error
 
     if shown := users_error(error):
         print_error(shown)

@@ -24,17 +24,17 @@ from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, check
 from topcli.engine import ensemble, loop, setups, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
 from topcli.engine.loop import Run, nanoseconds_per_step
-from topcli.engine.precise.arithmetic import LONG, Exact
+from topcli.engine.precise_numbers import LONG, Exact
 from topcli.engine.setups import Setups
 from topcli.errors import RunError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.schemes.any_top import dmv, dop853
+from topcli.schemes.any_top import dmv, rk2_rk4_dop853
+from topcli.schemes.any_top.taylor import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.schemes.kowalevski import exact
 from topcli.schemes.kowalevski.closed_form import oval
 from topcli.schemes.kowalevski.exact import ExactSetup
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.schemes.taylor.scheme import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -151,7 +151,7 @@ def test_dop853_gives_up_a_hopeless_step_early() -> None:
     """At 12 evaluations for some tenths of a unit of time, 1e9 would take 1e10 evaluations or more."""
     ending = Run(Kowalevski(), method("dop853"), GEN, 1e9, 2).collect().ending
     assert (ending.outcome, ending.step) == (Outcome.NO_CONVERGENCE, 1)
-    assert dop853.TRIAL < ending.counters["evaluations"] < dop853.TRIAL + 15
+    assert rk2_rk4_dop853.TRIAL < ending.counters["evaluations"] < rk2_rk4_dop853.TRIAL + 15
 
 
 def test_the_set_up_of_a_closed_form_stops_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -353,7 +353,7 @@ def test_a_step_that_never_ends_is_given_up_when_asked_to() -> None:
 
 
 def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dop853, "MAX_EVALUATIONS", 3000)
+    monkeypatch.setattr(rk2_rk4_dop853, "MAX_EVALUATIONS", 3000)
     experiment = load_experiment(ROOT / "configs" / "heavy_dop853.yaml", ["h=100", "N=3"])
     run = Run(experiment.top, experiment.method(), experiment.y0, 100.0, 3)
     for _ in run:

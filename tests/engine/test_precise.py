@@ -12,16 +12,18 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from topcli.arithmetic.fused import fma
-from topcli.arithmetic.tolerances import follow_precision
+from topcli.arithmetic.fused import fma, follow_precision
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Recorded, Run
-from topcli.engine.precise.arithmetic import Exact, Floating, Rationals, arithmetic_of
-from topcli.engine.precise.loop import PreciseRun, Rebuilder, longest, obstacle, precise_loop, prepared
-from topcli.engine.precise.numbers import (
+from topcli.engine.precise import PreciseRun, Rebuilder, longest, obstacle, precise_loop, prepared
+from topcli.engine.precise_numbers import (
     RATIONAL,
+    Exact,
+    Floating,
     NotRationalError,
+    Rationals,
     StrayDoubleError,
+    arithmetic_of,
     decimal_text,
     exact_text,
     fraction_from,

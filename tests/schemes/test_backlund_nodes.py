@@ -17,10 +17,10 @@ from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Floats, Outcome, Stepper
 from topcli.errors import StepTooLongError, UsageError
-from topcli.schemes.kowalevski import backlund_nodes
+from topcli.schemes.kowalevski import backlund_step
 from topcli.schemes.kowalevski.backlund import BacklundOptions
-from topcli.schemes.kowalevski.backlund_nodes import motion, substeps_of
 from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, lengths, longest_back, longest_composition
+from topcli.schemes.kowalevski.backlund_step import motion, substeps_of
 from topcli.schemes.registry import find_scheme
 from topcli.studies.roundoff import forms_of
 from topcli.studies.stress.study import stress
@@ -227,7 +227,7 @@ def refused(monkeypatch: pytest.MonkeyPatch, relative: float) -> topcli.Trajecto
         a, b = lengths(H, count, constants)
         return a * (1.0 + relative), b
 
-    monkeypatch.setattr(backlund_nodes, "lengths", wrong)
+    monkeypatch.setattr(backlund_step, "lengths", wrong)
     return topcli.simulate({**CONFIG, "scheme": EXACT, "h": 0.5, "N": 3})
 
 
@@ -241,7 +241,7 @@ def test_wrong_lengths_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     found = float(run.ending.message.split("differs from the motion by ")[1].split(",")[0])
     step = nodes(project=0)
     assert step.enter is not None
-    monkeypatch.setattr(backlund_nodes, "ACCURACY", math.inf)
+    monkeypatch.setattr(backlund_step, "ACCURACY", math.inf)
     expected = np.abs(np.array(step.step(step.enter(GEN, 0.5, (1.0,)), 0.5, (1.0,))[:6]) - reference(GEN, 0.5))
     scales = np.repeat([1.3 + math.sqrt(0.64), 0.64], 3)
     assert found == pytest.approx((expected / scales).max(), rel=0.06)

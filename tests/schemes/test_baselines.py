@@ -13,7 +13,7 @@ from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Run, nanoseconds_per_step
-from topcli.schemes.any_top.runge_kutta import VECTOR_OPERATIONS, rk2_step, rk4_step
+from topcli.schemes.any_top.rk2_rk4_dop853 import VECTOR_OPERATIONS, rk2_step, rk4_step
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy

@@ -13,7 +13,7 @@ from mpmath import mp, mpf
 
 from conftest import GEN, PAPER, random_states
 from declared import TRIALS, gen
-from topcli.arithmetic.double_double import compensated_sum
+from topcli.arithmetic.fused import compensated_sum
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import loop_of, plain_loop

@@ -10,16 +10,16 @@ import pytest
 
 from conftest import GEN, Said
 from steppers import physical
-from topcli.arithmetic.complex_plane import root_nearest
+from topcli.arithmetic.vectors import root_nearest
 from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import Run
 from topcli.runs.report import warning_of
+from topcli.schemes.any_top.hk_midpoint import heavy_determinant
 from topcli.schemes.euler.hk import euler_determinant, hk_increment
-from topcli.schemes.heavy.hk import heavy_determinant
 from topcli.schemes.kowalevski.bohlin import bohlin_step, method_c
 from topcli.schemes.kowalevski.hk import hk_kowalevski, kowalevski_determinant
 from topcli.schemes.kowalevski.hybrid import hybrid_step
-from topcli.schemes.lagrange.hk import hk_lagrange, lagrange_determinant
+from topcli.schemes.lagrange.hk_bs import hk_lagrange, lagrange_determinant
 from topcli.schemes.layout import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress.cases import TORUS_E4, singular_step

@@ -13,8 +13,8 @@ from steppers import RK2
 from topcli.contracts import Floats, Outcome, Stepper, Top
 from topcli.engine.driver import plain_loop
 from topcli.engine.loop import Run
-from topcli.schemes.any_top.midpoint import midpoint
-from topcli.schemes.declarations import polynomial_invariants
+from topcli.schemes.any_top.hk_midpoint import midpoint
+from topcli.schemes.layout import polynomial_invariants
 from topcli.schemes.registry import find_scheme
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

@@ -12,14 +12,15 @@ from test_beyond import deviations, gradients, ran, stepper
 from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome
-from topcli.schemes.kowalevski.four_integrals import fourth_column, xi_of
-from topcli.schemes.kowalevski.lie_poisson import (
+from topcli.schemes.kowalevski.four_integrals import (
     bracket,
     conserving_direction,
+    fourth_column,
     hamiltonian_field,
     momentum_field,
     newton_matrix,
     newton_solve,
+    xi_of,
 )
 from topcli.tops.kowalevski import Kowalevski, field
 

@@ -12,8 +12,12 @@ from conftest import GEN, random_states
 from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from stepping import Steps, made, root_mean_square, states_of
 from topcli.analysis.reference import reference_states
-from topcli.arithmetic.complex_plane import rotation_coefficients, turned_increment
-from topcli.arithmetic.rotations import orthogonal_rodrigues_increment, rodrigues_increment
+from topcli.arithmetic.vectors import (
+    orthogonal_rodrigues_increment,
+    rodrigues_increment,
+    rotation_coefficients,
+    turned_increment,
+)
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Top
 from topcli.engine.loop import Run

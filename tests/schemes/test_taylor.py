@@ -16,10 +16,10 @@ from topcli.engine import native
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
+from topcli.schemes.any_top import taylor as loop_text
+from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, extended_precision, order_for, quotients
+from topcli.schemes.any_top.taylor_series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of, expand
 from topcli.schemes.registry import find_scheme
-from topcli.schemes.taylor import scheme as loop_text
-from topcli.schemes.taylor.scheme import ORDERS, Tolerance, build, extended_precision, order_for, quotients
-from topcli.schemes.taylor.series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of, expand
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -292,7 +292,7 @@ def test_the_first_coefficient_is_to_more_than_a_double(monkeypatch: pytest.Monk
         return float(np.exp(np.mean(np.log(errors))))
 
     carefully = error()
-    monkeypatch.setattr("topcli.schemes.taylor.scheme.extended_precision", lambda order: False)
+    monkeypatch.setattr("topcli.schemes.any_top.taylor.extended_precision", lambda order: False)
     assert carefully < 0.7 * error()
 
 

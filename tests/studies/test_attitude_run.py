@@ -87,7 +87,7 @@ def test_the_attitude_enters_the_identity_only_if_recorded() -> None:
 
 
 def test_a_change_of_the_turns_is_a_change_of_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    from topcli.schemes import attitude
+    from topcli.engine import attitude
 
     plain, turned = small(), small(QUATERNION)
     before = [Identity.of(one, [one.method()]).code for one in (plain, turned)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from topcli.arithmetic.rotations import cayley_increment
+from topcli.arithmetic.vectors import cayley_increment
 from topcli.contracts import Floats, Stepper
 
 

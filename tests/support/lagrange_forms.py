@@ -9,9 +9,8 @@ from decimal import Decimal, localcontext
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.elliptic import DIGITS
+from topcli.arithmetic.elliptic import DIGITS, Oscillation, oscillation
 from topcli.contracts import Array
-from topcli.schemes.lagrange.oscillation import Oscillation, oscillation
 from topcli.tops.lagrange import Lagrange
 
 

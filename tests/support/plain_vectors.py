@@ -10,9 +10,9 @@ import struct
 from collections.abc import Callable, MutableSequence
 from fractions import Fraction
 
-from topcli.schemes.taylor.scheme import EXACT_REACH, FRACTION, LAG, LOG2_TOL, MAX_EXPANSIONS, STEP, TABLES, TIME
-from topcli.schemes.taylor.series import Arrangement, expand, taylor_increment
-from topcli.schemes.taylor.vectors import POWER, ROUNDING, two_sum
+from topcli.schemes.any_top.taylor import EXACT_REACH, FRACTION, LAG, LOG2_TOL, MAX_EXPANSIONS, STEP, TABLES, TIME
+from topcli.schemes.any_top.taylor_series import Arrangement, expand, taylor_increment
+from topcli.schemes.any_top.taylor_vectors import POWER, ROUNDING, two_sum
 
 Vector = tuple[float, ...]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.schemes.heavy.hk import hk_heavy_change
+from topcli.schemes.any_top.hk_midpoint import hk_heavy_change
 from topcli.schemes.layout import summed
 from topcli.tops.heavy import Heavy
 from twins import solve

@@ -16,7 +16,7 @@ from steppers import physical, rk2
 from topcli.cli.app import app
 from topcli.contracts import Invariant, Method, Outcome, Top
 from topcli.engine.loop import Run
-from topcli.schemes.euler.bs import bs_increment
+from topcli.schemes.euler.bs_midpoint import bs_increment
 from topcli.schemes.euler.hk import hk_gamma_increment, hk_increment
 from topcli.schemes.registry import find_scheme
 from topcli.tops import top_class

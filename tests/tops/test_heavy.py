@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from conftest import GEN, PAPER, random_states
 from topcli.analysis.reference import reference_states
-from topcli.arithmetic.rotations import resolvent
-from topcli.arithmetic.vectors import solve3
+from topcli.arithmetic.vectors import resolvent, solve3
 from topcli.contracts import Top
 from topcli.engine.loop import Run
 from topcli.schemes.kowalevski.hk import hk_kowalevski

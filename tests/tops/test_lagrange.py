@@ -20,9 +20,8 @@ from topcli.contracts import Invariant, Method, Top
 from topcli.engine.loop import Run
 from topcli.errors import RunError, UsageError
 from topcli.runs.simulate import simulate
-from topcli.schemes.lagrange.bs import bs_step
 from topcli.schemes.lagrange.exact import body_states, inertial_states
-from topcli.schemes.lagrange.hk import hk_corrections, hk_lagrange
+from topcli.schemes.lagrange.hk_bs import bs_step, hk_corrections, hk_lagrange
 from topcli.schemes.registry import find_scheme
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 

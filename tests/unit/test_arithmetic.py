@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from conftest import random_states
 from topcli.analysis import reference as taylor
 from topcli.analysis.columns import attitude_columns, quaternions_of
-from topcli.arithmetic import double_double as dd
-from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest, root_sign, rotation_increment
+from topcli.arithmetic import fused as dd
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.quaternions import (
     canonical,
@@ -35,7 +34,17 @@ from topcli.arithmetic.quaternions import (
     unit_turn,
     upright,
 )
-from topcli.arithmetic.rotations import SMALL_ANGLE_SQ, cayley_increment, cayley_rotated, rodrigues_increment, sinc_cosc
+from topcli.arithmetic.vectors import (
+    SMALL_ANGLE_SQ,
+    add_rotation_increment,
+    cayley_increment,
+    cayley_rotated,
+    rodrigues_increment,
+    root_nearest,
+    root_sign,
+    rotation_increment,
+    sinc_cosc,
+)
 from topcli.engine.native import native
 from twins import cayley_matrix, exactly, polar_root_sign, rotation_matrix
 

@@ -17,7 +17,7 @@ from topcli.contracts import Array, Method, Sampler, Top
 from topcli.engine.driver import Loop, interpreted, single_step
 
 if TYPE_CHECKING:
-    from topcli.engine.precise.loop import PreciseRun
+    from topcli.engine.precise import PreciseRun
 
 PROBES = 16
 """States along a run from which its reversal is tried."""

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from topcli.arithmetic.double_double import dd_add, dd_div, dd_mul, dd_scale, two_prod, two_sum
+from topcli.arithmetic.fused import dd_add, dd_div, dd_mul, dd_scale, two_prod, two_sum
 from topcli.contracts import Array, EulerPoisson, Top, check_stop, checked_equations
 from topcli.errors import RunError, UsageError
 

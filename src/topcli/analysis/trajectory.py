@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns, step_of_leaving
 from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
-from topcli.engine.endings import Endings
-from topcli.engine.loop import Run
+from topcli.engine.loop import Endings, Run
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.double_double import two_sum
+from topcli.arithmetic.fused import two_sum
 
 Array = NDArray[np.floating[Any]]
 Quaternion = tuple[float, float, float, float]

@@ -162,7 +162,7 @@ def _run_config(
         finally:
             display.close()
     except Exception as error:
-        from topcli.schemes.user_code import users_error
+        from topcli.schemes.plugins import users_error
 
         failure = error if isinstance(error, TopcliError) else users_error(error)
         if failure is None:

@@ -14,8 +14,14 @@ from typing import Any
 
 from topcli.config.document import Problems, WrittenFloat
 from topcli.contracts import Top
-from topcli.engine.precise.arithmetic import arithmetic_of
-from topcli.engine.precise.numbers import DOUBLE, NotRationalError, decimal_text, fraction_from, integer_text
+from topcli.engine.precise_numbers import (
+    DOUBLE,
+    NotRationalError,
+    arithmetic_of,
+    decimal_text,
+    fraction_from,
+    integer_text,
+)
 
 _NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")
 _MODEST = re.compile(r"[^eE]*([eE][-+]?\d{1,3})?")

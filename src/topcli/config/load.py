@@ -24,7 +24,7 @@ from topcli.config.models import Config, Experiment, changed_name, name_fault
 from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
 from topcli.contracts import Top, checked_equations
-from topcli.engine.precise.numbers import DOUBLE, MAX_DIGITS, RATIONAL
+from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError, UsageError, quoted
 from topcli.tops import TOPS, forms
 

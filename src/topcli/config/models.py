@@ -17,7 +17,7 @@ from topcli.config.ranges import MAX_STEPS
 from topcli.config.text import to_yaml
 from topcli.contracts import Invariant, Method, Scheme, Top
 from topcli.engine.fingerprint import own_code
-from topcli.engine.precise.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
+from topcli.engine.precise_numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import quoted
 
 MOST_WRITTEN = 10_000

@@ -32,8 +32,7 @@ import numpy as np
 
 from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, StopAsked, Top, stopping_when
 from topcli.engine.driver import Loop, loop_of, step_refused
-from topcli.engine.endings import Endings
-from topcli.engine.loop import Run
+from topcli.engine.loop import Endings, Run
 from topcli.engine.native import CompileError, native
 from topcli.engine.setups import Setups, SetupTime
 from topcli.engine.tile import (

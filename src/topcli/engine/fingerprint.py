@@ -36,7 +36,7 @@ from pydantic import BaseModel
 from topcli.contracts import Method, Scheme, Stepper, Top, stop_asked
 from topcli.engine.source import is_installed, is_versioned, names_in, place_of, plain_function, references, used_names
 from topcli.errors import SchemeCodeError
-from topcli.schemes.user_code import is_built_in, named_module
+from topcli.schemes.plugins import is_built_in, named_module
 
 _PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...), type(NotImplemented)))
 _WRAPPERS = (staticmethod, classmethod)

@@ -26,11 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.rotations import VECTOR_VARIANTS
+from topcli.arithmetic.vectors import VECTOR_VARIANTS
 from topcli.contracts import Array, Outcome, StepFunction, Stepper
 from topcli.engine.driver import Loop, same_state
-from topcli.engine.endings import Endings
-from topcli.engine.loop import in_calls, recorded_rows
+from topcli.engine.loop import Endings, in_calls, recorded_rows
 from topcli.engine.native import Native
 from topcli.engine.source import compilable_copy
 

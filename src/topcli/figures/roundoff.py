@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.analysis.roundoff import doubling_lags, structure
-from topcli.arithmetic.rotations import cayley_increment, cayley_matrix_product
+from topcli.arithmetic.vectors import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.fingerprint import fingerprint

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator
 
-from topcli.engine.precise.loop import longest
+from topcli.engine.precise import longest
 from topcli.paper import identities, printed
 from topcli.paper.algebra import Draws, Numbers, arguments, dual, exact, largest, plane, rank, rates
 from topcli.paper.claim import Measurement

@@ -14,8 +14,8 @@ from topcli.analysis.columns import column_names, columns, invariant_values
 from topcli.analysis.tally import EnsembleSummary, InvariantTally, measure_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
-from topcli.engine.endings import OUTCOMES
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
+from topcli.engine.loop import OUTCOMES
 from topcli.runs.decision import RunOptions
 from topcli.runs.recording import Recording
 from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report, setup_message

@@ -21,7 +21,7 @@ from topcli.errors import UsageError
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
-    from topcli.engine.precise.loop import PreciseRun
+    from topcli.engine.precise import PreciseRun
 
 
 def method_fingerprint(method: Method) -> str:

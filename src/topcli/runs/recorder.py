@@ -24,7 +24,7 @@ from topcli.store.series import SeriesMark, SeriesWriter
 
 if TYPE_CHECKING:
     from topcli.analysis.roundoff import DigitGrowth
-    from topcli.engine.precise.loop import PreciseRun
+    from topcli.engine.precise import PreciseRun
 
 BATCH = 256
 """Rows that are evaluated and written together: doing so for a single row costs as much as some thousand steps."""

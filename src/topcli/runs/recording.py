@@ -24,7 +24,7 @@ from topcli.runs.report import (
     report_markdown,
     seconds_of,
 )
-from topcli.schemes.registry import top_origin
+from topcli.schemes.plugins import top_origin
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.files import io_failure, json_text
 from topcli.store.folder import RunWriter
@@ -33,7 +33,7 @@ from topcli.store.provenance import Commit, now
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
-    from topcli.engine.precise.loop import PreciseRun
+    from topcli.engine.precise import PreciseRun
 
 
 @dataclass(frozen=True)

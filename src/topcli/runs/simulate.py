@@ -14,8 +14,8 @@ from topcli.config.load import load, load_experiment, read_config
 from topcli.config.models import Experiment
 from topcli.config.sections import UNIT_TOLERANCE
 from topcli.contracts import Array, Top
-from topcli.engine.endings import Endings
 from topcli.engine.ensemble import Piece
+from topcli.engine.loop import Endings
 from topcli.errors import UsageError
 from topcli.runs.ensemble import GroupRun, varied_parameters
 from topcli.runs.recorder import run_of

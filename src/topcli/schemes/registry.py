@@ -9,7 +9,7 @@ import os
 import pkgutil
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial, wraps
 from importlib import import_module
@@ -23,92 +23,21 @@ from pydantic import BaseModel
 from topcli.contracts import Block, Floats, Integrability, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
-from topcli.schemes.user_code import (
+from topcli.schemes.plugins import (
     ENTRY_POINT_GROUP,
     SCHEME_FILE,
     FromSource,
-    file_of,
-    is_built_in,
+    SchemeFile,
     modules_beside,
+    origin_of,
     reason_of,
+    registry,
     users_error,
     users_place,
 )
 from topcli.tops import TOPS
 
 Build = Callable[[Any, Any], Method]
-
-
-@dataclass(frozen=True)
-class SchemeFile:
-    """Loaded scheme file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
-
-    path: str
-    folder: str
-    content: dict[str, bytes]
-
-
-Table = MutableMapping[Any, Any]
-Snapshot = dict[int, dict[Any, Any]]
-"""Content of each table of a registry by its ``id``."""
-
-
-class Registry:
-    """Schemes by name and form of a top, and the tables of other parts that plugins extend."""
-
-    def __init__(self) -> None:
-        self.schemes: dict[tuple[str, str], Scheme] = {}
-        self.for_every_top: dict[str, Callable[[str], None]] = {}
-        """What registers each scheme declared for every top, by its name, for one form of a top that comes later."""
-        self.top_origins: dict[str, str] = {}
-        """Distribution or file of each form of a top that a plugin brought."""
-        self.origin = "topcli"
-        """Distribution or file that is being imported."""
-        self.files: list[SchemeFile] = []
-        self.before_files: Snapshot | None = None
-        self.tables: list[tuple[Table, dict[Any, Any]]] = []
-        """Tables that plugins extend, each with its built-in content."""
-        for table in (self.schemes, TOPS.data, self.for_every_top, self.top_origins):
-            self.extend(table)
-
-    def extend(self, table: Table) -> None:
-        """Let plugins extend ``table``, which holds what is built in."""
-        self.tables.append((table, dict(table)))
-
-    def snapshot(self) -> Snapshot:
-        """Content of all tables."""
-        return {id(table): dict(table) for table, _ in self.tables}
-
-    def restore(self, snapshot: Snapshot) -> None:
-        """Give all tables the content of ``snapshot``; one that came in later, its built-in content."""
-        for table, built_in in self.tables:
-            content = snapshot.get(id(table), built_in)
-            table.clear()
-            table.update(content)
-
-    def registered(self) -> int:
-        """Number of schemes, and of entries that plugins have added to the tables of other parts."""
-        return len(self.schemes) + sum(len(table) - len(built_in) for table, built_in in self.tables[3:])
-
-
-registry = Registry()
-
-
-def plugin_table(table: Table) -> None:
-    """Let plugins extend ``table``, which holds what is built in; those of a plugin that fails are removed."""
-    registry.extend(table)
-
-
-def origin_of(function: Callable[..., Any]) -> str:
-    """Distribution or file that registers ``function`` while it is being imported; else the file of the function."""
-    if is_built_in(function):
-        return "topcli"
-    return file_of(function) if registry.origin == "topcli" else registry.origin
-
-
-def top_origin(top: type[Top]) -> str:
-    """Distribution or file of a top."""
-    return "topcli" if is_built_in(top) else registry.top_origins.get(top.form) or file_of(top)
 
 
 @dataclass(frozen=True)
@@ -286,11 +215,11 @@ def _modules() -> tuple[str, ...]:
 
 def _likely_first(name: str, top: str) -> list[str]:
     """Return ``_modules()``, starting with those named after the scheme, then those in the package of its top."""
-    file, family = name.replace("-", "_"), re.split(r"[+/]", top)[0]
+    words, family = set(name.split("-")), re.split(r"[+/]", top)[0]
 
     def rank(module: str) -> tuple[bool, bool]:
         folder, stem = module.split(".")[-2:]
-        return file not in (folder, stem) and not file.startswith(f"{stem}_"), folder != family
+        return words.isdisjoint(stem.split("_")), folder != family
 
     return sorted(_modules(), key=rank)
 

@@ -19,7 +19,7 @@ from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome, Sampler
 from topcli.engine.loop import nanoseconds_per_step
-from topcli.engine.precise.numbers import MAX_DIGITS, RATIONAL
+from topcli.engine.precise_numbers import MAX_DIGITS, RATIONAL
 from topcli.errors import UnknownNameError, UsageError, quoted
 from topcli.runs.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.runs.report import REPORT_COLUMNS, finite, left_motion
@@ -31,7 +31,7 @@ from topcli.studies.study import PYTHON_ONLY, Data, Faults, Flag, Head, Override
 from topcli.table import Column, Table, number
 
 if TYPE_CHECKING:
-    from topcli.engine.precise.loop import PreciseRun
+    from topcli.engine.precise import PreciseRun
 
 PAPER_SCENE = "kowalevski_hk"
 

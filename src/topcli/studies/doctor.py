@@ -10,7 +10,8 @@ from typing import Any
 from topcli.engine.code_cache import cache_folder, cache_state
 from topcli.engine.ensemble import default_threads
 from topcli.engine.native import native
-from topcli.schemes.registry import ENTRY_POINT_GROUP, all_schemes, plugin_failures, top_origin
+from topcli.schemes.plugins import ENTRY_POINT_GROUP, top_origin
+from topcli.schemes.registry import all_schemes, plugin_failures
 from topcli.store.provenance import environment, installed
 from topcli.sweeps.measures import all_measures
 from topcli.tops import TOPS

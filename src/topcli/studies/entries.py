@@ -22,8 +22,8 @@ from topcli.config.ranges import steps_over
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
 from topcli.runs.references import EXACT
+from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import find_scheme
-from topcli.schemes.user_code import users_error
 from topcli.tops import TOPS, top_class
 
 STEP = "h"

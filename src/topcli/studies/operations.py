@@ -15,8 +15,8 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
 from topcli.contracts import Scheme, Stepper
-from topcli.engine.precise.loop import Rebuilder, obstacle
-from topcli.engine.precise.numbers import FUNCTIONS
+from topcli.engine.precise import Rebuilder, obstacle
+from topcli.engine.precise_numbers import FUNCTIONS
 from topcli.tops import TOPS
 
 H = 0.01

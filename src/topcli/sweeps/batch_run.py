@@ -17,7 +17,7 @@ from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
 from topcli.engine.fingerprint import same_method
 from topcli.engine.tile import Piece
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.schemes.user_code import users_error
+from topcli.schemes.plugins import users_error
 from topcli.sweeps.batch import Batch, BatchRecorder, bytes_per_run
 from topcli.sweeps.measures import END_ERROR, ERROR, Measure
 

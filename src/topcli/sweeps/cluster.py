@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING, Any, cast
 from topcli.config.rows import Row
 from topcli.config.sweep import Sweep
 from topcli.errors import RunError, UsageError, quoted
+from topcli.schemes.plugins import reason_of
 from topcli.schemes.registry import loaded_scheme_files
-from topcli.schemes.user_code import reason_of
 from topcli.sweeps.evaluate import FAILED, Results, Work, unfinished
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 

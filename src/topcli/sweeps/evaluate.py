@@ -25,7 +25,7 @@ from topcli.config.rows import Row
 from topcli.config.sections import read_scheme
 from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import TopcliError
-from topcli.schemes.user_code import users_error
+from topcli.schemes.plugins import users_error
 from topcli.store.provenance import cpu_name
 from topcli.sweeps.batch_run import BatchRun, Limit, evaluate
 from topcli.sweeps.measures import Measure, resolve_measures

@@ -18,7 +18,8 @@ from topcli.analysis.swings import swing_spacing as spacing_of_first
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.references import obstacle
-from topcli.schemes.registry import all_schemes, origin_of, plugin_failures, plugin_table
+from topcli.schemes.plugins import origin_of, plugin_table
+from topcli.schemes.registry import all_schemes, plugin_failures
 from topcli.tops import TOPS
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ from distributed import WorkerPlugin, get_worker
 import topcli
 from topcli.engine.ensemble import limit_threads
 from topcli.errors import TopcliError, UsageError
-from topcli.schemes.registry import SchemeFile, load_scheme_file, unload_scheme_files
+from topcli.schemes.plugins import SchemeFile
+from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.store.provenance import cpu_name, installed
 from topcli.sweeps.evaluate import Results, Work, forget
 

@@ -1,18 +1,21 @@
 """Tops: parameters, equations of motion, integrals; one module per top.
 
 ``TOPS`` maps every form of every top to its class. A kind has several forms if its state can be written in several
-ways; the first of them is the default, and the vectors of the initial state choose among them.
+ways; the first of them is the default, and the vectors of the initial state choose among them. Here are also the
+state that several tops share, and integrals with the size of their terms.
 """
 
 from __future__ import annotations
 
 import re
 from collections import UserDict
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
-from topcli.contracts import Top
+import numpy as np
+
+from topcli.contracts import Array, Invariant, Top
 from topcli.errors import UnknownNameError, nearest, quoted
 
 BUILT_IN = {
@@ -71,3 +74,43 @@ def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
     """
     found = forms(name)
     return next((top for top in found if set(top.vectors) == set(vectors)), found[0])
+
+
+Value = Callable[[Array], Array]
+
+
+class BodyTop(Top):
+    """Top with the state (omega, gamma): angular velocity and vertical, both in the body's frame."""
+
+    components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
+    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}
+    unit_vectors: ClassVar[tuple[str, ...]] = ("gamma",)
+
+
+def sum_of_products(name: str, symbol: str, tex: str, meaning: str, value: Value) -> Invariant:
+    """Integral that is a sum of products of components with positive coefficients: its scale is that of ``|y|``."""
+    return Invariant(name, symbol, tex, meaning, value, lambda y: value(np.abs(y)))
+
+
+def length_sq(name: str, symbol: str, tex: str, meaning: str = "length of the vertical, squared") -> Invariant:
+    """Square of the last three components."""
+
+    def value(y: Array) -> Array:
+        return y[:, 3] ** 2 + y[:, 4] ** 2 + y[:, 5] ** 2
+
+    return Invariant(name, symbol, tex, meaning, value, value)
+
+
+def energy(kinetic: Value, weight: float, component: int, meaning: str = "energy") -> Invariant:
+    """Sum of the ``kinetic`` energy, which is positive, and ``weight`` times a component."""
+    return Invariant(
+        "energy",
+        "E",
+        r"E",
+        meaning,
+        lambda y: kinetic(y) + weight * y[:, component],
+        lambda y: kinetic(y) + np.abs(weight * y[:, component]),
+    )
+
+
+VERTICAL = "angular momentum about the vertical"

@@ -8,7 +8,7 @@ from typing import ClassVar
 from pydantic import Field
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
-from topcli.tops.integrals import VERTICAL, BodyTop, length_sq, sum_of_products
+from topcli.tops import VERTICAL, BodyTop, length_sq, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant
-from topcli.tops.integrals import VERTICAL, BodyTop, length_sq, sum_of_products
+from topcli.tops import VERTICAL, BodyTop, length_sq, sum_of_products
 
 
 def field(s: Floats, p: Floats) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant
-from topcli.tops.integrals import VERTICAL, BodyTop, energy, length_sq, sum_of_products
+from topcli.tops import VERTICAL, BodyTop, energy, length_sq, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:

@@ -12,7 +12,7 @@ from typing import ClassVar
 from pydantic import Field, ValidationInfo, field_validator
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
-from topcli.tops.integrals import VERTICAL, BodyTop, energy, length_sq, sum_of_products
+from topcli.tops import VERTICAL, BodyTop, energy, length_sq, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:

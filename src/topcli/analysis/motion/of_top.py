@@ -20,11 +20,10 @@ from dataclasses import dataclass
 from decimal import Decimal, localcontext
 
 from topcli.analysis.motion import Motion, Quantity, integrals_of
-from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rf, carlson_rj
+from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rf, carlson_rj, derivative, horner, oscillation
 from topcli.contracts import Floats, Top
 from topcli.errors import UsageError
 from topcli.schemes.euler.exact import free_motion
-from topcli.schemes.lagrange.oscillation import derivative, horner, oscillation
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

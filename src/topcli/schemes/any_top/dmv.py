@@ -40,15 +40,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from topcli.arithmetic.fused import fma, unlikely
-from topcli.arithmetic.rotations import VECTOR_VARIANTS, Vector, cayley_increment
-from topcli.arithmetic.tolerances import follow_precision
-from topcli.arithmetic.vectors import Matrix, solve3
+from topcli.arithmetic.fused import fma, follow_precision, unlikely
+from topcli.arithmetic.vectors import VECTOR_VARIANTS, Matrix, Vector, cayley_increment, solve3
 from topcli.contracts import EulerPoisson, Floats, Integrability, Stepper, Top, checked_equations
 from topcli.errors import UsageError
-from topcli.schemes.any_top.momentum import KEPT, entering, inverse_moments, kick, leaving, state_length
-from topcli.schemes.declarations import NO_LONG_STEP
-from topcli.schemes.layout import Change, CompensatedOption, stepper
+from topcli.schemes.any_top.splitting import KEPT, entering, inverse_moments, kick, leaving, state_length
+from topcli.schemes.layout import NO_LONG_STEP, Change, CompensatedOption, stepper
 from topcli.schemes.registry import scheme
 
 ORDERS = (4, 6, 8, 10)
@@ -141,7 +138,8 @@ LONG_STEPS = dict.fromkeys(KEPT, ("resonance", "singular-step")) | {"lagrange/in
 LAST_BIT = 2.0**-50
 """Correction relative to c that is round-off."""
 follow_precision(__name__, caps=("NEWTON_LIMIT",), LAST_BIT=1)
-Solution = tuple[float, float, float, float, float]
+Solution = Floats
+"""Cayley vector of a step, the status of the iteration (0.0 or nan), and the number of corrections."""
 Rotation = Callable[[Vector, Floats, float], Solution]
 
 
@@ -200,6 +198,13 @@ def size(x: Vector) -> float:
     return abs(x[0]) + (abs(x[1]) + abs(x[2]))
 
 
+def corrected(c: Vector, matrix: Matrix, k: Vector, r: Vector) -> tuple[Vector, Vector]:
+    """Cayley vector after a Newton correction with the derivative ``matrix``, and the correction."""
+    f1, f2, f3 = residual(c, k, r)
+    e1, e2, e3 = solve3(matrix, f1, f2, f3)
+    return (c[0] - e1, c[1] - e2, c[2] - e3), (e1, e2, e3)
+
+
 def newton_from_zero(k: Vector, r: Vector) -> Solution:
     """Cayley vector on the branch through 0, by Newton's method; its status, and the number of corrections.
 
@@ -210,10 +215,8 @@ def newton_from_zero(k: Vector, r: Vector) -> Solution:
     count = 0.0
     for _ in range(NEWTON_LIMIT):
         count += 1.0
-        f1, f2, f3 = residual(c, k, r)
-        e1, e2, e3 = solve3(jacobian(c, k, r), f1, f2, f3)
-        c = (c[0] - e1, c[1] - e2, c[2] - e3)
-        if size((e1, e2, e3)) <= LAST_BIT * size(c):
+        c, e = corrected(c, jacobian(c, k, r), k, r)
+        if size(e) <= LAST_BIT * size(c):
             return (c[0], c[1], c[2], 0.0, count)
     return (0.0, 0.0, 0.0, math.nan, count)
 
@@ -230,17 +233,11 @@ def cayley_vector(k: Vector, r: Vector) -> Solution:
     """Cayley vector c of the step, the status of the iteration (0.0 or nan), and the number of corrections."""
     c = fixed_point(fixed_point(k, k, r), k, r)
     matrix = jacobian(c, k, r)
-    f1, f2, f3 = residual(c, k, r)
-    a1, a2, a3 = solve3(matrix, f1, f2, f3)
-    c = (c[0] - a1, c[1] - a2, c[2] - a3)
-    f1, f2, f3 = residual(c, k, r)
-    a1, a2, a3 = solve3(matrix, f1, f2, f3)
-    c = (c[0] - a1, c[1] - a2, c[2] - a3)
-    f1, f2, f3 = residual(c, k, r)
-    b1, b2, b3 = solve3(matrix, f1, f2, f3)
-    c1, c2, c3 = c[0] - b1, c[1] - b2, c[2] - b3
+    c, _ = corrected(c, matrix, k, r)
+    c, a = corrected(c, matrix, k, r)
+    (c1, c2, c3), b = corrected(c, matrix, k, r)
     # the next correction would be last**2/before
-    before, last, bits = size((a1, a2, a3)), size((b1, b2, b3)), LAST_BIT * size((c1, c2, c3))
+    before, last, bits = size(a), size(b), LAST_BIT * size((c1, c2, c3))
     status, count = 0.0, CORRECTIONS
     if unlikely(not (last <= bits or 16.0 * last * last <= before * bits)):
         c1, c2, c3, status, more = newton_from_zero(k, r)

@@ -1,9 +1,15 @@
-"""Splitting into kicks by gravity and rotations, each of them an exact motion.
+"""Splitting into kicks by gravity and rotations, each of them an exact motion; steps of momentum and gamma.
 
-With m = I omega the energy is the sum of m_i²/(2 I_i) for the three axes and of gamma . g. Each term alone gives a
-motion in closed form: gravity a kick m += h gamma x g, an axis a rotation of m and gamma about it by the angle
-h m_i/I_i. If A = B, the free body as a whole is as simple: gamma turns about m by the angle h |m|/A, then m and gamma
-turn about the third axis by h m_3 (1/C - 1/A); the two commute.
+The equations of every top of the Euler-Poisson equations are m' = m x omega + gamma x g, gamma' = gamma x omega, with
+m = I omega and g the weight times the centre of gravity. The working state is (m, gamma), or m alone for a free body,
+followed by the coefficients of the top, so that the same machine code serves all tops. A step is given as the change
+of (m, gamma): all its rotations are increments, whose rounding errors are proportional to the angle, and one addition
+per component remains. ``dmv`` works on the same state.
+
+The energy is the sum of m_i²/(2 I_i) for the three axes and of gamma . g. Each term alone gives a motion in closed
+form: gravity a kick m += h gamma x g, an axis a rotation of m and gamma about it by the angle h m_i/I_i. If A = B, the
+free body as a whole is as simple: gamma turns about m by the angle h |m|/A, then m and gamma turn about the third axis
+by h m_3 (1/C - 1/A); the two commute.
 
 All of them are canonical and conserve gamma² and m . gamma, and so does their product, which is the exact motion of a
 modified top: the energy oscillates by h² and does not drift.
@@ -21,14 +27,86 @@ from typing import Literal
 
 from pydantic import Field
 
-from topcli.arithmetic.complex_plane import rotation_coefficients, turned, turned_increment
-from topcli.arithmetic.rotations import Vector, orthogonal_rodrigues_increment
-from topcli.contracts import Floats, Stepper, Top, checked_equations
+from topcli.arithmetic.fused import fma
+from topcli.arithmetic.vectors import (
+    Vector,
+    orthogonal_rodrigues_increment,
+    rotation_coefficients,
+    turned,
+    turned_increment,
+)
+from topcli.contracts import EulerPoisson, Floats, StepFunction, Stepper, Top, checked_equations
 from topcli.errors import UsageError
-from topcli.schemes.any_top.momentum import KEPT, kick, momentum_stepper, state_length
-from topcli.schemes.declarations import LONG_SPLITTING
-from topcli.schemes.layout import Change, CompensatedOption
+from topcli.schemes.layout import LONG_SPLITTING, Change, CompensatedOption, stepper
 from topcli.schemes.registry import scheme
+
+KEPT = {
+    "euler": ("m_sq",),
+    "euler+gamma": ("m_sq", "gamma_sq", "m_gamma"),
+    "heavy": ("gamma_sq", "m_gamma"),
+    "kowalevski": ("gamma_sq", "two_l"),
+    "lagrange": ("gamma_sq", "m_gamma", "m_axis"),
+    "lagrange/inertial": ("a_sq", "m_p", "m_a"),
+}
+"""Invariants that common rotations of m and gamma and kicks along gamma x g conserve, and for Lagrange's top those of
+its symmetry."""
+
+
+def difference_of_products(a: float, b: float, c: float, d: float) -> float:
+    """Return a b - c d with an error of at most 1.5 ulp (Kahan)."""
+    p = c * d
+    return fma(a, b, -p) - fma(c, d, -p)
+
+
+def kick(d: float, g1: float, g2: float, g3: float, x: float, y: float, z: float) -> Vector:
+    """Change d gamma x g of m by gravity."""
+    return (
+        d * difference_of_products(g2, z, g3, y),
+        d * difference_of_products(g3, x, g1, z),
+        d * difference_of_products(g1, y, g2, x),
+    )
+
+
+def inverse_moments(equations: EulerPoisson) -> tuple[float, float, float]:
+    """Inverse of each moment of inertia."""
+    A, B, C = equations.moments
+    return (1.0 / A, 1.0 / B, 1.0 / C)
+
+
+def state_length(top: Top, needed_by: str) -> int:
+    """Number of components of the state of ``top``: 3 or 6. Raises UsageError if a body without gamma has weight."""
+    d = len(top.components)
+    if d == 3 and any(top.euler_poisson().gravity):
+        raise UsageError(f"top {top.kind!r}: {needed_by} needs gamma as part of the state of a top with weight")
+    return d
+
+
+def entering(equations: EulerPoisson, d: int, rest: Floats) -> StepFunction:
+    """``enter`` of a working state (m, gamma) followed by the inverse moments and ``rest``."""
+    A, B, C = (equations.omega_sign * moment for moment in equations.moments)
+    after = (*inverse_moments(equations), *rest)
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (A * y[0], B * y[1], C * y[2], *y[3:d], *after)
+
+    return enter
+
+
+def leaving(equations: EulerPoisson, d: int) -> StepFunction:
+    """``leave`` of the working state: omega from m and the inverse moments, and gamma if it is part of the state."""
+    sign = equations.omega_sign
+
+    def leave(s: Floats, h: float, p: Floats) -> Floats:
+        return (sign * s[0] * s[d], sign * s[1] * s[d + 1], sign * s[2] * s[d + 2], *s[3:d])
+
+    return leave
+
+
+def momentum_stepper(equations: EulerPoisson, d: int, change: Change, compensated: bool) -> Stepper:
+    """Stepper of a method without iterations, from its change."""
+    enter = entering(equations, d, () if d == 3 else equations.gravity)
+    return stepper(change, d, d, lost=range(d * compensated), checked=d, enter=enter, leave=leaving(equations, d))
+
 
 NEEDED_BY = "scheme 'splitting'"
 LONG = {"singular-step": LONG_SPLITTING}

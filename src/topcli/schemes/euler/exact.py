@@ -34,8 +34,7 @@ from topcli.arithmetic.elliptic import (
 from topcli.arithmetic.quaternions import products, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.euler.hk import hk_integrals
-from topcli.schemes.euler.steps import FORMS
+from topcli.schemes.euler.hk import FORMS, hk_integrals
 from topcli.schemes.registry import scheme
 
 

@@ -38,12 +38,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.rotations import Vector
+from topcli.arithmetic.vectors import Vector
 from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, Stepper, Top
-from topcli.schemes.declarations import SINGULAR
-from topcli.schemes.euler.steps import CITATION, FORMS, omega_change
 from topcli.schemes.layout import (
     NEAR_SINGULAR,
+    SINGULAR,
+    Change,
     CompensatedOption,
     increment_stepper,
     is_compensated,
@@ -53,6 +53,10 @@ from topcli.schemes.layout import (
 from topcli.schemes.registry import scheme
 from topcli.tops.euler import Euler
 
+FORMS = ("euler", "euler+gamma")
+CITATION = "Sogo, Discrete Spinning Tops, section 1.2"
+OmegaChange = Callable[[float, float, float, float, Floats], Vector]
+"""``change(w1, w2, w3, d, p)`` returns omega' - omega, for d = h/2."""
 LONGEST = 2.0**511
 """Steps from here on have squares that are no double."""
 
@@ -274,6 +278,16 @@ GAMMA_GROWS = (
 def hk_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vector:
     """Change of omega in an HK step."""
     return hk_increment(w1, w2, w3, d * p[3], d * p[4], d * p[5])
+
+
+def omega_change(change: OmegaChange) -> Change:
+    """Return the change in a step of omega alone."""
+
+    def changed(s: Floats, h: float, p: Floats) -> Floats:
+        w1, w2, w3 = s
+        return change(w1, w2, w3, 0.5 * h, p)
+
+    return changed
 
 
 def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:

@@ -10,7 +10,7 @@ state, the map is Poisson everywhere, but nothing contracts, and deviations of t
 
 **Exact nodes.** Steps commute, and each is a flow of E and of k² for times that its length determines. Forward steps
 and one backward step are therefore the motion itself if their lengths satisfy two equations (``backlund_parameters``,
-``backlund_nodes``).
+``backlund_step``).
 
 **Working states.** A run of steps of one length carries tau itself, which costs nothing. Compositions, whose stages
 have different lengths, and substeps carry the constants from which each stage computes its own tau, off the critical
@@ -28,7 +28,6 @@ from pydantic import Field, model_validator
 
 from topcli.arithmetic.vectors import dot, subtract
 from topcli.contracts import Floats, Integrability, StepFunction, Stepper, Top
-from topcli.schemes.kowalevski.backlund_nodes import NODES, PARTS, substeps_of
 from topcli.schemes.kowalevski.backlund_parameters import (
     SHORTEST,
     admits,
@@ -39,7 +38,15 @@ from topcli.schemes.kowalevski.backlund_parameters import (
     tau_at,
     tau_of,
 )
-from topcli.schemes.kowalevski.backlund_step import physical_change, physical_step, scaled_change, scaled_step
+from topcli.schemes.kowalevski.backlund_step import (
+    NODES,
+    PARTS,
+    physical_change,
+    physical_step,
+    scaled_change,
+    scaled_step,
+    substeps_of,
+)
 from topcli.schemes.kowalevski.four_integrals import sizes, target_values
 from topcli.schemes.kowalevski.projected import COUNTERS, project
 from topcli.schemes.layout import CompensatedOption, stepper

@@ -51,10 +51,9 @@ SHORTEST = 1e-290
 HALVINGS = 50
 FOREVER = 1e300
 """Longest step at rest without gravity; finite, because ensembles test their working states for infinities."""
-Floats5 = tuple[float, float, float, float, float]
 
 
-def frozen_constants(y: Floats, p: Floats) -> Floats5:
+def frozen_constants(y: Floats, p: Floats) -> Floats:
     """F - 2k, F + 2k, |c gamma|, c m.gamma at a state, and the size of the scaled state divided by h²."""
     c = p[0]
     w1, w2, w3, g1, g2, g3 = y
@@ -156,13 +155,12 @@ QUADRATURE = 32
 """Gauss-Legendre points: their error is 1e-18 up to ``LONGEST_BACK``."""
 LONGEST_BACK = 3.6
 """Longest step back times sqrt(F + 2k) and times sqrt|c gamma|. There y <= 0.81, and p and t do not come close to 0,
-as they may within the longer steps of ``backlund_constants.admits``."""
+as they may within the longer steps of ``admits``."""
 ROUNDS = 60
 CLOSE = 1e-9
 """Relative change of a length after which one more round of Newton's method yields round-off."""
 FEWEST, MOST = 3, 4
 """Numbers of forward steps: with the smaller one a step is cheaper, with the larger one H may be longer."""
-Floats4 = tuple[float, float, float, float]
 
 
 class Times(NamedTuple):
@@ -181,7 +179,7 @@ def _points() -> tuple[Array, Array]:
     return np.append(0.5 * (x + 1.0), 1.0), np.append(0.5 * w, 0.0)
 
 
-def flow_times(h: float, constants: Floats4, unit: float) -> Times:
+def flow_times(h: float, constants: Floats, unit: float) -> Times:
     """Times of the flows of E and of k², the latter divided by ``unit``², that a step of length h > 0 is.
 
     ``constants`` are the first four ``frozen_constants``. nan beyond the domain.
@@ -209,7 +207,7 @@ def flow_times(h: float, constants: Floats4, unit: float) -> Times:
     )
 
 
-def forward_length(b: float, count: int, constants: Floats4, unit: float) -> float:
+def forward_length(b: float, count: int, constants: Floats, unit: float) -> float:
     """Length a of ``count`` steps with count T_K(a) = T_K(b); nan if it is not found.
 
     T_K is convex, so that Newton's method from beyond the solution decreases towards it.
@@ -226,7 +224,7 @@ def forward_length(b: float, count: int, constants: Floats4, unit: float) -> flo
     return math.nan
 
 
-def longest_back(constants: Floats4) -> float:
+def longest_back(constants: Floats) -> float:
     """Longest step back; 0 if omega is too large for a double."""
     _, high, weight, _ = constants
     scale = max(high, weight)
@@ -235,7 +233,7 @@ def longest_back(constants: Floats4) -> float:
     return min(LONGEST_BACK / math.sqrt(scale), FOREVER) if scale > 0.0 else FOREVER
 
 
-def longest_composition(constants: Floats4, count: int = MOST) -> float:
+def longest_composition(constants: Floats, count: int = MOST) -> float:
     """Longest H that ``count`` steps and one backward step can make, without the errors of this number."""
     longest = longest_back(constants)
     if longest == 0.0 or longest >= FOREVER:
@@ -244,7 +242,7 @@ def longest_composition(constants: Floats4, count: int = MOST) -> float:
     return count * flow_times(a, constants, longest).energy - flow_times(longest, constants, longest).energy
 
 
-def lengths(H: float, count: int, constants: Floats4) -> tuple[float, float]:
+def lengths(H: float, count: int, constants: Floats) -> tuple[float, float]:
     """Lengths a > 0 and -b < 0 whose composition is the motion over H, of either sign; nan if there are none.
 
     Newton's method for b, on the curve a(b); a bracket of b catches what leads away.

@@ -13,12 +13,18 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.arithmetic.complex_plane import add_rotation_increment, root_nearest, root_sign
 from topcli.arithmetic.fused import fma
-from topcli.arithmetic.rotations import cayley_rotated, rodrigues_increment
+from topcli.arithmetic.vectors import (
+    Complex,
+    Vector,
+    add_rotation_increment,
+    cayley_rotated,
+    rodrigues_increment,
+    root_nearest,
+    root_sign,
+)
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.schemes.declarations import BOHLIN, OVERFLOW
-from topcli.schemes.layout import AMBIGUOUS, ambiguous_root, with_counter
+from topcli.schemes.layout import AMBIGUOUS, BOHLIN, OVERFLOW, ambiguous_root, with_counter
 from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
@@ -40,8 +46,8 @@ SWITCH_BELOW = -0.8
 The switch is not at the equator, because Euler's rule on the other chart is a different scheme of order 1. With this
 value the scene of the paper, in which gamma3 >= -0.663, is computed on the paper's chart only.
 """
-Root = Callable[[float, float, float, float], tuple[float, float]]
-Method = Callable[[float, float, float, float, float, float, float], tuple[float, float, float]]
+Root = Callable[[float, float, float, float], Complex]
+Method = Callable[[float, float, float, float, float, float, float], Vector]
 ROOTS: dict[str, Root] = {"nearest": root_nearest, "sign": root_sign}
 
 
@@ -65,15 +71,13 @@ class ChartOptions(BranchOptions):
     )
 
 
-def method_a(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> tuple[float, float, float]:
+def method_a(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
     """New gamma by Method A, the BS scheme: gamma' - gamma = h/2 (gamma' + gamma) x omega."""
     d = 0.5 * h
     return cayley_rotated(d * w1, d * w2, d * w3, g1, g2, g3)
 
 
-def _euler_on_chart(
-    side: float, w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float
-) -> tuple[float, float, float]:
+def _euler_on_chart(side: float, w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
     """New gamma by Euler's rule for z = (gamma1 + i gamma2)/(1 + side gamma3).
 
     dz/dt = i/2 (side omega - 2 omega3 z - side conj(omega) z**2) with side = 1 is the equation of the paper; the chart
@@ -95,21 +99,17 @@ def _euler_on_chart(
     return (x * n, y * n, (0.5 * side) * n * (1.0 - fma(x, x, y * y)))
 
 
-def method_b_single(
-    w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float
-) -> tuple[float, float, float]:
+def method_b_single(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
     """New gamma by Method B on the single chart of the paper, which is singular at gamma3 = -1."""
     return _euler_on_chart(1.0, w1, w2, w3, g1, g2, g3, h)
 
 
-def method_b_switch(
-    w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float
-) -> tuple[float, float, float]:
+def method_b_switch(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
     """New gamma by Method B with a switch of charts near the singular point, so that |z| <= 3 before a step."""
     return _euler_on_chart(-1.0 if g3 < SWITCH_BELOW else 1.0, w1, w2, w3, g1, g2, g3, h)
 
 
-def method_c(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> tuple[float, float, float]:
+def method_c(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
     """New gamma by Method C, the rotation by the angle h |omega| about omega; the identity for omega = 0."""
     d1, d2, d3 = rodrigues_increment(h * w1, h * w2, h * w3, g1, g2, g3)
     return (g1 + d1, g2 + d2, g3 + d3)
@@ -135,7 +135,7 @@ def bohlin_step(method: Method, root: Root) -> StepFunction:
     return step
 
 
-def direct(s: Floats, h: float, p: Floats) -> tuple[float, float]:
+def direct(s: Floats, h: float, p: Floats) -> Complex:
     """Prediction of omega1, omega2 by Euler's rule, which selects the root (direct)."""
     d = 0.5 * h
     return (s[0] + d * (s[2] * s[1]), s[1] - d * (s[2] * s[0] - p[0] * s[5]))

@@ -43,12 +43,13 @@ omega; gamma² then does not drift. Doing it for omega as well would increase th
 
 from __future__ import annotations
 
-from topcli.arithmetic.double_double import compensated_sum, quick_two_sum, two_prod, two_sum
-from topcli.arithmetic.fused import fma
+from topcli.arithmetic.fused import compensated_sum, fma, quick_two_sum, two_prod, two_sum
 from topcli.contracts import Floats, Stepper, Top
-from topcli.schemes.declarations import HIROTA_KIMURA, LONG_HK, SINGULAR
 from topcli.schemes.layout import (
+    HIROTA_KIMURA,
+    LONG_HK,
     NEAR_SINGULAR,
+    SINGULAR,
     CompensatedOption,
     first,
     is_compensated,

@@ -37,29 +37,23 @@ from __future__ import annotations
 
 import math
 
-from topcli.arithmetic.complex_plane import rotation_increment
-from topcli.arithmetic.double_double import compensated_sum
-from topcli.arithmetic.fused import fma
-from topcli.arithmetic.rotations import Vector, cayley_increment, cayley_rotated, resolvent
-from topcli.arithmetic.tolerances import follow_precision
-from topcli.arithmetic.vectors import solve3
+from topcli.arithmetic.fused import compensated_sum, fma, follow_precision
+from topcli.arithmetic.vectors import Vector, cayley_increment, cayley_rotated, resolvent, rotation_increment, solve3
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.schemes.declarations import (
-    BOHLIN,
-    FAR_OVERFLOW,
-    HYBRID,
-    NEWTON_SINGULAR,
-    NO_SOLUTION,
-    OVERFLOW,
-    SINGULAR,
-    XI,
-)
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.kowalevski.four_integrals import xi_of
 from topcli.schemes.kowalevski.hk import hk_kowalevski, hk_kowalevski_change, kowalevski_determinant
 from topcli.schemes.layout import (
     AMBIGUOUS,
+    BOHLIN,
+    FAR_OVERFLOW,
+    HYBRID,
     NEAR_SINGULAR,
+    NEWTON_SINGULAR,
+    NO_SOLUTION,
+    OVERFLOW,
+    SINGULAR,
+    XI,
     CompensatedOption,
     ambiguous_root,
     first,
@@ -77,7 +71,6 @@ SETTLED = 4.0 * 2.0**-52
 """Tolerance of the residual, relative to the terms of the equation: round-off."""
 TINY = 1e-300
 follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=1, TINY=20)
-Residuals = tuple[float, float, float, float, float, float, float]
 
 
 def hybrid_step(root: Root) -> StepFunction:
@@ -236,7 +229,7 @@ def build_xi(top: Top, options: HybridOptions) -> Stepper:
     return with_hk_counters(Stepper(step, 10 + len(errors), enter, first(6), checked=6))
 
 
-def residuals(y: Floats, xi: Floats, h: float, c: float, v1: float, v2: float, v3: float) -> Residuals:
+def residuals(y: Floats, xi: Floats, h: float, c: float, v1: float, v2: float, v3: float) -> Floats:
     """Residuals of the complex equation and of that for omega3, the change of gamma, the largest relative residual.
 
     ``xi`` consists of the carried xi, the difference of the xi computed from omega and gamma, and the relative length

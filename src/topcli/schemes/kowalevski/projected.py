@@ -21,13 +21,12 @@ from __future__ import annotations
 
 import math
 
-from topcli.arithmetic.tolerances import follow_precision
-from topcli.arithmetic.vectors import add, axpy, dot, scaled, subtract
+from topcli.arithmetic.fused import follow_precision
+from topcli.arithmetic.vectors import Vector, add, axpy, dot, scaled, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     Floats4,
-    Gram,
     combination,
     directional_derivatives,
     enter_with_targets,
@@ -38,10 +37,10 @@ from topcli.schemes.kowalevski.four_integrals import (
     mean_column,
     sizes,
     solve,
+    xi_correction,
     xi_of,
 )
 from topcli.schemes.kowalevski.hk import hk_kowalevski
-from topcli.schemes.kowalevski.lie_poisson import xi_correction
 from topcli.schemes.layout import stepper
 from topcli.schemes.registry import scheme
 
@@ -68,6 +67,8 @@ follow_precision(
     WELL_CONSERVED=1,
     TINY=20,
 )
+Projection = tuple[Floats, float, float, float]
+"""Projected state, and the increments of ``COUNTERS``."""
 TRIPLE_ROOT = (
     "For k = 0 and E = 2 l² at once, the gradients of gamma², 2l, E and of both components of xi are linearly "
     "dependent on the whole orbit. {} off by more than round-off; counted as unmet."
@@ -75,7 +76,7 @@ TRIPLE_ROOT = (
 """Limit of the projections onto the four integrals in the case ``delone-sleeping``."""
 
 
-def deviations(y: Floats, c: float, t: Floats4) -> tuple[float, float, float, float, float, float]:
+def deviations(y: Floats, c: float, t: Floats4) -> Floats:
     """Deviations of gamma²/2, 2l, E and k from ``t``, and the direction xi/k, taken as 1 for xi = 0."""
     x, v = xi_of(y[0], y[1], y[3], y[4], c)
     k = math.sqrt(x * x + v * v)
@@ -87,12 +88,12 @@ def deviations(y: Floats, c: float, t: Floats4) -> tuple[float, float, float, fl
     return (i1 - t[0], i2 - t[1], i3 - t[2], k - t[3], u1, u2)
 
 
-def largest_deviation(r1: float, r2: float, r3: float, r4: float, s: tuple[float, float, float]) -> float:
+def largest_deviation(r1: float, r2: float, r3: float, r4: float, s: Vector) -> float:
     """Largest deviation relative to the sizes ``s``; a size of 0 is replaced by a tiny number."""
     return max(max(abs(r1) / (s[0] + TINY), abs(r2) / (s[1] + TINY)), max(abs(r3), abs(r4)) / (s[2] + TINY))
 
 
-def project_with_xi(start: Floats, limit: float, c: float, t: Floats4) -> tuple[Floats, float, float, float]:
+def project_with_xi(start: Floats, limit: float, c: float, t: Floats4) -> Projection:
     """``project`` for small k, where the direction of xi changes within the projection: onto both components of xi.
 
     The target of xi has the direction of its value at ``start``. For k = 0, where the gradient of k does not exist and
@@ -132,7 +133,7 @@ def project_with_xi(start: Floats, limit: float, c: float, t: Floats4) -> tuple[
     return (y, corrections, cut, 0.0 if off <= MET else 1.0)
 
 
-def project(start: Floats, limit: float, c: float, t: Floats4) -> tuple[Floats, float, float, float]:
+def project(start: Floats, limit: float, c: float, t: Floats4) -> Projection:
     """Return the projection of ``start`` onto the values ``t`` and the increments of the counters."""
     y: Floats = start
     size = sizes(y, c)
@@ -258,7 +259,7 @@ def k_sq_column(y: Floats, c: float) -> Floats4:
     return fourth_column(y[0], y[1], x1, x2, c)
 
 
-def gram_sum(m: Gram, n: Gram) -> Gram:
+def gram_sum(m: Floats, n: Floats) -> Floats:
     """Return m + n."""
     m11, m12, m13, m14, m22, m23, m24, m33, m34, m44 = m
     n11, n12, n13, n14, n22, n23, n24, n33, n34, n44 = n

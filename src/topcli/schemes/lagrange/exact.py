@@ -24,12 +24,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.elliptic import DIGITS
+from topcli.arithmetic.elliptic import DIGITS, TURN, Oscillation, oscillation
 from topcli.arithmetic.quaternions import matrices, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.declarations import LAGRANGE_AXIS
-from topcli.schemes.lagrange.oscillation import TURN, Oscillation, oscillation
+from topcli.schemes.layout import LAGRANGE_AXIS
 from topcli.schemes.registry import scheme
 
 MAX_SAMPLES = 1 << 15

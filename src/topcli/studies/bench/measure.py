@@ -29,7 +29,7 @@ from topcli.engine.driver import Loop, loop_of
 from topcli.errors import UsageError
 from topcli.runs.identity import scheme_code
 from topcli.runs.report import finite
-from topcli.schemes.user_code import users_error
+from topcli.schemes.plugins import users_error
 from topcli.store.provenance import environment, installed
 from topcli.studies.bench.contest import LineUp, Problem, Rung, ladder, tolerance_option
 from topcli.studies.bench.peers import NoResultError, Peer, missing

@@ -12,7 +12,7 @@ import numpy as np
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Top, checked_equations
 from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.schemes.heavy.hk import heavy_determinant
+from topcli.schemes.any_top.hk_midpoint import heavy_determinant
 from topcli.studies.stress.checks import (
     Case,
     Check,

@@ -28,8 +28,8 @@ from topcli.errors import (
     shortened,
 )
 from topcli.runs.identity import scheme_code
+from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.schemes.user_code import users_error
 from topcli.store.files import stored_study, write_study
 from topcli.store.provenance import environment
 from topcli.studies import SILENT, Watch

@@ -16,17 +16,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic import rotations
-from topcli.arithmetic.fused import fma
-from topcli.arithmetic.tolerances import is_cap, power_of
+from topcli.arithmetic.fused import fma, is_cap, power_of
+from topcli.arithmetic.vectors import SMALL_ANGLE_SQ
 from topcli.contracts import Outcome, Scheme, Stepper, Top
 from topcli.engine.driver import Loop, same_state
-from topcli.engine.precise.arithmetic import Arithmetic, Exact, TooLongError, arithmetic_of, at_most
-from topcli.engine.precise.numbers import (
+from topcli.engine.precise_numbers import (
     IRRATIONAL,
     MAX_DIGITS,
     RATIONAL,
+    Arithmetic,
+    Exact,
     NotRationalError,
+    TooLongError,
+    arithmetic_of,
+    at_most,
     exact_text,
     from_exact_text,
     meaning,
@@ -68,7 +71,7 @@ class Rebuilder(Copier):
             return self.arithmetic.cap(value)
         if isinstance(value, float) and (power := power_of(module, name, value)) is not None:
             return self.arithmetic.tolerance(value, power)
-        if value is rotations.SMALL_ANGLE_SQ and self.arithmetic.bits != DOUBLE_BITS:
+        if value is SMALL_ANGLE_SQ and self.arithmetic.bits != DOUBLE_BITS:
             return self.number(0.0)  # the polynomials below it have the accuracy of doubles
         return super().referred(function, name, value, names)
 

@@ -1,4 +1,4 @@
-"""Code of users: modules beside a scheme file, and the line to name when their code raises."""
+"""Plugins: the tables that they extend, the modules beside a scheme file, and the line to name when they raise."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import sys
 import sysconfig
 import traceback
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from topcli.contracts import Scheme, Top
 from topcli.errors import SchemeCodeError, TopcliError
+from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
 SCHEME_FILE = "topcli_scheme_file_"
@@ -36,6 +39,78 @@ def file_of(value: Any) -> str:
     """File of a function or class, or the name of its module if there is none."""
     module = sys.modules.get(value.__module__)
     return str(getattr(module, "__file__", None) or value.__module__)
+
+
+@dataclass(frozen=True)
+class SchemeFile:
+    """Loaded scheme file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
+
+    path: str
+    folder: str
+    content: dict[str, bytes]
+
+
+Table = MutableMapping[Any, Any]
+Snapshot = dict[int, dict[Any, Any]]
+"""Content of each table of a registry by its ``id``."""
+
+
+class Registry:
+    """Schemes by name and form of a top, and the tables of other parts that plugins extend."""
+
+    def __init__(self) -> None:
+        self.schemes: dict[tuple[str, str], Scheme] = {}
+        self.for_every_top: dict[str, Callable[[str], None]] = {}
+        """What registers each scheme declared for every top, by its name, for one form of a top that comes later."""
+        self.top_origins: dict[str, str] = {}
+        """Distribution or file of each form of a top that a plugin brought."""
+        self.origin = "topcli"
+        """Distribution or file that is being imported."""
+        self.files: list[SchemeFile] = []
+        self.before_files: Snapshot | None = None
+        self.tables: list[tuple[Table, dict[Any, Any]]] = []
+        """Tables that plugins extend, each with its built-in content."""
+        for table in (self.schemes, TOPS.data, self.for_every_top, self.top_origins):
+            self.extend(table)
+
+    def extend(self, table: Table) -> None:
+        """Let plugins extend ``table``, which holds what is built in."""
+        self.tables.append((table, dict(table)))
+
+    def snapshot(self) -> Snapshot:
+        """Content of all tables."""
+        return {id(table): dict(table) for table, _ in self.tables}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Give all tables the content of ``snapshot``; one that came in later, its built-in content."""
+        for table, built_in in self.tables:
+            content = snapshot.get(id(table), built_in)
+            table.clear()
+            table.update(content)
+
+    def registered(self) -> int:
+        """Number of schemes, and of entries that plugins have added to the tables of other parts."""
+        return len(self.schemes) + sum(len(table) - len(built_in) for table, built_in in self.tables[3:])
+
+
+registry = Registry()
+
+
+def plugin_table(table: Table) -> None:
+    """Let plugins extend ``table``, which holds what is built in; those of a plugin that fails are removed."""
+    registry.extend(table)
+
+
+def origin_of(function: Callable[..., Any]) -> str:
+    """Distribution or file that registers ``function`` while it is being imported; else the file of the function."""
+    if is_built_in(function):
+        return "topcli"
+    return file_of(function) if registry.origin == "topcli" else registry.origin
+
+
+def top_origin(top: type[Top]) -> str:
+    """Distribution or file of a top."""
+    return "topcli" if is_built_in(top) else registry.top_origins.get(top.form) or file_of(top)
 
 
 class FromSource(importlib.machinery.SourceFileLoader):

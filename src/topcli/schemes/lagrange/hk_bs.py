@@ -1,8 +1,9 @@
-"""Hirota-Kimura (Kahan) step of the Lagrange top: a 6x6 linear system, solved in closed form.
+"""Hirota-Kimura (Kahan) step of the Lagrange top, and Bobenko-Suris step in the inertial frame.
 
-With d = h/2, alpha = (A - C)/A = ``p[0]``, nu = mg z0/A = ``p[1]``, s = omega3, k = alpha s and complex numbers
-w = omega1 + i omega2, g = gamma1 + i gamma2, the discrete equations (Sogo, dEulerPoisson with A = B, x0 = y0 = 0,
-last sign corrected) leave s unchanged and are linear in the changes X of w, Y of g and y of gamma3:
+HK leads to a 6x6 linear system, solved in closed form. With d = h/2, alpha = (A - C)/A = ``p[0]``, nu = mg z0/A =
+``p[1]``, s = omega3, k = alpha s and complex numbers w = omega1 + i omega2, g = gamma1 + i gamma2, the discrete
+equations (Sogo, dEulerPoisson with A = B, x0 = y0 = 0, last sign corrected) leave s unchanged and are linear in the
+changes X of w, Y of g and y of gamma3:
 
     X = -i d (k (2 w + X) + nu (2 g + Y))
     Y = -i d s (2 g + Y) + i d (2 gamma3 w + y w + gamma3 X)
@@ -21,22 +22,28 @@ X and Y are linear in y: their coefficients are computed before y is known, and 
 S and K are the same in every step, and so are the rounding errors of expressions in S and K alone; they would grow as N
 instead of sqrt(N). Hence S + K is made exact, and 1/(1 + K**2) and S K are used with their rounding errors. The
 compiler moves these computations out of the loop.
+
+The Bobenko-Suris step needs one Cayley rotation in closed form and one division; products on the critical path are
+fused with the following sum, and every component is old + increment.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from topcli.arithmetic.double_double import compensated_sum, two_prod, two_sum
-from topcli.arithmetic.fused import fma
-from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, Stepper, Top
-from topcli.schemes.declarations import HIROTA_KIMURA, LONG_HK, SINGULAR
+from topcli.arithmetic.fused import fma, two_prod, two_sum
+from topcli.arithmetic.vectors import cayley_rotated
+from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, NoOptions, Stepper, Top
 from topcli.schemes.layout import (
+    HIROTA_KIMURA,
+    LONG_HK,
     NEAR_SINGULAR,
+    SINGULAR,
     CompensatedOption,
-    first,
     is_compensated,
     small_determinant,
+    stepper,
+    summed,
     with_counter,
 )
 from topcli.schemes.registry import scheme
@@ -80,8 +87,8 @@ def pivot(state: Floats, h: float, p: Floats) -> Floats:
     return (fma(-T1, V2, fma(-T2, V1, DD)), DD, b, S, K, rq, rq_low, D1, D2, V1, V2, T1, T2)
 
 
-def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float, float, float, float]:
-    """Change of omega1, omega2 and gamma in one HK step; omega3 is constant.
+def hk_lagrange_change(state: Floats, h: float, p: Floats) -> Floats:
+    """Change of omega and gamma in one HK step; omega3 is constant: x + -0.0 is x, for x = -0.0 too.
 
     The system is singular only for step sizes far too large to be useful.
     """
@@ -115,41 +122,21 @@ def hk_lagrange_change(state: Floats, h: float, p: Floats) -> tuple[float, float
     return (
         fma(y, F * fma(-K, T1, T2), fma(F, fma(-K, R1, R2), X1)),
         fma(y, -F * fma(K, T2, T1), fma(-F, fma(K, R2, R1), X2)),
+        -0.0,
         fma(y, T1, R1),
         fma(y, T2, R2),
         y,
     )
 
 
-def hk_lagrange(state: Floats, h: float, p: Floats) -> Floats:
-    """HK step of (omega, gamma)."""
-    w1, w2, w3, g1, g2, g3 = state
-    x1, x2, y1, y2, y3 = hk_lagrange_change(state, h, p)
-    return (w1 + x1, w2 + x2, w3, g1 + y1, g2 + y2, g3 + y3)
-
-
-def hk_lagrange_compensated(s: Floats, h: float, p: Floats) -> Floats:
-    """Compensated HK step; the state is followed by the rounding errors of omega1, omega2 and gamma."""
-    w1, w2, w3, g1, g2, g3, e1, e2, e4, e5, e6 = s
-    x1, x2, y1, y2, y3 = hk_lagrange_change((w1, w2, w3, g1, g2, g3), h, p)
-    w1, e1 = compensated_sum(w1, e1, x1)
-    w2, e2 = compensated_sum(w2, e2, x2)
-    g1, e4 = compensated_sum(g1, e4, y1)
-    g2, e5 = compensated_sum(g2, e5, y2)
-    g3, e6 = compensated_sum(g3, e6, y3)
-    return (w1, w2, w3, g1, g2, g3, e1, e2, e4, e5, e6)
-
-
-def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
-    """Physical state followed by zeros, the compensation terms."""
-    return (*y, 0.0, 0.0, 0.0, 0.0, 0.0)
+hk_lagrange = summed(hk_lagrange_change, 6)
+"""HK step of (omega, gamma)."""
 
 
 def lagrange_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
     """Divisor of ``hk_lagrange`` in the equation for the change of gamma3, and the size of its terms."""
-    value, DD, _, _, _, _, _, _, _, _, _, _, _ = pivot(
-        (state[0], state[1], state[2], state[3], state[4], state[5]), h, p
-    )
+    shared = pivot((state[0], state[1], state[2], state[3], state[4], state[5]), h, p)
+    value, DD = shared[0], shared[1]
     return (value, DD + abs(DD - value))
 
 
@@ -245,7 +232,54 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     omega3 is conserved bit for bit. gamma², m·gamma and E are not conserved, but each differs by O(h²) from a modified
     integral, which the map conserves exactly for every h. The map is integrable.
     """
-    made = Stepper(hk_lagrange, 6)
-    if is_compensated(options):
-        made = Stepper(hk_lagrange_compensated, 11, enter_compensated, first(6), checked=6)
+    lost = (0, 1, 3, 4, 5) if is_compensated(options) else ()
+    made = stepper(hk_lagrange_change, 6, lost=lost, checked=6)
     return with_counter(made, NEAR_SINGULAR, small_determinant(lagrange_determinant))
+
+
+def bs_step(state: Floats, h: float, p: Floats) -> Floats:
+    """Step m' - m = h p x a, then a' - a = h/2 m' x (a' + a): Sogo's (L1), (L2)."""
+    m1, m2, m3, a1, a2, a3 = state
+    d = -0.5 * h
+    n1 = fma(-h, a2, m1)
+    n2 = fma(h, a1, m2)
+    # fma(-h d, a2, d m1) in place of d n1 would shorten the critical path, but h d is rounded, and m.a would drift
+    b1, b2, b3 = cayley_rotated(d * n1, d * n2, d * m3, a1, a2, a3)
+    return (n1, n2, m3, b1, b2, b3)
+
+
+def bs_modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
+    """Modified energy m²/2 + a·p + h/2 (a x m)·p, conserved by the BS map (Sogo, section 2.3, law 4)."""
+    plain = top.invariants()[3]
+
+    def value(y: Array) -> Array:
+        return plain.value(y) + 0.5 * h * (y[:, 3] * y[:, 1] - y[:, 4] * y[:, 0])
+
+    def scale(y: Array) -> Array:
+        return plain.scale(y) + np.abs(0.5 * h) * (np.abs(y[:, 3] * y[:, 1]) + np.abs(y[:, 4] * y[:, 0]))
+
+    meaning = "energy plus h/2 (a×m)·p, conserved by the BS map"
+    return (Invariant("modified_energy", "E mod", r"\widetilde{E}", meaning, value, scale),)
+
+
+@scheme(
+    "bs",
+    top="lagrange/inertial",
+    title="Bobenko-Suris scheme",
+    order=1,
+    explicit=True,
+    self_adjoint=False,
+    conserves=("a_sq", "m_p", "m_a"),
+    modified=bs_modified,
+    citation="Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3",
+    formula=r"m' - m = h\,p\times a, \qquad a' - a = h\,m'\times\bar a",
+    equations="L1, L2",
+    integrable=Integrability("yes (Bobenko, Suris 1999)", "Lie-Poisson bracket of e(3)", "lie-poisson"),
+)
+def build_bs(top: Top, options: NoOptions) -> Stepper:
+    """Two explicit substeps: m from the old axis, then a Cayley rotation of the axis about the new m.
+
+    a², m·p, m·a and a modified energy, which differs from E by a term of size h, are conserved exactly. The map is
+    integrable: although it is of order 1 and not self-adjoint, no integral drifts.
+    """
+    return Stepper(bs_step, 6)

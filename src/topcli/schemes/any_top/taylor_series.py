@@ -17,7 +17,7 @@ k = 1..m-1, with J the Jacobian at y_0 and * the bilinear part. The series of al
 The state has more than double precision, and at the largest order so has the first coefficient. The other coefficients,
 with their rounding errors, are multiplied by powers of a step well below one.
 
-The algorithm is written in terms of ``vectors.Operations``, so that the generation of LLVM IR (``vectors``) and a
+The algorithm is written in terms of the methods of ``taylor_vectors.IRWriter``, so that the generation of LLVM IR and a
 plain interpreter in the tests share it; both give the same bits.
 """
 
@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from topcli.contracts import Array
-from topcli.schemes.taylor.vectors import Operations, Scalar, Vector, pair_add, pair_mul, pair_scale
+from topcli.schemes.any_top.taylor_vectors import IRWriter, Scalar, Vector, pair_add, pair_mul, pair_scale
 
 
 @dataclass(frozen=True)
@@ -78,17 +78,17 @@ def arrangement_of(components: int, alpha3: float) -> Arrangement:
     return SYMMETRIC if alpha3 == 0.0 else GENERAL
 
 
-def _minus_gamma(o: Operations) -> Vector:
+def _minus_gamma(o: IRWriter) -> Vector:
     """Vector with -1 in the lanes of gamma, else 0."""
     return o.constant((0.0, 0.0, 0.0, -1.0, -1.0, -1.0, 0.0, 0.0)[: o.lanes])
 
 
-def _filled(o: Operations, value: float) -> Vector:
+def _filled(o: IRWriter, value: float) -> Vector:
     """Vector with the value in all lanes that hold a component, else 0."""
     return o.constant((value,) * 3 + (0.0,) if o.lanes == 4 else (value,) * 6 + (0.0, 0.0))
 
 
-def _store_factors(o: Operations, a: Arrangement, m: int, factors: list[Vector]) -> list[Vector]:
+def _store_factors(o: IRWriter, a: Arrangement, m: int, factors: list[Vector]) -> list[Vector]:
     """Store those factors of coefficient m that later sums need; return all factors."""
     for name, factor in zip(a.stored_factors, factors, strict=False):
         o.store(name, m, factor)
@@ -99,7 +99,7 @@ def _pairs(a: Arrangement) -> tuple[tuple[str, str], ...]:
     return (("a", "b"), ("c", "d"))[: len(a.stored_factors) // 2]
 
 
-def _fold(o: Operations, a: Arrangement, sums: list[Vector], alpha: Vector) -> Vector:
+def _fold(o: IRWriter, a: Arrangement, sums: list[Vector], alpha: Vector) -> Vector:
     """Combine the sums of products into one vector in the lanes of the components."""
     first = o.mul(sums[0], alpha)
     if a.folded:
@@ -115,7 +115,7 @@ the same in every step, and its effect would accumulate systematically."""
 
 
 def expand(
-    o: Operations,
+    o: IRWriter,
     a: Arrangement,
     order: int,
     y0: tuple[Vector, Vector | None],
@@ -170,7 +170,7 @@ def expand(
     return step[0], step[1], missed
 
 
-def _linear(o: Operations, columns: list[Vector], factors: list[Vector], known: Vector | None) -> Vector:
+def _linear(o: IRWriter, columns: list[Vector], factors: list[Vector], known: Vector | None) -> Vector:
     """Sum of the products of columns and factors, plus ``known``; in two halves, for a short dependency chain."""
     left = o.mul(columns[0], factors[0]) if known is None else o.fma(columns[0], factors[0], known)
     right = o.mul(columns[1], factors[1])
@@ -187,7 +187,7 @@ class _ProductSums:
     has two halves, to shorten its dependency chain.
     """
 
-    def __init__(self, o: Operations, a: Arrangement) -> None:
+    def __init__(self, o: IRWriter, a: Arrangement) -> None:
         self.o, self.pairs = o, _pairs(a)
         self.halves: dict[tuple[int, int, int], Vector] = {}
 
@@ -220,7 +220,7 @@ class _ProductSums:
         return sums
 
 
-def taylor_increment(o: Operations, order: int, d: Scalar, missed: Vector | None) -> tuple[Vector, Vector]:
+def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector | None) -> tuple[Vector, Vector]:
     """Return the sum of y_m d^m over m = 1..order as y_1 d rounded, and the rest; ``missed`` is the low part of y_1.
 
     The rest is summed by pairs, pairs of pairs and so on (Estrin's scheme), for a short dependency chain.
@@ -244,7 +244,7 @@ MAX_RADIUS_FRACTION = 0.6
 """Longest step, as a fraction of the radius of convergence estimated from the later coefficients."""
 
 
-def step_size(o: Operations, order: int, log2_tol: Scalar) -> tuple[Scalar, Scalar]:
+def step_size(o: IRWriter, order: int, log2_tol: Scalar) -> tuple[Scalar, Scalar]:
     """Return the step for which the last term stays below tol times the state, and a logarithm to detect inf and nan.
 
     As in Jorba and Zou (Exp. Math. 14, 2005), the radius is estimated from two coefficients, because one may vanish by

@@ -6,7 +6,7 @@ Performance:
   and the step size is chosen from coefficients before the last;
 - a series of order 28 reaches a quarter of the radius of convergence; shorter steps h are evaluations of a polynomial.
 
-Time loop of the Taylor series in LLVM IR; numba has no vector types. See ``series`` for the mathematics.
+Time loop of the Taylor series in LLVM IR; numba has no vector types. See ``taylor_series`` for the mathematics.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Array, Block, EulerPoisson, Floats, Top, checked_equations
-from topcli.schemes.declarations import polynomial_invariants
+from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
+from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, two_sum
+from topcli.schemes.layout import polynomial_invariants
 from topcli.schemes.registry import scheme
-from topcli.schemes.taylor.series import Arrangement, arrangement_of, expand, taylor_increment
-from topcli.schemes.taylor.vectors import DECLARATIONS, IRWriter, literal, two_sum
 
 STEP, FRACTION, LAG, TIME, LOG2_TOL, TABLES = 0, 1, 2, 3, 4, 5
 """Slots of the working state after the two vectors of the expansion point: see ``series_loop``."""
@@ -193,7 +193,7 @@ def series_loop(a: Arrangement, d: int, order: int, extended_precision: bool) ->
     Arguments and result are those of the loop in ``engine.driver``. ``work`` contains, in this order: the state at the
     expansion point as an unevaluated sum of two vectors; the position of the expansion point in steps of h after the
     last step reached, integer part and fraction; the delay of the expansion point relative to that position, in time;
-    the scale of time and the logarithm of the tolerance; the three tables of ``series.expand``; the units of the
+    the scale of time and the logarithm of the tolerance; the three tables of ``taylor_series.expand``; the units of the
     components; the status; the number of expansions. The function may return before all steps are done, after
     ``MAX_EXPANSIONS`` expansions.
     """
@@ -279,7 +279,7 @@ def extended_precision(order: int) -> bool:
 
 
 def quotients(equations: EulerPoisson) -> tuple[Floats, Floats, Floats]:
-    """Return alpha, beta and -delta of ``series``, each of length three."""
+    """Return alpha, beta and -delta of ``taylor_series``, each of length three."""
     moments, gravity = equations.moments, equations.gravity
     turns = tuple((i, (i + 1) % 3, (i + 2) % 3) for i in range(3))
     with np.errstate(all="ignore"):

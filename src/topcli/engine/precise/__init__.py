@@ -1,1 +1,0 @@
-"""Runs in arithmetic of any precision: the step functions of the schemes, copied for other numbers, interpreted."""

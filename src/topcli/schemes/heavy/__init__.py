@@ -1,1 +1,0 @@
-"""Schemes for the general heavy top."""

@@ -1,1 +1,0 @@
-"""Taylor series of high order: scheme, recurrences, generation of machine code."""
