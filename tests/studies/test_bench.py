@@ -1,4 +1,4 @@
-"""Speed against error as it is measured: errors, the ends of ladders, repetitions, peers that are missing or fail."""
+"""Speed against error: ladders, errors, repetitions, peers, the line-up, and the results on disk."""
 
 from __future__ import annotations
 
@@ -9,18 +9,30 @@ import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
+from pydantic import BaseModel, Field
 
 from topcli.analysis.reference import reference_states
-from topcli.contracts import Stepper
+from topcli.contracts import Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UnknownNameError, UsageError
-from topcli.schemes.registry import find_scheme
+from topcli.schemes.registry import all_schemes, composable_names, find_scheme
 from topcli.studies.bench import measure
-from topcli.studies.bench.contest import LineUp, Problem, Rung, bench_problems, choose
+from topcli.studies.bench.contest import (
+    COMPOSED,
+    SCENES,
+    LineUp,
+    Problem,
+    Rung,
+    bench_problems,
+    choose,
+    default_names,
+    ladder,
+    tolerance_option,
+)
 from topcli.studies.bench.measure import (
     Effort,
     FirstCall,
@@ -33,8 +45,190 @@ from topcli.studies.bench.measure import (
     time_all,
 )
 from topcli.studies.bench.peers import PEERS, NoResultError, Peer, find_peers, missing
+from topcli.studies.entries import scheme_with
+from topcli.studies.operations import operations_of
+from topcli.tops import TOPS
 
-# what is measured
+
+def test_steps_divide_the_interval_and_get_finer() -> None:
+    for name, ratio in (("hk", 2.0), ("rk4", math.sqrt(2.0)), ("hk+kahan-li8", math.sqrt(2.0))):
+        rungs = list(ladder(find_scheme(name, "kowalevski"), np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64]), 10.0))
+        assert all(rung.value * rung.steps == pytest.approx(10.0, rel=1e-15) for rung in rungs)
+        steps = [rung.steps for rung in rungs]
+        assert steps == sorted(set(steps))
+        assert 1.0 < rungs[0].value * 1.3 <= 4.0
+        assert steps[20] / steps[18] == pytest.approx(ratio**2, rel=1e-2)
+
+
+def test_the_step_ladder_of_a_state_of_any_size() -> None:
+    scheme = find_scheme("hk", "kowalevski")
+    for size in (0.0, 1e-12, 1e6):
+        rungs = list(ladder(scheme, np.full(6, size), 0.5))
+        assert 1 <= rungs[0].steps <= 0.125 * 1e6 + 1
+        assert all(math.isfinite(rung.value) and rung.value > 0.0 for rung in rungs)
+
+
+class Series(BaseModel):
+    """Options of an adaptive scheme."""
+
+    tol: float = Field(default=1e-10, gt=0.0, le=1e-4)
+
+
+class Pair(BaseModel):
+    """Options of another."""
+
+    rtol: float = Field(default=1e-6, ge=2.5e-14)
+    atol: float = Field(default=1e-8, ge=1e-15)
+
+
+class Neither(BaseModel):
+    """Options without a tolerance."""
+
+    precision: float = 1e-6
+
+
+def adaptive(options: type[BaseModel]) -> Scheme:
+    base = find_scheme("rk4", "kowalevski")
+    return Scheme(**{**vars(base), "name": "mine", "adaptive": True, "options": options})
+
+
+def test_tolerances_come_from_the_options() -> None:
+    y0 = np.ones(6)
+    tols = list(ladder(adaptive(Series), y0, 1.0))
+    assert tolerance_option(adaptive(Series)) == "tol"
+    assert [rung.value for rung in tols] == [*(float(f"{m}e-{n}") for n in range(4, 18) for m in ("1", "0.32")), 1e-18]
+    assert all(rung.steps == 1 and rung.options == (("tol", rung.value),) for rung in tols)
+    pairs = list(ladder(adaptive(Pair), y0, 1.0))
+    assert [rung.value for rung in pairs] == [
+        *(float(f"{m}e-{n}") for n in range(2, 14) for m in ("1", "0.32")),
+        2.5e-14,
+    ]
+    for rung in pairs:
+        assert dict(rung.options)["atol"] == pytest.approx(max(1e-2 * rung.value, 1e-15), rel=1e-12)
+        Pair.model_validate(dict(rung.options))  # within its limits
+    with pytest.raises(UsageError, match="no option tol or rtol"):
+        ladder(adaptive(Neither), y0, 1.0)
+
+
+def test_every_adaptive_scheme_has_a_ladder() -> None:
+    found = [scheme for scheme in all_schemes() if scheme.adaptive]
+    assert found
+    for scheme in found:
+        rungs = list(ladder(scheme, np.ones(6), 1.0))
+        assert len(rungs) > 5
+        for rung in rungs:
+            scheme.options.model_validate(dict(rung.options))
+
+
+def test_bench_scenes_have_their_tops_and_durations() -> None:
+    problems = {problem.name: problem for problem in bench_problems((), ())}
+    assert list(problems) == list(SCENES)
+    assert problems["kowalevski-generic"].duration == 1000.0
+    assert problems["kowalevski-paper"].duration == 50.0
+    assert {problem.top.kind for problem in problems.values()} == {"kowalevski", "euler", "lagrange"}
+    for problem in problems.values():
+        assert len(problem.times) == 101
+        assert problem.times[0] == 0.0
+        assert problem.times[-1] == pytest.approx(problem.duration, rel=1e-15)
+
+
+def test_a_config_is_a_scene(in_tmp: Path) -> None:
+    (problem,) = bench_problems((), ("heavy_rk4",), ("N=500",), 10)
+    assert problem.name == "heavy_rk4"
+    assert problem.duration == problem.experiment.h * 500
+    with pytest.raises(UsageError, match="runs backwards"):
+        bench_problems((), ("heavy_rk4",), ("h=-0.01",))
+    with pytest.raises(UsageError, match="named twice"):
+        bench_problems(("euler", "EULER"), ())
+    with pytest.raises(UsageError, match="none is given"):
+        bench_problems((), (), ("h=1",))
+    with pytest.raises(UnknownNameError, match="did you mean 'lagrange'"):
+        bench_problems(("lagrnge",), ())
+
+
+CLOSE = 3.0
+"""Bases that reach an error within this factor of the fewest operations are composed: no composition of a worse base
+makes up for it, as all have the same number of stages."""
+
+
+def test_every_scheme_takes_part_or_is_left_out_with_a_reason() -> None:
+    for problem in bench_problems((), ()):
+        line_up = choose(problem, ())
+        taking_part = [scheme.name for scheme in (*line_up.schemes, *line_up.exact)]
+        left_out = dict(line_up.left_out)
+        assert len(set(taking_part)) == len(taking_part)
+        assert {scheme.name for scheme in all_schemes() if scheme.top == problem.top.form} <= {*taking_part, *left_out}
+        assert sorted([*taking_part, *left_out]) == sorted(default_names(problem.top.form))
+        assert all(left_out.values())
+        assert [scheme.name for scheme in line_up.exact] == ["exact"]
+
+
+@pytest.mark.parametrize("form", list(TOPS))
+def test_every_order_that_options_give_takes_part(form: str) -> None:
+    for scheme in all_schemes():
+        if scheme.top != form:
+            continue
+        models = scheme.options.model_fields
+        choices = [[(key, value) for value in get_args(models[key].annotation) or ()] for key in models]
+        orders = set()
+        for picked in itertools.product(*([None, *some] for some in choices)):
+            try:
+                options = scheme.options.model_validate(dict(one for one in picked if one))
+            except ValueError:
+                continue
+            orders.add(scheme.order_for(options))
+        names = [name for name in default_names(form) if name.partition(":")[0] == scheme.name]
+        assert sorted(map(str, orders)) == sorted(str(scheme_with(name, form).order) for name in names)
+
+
+def test_exact_nodes_take_part_with_their_option() -> None:
+    (generic,) = bench_problems(("kowalevski-generic",), ())
+    (exact,) = [scheme for scheme in choose(generic, ()).schemes if scheme.name == "backlund:nodes=exact"]
+    plain = find_scheme("backlund", "kowalevski")
+    assert exact.order is None
+    assert exact.options().model_dump() == plain.options().model_dump() | {"nodes": "exact"}
+    longer = exact.build(generic.top, exact.options())
+    assert isinstance(longer, Stepper)
+    assert longer.width > plain.build(generic.top, plain.options()).width  # type: ignore[union-attr]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["kowalevski-generic", "euler", "lagrange"])
+def test_compositions_of_every_promising_base_take_part(scene: str) -> None:
+    """For schemes of order 2 operations to an error e are work times sqrt(C / e), where the error is C h^2."""
+    (problem,) = bench_problems((scene,), ())
+    problem = replace(problem, duration=10.0, intervals=10)
+    reference = reference_states(problem.top, problem.experiment.y0, problem.times)
+    cost = {}
+    for name in composable_names(problem.top.form):
+        scheme = find_scheme(name, problem.top.form)
+        assert scheme.order == 2
+        count = operations_of(scheme)
+        assert count is not None
+        work = count.sums + count.products + 8.0 * (count.divisions + count.roots) + 20.0 * count.functions
+        states = SchemeCompetitor(scheme, problem).run(Rung(problem.interval / 200, 200)).states
+        cost[name] = work * math.sqrt(float(np.linalg.norm(states - reference, axis=1).max()))
+    promising = {name for name in cost if cost[name] < CLOSE * min(cost.values())}
+    assert promising <= set(COMPOSED)
+    names = default_names(problem.top.form)
+    assert {f"{base}+{composition}" for base in promising for composition in COMPOSED[base]} <= set(names)
+
+
+def test_names_that_do_not_fit_are_refused() -> None:
+    kowalevski, euler = bench_problems(("kowalevski-generic", "euler"), ())
+    assert dict(choose(euler, ("hk", "hybrid")).left_out) == {"hybrid": "does not fit the top euler"}
+    assert [scheme.name for scheme in choose(kowalevski, ("dop853",)).schemes] == ["dop853"]
+    assert [scheme.order for scheme in choose(euler, ("dmv:moments=preprocessed,order=8",)).schemes] == [8]
+    with pytest.raises(UsageError, match="named twice"):
+        choose(euler, ("hk", "HK"))
+    with pytest.raises(UnknownNameError, match="did you mean"):
+        choose(euler, ("midpont",))
+    with pytest.raises(UnknownNameError, match=r"dmv:moment=plain: scheme 'dmv' has no option 'moment'.*'moments'"):
+        choose(euler, ("dmv:moment=plain",))
+    with pytest.raises(UsageError, match="order: "):
+        choose(euler, ("dmv:order=5",))
+    (refused,) = choose(euler, ("dmv:order=6",)).left_out
+    assert refused == ("dmv:order=6", "order: 6 needs moments: preprocessed; with plain moments the order is 2")
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +238,7 @@ def short() -> Problem:
     return problem
 
 
-@pytest.mark.parametrize(("name", "order"), [("hk", 2), ("rk2", 2), ("rk4", 4), ("hk+kahan-li6", 6)])
+@pytest.mark.parametrize(("name", "order"), [("rk2", 2), ("hk+kahan-li6", 6)])
 def test_errors_fall_as_the_order_says(short: Problem, name: str, order: int) -> None:
     reference = reference_states(short.top, short.experiment.y0, short.times)
     mine = SchemeCompetitor(find_scheme(name, "kowalevski"), short)
@@ -163,9 +357,6 @@ def test_repetitions_are_interleaved_and_the_best_process_counts(short: Problem)
     assert [point.seconds for point in standing.points()] == [1.0, 1.0]
 
 
-# peers
-
-
 def test_a_missing_peer_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     absent = Peer("absent", "not there", "topcli.no_such_module:variants", ("no_such_package_of_anybody",))
     assert "no_such_package_of_anybody not installed" in missing(absent)
@@ -246,21 +437,6 @@ def test_a_rung_s_figures_are_those_of_its_samples(short: Problem) -> None:
     assert (other["repetitions"], other["processes"], other["drift"]) == (0, [], 0.0)
 
 
-@pytest.mark.slow
-def test_stored_figures_are_those_of_the_stored_samples(short: Problem) -> None:
-    """The stored figures of a real measurement agree with each other."""
-    result = bench(short, choose(short, ("rk4", "hk")), [], Effort(0.002, 3))
-    rows = [row for competitor in result["competitors"] for row in competitor["points"]]
-    assert len(rows) > 6
-    for row in rows:
-        low, high = row["quartiles"]
-        assert 0.0 < row["fastest"] <= low <= row["seconds"] <= high
-        if row["repetitions"]:
-            assert row["seconds"] == min(row["processes"])
-        assert row["drift"] == max(row["invariants"].values())
-        assert row["end_error"] <= row["error"]
-
-
 class Answering:
     """A process of a peer that answers with made-up seconds."""
 
@@ -284,17 +460,6 @@ def test_the_first_call_of_a_peer_counts_its_fastest_process(short: Problem) -> 
     assert np.array_equal(first.states, states)
     assert mine.seconds(Rung(1e-3), 4) == [3.0, 2.0, 5.0]
     assert processes[1].asked == [("run", "v", 1e-3), ("seconds", "v", 1e-3, 4)]
-
-
-@pytest.mark.slow
-def test_the_seconds_of_a_closed_form_are_those_of_many_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    (racket,) = bench_problems((), ("euler_hk",), ("h=0.01", "N=100"), 10)
-    clock = iter([100.0, 107.0])
-    monkeypatch.setattr(measure.time, "process_time", lambda: next(clock))
-    states, seconds, setup = measure.closed_form(find_scheme("exact", "euler"), racket)
-    assert (seconds, setup) == (7.0 / 200_000, None)
-    reference = reference_states(racket.top, racket.experiment.y0, racket.times)
-    np.testing.assert_allclose(states, reference, atol=1e-13)  # typically 2e-15
 
 
 @pytest.mark.slow

@@ -1,30 +1,27 @@
-"""Comparisons: what is measured of each scheme, against what is known of the paper's scene."""
+"""Comparisons: entries with options and steps of their own, errors against the reference, ensembles."""
 
 from __future__ import annotations
 
 import json
 import math
-import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 import topcli
-from conftest import GEN, PAPER, ROOT, random_states
-from steppers import RK2
-from topcli.analysis.swings import swing_spacing
+from conftest import ROOT
+from reading_html import read_html
 from topcli.config.load import load_experiment
-from topcli.engine.loop import Run
 from topcli.errors import UsageError
-from topcli.schemes.registry import find_scheme
 from topcli.studies.compare import compare_schemes
-from topcli.studies.entries import under_scheme
 from topcli.studies.study import Result
-from topcli.tops.kowalevski import Kowalevski
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
+
+
 FIVE = ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")
 
 
@@ -38,46 +35,12 @@ def of(comparison: Result, scheme: str) -> dict:
     return next(one for one in comparison.data["schemes"] if one["scheme"] == scheme)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scheme", "spacing"),
-    [("hk", 28.172), ("hybrid", 28.167), ("bohlin-a", 15.30), ("bohlin-b", 15.35), ("bohlin-c", 15.30)],
-)
-def test_spacing_of_the_swings(paper: Result, scheme: str, spacing: float) -> None:
-    """HK and the hybrid keep the period; the schemes of order 1 halve it, being of order 1 near a separatrix."""
-    assert of(paper, scheme)["swing_spacing"] == pytest.approx(spacing, abs=6e-3 if spacing < 20 else 1e-3)
-
-
 def test_the_reference_swings_as_the_theory_says(paper: Result) -> None:
     """Half the period is sqrt 2 ln(8 sqrt 7/eps) to leading order in eps = gamma3(0), the first swing at 14.086."""
     spacing = paper.data["reference"]["swing_spacing"]
     assert spacing == pytest.approx(28.171, abs=1e-3)
     assert spacing / 2 == pytest.approx(math.sqrt(2) * math.log(8 * math.sqrt(7) / 1e-3), abs=2e-3)
     assert of(paper, "hk")["swing_times"][0] == pytest.approx(14.086, abs=1e-3)
-
-
-def test_irreversibility_alone_does_not_halve_the_period() -> None:
-    """The explicit midpoint rule is irreversible too, and of order 2: it keeps the period."""
-    states = Run(Kowalevski(), RK2, PAPER, 1e-3, 50_000).collect().states
-    assert swing_spacing(np.arange(50_001) * 1e-3, states[:, 3]) == pytest.approx(28.170, abs=1e-3)
-
-
-def largest_jump(branch: str, y0: np.ndarray, h: float) -> float:
-    """The largest change of omega1, omega2 in one step of Bohlin A, up to t = 20."""
-    scheme = find_scheme("bohlin-a", "kowalevski")
-    run = Run(Kowalevski(), scheme.build(Kowalevski(), scheme.options(branch=branch)), y0, h, round(20 / h))
-    states = run.collect().states
-    return float(np.abs(np.diff(states[:, :2], axis=0)).max())
-
-
-@pytest.mark.slow
-def test_the_papers_branch_rule_takes_wrong_roots_and_the_default_none() -> None:
-    """As omega1 + i omega2 crosses the real axis, the signs of the arguments mislead: omega jumps to -omega."""
-    jumps = {
-        branch: sum(largest_jump(branch, y0, 0.05) > 1.5 for y0 in random_states(200, seed=1))
-        for branch in ("sign", "nearest")
-    }
-    assert jumps == {"sign": 2, "nearest": 0}
 
 
 def test_verdicts_of_compared_schemes(paper: Result) -> None:
@@ -113,12 +76,6 @@ def test_speed_and_series_are_reported(paper: Result) -> None:
     json.dumps(paper.data, allow_nan=False)
 
 
-def test_options_belong_to_their_scheme() -> None:
-    experiment = load_experiment(HK, ["scheme={name: hybrid, branch: sign}"])
-    assert under_scheme(experiment, "Hybrid").options.model_dump() == {"branch": "sign"}
-    assert under_scheme(experiment, "bohlin-a").options.model_dump() == {"branch": "nearest"}
-
-
 @pytest.mark.slow
 def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
     experiment = load_experiment(
@@ -137,35 +94,6 @@ def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
     assert broken["end_error"] is None
     assert np.isnan(comparison.arrays["error:bohlin-b"][-1])
     assert of(comparison, "hk")["outcome"] == "completed"
-
-
-@pytest.mark.slow
-def test_pictures_of_a_comparison(tmp_path: Path) -> None:
-    from topcli.figures.comparison import loaded_comparison
-    from topcli.figures.figure import write_figure
-
-    comparison = compare_schemes(load_experiment(HK, ["N=2000", "h=0.01"]), ["hk", "hybrid"])
-    files = write_figure("compare", loaded_comparison(comparison), tmp_path)
-    assert [file.name for file in files] == ["compare.png", "compare.pdf", "compare.parquet"]
-    assert "error:hk" in pq.read_schema(files[-1]).names
-
-
-def test_the_python_interface() -> None:
-    trajectory = topcli.simulate(
-        top={"kind": "kowalevski", "c0": 1.0},
-        initial={"omega": GEN[:3], "gamma": GEN[3:]},
-        scheme="hybrid",
-        h=0.01,
-        N=1000,
-    )
-    frame = trajectory.to_pandas()
-    assert list(frame.columns[:3]) == ["n", "t", "omega1"]
-    assert len(frame) == len(trajectory) == 1001
-    assert (frame["k_sq"].to_numpy() == trajectory["k_sq"]).all()
-    assert trajectory.invariants().loc["k_sq", "verdict"] == "exact"
-    assert trajectory.ending.message == "completed 1000 steps (t = 10)"
-    shorter = topcli.simulate("kowalevski_hk", overrides=["h=0.01"], N=10)
-    assert shorter.t[-1] == 10 * 0.01
 
 
 @pytest.mark.slow
@@ -193,20 +121,6 @@ def test_a_scheme_without_integrals_of_its_own_has_none() -> None:
 
 
 @pytest.mark.slow
-def test_the_closed_form_as_the_reference() -> None:
-    """It agrees with the Taylor series to round-off, of which it knows nothing; its own error is then nearly zero."""
-    experiment = load_experiment(HK, ["N=2000", "h=0.01"])
-    series = compare_schemes(experiment, ["hk", "exact"])
-    closed = compare_schemes(experiment, ["hk", "exact"], reference="exact")
-    assert series.data["reference"]["method"] == "Taylor series in double-double arithmetic"
-    assert closed.data["reference"]["method"] == "closed form (scheme exact)"
-    assert of(closed, "hk")["max_error"] == pytest.approx(of(series, "hk")["max_error"], rel=1e-9)
-    assert 0.0 < of(series, "exact")["max_error"] < 1e-13
-    assert of(closed, "exact")["max_error"] < 1e-16  # row 0 is the initial state itself
-    assert np.abs(series.arrays["swing:reference"] - closed.arrays["swing:reference"]).max() < 1e-13
-
-
-@pytest.mark.slow
 def test_a_state_of_a_closed_form_and_its_set_up_have_their_times() -> None:
     found = compare_schemes(load_experiment(HK, ["N=2000"]), ["hk", "exact"])
     hk, exact = of(found, "hk"), of(found, "exact")
@@ -228,13 +142,74 @@ def test_the_reference_swings_at_the_rows_of_the_finest_entry() -> None:
     assert spacing("hk", "hk:h=0.3") == spacing("hk:h=0.3", "hk") == fine
 
 
-@pytest.mark.parametrize(
-    ("config", "reference", "words"),
-    [
-        (HK, "theta", "unknown reference 'theta'; use taylor or exact"),
-        ("heavy_hk", "exact", "the top heavy has no scheme exact to compare with; use the reference taylor"),
-    ],
-)
-def test_a_reference_that_there_is_not(config: str, reference: str, words: str) -> None:
-    with pytest.raises(UsageError, match=re.escape(words)):
-        compare_schemes(load_experiment(config, ["N=10"]), ["hk"], reference=reference)
+FREE = {"top": {"kind": "euler", "A": 3.0, "B": 2.0, "C": 1.0}, "initial": {"omega": [0.3, 0.4, 1.5]}}
+
+
+FREE_RUN = {**FREE, "name": "free", "scheme": "hk", "h": 0.1, "N": 300}
+
+
+ENSEMBLE = {**FREE_RUN, "ensemble": {"states": [{"omega": [0.3, 0.4, 1.5]}]}}
+
+
+REFERENCES = {"taylor": "Taylor series in double-double arithmetic", "exact": "closed form (scheme exact)"}
+
+
+@pytest.mark.parametrize("kind", REFERENCES)
+def test_an_ensemble_of_one_has_the_errors_of_the_run(kind: str) -> None:
+    """The scheme ``exact`` differs from the series, and not from itself, so that it shows which reference was used."""
+    run = topcli.compare("hk", "exact", config=FREE_RUN, reference=kind, progress=False)
+    many = topcli.compare("hk", "exact", config=ENSEMBLE, reference=kind, progress=False)
+    assert run.figures["reference"]["kind"] == many.figures["reference"]["kind"] == kind
+    assert run.figures["reference"]["method"] == many.figures["reference"]["method"] == REFERENCES[kind]
+    for one, other in zip(run.figures["schemes"], many.figures["schemes"], strict=True):
+        assert other["measures"]["error.max"]["median"] == one["max_error"]
+        assert other["measures"]["error.end"]["median"] == one["end_error"]
+    itself = run.figures["schemes"][1]["max_error"]
+    assert (itself <= 2.0**-53) == (kind == "exact")  # row 0 is the initial state itself
+    assert itself < 1e-13
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("config", "kind"), [(FREE_RUN, "exact"), (ENSEMBLE, "taylor")], ids=["run", "ensemble"])
+def test_every_output_names_the_reference_that_was_used(
+    cli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: dict[str, Any], kind: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("free.json").write_text(json.dumps({key: one for key, one in config.items() if key != "name"}))
+    Path("free.yaml").write_text(Path("free.json").read_text())
+    command = ("compare", "hk", "--config", "free.yaml", "--reference", kind)
+    wanted = f"Errors are norms of the difference of states from the {REFERENCES[kind]}."
+    said = cli(*command, "--save", "saved.json")
+    assert said.code == 0
+    assert said.out.splitlines()[-1] == wanted
+    stored = json.loads(Path("saved.json").read_text())["reference"]
+    assert (stored["kind"], stored["method"]) == (kind, REFERENCES[kind])
+    assert cli(*command, "--json").json()["reference"] == stored
+    assert cli("report", "saved.json", "--out", "page.html").code == 0
+    topcli.compare("hk", config=config, reference=kind, progress=False).save("python.html")
+    for page in ("page.html", "python.html"):
+        text = Path(page).read_text()
+        assert wanted in [one.text for one in read_html(text).with_class("caption")]
+        assert REFERENCES["exact" if kind == "taylor" else "taylor"] not in text
+
+
+def test_a_closed_form_that_a_top_does_not_have_is_refused(cli: Callable[..., Any]) -> None:
+    random = "ensemble={random: {count: 2, gamma: sphere}}"
+    for more in ((), ("--set", random)):
+        said = cli("compare", "hk", "--config", "heavy_hk", "--set", "N=10", *more, "--reference", "exact")
+        assert (said.code, said.out) == (2, "")
+        assert "the top heavy has no scheme exact to compare with; use the reference taylor" in said.err
+    with pytest.raises(UsageError, match="unknown reference 'theta'; use taylor or exact"):
+        topcli.compare("hk", config=ENSEMBLE, reference="theta")
+
+
+def test_a_top_that_the_series_cannot_follow_has_no_errors_in_an_ensemble(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its closed form is not used instead; the rest is measured."""
+    monkeypatch.setattr("topcli.studies.compare_ensemble.reference_obstacle", lambda top: "other equations")
+    found = topcli.compare("hk", config=ENSEMBLE, progress=False).figures
+    assert found["reference"] is None
+    measures = found["schemes"][0]["measures"]
+    assert not [name for name in measures if name.startswith("error")]
+    assert measures["deviation.m_sq"]["count"] == 1

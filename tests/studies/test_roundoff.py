@@ -232,16 +232,6 @@ def test_command_reports_both_forms(cli, tmp_path: Path) -> None:
             assert drawn.column(f"{row['name']}:{form['form']}").to_pylist() == row["rms"]
 
 
-@pytest.mark.slow
-def test_command_reports_violations(cli) -> None:
-    few = ("--steps", "2e4", "--copies", "2")
-    assert cli("roundoff", "hybrid-xi", *few, "--max-exponent", "0.6", "--max-drift", "1e-13").code == 0
-    said = cli("roundoff", "hybrid", *few, "--max-drift", "1e-18")
-    assert said.code == 4
-    assert "error: gamma_sq of hybrid with plain sums: drift" in said.err
-    assert cli("roundoff", "hybrid", *few, "--max-exponent", "-1").code == 4
-
-
 def test_tolerances_judge_the_compensated_form(cli) -> None:
     """HK of the Euler top drifts by 7e-15 to 2e-13 with plain sums, and by 1e-16 to 3e-15 with compensated ones.
 
@@ -316,23 +306,9 @@ def test_the_figures_curves() -> None:
 
 
 @pytest.mark.slow
-def test_the_figure_is_drawn_once(cli, tmp_path: Path) -> None:
-    drawn = [cli("plot", "roundoff", "--format", "png", "--json").json()["figures"][0] for _ in range(2)]
-    assert [one["status"] for one in drawn] == ["drawn", "up to date"]
-    picture, data = drawn[0]["files"]
-    assert (tmp_path / picture).read_bytes()[:4] == b"\x89PNG"
-    columns = growth_columns()
-    table = pq.read_table(tmp_path / data)
-    assert table.column_names == list(columns)
-    for name, values in columns.items():
-        np.testing.assert_array_equal(table.column(name).to_numpy(), values)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["hk", "midpoint"])
-def test_compensation_of_euler_has_no_bias(name: str) -> None:
+def test_compensation_of_an_iteration_has_no_bias() -> None:
     """With only the errors of the changes left, an iteration that stops early would show."""
-    study = roundoff_study(roundoff_experiment(name, "euler_gamma" if name == "midpoint" else "euler_hk"), 1_000_000, 2)
+    study = roundoff_study(roundoff_experiment("midpoint", "euler_gamma"), 1_000_000, 2)
     better = study["forms"][1]["invariants"]
     assert {row["verdict"] for row in better} <= {"flat", "random walk"}
     assert max(row["max_drift"] / row["scale"] for row in better) < 1e-14

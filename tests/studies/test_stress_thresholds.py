@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
@@ -26,7 +27,6 @@ from topcli.studies.stress.checks import (
 )
 
 EPS = 2.0**-52
-BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])
 
 
 @dataclass
@@ -69,96 +69,125 @@ class MadeUp:
         return self.closed(n, self.h)
 
 
-def outcome(check: Check, trial: MadeUp) -> str:
-    return check(cast(Trial, trial)).result.value
-
-
-def off_by(error: Any) -> MadeUp:
+def off_by(error: Callable[[float], float], **changes: Any) -> MadeUp:
     """The reference motion with ``error(h)`` in its first component from the first step on."""
-    trial = MadeUp(None)
+    trial = MadeUp(None, **changes)
     trial.moves = lambda n, h: trial.exact(n * h) + np.where(n > 0, error(h), 0.0)[:, None] * [1.0, 0.0, 0.0]
     return trial
 
 
-@BELOW_AND_ABOVE
-def test_an_error_of_half_the_size_has_left_the_motion(factor: float) -> None:
-    trial = off_by(lambda h: factor * 0.5 * (h / 0.1) ** 2)
-    assert outcome(keeps_order, trial) == ("held" if factor < 1.0 else "broke")
+def turning(rate: float, size: float = 1.0, **changes: Any) -> MadeUp:
+    """A swing of this size, which is due at pi, later by the factor 1 / rate."""
+    return MadeUp(lambda n, h: size * np.cos(np.outer(n * h * rate, [1.0, 0.0, 0.0])), h=0.001, **changes)
 
 
-@pytest.mark.parametrize(("order", "found"), [(1.67, "held"), (1.63, "degraded")])
-def test_an_order_may_fall_short_by_0_35(order: float, found: str) -> None:
-    assert outcome(keeps_order, off_by(lambda h: 1e-3 * h**order)) == found
+def late_swing(late: float) -> MadeUp:
+    return turning(1.0 / (1.0 + late), N=6000)
 
 
-@BELOW_AND_ABOVE
-@pytest.mark.parametrize("order", [None])
-def test_a_closed_form_is_right_to_1e_10(order: int | None, factor: float) -> None:
-    trial = off_by(lambda h: factor * 1e-10)
-    trial.order = order
-    assert outcome(keeps_order, trial) == ("held" if factor < 1.0 else "degraded")
+def late_second_swing(late: float) -> MadeUp:
+    return turning(1.0 / (1.0 + late), N=16_000)
 
 
-@pytest.mark.parametrize(
-    ("late", "found"),
-    [
-        (0.0098, "held"),
-        (0.0102, "degraded"),
-        (0.098, "degraded"),
-        (0.102, "broke"),
-        (-0.0098, "held"),
-        (-0.102, "broke"),
-    ],
-)
-def test_times_are_right_to_a_hundredth_and_rough_to_a_tenth(late: float, found: str) -> None:
-    """A swing or a flip that comes too late or too early by this part of its time."""
-    due = math.pi
-    pace = 1.0 / (1.0 + late)
-    swinging = MadeUp(lambda n, h: np.cos(np.outer(n * h * pace, [1.0, 0.0, 0.0])), N=6000, h=0.001)
-    assert outcome(swings_at(due), swinging) == found
-    spaced = MadeUp(swinging.moves, N=16_000, h=0.001)
-    assert outcome(swings_at(2.0 * due, spacing=True), spaced) == found
-
-
-@BELOW_AND_ABOVE
-def test_a_swing_spans_half_a_unit(factor: float) -> None:
-    moves = lambda n, h: factor * 0.25 * np.cos(np.outer(n * h, [1.0, 0.0, 0.0]))  # noqa: E731
-    assert outcome(swings_at(math.pi), MadeUp(moves, N=6000, h=0.001)) == ("held" if factor > 1.0 else "broke")
-
-
-@pytest.mark.parametrize(("late", "found"), [(0.0098, "held"), (0.0102, "degraded"), (0.102, "broke")])
-def test_a_flip_is_timed_against_the_closed_form(late: float, found: str) -> None:
+def late_flip(late: float) -> MadeUp:
     """omega2 = cos t changes its sign at pi/2; the scheme's later by this part."""
 
     def closed(n: Array, h: float) -> Array:
         return np.stack([np.ones(len(n)), np.cos(n * h), np.zeros(len(n))], axis=1)
 
-    moves = lambda n, h: closed(n, h / (1.0 + late))  # noqa: E731
-    assert outcome(flips, MadeUp(moves, N=2000, h=0.001, closed=closed)) == found
+    return MadeUp(lambda n, h: closed(n, h / (1.0 + late)), N=2000, h=0.001, closed=closed)
 
 
-@pytest.mark.parametrize(
-    ("largest", "found"), [(1.98, "held"), (2.02, "degraded"), (98.0, "degraded"), (102.0, "broke")]
-)
-def test_bounded_is_twice_the_size_and_lost_a_hundred_times(largest: float, found: str) -> None:
+def once_as_large(largest: float) -> MadeUp:
     """The motion's size is that of its largest component over ten time scales: 1 here."""
-    moves = lambda n, h: np.where(n == 30, largest, 1.0)[:, None] * np.array([1.0, 0.2, 0.1])  # noqa: E731
-    assert outcome(stays_bounded, MadeUp(moves)) == found
+    return MadeUp(lambda n, h: np.where(n == 30, largest, 1.0)[:, None] * np.array([1.0, 0.2, 0.1]))
 
 
-@BELOW_AND_ABOVE
-@pytest.mark.parametrize(("self_adjoint", "found"), [(True, "broke"), (False, "degraded")])
-def test_a_return_misses_by_round_off_only(factor: float, self_adjoint: bool, found: str) -> None:
-    """4 ulp (sqrt(N) + h N^1.5) of the size of the state, which is 2."""
+def not_quite_back(missed: float, self_adjoint: bool = True) -> MadeUp:
+    """Missed by this many ulp of the state, which is 2, times sqrt(N) + h N^1.5."""
     N, h, size = 400, 0.1, 2.0
-    missed = factor * 4.0 * EPS * (math.sqrt(N) + h * N**1.5) * size
+    off = missed * EPS * (math.sqrt(N) + h * N**1.5) * size
 
     def moves(n: Array, h: float) -> Array:
-        ends = np.array([size, 0.0, 0.0]) + (np.array([0.0, missed, 0.0]) if h < 0.0 else 0.0)
-        return np.tile(ends, (len(n), 1))
+        return np.tile([size, off if h < 0.0 else 0.0, 0.0], (len(n), 1))
 
-    trial = MadeUp(moves, N=N, h=h, y0=(size, 0.0, 0.0), self_adjoint=self_adjoint)
-    assert outcome(returns, trial) == ("held" if factor < 1.0 else found)
+    return MadeUp(moves, N=N, h=h, y0=(size, 0.0, 0.0), self_adjoint=self_adjoint)
+
+
+def series(terms: float) -> Invariant:
+    return Invariant("a", "a", "a", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), terms))
+
+
+def moved_in_ulp(slope: float) -> MadeUp:
+    """A claim that moves over the run by this many ulp times sqrt(N), along a line almost without noise."""
+    N = 8192
+    moved = slope * math.sqrt(N) * EPS * 32.0
+
+    def moves(n: Array, h: float) -> Array:
+        ripple = 1e-3 * moved * np.random.default_rng(1).normal(size=len(n))
+        return np.repeat((moved * n / N + ripple)[:, None], 3, axis=1)
+
+    return MadeUp(moves, N=N, claims=(series(32.0),))
+
+
+def moved_in_errors(errors: float) -> MadeUp:
+    """Noise that is constant within 64 steps, and a line with a slope of this many of its standard errors.
+
+    Over the run the slope is 4 sqrt(N) ulp, where the other condition holds and the deviation is still round-off.
+    """
+    N, h, size = 8192, 0.1, 32.0
+    noise = np.repeat(np.random.default_rng(4).normal(size=N // 64 + 1), 64)[: N + 1]
+    (plain,) = invariant_report([series(size)], np.arange(N + 1), h, np.repeat(noise[:, None], 3, axis=1))
+    assert plain.drift is not None
+    assert plain.drift_error is not None
+    assert plain.model == "linear trend"
+    scale = 4.0 * math.sqrt(N) * EPS * size / (5.0 * plain.drift_error * N * h)
+    values = scale * (noise + (errors * plain.drift_error - plain.drift) * h * np.arange(N + 1))
+    values -= values[0]
+    assert np.abs(values).max() < 20.0 * math.sqrt(N) * EPS * size
+    return MadeUp(lambda n, h: np.repeat(values[n][:, None], 3, axis=1), N=N, h=h, claims=(series(size),))
+
+
+THRESHOLDS: dict[str, tuple[Check, Callable[[float], MadeUp], float, str, str]] = {
+    "error of half the size": (keeps_order, lambda x: off_by(lambda h: x * (h / 0.1) ** 2), 0.5, "held", "broke"),
+    "order short by 0.35": (keeps_order, lambda x: off_by(lambda h: 1e-3 * h ** (2.0 - x)), 0.35, "held", "degraded"),
+    "error of a closed form": (keeps_order, lambda x: off_by(lambda h: x, order=None), 1e-10, "held", "degraded"),
+    "swing a hundredth late": (swings_at(math.pi), late_swing, 0.01, "held", "degraded"),
+    "swing a tenth late": (swings_at(math.pi), late_swing, 0.1, "degraded", "broke"),
+    "swing a hundredth early": (swings_at(math.pi), late_swing, -0.01, "held", "degraded"),
+    "swing a tenth early": (swings_at(math.pi), late_swing, -0.1, "degraded", "broke"),
+    "spacing a hundredth long": (swings_at(2.0 * math.pi, spacing=True), late_second_swing, 0.01, "held", "degraded"),
+    "spacing a tenth short": (swings_at(2.0 * math.pi, spacing=True), late_second_swing, -0.1, "degraded", "broke"),
+    "swing of half a unit": (swings_at(math.pi), lambda x: turning(1.0, 0.5 * x, N=6000), 0.5, "broke", "held"),
+    "flip a hundredth late": (flips, late_flip, 0.01, "held", "degraded"),
+    "flip a tenth late": (flips, late_flip, 0.1, "degraded", "broke"),
+    "twice the size": (stays_bounded, once_as_large, 2.0, "held", "degraded"),
+    "a hundred times the size": (stays_bounded, once_as_large, 100.0, "degraded", "broke"),
+    "return missed": (returns, not_quite_back, 4.0, "held", "broke"),
+    "return missed, not self-adjoint": (returns, lambda x: not_quite_back(x, False), 4.0, "held", "degraded"),
+    "claim that moves": (does_not_drift, moved_in_ulp, 3.0, "held", "degraded"),
+    "claim that moves beyond its error": (does_not_drift, moved_in_errors, 5.0, "held", "degraded"),
+    "claim that falls beyond its error": (does_not_drift, moved_in_errors, -5.0, "held", "degraded"),
+}
+"""A check, the motion of a size, the size of the threshold, and the outcomes 2 % below and above it."""
+
+
+@pytest.mark.parametrize("name", THRESHOLDS)
+def test_outcomes_change_at_their_thresholds(name: str) -> None:
+    check, motion, size, below, above = THRESHOLDS[name]
+    found = [check(cast(Trial, motion(factor * size))).result.value for factor in (0.98, 1.02)]
+    assert found == [below, above]
+
+
+@pytest.mark.parametrize(("factor", "kept"), [(0.98, True), (1.02, False)])
+def test_a_claim_holds_to_50_ulp_times_the_root_of_the_steps(factor: float, kept: bool) -> None:
+    def moves(n: Array, h: float) -> Array:
+        a = np.ones(len(n))
+        a[64] += factor * 50.0 * EPS * math.sqrt(64.0)
+        return np.stack([a, a, a], axis=1)
+
+    trial = MadeUp(moves, claims=(series(1.0),))
+    assert (claim_violated(cast(Trial, trial), trial.run()) is None) == kept
 
 
 def test_findings_name_the_first_step_beyond_a_bound() -> None:
@@ -166,8 +195,9 @@ def test_findings_name_the_first_step_beyond_a_bound() -> None:
     lost = MadeUp(None)
     lost.moves = lambda n, h: lost.exact(n * h) + np.select([n >= 60, n >= 30], [5.0, 0.7], 0.0)[:, None]
     growing = MadeUp(lambda n, h: np.select([n >= 60, n >= 30], [50.0, 2.5], 1.0)[:, None] * np.array([1.0, 0.2, 0.1]))
-    claim = Invariant("a", "a", "a", "the first component", lambda y: y[:, 0], lambda y: np.ones(len(y)))
-    moved = MadeUp(lambda n, h: np.select([n >= 60, n >= 30], [1.1, 1.01], 1.0)[:, None] * np.ones(3), claims=(claim,))
+    moved = MadeUp(
+        lambda n, h: np.select([n >= 60, n >= 30], [1.1, 1.01], 1.0)[:, None] * np.ones(3), claims=(series(1.0),)
+    )
     returned = MadeUp(lambda n, h: np.full((len(n), 3), 1.0 if h > 0.0 else 1.5), y0=(1.0, 1.0, 1.0), N=70)
     checks_of = {keeps_order: lost, stays_bounded: growing, returns: returned}
     found = {check.__name__: check(cast(Trial, trial)).step for check, trial in checks_of.items()}
@@ -179,59 +209,6 @@ def test_findings_name_the_first_step_beyond_a_bound() -> None:
     assert violated.figures["deviation"] == pytest.approx(0.1, rel=1e-12)
 
 
-FIRST = Invariant("a", "a", "a", "the first component", lambda y: y[:, 0], lambda y: np.ones(len(y)))
-
-
-@BELOW_AND_ABOVE
-def test_a_claim_holds_to_50_ulp_times_the_root_of_the_steps(factor: float) -> None:
-    def moves(n: Array, h: float) -> Array:
-        a = np.ones(len(n))
-        a[64] += factor * 50.0 * EPS * math.sqrt(64.0)
-        return np.stack([a, a, a], axis=1)
-
-    trial = MadeUp(moves, claims=(FIRST,))
-    assert (claim_violated(cast(Trial, trial), trial.run()) is None) == (factor < 1.0)
-
-
-@BELOW_AND_ABOVE
-def test_a_bias_is_a_slope_of_three_times_the_root_of_the_steps_in_ulp(factor: float) -> None:
-    """Within the round-off bound, a line without noise: its error is nearly zero."""
-    N = 8192
-    moved = factor * 3.0 * math.sqrt(N) * EPS * 32.0
-    terms = Invariant("a", "a", "a", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), 32.0))
-
-    def moves(n: Array, h: float) -> Array:
-        ripple = 1e-3 * moved * np.random.default_rng(1).normal(size=len(n))
-        return np.repeat((moved * n / N + ripple)[:, None], 3, axis=1)
-
-    trial = MadeUp(moves, N=N, claims=(terms,))
-    assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")
-
-
-@BELOW_AND_ABOVE
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_bias_is_a_slope_of_five_standard_errors(factor: float, sign: float) -> None:
-    """Noise that is constant within 64 steps, and a line added to it that leaves its standard error as it is.
-
-    Over the run the slope is 4 sqrt(N) ulp, where the other condition holds and the deviation is still round-off.
-    """
-    N, h, size = 8192, 0.1, 32.0
-    ulp = EPS * size
-    terms = Invariant("a", "a", "a", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), size))
-    noise = np.repeat(np.random.default_rng(4).normal(size=N // 64 + 1), 64)[: N + 1]
-    (plain,) = invariant_report([terms], np.arange(N + 1), h, np.repeat(noise[:, None], 3, axis=1))
-    assert plain.drift is not None
-    assert plain.drift_error is not None
-    assert plain.model == "linear trend"
-    scale = 4.0 * math.sqrt(N) * ulp / (5.0 * plain.drift_error * N * h)
-    slope = sign * factor * 5.0 * plain.drift_error - plain.drift
-    series = scale * (noise + slope * h * np.arange(N + 1))
-    series -= series[0]
-    assert np.abs(series).max() < 20.0 * math.sqrt(N) * ulp
-    trial = MadeUp(lambda n, h: np.repeat(series[n][:, None], 3, axis=1), N=N, h=h, claims=(terms,))
-    assert outcome(does_not_drift, trial) == ("held" if factor < 1.0 else "degraded")
-
-
 @pytest.mark.parametrize(("factor", "found"), [(0.0, "held"), (200.0, "broke")])
 def test_a_claimed_invariant_with_a_slope_breaks(factor: float, found: str) -> None:
     """A slope of a hundredth of the claim's bound, far beyond its error, is named; round-off alone is not."""
@@ -241,8 +218,7 @@ def test_a_claimed_invariant_with_a_slope_breaks(factor: float, found: str) -> N
         first = 1.0 + EPS * (np.cumsum(noise)[n] + factor * n)
         return np.stack([first, 0.0 * n, 0.0 * n], axis=1)
 
-    claim = Invariant("a", "a", "a", "first", lambda y: y[:, 0], lambda y: np.abs(y[:, 0]))
-    result = does_not_drift(cast(Trial, MadeUp(moves, N=20_000, claims=(claim,), claim_ulps=1e9)))
+    result = does_not_drift(cast(Trial, MadeUp(moves, N=20_000, claims=(series(1.0),), claim_ulps=1e9)))
     assert result.result.value == found
     if found == "broke":
         slope = result.why.removeprefix("drifts: a ").split()[0]
@@ -252,8 +228,7 @@ def test_a_claimed_invariant_with_a_slope_breaks(factor: float, found: str) -> N
 
 def test_checks_that_need_compiled_code_are_not_tried_in_the_interpreter() -> None:
     never = lambda n, h: pytest.fail("it was run")  # noqa: E731
-    claim = Invariant("a", "a", "a", "first", lambda y: y[:, 0], lambda y: np.abs(y[:, 0]))
     for check in (returns, does_not_drift):
-        found = check(cast(Trial, MadeUp(never, plain=True, claims=(claim,))))
+        found = check(cast(Trial, MadeUp(never, plain=True, claims=(series(1.0),))))
         assert (found.result.value, found.why) == ("not tried", "runs in the interpreter")
-    assert outcome(does_not_drift, MadeUp(never)) == "not tried"
+    assert does_not_drift(cast(Trial, MadeUp(never))).result.value == "not tried"

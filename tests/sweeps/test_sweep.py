@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import os
 import pickle
 from pathlib import Path
@@ -14,24 +16,21 @@ import pyarrow.parquet as pq
 import pytest
 
 import topcli
-from sweeping import BASE, DATA, MANY, sweep, table, with_grid, without_origin
+from conftest import ROOT
+from sweeping import BASE, DATA, MANY, sweep, table, with_grid
+from topcli.config.files import scene_files
 from topcli.config.load import load_experiment
 from topcli.config.rows import RowReader
 from topcli.config.sweep import load_sweep
+from topcli.config.text import parse_yaml
 from topcli.errors import RunError, UsageError
-from topcli.runs.simulate import trajectory_of
+from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.sweeps import evaluate as seam
-from topcli.sweeps.batch_run import BatchRun
+from topcli.sweeps.batch_run import BatchRun, evaluate
 from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, batches, evaluate_batch
-from topcli.sweeps.run import SweepOptions, find_row, in_threads, planned, run_sweep
-
-
-def deviation(row: dict[str, Any], out: Path) -> float:
-    """Largest deviation of the energy of a row that is run by itself, by its formula."""
-    one = trajectory_of(load_experiment(find_row(out / "study", row["row"])[1].config("one")))
-    w, g = one.states[:, :3], one.states[:, 3:]
-    energy = w[:, 0] ** 2 + w[:, 1] ** 2 + 0.5 * w[:, 2] ** 2 + g[:, 0]  # A = 2, c0 = 1
-    return float(np.abs(energy - energy[0]).max())
+from topcli.sweeps.measures import resolve_measures
+from topcli.sweeps.run import SweepOptions, in_threads, planned, run_sweep
+from topcli.tops import top_class
 
 
 def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
@@ -93,14 +92,6 @@ def test_rows_hold_the_states_and_parameters_that_were_drawn(tmp_path: Path) -> 
         [row[name] for name in names] for row in rows if row["scheme"] == "rk4"
     ]
     assert {row[name] for row in again if not row["current"] for name in names} == {None}
-
-
-def test_finished_rows_never_run_again(tmp_path: Path) -> None:
-    sweep(tmp_path)
-    before = (tmp_path / "study" / "journal.jsonl").read_bytes()
-    result = sweep(tmp_path)
-    assert (result.ran, result.finished) == (0, 4)
-    assert (tmp_path / "study" / "journal.jsonl").read_bytes() == before
 
 
 def test_a_changed_file_runs_only_new_rows_and_keeps_the_others(tmp_path: Path) -> None:
@@ -209,39 +200,6 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
     assert all(np.isnan(value[i]) for i in raising)
 
 
-@pytest.mark.parametrize("size", [1, 7, 20, 39])
-def test_rows_in_pieces_that_fit_into_memory_have_the_same_results(size: int) -> None:
-    rows = list(RowReader(load_sweep({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())
-    assert len({seam.Shared.of(row) for row in rows}) == 1
-
-    class Small(BatchRun):
-        def __init__(self, *arguments: Any, **options: Any) -> None:
-            super().__init__(*arguments, **options)
-            self.size = size
-
-    whole = evaluate_batch(rows, ["deviation.energy"])
-    found = evaluate_batch(rows, ["deviation.energy"], kept=KeptRuns(Small))
-    assert found == whole
-    assert len(set(found.values["deviation.energy"])) == 40
-
-
-def test_a_row_that_cannot_become_a_run_stays_a_row(tmp_path: Path) -> None:
-    class Broken(BatchRun):
-        def finished(self, initial: Any) -> Any:
-            if (initial[:, 0] == 0.25).any():
-                raise RunError("no luck")
-            return super().finished(initial)
-
-    def backend(made: Any, work: Work, stop: Any) -> Any:
-        yield from ((batch, evaluate_batch(batch, work.measures, kept=KeptRuns(Broken))) for batch in made)
-
-    data = {**DATA, "grid": {"initial.omega1": [0.125, 0.25, 0.5]}}
-    result = run_sweep(load_sweep(data), tmp_path, SweepOptions(), backend)
-    assert result.outcomes == {"completed": 2, "failed": 1}
-    found = [(row["outcome"], row["message"]) for row in table(tmp_path)]
-    assert found == [("completed", found[0][1]), ("failed", "no luck"), ("completed", found[2][1])]
-
-
 @pytest.mark.slow
 def test_a_row_beyond_its_time_limit_is_stopped(tmp_path: Path) -> None:
     data = {**DATA, "base": {**BASE, "N": 10**9, "output": {"every": 10**8}}, "grid": {"h": [1e-9]}}
@@ -285,45 +243,32 @@ def test_equal_rows_are_computed_once(tmp_path: Path) -> None:
     assert rows[4]["deviation.energy"] == rows[0]["deviation.energy"]
 
 
-def test_a_row_has_the_bits_of_a_run_by_itself(tmp_path: Path) -> None:
-    sweep(tmp_path, MANY)
-    rows = table(tmp_path)
-    assert len(rows) == 160
-    for row in rows[::31]:
-        assert row["deviation.energy"] == deviation(row, tmp_path)
+class Small(BatchRun):
+    """Runs of which seven fit into memory."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.size = 7
 
 
-@pytest.mark.slow
-def test_a_row_does_not_depend_on_the_rest_of_the_sweep(tmp_path: Path) -> None:
-    sweep(tmp_path / "all", MANY, threads=2)
-    rows = table(tmp_path / "all")
-    alone = []
-    for number in (0, 57, 130, 159):
-        data = find_row(tmp_path / "all" / "study", number)[1].config("x")
-        one = {
-            "name": "study",
-            "base": {key: data[key] for key in ("top", "initial", "scheme")},
-            "include": [{"h": data["h"], "N": data["N"]}],
-            "measure": MANY["measure"],
-        }
-        sweep(tmp_path / str(number), one)
-        alone += [
-            {key: row[key] for key in without_origin(rows)[0] if key != "sample" and not key.startswith("drawn.")}
-            for row in table(tmp_path / str(number))
-        ]
-    wanted = [{key: rows[number][key] for key in alone[0]} for number in (0, 57, 130, 159)]
-    assert repr(alone) == repr(wanted)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lanes", [1, 10**9])
-def test_lanes_do_not_change_a_bit(lanes: int) -> None:
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"pace": Pace(1, 1)},
+        {"pace": Pace(10**9, 10**9)},
+        {"pace": Pace(first_piece=5, seconds=0.0)},
+        {"kept": KeptRuns(Small)},
+    ],
+    ids=["one by one", "side by side", "pieces", "little memory"],
+)
+def test_rows_do_not_depend_on_their_batch(options: dict[str, Any]) -> None:
     rows = list(RowReader(load_sweep(MANY)).rows())
     usual = evaluate_batch(rows, MANY["measure"])
-    other = evaluate_batch(list(reversed(rows)), MANY["measure"], pace=Pace(lanes, lanes))
+    other = evaluate_batch(rows[::-1], MANY["measure"], **options)
     for name, values in usual.values.items():
         assert np.array_equal(values, other.values[name][::-1], equal_nan=True)
     assert usual.message == other.message[::-1]
+    assert len(set(usual.values["deviation.energy"])) == 160
 
 
 def test_batches_hold_every_row_once_and_are_bounded() -> None:
@@ -424,3 +369,61 @@ def test_rows_side_by_side_share_their_time_limit(count: int, monkeypatch: pytes
     kept: Any = SimpleNamespace(ready=lambda *arguments: Ready())
     evaluate_batch(rows, (), time_limit=3.0, kept=kept)
     assert stopped[0] == (count, 50.0 + 3.0 * count + 0.5)
+
+
+READY = sorted((ROOT / "configs" / "sweeps").iterdir())
+
+
+SWINGS = "kowalevski_swings"
+
+
+def ready(name: str) -> Any:
+    path = ROOT / "configs" / "sweeps" / f"{name}.yaml"
+    return parse_yaml(path.read_text(encoding="utf-8"), str(path))[0]
+
+
+@pytest.mark.parametrize("name", [path.stem for path in READY])
+def test_a_ready_sweep_is_short_and_its_measures_fit(name: str) -> None:
+    path = ROOT / "configs" / "sweeps" / f"{name}.yaml"
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 30
+    assert path.stem not in scene_files()
+    found = ready(name)
+    assert found["name"] == name
+    top = top_class(found["base"]["top"]).new()
+    for scheme in found["grid"]["scheme"]:
+        measures = resolve_measures(found["measure"], top, find_scheme(scheme, top.form))
+        assert [one.name for one in measures] == found["measure"]
+
+
+def test_the_sweeps_of_kowalevski_s_top_name_all_of_its_schemes() -> None:
+    known = {scheme.name for scheme in all_schemes() if scheme.top == "kowalevski" and scheme.origin == "topcli"}
+    assert set(ready("kowalevski_errors")["grid"]["scheme"]) == known
+    assert set(ready(SWINGS)["grid"]["scheme"]) == known - {"dop853"}
+
+
+def test_durations_are_whole_numbers_of_steps() -> None:
+    for name in ("kowalevski_errors", SWINGS):
+        found = ready(name)
+        for h in found["grid"]["h"]:
+            assert math.isclose(found["base"]["T"] / h, round(found["base"]["T"] / h), rel_tol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_floor_of_the_swings_is_as_the_sweep_says() -> None:
+    """With eps = 1e-3 and 1e-5: the law and the schemes that keep it, HK's floor, and Bohlin A's law in h."""
+    eps, law = np.array([1e-3, 1e-5]), 2.0 * math.sqrt(2.0) * np.log(8.0 * math.sqrt(7.0) / np.array([1e-3, 1e-5]))
+    states = np.array([(2.0, 0.0, 0.0, math.sqrt(1.0 - x * x), 0.0, x) for x in eps])
+    found = {}
+    for scheme, h in itertools.product(("dg4", "taylor", "hk", "bohlin-a"), (1e-2, 2e-3)):
+        experiment = load_experiment("kowalevski_hk", [f"scheme={scheme}", f"h={h}", f"N={round(70 / h)}"])
+        measures = resolve_measures(["swing_spacing.first"], experiment.top, experiment.scheme)
+        batch = BatchRun(experiment, measures, threads=1).finished(states)
+        found[scheme, h] = evaluate(measures, batch)["swing_spacing.first"]
+    for scheme, h in (("dg4", 1e-2), ("taylor", 1e-2)):
+        np.testing.assert_allclose(found[scheme, h], law, atol=2e-3)
+    assert found["hk", 2e-3][0] == pytest.approx(law[0], abs=0.02)
+    assert found["hk", 1e-2][1] < law[1] - 3.0
+    for h in (1e-2, 2e-3):
+        assert found["bohlin-a", h][0] == pytest.approx(found["bohlin-a", h][1], abs=5e-3)
+    slope = (found["bohlin-a", 1e-2][1] - found["bohlin-a", 2e-3][1]) / math.log(5.0)
+    assert slope == pytest.approx(-math.sqrt(2.0), rel=0.01)

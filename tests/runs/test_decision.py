@@ -18,6 +18,8 @@ from topcli.store.manifest import REPORT, StoredRun
 from topcli.store.parts import Part
 
 OUT, NAME = Path("out"), "wobble"
+
+
 CONFIG: dict[str, Any] = {
     "name": NAME,
     "scheme": {"name": "hk"},
@@ -25,9 +27,17 @@ CONFIG: dict[str, Any] = {
     "N": 100,
     "output": {"every": 1, "format": "parquet"},
 }
+
+
 MINE = Identity(CONFIG, "a" * 64, "code")
+
+
 FORCE, RESUME, RETRY = RunOptions(force=True), RunOptions(resume=True), RunOptions(retry_failed=True)
+
+
 PLAIN = RunOptions()
+
+
 FLIPPED = {"report.md": "its SHA-256 differs"}
 
 
@@ -63,6 +73,8 @@ def left(done: int, *, where: Any = None, complete: bool = False, **changes: Any
 
 
 OTHER_RUN = run(digest="b" * 64, config=config(h=0.2, name="earlier"))
+
+
 OTHER_CODE = run(digest="b" * 64, top_origin="mine.py")
 
 
@@ -80,11 +92,23 @@ class Case:
 
 
 CSV = replace(MINE, config=config(output={"every": 1, "format": "csv"}))
+
+
 HINT = "starting from step 0; --resume would continue an unfinished run at step 40 of 100"
+
+
 NOTHING = "nothing to resume; starting from step 0"
+
+
 BUSY = "process 7 is running this experiment too"
+
+
 DAMAGED = "will run again; report.md is damaged: its SHA-256 differs"
+
+
 LINK = "out/wobble: is a symbolic link, which no run can replace; nothing was written"
+
+
 CASES = {
     "an empty place": Case({}, PLAIN, action="will run"),
     "nothing to resume": Case({}, RESUME, action="will run", notes=(NOTHING,)),

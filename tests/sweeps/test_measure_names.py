@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import doctest
 import inspect
-import math
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from pathlib import Path
@@ -30,7 +29,6 @@ from topcli.sweeps.measures import (
     MEASURES,
     Measure,
     MeasureMisfitError,
-    all_measures,
     measure,
     measures_of_form,
     names_of,
@@ -41,6 +39,8 @@ from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 
 HK = find_scheme("hk", "kowalevski")
+
+
 EULER_HK = find_scheme("hk", "euler")
 
 
@@ -123,25 +123,7 @@ def test_every_measure_that_is_listed_for_a_top_can_be_resolved_and_evaluated() 
         assert set(missing) <= {"swing_spacing", "swing_spacing.first"}
 
 
-def test_every_measure_has_a_summary_and_a_unit() -> None:
-    assert names(all_measures()) == sorted(MEASURES)
-    for one in all_measures():
-        assert one.summary
-        assert "\n" not in one.summary
-        assert one.unit
-        assert one.origin == "topcli"
-    assert MEASURES["drift.NAME"].member("energy").summary == "fitted slope of energy per unit time"
-
-
-@pytest.fixture
-def registered() -> Iterator[None]:
-    before = dict(MEASURES)
-    yield
-    MEASURES.clear()
-    MEASURES.update(before)
-
-
-def test_names_of_a_plugin_are_checked(registered: None) -> None:
+def test_names_of_a_plugin_are_checked(own_registry: None) -> None:
     with pytest.raises(ValueError, match="'seconds' is already registered by topcli"):
         measure("seconds", summary="again")
     for taken in ("row", "outcome", "cpu", "h", "T", "top.c0", "initial.NAME", "scheme.tol", "sample"):
@@ -158,7 +140,7 @@ def test_names_of_a_plugin_are_checked(registered: None) -> None:
         resolve_measures(["odd"], Kowalevski(), HK)
 
 
-def test_the_decorator_s_example_works_and_every_parameter_is_documented(registered: None) -> None:
+def test_the_decorator_s_example_works_and_every_parameter_is_documented(own_registry: None) -> None:
     text = inspect.getdoc(topcli.measure) or ""
     for parameter in {field.name for field in fields(Measure)} - {"evaluate", "origin"}:
         assert f"\n{parameter} : " in text
@@ -188,7 +170,7 @@ def load(path: Path) -> None:
     schemes.load_scheme_file.__wrapped__(path)
 
 
-def test_measures_from_a_file(tmp_path: Path, registered: None) -> None:
+def test_measures_from_a_file(tmp_path: Path, own_registry: None) -> None:
     path = tmp_path / "mine.py"
     path.write_text(FILE)
     load(path)
@@ -204,7 +186,7 @@ def test_measures_from_a_file(tmp_path: Path, registered: None) -> None:
         resolve_measures(["last.gamma4"], experiment.top, experiment.scheme)
 
 
-def test_a_file_that_fails_leaves_no_measure(tmp_path: Path, registered: None) -> None:
+def test_a_file_that_fails_leaves_no_measure(tmp_path: Path, own_registry: None) -> None:
     path = tmp_path / "mine.py"
     path.write_text(FILE + "\nraise RuntimeError('too late')\n")
     with pytest.raises(UsageError, match="too late"):
@@ -370,4 +352,4 @@ def test_a_closed_form_serves_only_its_own_tops() -> None:
     assert reference_kind(Euler(A=3.0, B=2.0, C=1.0), EULER_HK) == "exact"
     exact: Scheme = find_scheme("exact", "euler")
     assert reference_kind(Euler(A=3.0, B=2.0, C=1.0), exact) == "taylor"
-    assert math.isfinite(max_error(free("exact", 0.1, 10)))
+    assert 0.0 < max_error(free("exact", 0.1, 100)) < 1e-13

@@ -1,7 +1,4 @@
-"""A row that takes long or for ever costs no other row: each ends, is refused, or is stopped, in every phase.
-
-Time is that of an injected clock.
-"""
+"""A row that takes long or for ever costs no other row; time is that of an injected clock."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ import numpy as np
 import pytest
 
 from conftest import GEN
-from sweeping import BASE, DATA, MANY, sweep, table
+from sweeping import BASE, DATA, sweep, table
 from topcli.analysis.reference import reference_states
 from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import load_sweep
@@ -22,15 +19,13 @@ from topcli.contracts import StopAsked, check_stop, stopping_when
 from topcli.errors import RunError
 from topcli.runs import references
 from topcli.runs.references import SharedReferences
-from topcli.schemes.registry import find_scheme
 from topcli.sweeps import batch as recording
 from topcli.sweeps import evaluate as seam
 from topcli.sweeps.batch_run import BatchRun
-from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, evaluate_batch, unfinished
+from topcli.sweeps.evaluate import KeptRuns, Results, Work, evaluate_batch, unfinished
 from topcli.tops.kowalevski import Kowalevski
 
 ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["error.max", "steps"]}
-SCHEME = find_scheme("hk", "kowalevski")
 
 
 def rows_of(data: dict[str, Any]) -> list[Row]:
@@ -130,14 +125,6 @@ def test_a_call_that_was_stopped_is_not_repeated() -> None:
     rows = rows_of(DATA)
     assert unfinished(rows, Results(done=[False] * len(rows))) == []
     assert unfinished(rows, Results(done=[True] * len(rows))) == []
-
-
-def test_pieces_of_any_size_give_the_same_values() -> None:
-    rows = rows_of(MANY)
-    usual = evaluate_batch(rows, MANY["measure"])
-    other = evaluate_batch(rows, MANY["measure"], pace=Pace(first_piece=5, seconds=0.0))
-    assert usual.values == other.values
-    assert usual.message == other.message
 
 
 def test_a_reference_that_another_row_computes_is_waited_for_until_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,13 +101,6 @@ def test_a_row_group_for_each_block(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert all(np.array_equal(cut[name].to_numpy()[order], whole[name]) for name in whole)
 
 
-def test_slow_schemes_fill_blocks_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "SMALL_TILE", 4)
-    stored = run(tmp_path, scheme="dop853", N=20, ensemble={"random": {**RANDOM, "count": 6}}).stored
-    file = pq.ParquetFile(stored.series)
-    assert [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)] == [12, 6]
-
-
 def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In pieces and without rows, against each single trajectory's own report."""
     monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
@@ -179,16 +172,6 @@ def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool
     assert list(table) == wanted
 
 
-def test_the_verdict_is_that_of_single_runs() -> None:
-    """The hybrid keeps gamma² and k², HK neither: trajectory by trajectory as in their own reports."""
-    for scheme, exact in (("hybrid", {"gamma_sq", "k_sq"}), ("hk", set())):
-        found = topcli.simulate_ensemble(experiment(scheme=scheme, N=1000).resolved())
-        for row in found.invariants().itertuples():
-            verdicts = [found.trajectory(i).invariants().loc[row.Index, "verdict"] for i in range(5)]
-            assert row.within_round_off == (70 if row.Index in exact else 0)
-            assert (verdicts == ["exact"] * 5) == (row.Index in exact)
-
-
 def test_only_the_last_states(tmp_path: Path) -> None:
     """Also where N is no multiple of every: the state at step N."""
     found = experiment(N=205, ensemble={"random": RANDOM, "store": "final"})
@@ -221,15 +204,6 @@ def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
     assert json.loads((result.stored.folder / "report.json").read_text()) == report
 
 
-def test_threads_change_no_byte_of_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
-    found = experiment(ensemble={"random": {**RANDOM, "count": 200}})
-    one = run_experiment(found, tmp_path / "1", RunOptions(threads=1)).stored
-    two = run_experiment(found, tmp_path / "2", RunOptions(threads=2)).stored
-    for name in ("series.parquet", "trajectories.parquet"):
-        assert pq.read_table(one.folder / name).equals(pq.read_table(two.folder / name))
-
-
 def test_csv_holds_the_recorded_columns(tmp_path: Path) -> None:
     stored = run(tmp_path, output={"every": 100, "format": "csv", "columns": ["t", "k_sq"]}).stored
     series = columns(stored.series)
@@ -260,9 +234,6 @@ def test_an_interrupted_ensemble_is_kept_and_marked(tmp_path: Path, monkeypatch:
     rows = np.bincount(columns(result.stored.series)["trajectory"])
     assert rows.tolist() == [21] * 64 + [11] * 6
     assert run(tmp_path).status == "ran"  # an interrupted ensemble is run again
-
-
-# ---------------------------------------------------------------- from Python
 
 
 def test_an_array_of_states() -> None:
@@ -322,53 +293,16 @@ def test_quantiles_of_what_is_known() -> None:
     assert quantiles(np.array([np.nan]), {"max": 1.0})["max"] is None
 
 
-# ---------------------------------------------------------------- the command line
-
-
-def command(cli, *arguments: str) -> tuple[int, str, str]:
-    said = cli(*arguments)
-    return said.code, said.out, said.err
-
-
-@pytest.mark.slow
-def test_the_command_line(cli, in_tmp: Path) -> None:
-    small = ("--set", "ensemble.random.count=20", "--set", "N=200")
-    code, out, err = command(cli, "run", "kowalevski_ensemble", *small, "--threads", "2")
-    assert code == 0
-    assert "all 20 trajectories completed 200 steps" in err
-    assert "20 of 20" in out
-    code, out, _ = command(cli, "run", "kowalevski_ensemble", *small, "--json")
-    shown = json.loads(out)["runs"][0]
-    assert (code, shown["status"], shown["trajectories"], shown["kind"]) == (0, "up to date", 20, "ensemble")
-    code, out, _ = command(cli, "run", "euler_ensemble", "--dry-run")
-    assert (code, out) == (0, "euler_ensemble: will run: 48843 rows in results/euler_ensemble\n")
-    code, out, _ = command(cli, "list", "runs")
-    assert "kowalevski_ensemble" in out
-    code, out, _ = command(cli, "show", "kowalevski_ensemble", "--set", "ensemble.random.seed=77")
-    assert "seed: 77" in out
-    (in_tmp / "shown.yaml").write_text(out)
-    assert command(cli, "show", "shown.yaml")[1] == out
-
-
 def test_exit_codes_count_failed_trajectories(cli, in_tmp: Path) -> None:
     some = experiment(**failing(8))
     (in_tmp / "some.yaml").write_text(some.to_yaml())
-    code, _, err = command(cli, "run", "some.yaml")
-    assert code == 3
-    assert "error: some: some trajectories failed; the rows before are kept" in err
+    said = cli("run", "some.yaml")
+    assert said.code == 3
+    assert "error: some: some trajectories failed; the rows before are kept" in said.err
     text = some.to_yaml().replace("omega: [0.5,", "omega: [1e200,").replace("name: some", "name: all")
     (in_tmp / "all.yaml").write_text(text)
-    assert command(cli, "run", "all.yaml")[0] == 1
+    assert cli("run", "all.yaml").code == 1
     scene = str(ROOT / "configs" / "euler_ensemble.yaml")
-    code, out, err = command(cli, "lax", "euler", "--config", scene)
-    assert (code, out) == (2, "")
-    assert "euler_ensemble.yaml:7: ensemble: this is an ensemble of 243 trajectories" in err
-
-
-def test_a_figure_refuses_an_ensemble(cli, in_tmp: Path) -> None:
-    (in_tmp / "configs").mkdir()
-    text = (ROOT / "configs" / "kowalevski_ensemble.yaml").read_text()
-    (in_tmp / "configs" / "kowalevski_hk.yaml").write_text(text)
-    code, _, err = command(cli, "plot", "fig1")
-    assert code == 2
-    assert "this is an ensemble of 1000 trajectories, and a single one is needed here" in err
+    said = cli("lax", "euler", "--config", scene)
+    assert (said.code, said.out) == (2, "")
+    assert "euler_ensemble.yaml:7: ensemble: this is an ensemble of 243 trajectories" in said.err

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,19 +14,23 @@ import topcli
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome
+from topcli.contracts import Array, Outcome, Stepper
 from topcli.engine.loop import Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError
 from topcli.runs.references import REFERENCES
-from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.studies.compare_ensemble import compare_ensemble
 from topcli.sweeps.batch import BatchRecorder
 from topcli.sweeps.batch_run import BatchRun, evaluate
 from topcli.sweeps.measures import MEASURES, measure, resolve_measures
+from topcli.tops.euler import field
 
 A, C = 2.0, 1.0
+
+
 OMEGA = (0.3, 0.4, 1.5)
+
+
 SYMMETRIC = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "initial": {"omega": list(OMEGA)}}
 """A symmetric free top: omega1 + i omega2 turns about the axis at the rate (A - C)/A omega3."""
 
@@ -53,17 +56,6 @@ def precession(t: Array) -> Array:
     return np.stack([turned.real, turned.imag, np.full_like(t, OMEGA[2])], axis=1)
 
 
-def test_the_paper_s_time_between_swings_follows_the_law_of_its_separatrix() -> None:
-    """2 sqrt 2 ln(8 sqrt 7/eps) at eps = 1e-3; the next term of the expansion is of the order of eps² ln eps."""
-    law = 2.0 * math.sqrt(2.0) * math.log(8.0 * math.sqrt(7.0) / 1e-3)
-    experiment = load_experiment("kowalevski_taylor", ["N=5000", "h=0.01", "initial.gamma=[auto, 0, 1e-3]"])
-    found = measured(experiment, ["swings", "swing_spacing", "swing_spacing.first"])
-    assert found["swings"].tolist() == [2.0]
-    assert found["swing_spacing"][0] == pytest.approx(law, abs=1e-3)
-    assert law == pytest.approx(28.172, abs=1e-3)
-    assert found["swing_spacing.first"][0] == found["swing_spacing"][0]
-
-
 def test_swings_of_the_symmetric_top_come_once_per_period() -> None:
     period = 2.0 * math.pi / ((A - C) / A * OMEGA[2])
     found = measured(symmetric("exact", 0.01, 5000), ["swings", "swing_spacing"])
@@ -73,7 +65,8 @@ def test_swings_of_the_symmetric_top_come_once_per_period() -> None:
     assert found["swings"][0] == math.floor((50.0 - first - period / 4.0) / period) + 1
 
 
-def test_the_spacing_is_the_median_and_the_first_one_the_first() -> None:
+@pytest.mark.parametrize("h", [0.01, -0.01])
+def test_the_spacing_is_the_median_and_the_first_one_the_first(h: float) -> None:
     """Dips at 1, 3, 4, 5.2: the spacings are 2, 1, 1.2; the second run has a single one, the third none."""
     t = np.arange(0.0, 7.0, 0.01)
 
@@ -81,7 +74,7 @@ def test_the_spacing_is_the_median_and_the_first_one_the_first() -> None:
         return -np.exp(-((t[:, None] - np.array(places)) ** 2) / 0.005).sum(axis=1)
 
     batch = recorded(
-        symmetric("rk4", 0.01, len(t) - 1),
+        symmetric("rk4", h, len(t) - 1),
         ["swing_spacing", "swing_spacing.first", "swings"],
         np.stack([dips(1.0, 3.0, 4.0, 5.2), dips(1.0, 2.0), dips(3.0)]),
         "omega2",
@@ -120,13 +113,13 @@ def wavy(rows: int, h: float) -> Array:
     return np.sqrt((1.0 + SLOPE * t + 1e-3 * np.sin(40.0 * t)) / A)[None]
 
 
-@pytest.mark.parametrize("rows", [8, 9, 127, 128, 129, 1000, 20_001])
+@pytest.mark.parametrize("rows", [7, 8, 127, 129, 20_001])
 def test_a_drift_is_the_slope_per_unit_time(rows: int) -> None:
-    """Without the oscillation to round-off, whatever the number of blocks."""
+    """Without the oscillation to round-off, whatever the number of blocks; seven rows are too few."""
     t = 0.1 * np.arange(rows)
     values = np.sqrt((1.0 + SLOPE * t) / A)[None]
     found = recorded(symmetric("rk4", 0.1, rows - 1), ["drift.m_omega", "deviation.m_omega"], values, "omega1")
-    assert found["drift.m_omega"][0] == pytest.approx(SLOPE, rel=1e-9)
+    assert found["drift.m_omega"][0] == pytest.approx(SLOPE if rows > 7 else math.nan, rel=1e-9, nan_ok=True)
     assert found["deviation.m_omega"][0] == pytest.approx(SLOPE * t[-1], rel=1e-9)
 
 
@@ -138,11 +131,6 @@ def test_a_drift_averages_oscillations_out_and_knows_the_recorded_interval() -> 
     assert recorded(sparse, ["drift.m_omega"], values, "omega1")["drift.m_omega"][0] == pytest.approx(SLOPE, rel=1e-4)
     backwards = recorded(symmetric("rk4", -0.1, 20_000), ["drift.m_omega"], values, "omega1")
     assert backwards["drift.m_omega"][0] == pytest.approx(-SLOPE, rel=1e-4)
-
-
-def test_too_few_rows_have_no_drift() -> None:
-    found = recorded(symmetric("rk4", 0.1, 6), ["drift.m_omega"], np.full((1, 7), 0.5), "omega1")
-    assert math.isnan(found["drift.m_omega"][0])
 
 
 def test_drifts_do_not_depend_on_the_pieces_in_which_rows_come() -> None:
@@ -176,30 +164,6 @@ def test_errors_are_distances_from_the_closed_form() -> None:
     assert found["error.end"][0] > 1e-3
 
 
-def test_the_closed_form_itself_is_compared_with_another_reference() -> None:
-    found = measured(symmetric("exact", 0.1, 1000), ["error.max"])["error.max"][0]
-    assert 0.0 < found < 1e-13
-
-
-def test_errors_of_a_top_without_a_closed_form() -> None:
-    """Kowalevski's top at c0 = 0 is a free symmetric top: omega1 + i omega2 turns at omega3/2."""
-    data = {"top": {"kind": "kowalevski", "c0": 0.0}, "initial": {"omega": [0.3, 0.4, 1.5], "gamma": [0.0, 0.0, 1.0]}}
-    experiment = load_experiment({**data, "scheme": "rk4", "h": 0.1, "N": 200})
-    run = topcli.simulate(experiment.resolved())
-    turned = (0.3 + 0.4j) * np.exp(-0.75j * run.t)
-    # in a frame that turns with it, gamma turns about omega(0) - 0.75 e3 (Rodrigues' formula)
-    axis = np.array([0.3, 0.4, 0.75])
-    angle = -np.linalg.norm(axis) * run.t[:, None]
-    axis /= np.linalg.norm(axis)
-    start = np.array([0.0, 0.0, 1.0])
-    frame = start * np.cos(angle) + np.cross(axis, start) * np.sin(angle) + axis * axis[2] * (1.0 - np.cos(angle))
-    gamma = (frame[:, 0] + 1j * frame[:, 1]) * np.exp(-0.75j * run.t)
-    exact = np.stack([turned.real, turned.imag, np.full_like(run.t, 1.5), gamma.real, gamma.imag, frame[:, 2]], axis=1)
-    error = np.linalg.norm(run.states - exact, axis=1)
-    assert one(experiment, "error.max") == pytest.approx(error.max(), rel=1e-9)
-    assert error.max() > 1e-5
-
-
 def explicit_midpoint(y: Array, h: float) -> Array:
     def field(w: Array) -> Array:
         return np.array([(A - C) / A * w[1] * w[2], (C - A) / A * w[2] * w[0], 0.0])
@@ -219,33 +183,21 @@ def test_the_reversal_is_the_defect_of_a_step_and_its_reverse() -> None:
     assert one(symmetric("rk2", -h, N), "reversal") == pytest.approx(expected, rel=0.1)
 
 
-ONE_WAY = """
-import topcli
-from topcli.contracts import Stepper
-from topcli.tops.euler import field
-
-
-def step(y, h, p):
+def one_way_step(y: Any, h: float, p: Any) -> Any:
     if h < 0.0 and y[0] > 0.5:
-        return (float("nan"), y[1], y[2])
+        return (math.nan, y[1], y[2])
     f = field(y, p)
     return (y[0] + h * f[0], y[1] + h * f[1], y[2] + h * f[2])
 
 
-@topcli.scheme("one-way", top="euler", title="Euler's rule", order=1, explicit=True, self_adjoint=False,
-               citation="none", equations="y' = y + h f(y)")
-def build(top, options):
-    '''Euler's rule, which fails backwards where omega1 > 0.5.'''
-    return Stepper(step, 3)
-"""
-
-
 @pytest.fixture
-def one_way(tmp_path: Path) -> Iterator[None]:
-    (tmp_path / "one_way.py").write_text(ONE_WAY)
-    load_scheme_file(tmp_path / "one_way.py")
-    yield
-    unload_scheme_files()
+def one_way(own_registry: None) -> None:
+    traits = {"order": 1, "explicit": True, "self_adjoint": False, "citation": "none", "equations": "none"}
+
+    @topcli.scheme("one-way", top="euler", title="Euler's rule", **traits)
+    def build(top: Any, options: Any) -> Stepper:
+        """Euler's rule, which fails backwards where omega1 > 0.5."""
+        return Stepper(one_way_step, 3)
 
 
 @pytest.mark.usefixtures("one_way")
@@ -281,13 +233,10 @@ def test_counters_steps_and_seconds() -> None:
     assert MEASURES["error.max"].reproducible
 
 
-def test_rows_that_were_not_reached_are_not_recorded() -> None:
+def test_rows_that_were_not_reached_are_not_recorded(own_registry: None) -> None:
     experiment = symmetric("rk4", 0.1, 9)
     measure("test.all", summary="needs all", needs=["omega1", "m_sq", "states"])(lambda batch: np.zeros(len(batch)))
-    try:
-        measures = resolve_measures(["test.all"], experiment.top, experiment.scheme)
-    finally:
-        del MEASURES["test.all"]
+    measures = resolve_measures(["test.all"], experiment.top, experiment.scheme)
     states = np.random.default_rng(3).normal(size=(2, 10, 3))
     recorder = BatchRecorder(experiment, measures, states[:, 0])
     recorder.add(Piece(0, np.arange(10), states, np.array([10, 4])))
@@ -388,11 +337,8 @@ def nearby(y0: Sequence[float], count: int, top: Any) -> Array:
     ("scene", "overrides"),
     [
         ("kowalevski_hybrid", ["h=0.02", "output.every=7"]),
-        ("kowalevski_taylor", ["h=0.05"]),
         ("kowalevski_midpoint", ["h=-0.05"]),
-        ("heavy_rk4", ["h=0.02", "output.every=3"]),
         ("euler_exact", ["h=0.1"]),
-        ("euler_hk", ["h=0.05"]),
         ("lagrange_bs", ["h=0.03"]),
     ],
 )
@@ -427,7 +373,7 @@ def test_only_what_is_needed_is_recorded() -> None:
 
 
 @pytest.fixture
-def lowest() -> Any:
+def lowest(own_registry: None) -> list[int]:
     """A measure like a plugin's, which cannot cope with runs that start above omega1 = 0.5."""
     calls: list[int] = []
 
@@ -439,8 +385,7 @@ def lowest() -> Any:
         np.testing.assert_array_equal(batch.states[:, :, 0], batch.columns["omega1"])
         return batch.columns["omega1"].min(axis=1)
 
-    yield calls
-    del MEASURES["test.lowest"]
+    return calls
 
 
 def test_a_measure_that_fails_for_one_run_keeps_its_values_for_the_others(lowest: list[int]) -> None:
@@ -462,27 +407,16 @@ def test_a_measure_that_fails_for_one_run_keeps_its_values_for_the_others(lowest
 
 
 @pytest.mark.parametrize("wrong", [1.0, [1.0, 2.0], "many", None, [[1.0]]])
-def test_a_measure_that_returns_something_else_is_named(wrong: Any) -> None:
+def test_a_measure_that_returns_something_else_is_named(wrong: Any, own_registry: None) -> None:
     measure("test.wrong", summary="wrong")(lambda batch: wrong)
-    try:
-        experiment = symmetric("rk4", 0.1, 10)
-        measures = resolve_measures(["test.wrong"], experiment.top, experiment.scheme)
-        faults: list[tuple[int, str, str]] = []
-        batch = BatchRun(experiment, measures, threads=1).finished(np.array([OMEGA]))
-        assert math.isnan(evaluate(measures, batch, lambda *fault: faults.append(fault))["test.wrong"][0])
-        ((_, _, reason),) = faults
-        assert "'test.wrong'" in reason
-        assert "one number for each run" in reason
-    finally:
-        del MEASURES["test.wrong"]
-
-
-def test_spacings_of_a_run_backwards_in_time_are_positive() -> None:
-    t = -np.arange(0.0, 7.0, 0.01)
-    values = -np.exp(-((t[:, None] + np.array([1.0, 3.0, 4.0])) ** 2) / 0.005).sum(axis=1)
-    names = ["swing_spacing", "swing_spacing.first"]
-    found = recorded(symmetric("rk4", -0.01, len(t) - 1), names, values[None], "omega2")
-    assert [found[name][0] for name in names] == pytest.approx([1.5, 2.0], abs=1e-13)
+    experiment = symmetric("rk4", 0.1, 10)
+    measures = resolve_measures(["test.wrong"], experiment.top, experiment.scheme)
+    faults: list[tuple[int, str, str]] = []
+    batch = BatchRun(experiment, measures, threads=1).finished(np.array([OMEGA]))
+    assert math.isnan(evaluate(measures, batch, lambda *fault: faults.append(fault))["test.wrong"][0])
+    ((_, _, reason),) = faults
+    assert "'test.wrong'" in reason
+    assert "one number for each run" in reason
 
 
 def test_an_error_without_a_reference_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:

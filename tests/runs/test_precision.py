@@ -1,4 +1,4 @@
-"""Runs in another precision than double: reports, series, resuming, comparison."""
+"""Runs in another precision than double: reports, series, comparison."""
 
 from __future__ import annotations
 
@@ -11,15 +11,12 @@ import numpy as np
 import pytest
 
 from conftest import Said
-from resuming import after, content
 from topcli import simulate
 from topcli.analysis.roundoff import digit_growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Outcome
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
-from topcli.runs.decision import RunOptions
 from topcli.runs.precise import PreciseTally, precise_run
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
@@ -58,21 +55,6 @@ def test_conserved_by_the_algebra_or_by_luck() -> None:
     assert (precise["k_sq"], precise["two_l"]) == ("exact", "bounded")
     assert doubles["two_l"] == "exact"
     assert trajectory.states == pytest.approx(plain.states, abs=1e-14)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "overrides", [("precision=40", "output.digits=20", "output.format=csv"), ("precision=rational",)]
-)
-def test_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, overrides: tuple[str, ...]) -> None:
-    experiment = precise("euler_hk", *overrides, "h=1/10", "N=24")
-    whole = run_experiment(experiment, tmp_path / "whole")
-    stopped = run_experiment(experiment, tmp_path / "parts", RunOptions(stop=after(1), checkpoint_every=0.0))
-    assert stopped.outcome is Outcome.INTERRUPTED
-    assert 0 < stopped.report["step"] < 24
-    resumed = run_experiment(experiment, tmp_path / "parts", RunOptions(resume=True))
-    assert resumed.status == "resumed"
-    assert content(resumed.stored.folder) == content(whole.stored.folder)
 
 
 def test_rational_report_states_equality_and_growth(tmp_path: Path) -> None:

@@ -23,7 +23,11 @@ from topcli.store.manifest import MANIFEST_SEAL, stored_run
 from topcli.store.series import copy_series, read_series, write_parquet
 
 BASE = ["h=0.01", "N=300"]
+
+
 CSV = "output.format=csv"
+
+
 MANY = ["ensemble={random: {count: 5, seed: 3, gamma: sphere}}", "h=0.01", "N=40"]
 
 

@@ -1,4 +1,4 @@
-"""Tables of sweeps: their cells, how numbers are rounded, and the formats."""
+"""Rows of a sweep as tables and figures read them: conditions, cells, how numbers are rounded, and the formats."""
 
 from __future__ import annotations
 
@@ -13,16 +13,150 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from sweep_rows import write_rows
-from topcli.errors import UsageError
-from topcli.sweeps.rows import read_rows
+from topcli.errors import RunError, UnknownNameError, UsageError
+from topcli.sweeps.rows import key_labels, read_rows
 from topcli.sweeps.table import Cell, Summary, SweepTable, summary, sweep_table
 from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, markdown, notes, significant, title
 
+H = [0.1, 0.01, 0.1, 0.01]
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    keys = {"scheme": ["hk", "hk", "rk4", "rk4"], "h": H, "N": [10, 20, 10, 20], "initial.omega": ["[1.0, 2.0]"] * 4}
+    measures = {"error.max": [1.0, 2.0, 3.0, 4.0], "drift.energy": [5.0, 6.0, 7.0, 8.0]}
+    return write_rows(
+        tmp_path / "mine", keys, measures, current=[True, False, True, True], log=["h"], order=[3, 1, 0, 2]
+    )
+
+
+def test_only_current_rows_are_read_in_the_order_of_the_plan(stored: Path) -> None:
+    for place in (stored, stored / "rows.parquet"):
+        rows = read_rows(place)
+        assert (rows.name, len(rows), rows.left_out) == ("mine", 3, 1)
+        assert rows.columns["row"].tolist() == [0, 2, 3]
+        assert rows.columns["error.max"].tolist() == [1.0, 3.0, 4.0]
+        assert rows.columns["h"].tolist() == [0.1, 0.1, 0.01]
+    assert rows.keys == ("scheme", "h", "N", "initial.omega")
+    assert rows.measures == ("error.max", "drift.energy")
+    assert rows.log == ("h",)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "kept"),
+    [
+        ((), [0, 2, 3]),
+        (("h=0.1",), [0, 2]),
+        (("h=1e-1",), [0, 2]),
+        (("h=0.1000000000001",), [0, 2]),
+        (("h=0.10000000009",), [0, 2]),
+        (("h=0.09999999991",), [0, 2]),
+        (("h = 0.01",), [3]),
+        (("h=0.1", "h=0.01"), [0, 2, 3]),
+        (("h=0.1", "scheme=rk4"), [2]),
+        (("N=10",), [0, 2]),
+        (("initial.omega=[1,2]", "N=20"), [3]),
+        (("outcome=completed",), [0, 2, 3]),
+    ],
+)
+def test_conditions_select_rows(stored: Path, conditions: tuple[str, ...], kept: list[int]) -> None:
+    rows = read_rows(stored).where(conditions)
+    assert rows.columns["row"].tolist() == kept
+    assert len(rows.chosen) == len(conditions)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "message"),
+    [
+        (("h",), "expected key=value"),
+        (("h=",), "expected key=value"),
+        (("hh=0.1",), "--where: unknown key 'hh'; did you mean 'h'"),
+        (("error.max=1",), "unknown key 'error.max'"),
+        (("h=0.10000000011",), r"no row has this value; h is one of: 0.1, 0.01"),
+        (("h=0.09999999989",), r"no row has this value"),
+        (("h=0.1001",), r"no row has this value; h is one of: 0.1, 0.01"),
+        (("h=abc",), "no row has this value"),
+        (("scheme=bs",), "scheme is one of: hk, rk4"),
+        (("scheme=hk", "N=20"), "no row satisfies all conditions"),
+    ],
+)
+def test_wrong_conditions_are_named(stored: Path, conditions: tuple[str, ...], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        read_rows(stored).where(conditions)
+
+
+def test_keys_and_measures_are_told_apart(stored: Path) -> None:
+    rows = read_rows(stored)
+    assert rows.require_key("h", "--x") == "h"
+    assert rows.require_measure("error.max", "--y") == "error.max"
+    with pytest.raises(UnknownNameError, match="--x: unknown key 'shceme'; did you mean 'scheme'"):
+        rows.require_key("shceme", "--x")
+    with pytest.raises(UnknownNameError, match=r"--y: unknown measure 'error'; did you mean 'error.max'"):
+        rows.require_measure("error", "--y")
+    with pytest.raises(UsageError, match=r"--x: 'error.max' is a measure; give a varied key: scheme, h"):
+        rows.require_key("error.max", "--x")
+    with pytest.raises(UsageError, match=r"--y: 'h' is a key; give a measure: error.max"):
+        rows.require_measure("h", "--y")
+
+
+def test_a_folder_without_rows_names_the_nearest(stored: Path) -> None:
+    with pytest.raises(UsageError, match=r"no sweep is stored here \(rows.parquet is missing\); did you mean 'mine'"):
+        read_rows(stored.with_name("mien"))
+    with pytest.raises(UsageError, match="no sweep is stored here") as caught:
+        read_rows(stored / "deeper")
+    assert "mean" not in str(caught.value)
+    none = write_rows(stored.parent / "old", {"h": [1.0]}, {"a": [1.0]}, current=[False])
+    with pytest.raises(UsageError, match="has no rows yet"):
+        read_rows(none)
+
+
+def test_damaged_and_foreign_files_are_reported(stored: Path) -> None:
+    path = stored / "rows.parquet"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(RunError, match=r"rows.parquet: cannot be read"):
+        read_rows(stored)
+    pq.write_table(pa.table({"h": [1.0]}), path)
+    with pytest.raises(RunError, match=r"not the rows of a sweep \(name is missing\)"):
+        read_rows(stored)
+    path.write_bytes(whole)
+    table = pq.read_table(path)
+    pq.write_table(table.drop_columns(["drift.energy"]), path)
+    with pytest.raises(RunError, match=r"not the rows of a sweep \(drift.energy is missing\)"):
+        read_rows(stored)
+
+
+@pytest.mark.parametrize(
+    ("values", "labels"),
+    [
+        ([0.1, 0.025, 0.1], ["0.1", "0.025"]),
+        ([1024.0, 0.015625], ["1024", "0.015625"]),
+        ([0.031622776601683794, 1e-7], ["0.0316", "1e-7"]),
+        ([1.00001234, 1.00002345], ["1.00001", "1.00002"]),
+        ([1e20], ["1e20"]),
+        ([3.0, float("nan")], ["3", "–"]),
+    ],
+)
+def test_labels_are_short_and_different(values: list[float], labels: list[str]) -> None:
+    assert list(key_labels(np.array(values)).values()) == labels
+
+
+def test_labels_of_integers_and_words() -> None:
+    assert list(key_labels(np.array([1234567, 2])).values()) == ["1234567", "2"]
+    assert list(key_labels(np.array(["b", "a", None], dtype=object)).values()) == ["b", "a", "–"]
+
+
 NAN = math.nan
+
+
 SCHEMES, SIZES, SEEDS = ("hk", "a_b"), (0.1, 0.01, 1e-7), (1, 2, 3, 4)
+
+
 ROWS = [(scheme, h, seed) for scheme in SCHEMES for h in SIZES for seed in SEEDS]
 
 
@@ -42,16 +176,6 @@ def made(folder: Path, **options: Any) -> Path:
 def table(folder: Path, aggregate: str | None = "median", where: tuple[str, ...] = (), **options: Any) -> SweepTable:
     rows = read_rows(made(folder, **options)).where(where)
     return sweep_table(rows, ["scheme"], "h", ["error.max"], aggregate)
-
-
-def test_each_cell_is_the_value_of_its_row(tmp_path: Path) -> None:
-    found = table(tmp_path, None, ("seed=3",))
-    assert list(found.columns.values()) == ["0.1", "0.01", "1e-7"]
-    assert found.row_labels == [["hk"], ["a_b"]]
-    shown = [[cell.summary and cell.summary.value for cell in line] for line in found.lines.values()]
-    assert shown == [[value_of(scheme, h, 3) for h in SIZES] for scheme in SCHEMES]
-    assert not any(cell.incomplete for cell in found.cells)
-    assert found.over == ()
 
 
 def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
@@ -246,12 +370,6 @@ def test_infinite_values_count_as_the_largest(
         assert summary(np.array(numbers), "mean").value == summary(np.array(numbers), "max").value == INF
 
 
-def test_a_mean_without_an_error_has_none() -> None:
-    assert summary(np.array([2.5]), "mean") == Summary(2.5)
-    assert summary(np.array([2.5, math.inf]), "mean") == Summary(math.inf)
-    assert cell_text(cell(2.5), "mean") == "2.5"
-
-
 def test_csv_has_every_digit(tmp_path: Path) -> None:
     outcome = ["completed"] * len(ROWS)
     outcome[0], outcome[3] = "blew_up", "blew_up"
@@ -286,7 +404,11 @@ def test_markdown_states_what_it_shows(tmp_path: Path) -> None:
 
 
 NASTY = {"scheme": ["a_b", "x&y%", "{~^\\}", "#$<|>"], "h": [0.1, 1e-7, 0.1, 0.1]}
+
+
 NASTY_VALUES = {"seconds": [1.0, 2e-8, NAN, -4e20], "err.max_x": [math.inf, 1.0, 2.0, 3.0]}
+
+
 NASTY_OUTCOMES = ["completed", "blew_up", "no_convergence", "completed"]
 
 
@@ -351,11 +473,6 @@ def test_latex_compiles(tmp_path: Path) -> None:
     command = ["pdflatex", "-draftmode", "-halt-on-error", "-interaction=nonstopmode", "a.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
-
-
-def test_titles_name_measure_aggregate_and_conditions(tmp_path: Path) -> None:
-    assert title(table(tmp_path, None, ("seed=3",))) == "error.max of mine, seed = 3"
-    assert title(table(tmp_path, "max")) == "error.max of mine: max over seed"
 
 
 def test_plain_data_say_what_the_table_is(tmp_path: Path) -> None:

@@ -20,7 +20,11 @@ from topcli.sweeps.evaluate import forget
 from topcli.tops import TOPS
 
 FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
+
+
 FIELD = ("+ b * y[0]) / B", "+ 1.5 * b * y[0]) / B")
+
+
 COMPOSED = """
 import topcli
 from topcli.contracts import Stepper
