@@ -21,15 +21,15 @@ HOMES = {
     "compare": "topcli.show.report",
     "lax": "topcli.show.report",
     "measure": "topcli.sweeps.measures",
-    "motion": "topcli.show.motions",
+    "motion": "topcli.show.report",
     "order": "topcli.show.report",
     "roundoff": "topcli.show.report",
-    "run": "topcli.show.runs",
+    "run": "topcli.show.results",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.runs.simulate",
     "simulate_ensemble": "topcli.runs.simulate",
     "stress": "topcli.show.report",
-    "sweep": "topcli.show.sweeps",
+    "sweep": "topcli.show.results",
 }
 """Modules of the public names; ``__init__.pyi`` declares them for type checkers."""
 __all__ = sorted(["__version__", *HOMES])  # pyright: ignore[reportUnsupportedDunderAll]

@@ -5,15 +5,15 @@ from topcli.runs.simulate import simulate as simulate
 from topcli.runs.simulate import simulate_ensemble as simulate_ensemble
 from topcli.schemes.registry import scheme as scheme
 from topcli.show.claims import claims as claims
-from topcli.show.motions import motion as motion
 from topcli.show.report import analyse as analyse
 from topcli.show.report import compare as compare
 from topcli.show.report import lax as lax
+from topcli.show.report import motion as motion
 from topcli.show.report import order as order
 from topcli.show.report import roundoff as roundoff
 from topcli.show.report import stress as stress
-from topcli.show.runs import run as run
-from topcli.show.sweeps import sweep as sweep
+from topcli.show.results import run as run
+from topcli.show.results import sweep as sweep
 from topcli.sweeps.measures import measure as measure
 
 __version__: str

@@ -10,10 +10,9 @@ from matplotlib.colors import to_hex
 from matplotlib.lines import Line2D
 
 from seen_colours import difference, lightness, pattern
-from topcli.figures.picture import REFERENCE_LOOK, looks, styled
-from topcli.figures.polhodes import RUN
-from topcli.figures.scene3d import BAND, BAND_FAR, TRACE, TRACE_FAR
-from topcli.figures.stress import SHADES
+from topcli.figures.outcomes import SHADES
+from topcli.figures.scene3d import BAND, BAND_FAR, RUN, TRACE, TRACE_FAR
+from topcli.figures.style import REFERENCE_LOOK, looks, styled
 
 
 def cycle() -> list[str]:

@@ -1,10 +1,13 @@
-"""Figures: the plotted data first, then the files, then a loose look at the pictures."""
+"""Figures as files: what they are made from, when they are drawn again, and how they print."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -13,14 +16,31 @@ from matplotlib.figure import Figure as Drawn
 
 import topcli
 from conftest import ROOT
+from drawn_artists import drawn_from, table_of
+from figure_studies import PREPARE
+from sweep_rows import write_rows
+from topcli.analysis import order as analysis_of_orders
+from topcli.analysis import reference, roundoff, swings
 from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
-from topcli.figures.catalogue import FIGURES
-from topcli.figures.figure import Figure, Loaded, NothingMeasuredError, Request, make_figure
-from topcli.figures.picture import Line, Panel
-from topcli.figures.polhodes import Polhodes
+from topcli.figures import comparison, curves, errors, growth, outcomes, period, picture, sweep, torus
+from topcli.figures.catalogue import FIGURES, find_figure
+from topcli.figures.curves import HeatPanel
+from topcli.figures.figure import Figure, Loaded, NothingMeasuredError, Request, _source, make_figure
+from topcli.figures.picture import Grid, Line, Panel
+from topcli.figures.scenes import scene_figure
+from topcli.figures.sweep import Choice, sweep_figure
 from topcli.runs.run import run_experiment
+from topcli.schemes.kowalevski import hk
+from topcli.studies import order as study_of_orders
+from topcli.studies import roundoff as study_of_roundoff
+from topcli.studies.bench import measure
+from topcli.studies.bench.result import pareto_front
+from topcli.studies.stress import checks
+from topcli.studies.stress import study as study_of_stress
+from topcli.sweeps import table
+from topcli.sweeps.rows import read_rows
 
 
 @pytest.fixture(scope="module")
@@ -32,25 +52,16 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def data(made: Path, name: str) -> dict[str, np.ndarray]:
-    table = pq.read_table(made / "figures" / f"{name}.parquet")
-    return {column: table.column(column).to_numpy() for column in table.column_names}
-
-
-def test_fig3_shows_the_secular_energy(made: Path) -> None:
+def test_the_figures_of_the_paper_show_what_they_should(made: Path) -> None:
     """E runs from 4.99968 to 5.00416 over t in [0, 50]: not "almost constant"."""
-    energy = data(made, "fig3")["energy"]
-    assert energy.min() == pytest.approx(4.99968, abs=1e-5)
-    assert energy.max() == pytest.approx(5.00416, abs=1e-5)
+    hk, bohlin, secular, hybrid = (table_of(made / "figures" / f"fig{i}.parquet") for i in (1, 2, 3, 4))
+    assert np.abs(hk["gamma1"] - hybrid["gamma1"]).max() < 0.01
+    assert np.abs(hk["gamma1"] - bohlin["gamma1"]).max() > 1.5
+    assert secular["energy"].min() == pytest.approx(4.99968, abs=1e-5)
+    assert secular["energy"].max() == pytest.approx(5.00416, abs=1e-5)
 
 
-def test_fig1_and_fig4_agree_and_fig2_does_not(made: Path) -> None:
-    hk, bohlin, hybrid = (data(made, name)["gamma1"] for name in ("fig1", "fig2", "fig4"))
-    assert np.abs(hk - hybrid).max() < 0.01
-    assert np.abs(hk - bohlin).max() > 1.5
-
-
-@pytest.mark.parametrize("name", ["fig1", "fig2", "fig3", "fig4"])
+@pytest.mark.parametrize("name", ["fig1", "fig3"])
 def test_pictures_are_fit_for_print(made: Path, name: str) -> None:
     from PIL import Image
 
@@ -60,24 +71,12 @@ def test_pictures_are_fit_for_print(made: Path, name: str) -> None:
     assert b"/FontFile2" in pdf
     assert b"/Type3" not in pdf
     assert len(pdf) < 300_000
-    with Image.open(made / "figures" / f"{name}.png") as picture:
-        assert picture.size == (2100, 930 if name == "fig3" else 870)
-        pixels = np.asarray(picture.convert("L"), dtype=float)
+    with Image.open(made / "figures" / f"{name}.png") as image:
+        assert image.size == (2100, 930 if name == "fig3" else 870)
+        pixels = np.asarray(image.convert("L"), dtype=float)
     assert 0.02 < (pixels < 200).mean() < 0.3  # neither empty nor smeared
-    assert (pixels[:4] > 250).all()  # nothing runs off the page
-    assert (pixels[-4:] > 250).all()
-    assert (pixels[:, :4] > 250).all()
-    assert (pixels[:, -4:] > 250).all()
-
-
-def test_up_to_date_figure_is_not_redrawn(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(*arguments: object) -> None:
-        raise AssertionError("drawn again")
-
-    monkeypatch.setattr("topcli.figures.figure.save", never)
-    for name in ("fig1", "fig3"):
-        again = make_figure(FIGURES[name], Request(made, ROOT / "configs"), made / "figures")
-        assert again.status == "up to date"
+    for edge in (pixels[:4], pixels[-4:], pixels[:, :4], pixels[:, -4:]):
+        assert (edge > 250).all()  # nothing runs off the page
 
 
 @pytest.mark.slow
@@ -103,31 +102,15 @@ def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_pat
     assert not (tmp_path / "fig1.pdf").exists()
 
 
-@pytest.mark.slow
-def test_packaged_scenes_serve_where_there_are_no_configs(tmp_path: Path) -> None:
-    """The drawn columns are those of the packaged scene, run here by itself."""
-    made = make_figure(FIGURES["fig3"], Request(tmp_path / "r", tmp_path / "none"), tmp_path, ["png"])
-    assert made.status == "drawn"
-    drawn, run = pq.read_table(made.files[-1]), topcli.simulate("kowalevski_bohlin_a")
-    assert drawn.column_names[0] == "t"
-    for name in ("t", "energy", "two_l"):
-        np.testing.assert_array_equal(drawn.column(name).to_numpy(), run[name])
-
-
-def test_a_config_without_the_columns_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "kowalevski_hk.yaml").write_text(
-        (ROOT / "configs" / "kowalevski_hk.yaml").read_text() + "\noutput:\n  columns: [t, gamma1]\n"
-    )
-    with pytest.raises(UsageError, match="does not record gamma2"):
-        make_figure(FIGURES["fig1"], Request(tmp_path / "r", tmp_path), tmp_path)
-
-
-def test_a_run_that_blew_up_is_not_drawn(tmp_path: Path) -> None:
-    text = (ROOT / "configs" / "kowalevski_hk.yaml").read_text()
-    text = re.sub(r"(?m)^  omega: .*$", "  omega: [1e200, 1e200, 1e200]", text)
-    (tmp_path / "kowalevski_hk.yaml").write_text(text)
-    with pytest.raises(RunError, match="blew up"):
-        make_figure(FIGURES["fig1"], Request(tmp_path / "r", tmp_path), tmp_path)
+def test_packaged_scenes_serve_where_there_are_no_configs(made: Path, tmp_path: Path) -> None:
+    """The columns beside the picture are those of the packaged scene, in the order of the panels."""
+    drawn = make_figure(FIGURES["fig3"], Request(made, tmp_path / "none"), tmp_path, ["png"]).files[-1]
+    run, columns = topcli.simulate("kowalevski_bohlin_a"), table_of(drawn)
+    assert list(columns) == ["t", "energy", "two_l"]
+    for name, values in columns.items():
+        np.testing.assert_array_equal(values, run[name])
+    components = [f"{vector}{i}" for vector in ("gamma", "omega") for i in (1, 2, 3)]
+    assert list(table_of(made / "figures" / "fig1.parquet")) == ["t", *components]
 
 
 def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
@@ -136,22 +119,17 @@ def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
     assert source["runs"] == [[run.stored.manifest["digest"], run.stored.manifest["code"]]]
 
 
-def drawn_from(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict[str, list[str]] | list[str]
-) -> Drawn:
-    """The matplotlib figure of the catalogue's ``name`` from configs with overrides, for each scene or for all."""
-    seen: list[Drawn] = []
-
-    def capture(figure: Drawn, path: Path) -> None:
-        seen.append(figure)
-        path.touch()
-
-    monkeypatch.setattr("topcli.figures.figure.save", capture)
-    for scene in FIGURES[name].needs:
-        overrides = changes[scene] if isinstance(changes, dict) else changes
-        (tmp_path / f"{scene}.yaml").write_text(load_experiment(scene, overrides).to_yaml())
-    make_figure(FIGURES[name], Request(tmp_path / "r", tmp_path), tmp_path, ["png"])
-    return seen[0]
+def test_runs_without_the_columns_and_those_that_blew_up_are_refused(tmp_path: Path) -> None:
+    text = (ROOT / "configs" / "kowalevski_hk.yaml").read_text()
+    large = re.sub(r"(?m)^  omega: .*$", "  omega: [1e200, 1e200, 1e200]", text)
+    without = text + "\noutput:\n  columns: [t, gamma1]\n"
+    for config, error, message in (
+        (without, UsageError, "does not record gamma2"),
+        (large, RunError, "blew up"),
+    ):
+        (tmp_path / "kowalevski_hk.yaml").write_text(config)
+        with pytest.raises(error, match=message):
+            make_figure(FIGURES["fig1"], Request(tmp_path / f"r{len(config)}", tmp_path), tmp_path)
 
 
 def texts(figure: Drawn) -> list[str]:
@@ -163,66 +141,38 @@ def texts(figure: Drawn) -> list[str]:
     return [text for text in found if text]
 
 
-READS_RUNS = [name for name, figure in FIGURES.items() if figure.takes_overrides and figure.needs]
 TITLED = {"fig1": "hk", "fig2": "bohlin-a", "fig3": "bohlin-a", "fig4": "hybrid", "modified": "hk"}
+"""Figures whose heading names the scheme of their run."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", READS_RUNS)
-def test_no_figure_names_a_scheme_that_it_does_not_draw(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("name", [name for name, one in FIGURES.items() if one.takes_overrides and one.needs])
+def test_no_figure_names_a_scheme_that_it_does_not_draw(name: str, tmp_path: Path) -> None:
     """With another scheme, titles name that one; nothing else in the picture changes its words."""
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    own = texts(drawn_from(name, tmp_path / "a", monkeypatch, ["N=200"]))
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+    own = texts(drawn_from(name, tmp_path / "a", ["N=200"]))
     if name == "modified":
         with pytest.raises(UsageError, match="modified_m_sq"):
-            drawn_from(name, tmp_path / "b", monkeypatch, ["N=200", "scheme=rk4"])
+            drawn_from(name, tmp_path / "b", ["N=200", "scheme=rk4"])
         return
-    other = texts(drawn_from(name, tmp_path / "b", monkeypatch, ["N=200", "scheme={name: taylor, tol: 1e-12}"]))
-    headings = [text for text in own if ", $h" in text]
-    assert [text.partition(",")[0] for text in headings] == ([TITLED[name]] if name in TITLED else [])
-    expected = [text.replace("taylor (tol=1e-12)", TITLED.get(name, "")) for text in other]
-    assert expected == own
+    other = texts(drawn_from(name, tmp_path / "b", ["N=200", "scheme={name: taylor, tol: 1e-12}"]))
+    headings = [text.partition(",")[0] for text in own if ", $h" in text]
+    assert headings == ([TITLED[name]] if name in TITLED else [])
+    assert [text.replace("taylor (tol=1e-12)", TITLED.get(name, "")) for text in other] == own
     assert (other != own) == (name in TITLED)
 
 
-def test_labels_are_the_symbols_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    figure = drawn_from("fig3", tmp_path, monkeypatch, ["N=200", "scheme=bohlin-c"])
-    (axes,) = figure.axes
-    assert [line.get_label() for line in axes.lines] == ["$E$", r"$2\ell$"]
-    assert figure.get_suptitle().startswith("bohlin-c, ")
+def test_figures_of_the_paper_say_scheme_step_and_distance(tmp_path: Path) -> None:
+    """In the values of the run that is drawn, also if it is not the paper's."""
+    figure = drawn_from("fig3", tmp_path, ["N=40", "h=0.025", "scheme=rk4", "initial.gamma=[auto, 0, 2e-7]"])
+    assert figure.get_suptitle() == r"rk4, $h = 0.025$, $\epsilon = \gamma_3(0) = 2\times 10^{-7}$"
 
 
-def test_fixed_axis_limits_clip_no_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same figure of a faster top: E = 20 lies far above the range of the paper's figure."""
-    figure = drawn_from("fig3", tmp_path, monkeypatch, ["N=200", "initial.omega=[4.4, 0, 0]"])
-    (inset,) = figure.axes[0].child_axes
-    energy = np.asarray(inset.lines[0].get_ydata())
-    low, high = inset.get_ylim()
-    assert energy.min() > 19.0
-    assert low == 0.0
-    assert high == energy.max()
-
-
-def test_captions_name_the_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A panel that names a packaged motion takes the run's name for another one, and keeps it for others."""
-    changes = {f"lagrange_{name}": ["N=200"] for name in ("cusps", "loops", "waves")}
-    changes["lagrange_loops"] += ["name=mine", "initial={m: [0.3, 0, 1.9], a: [0.6, 0, 0.8]}"]
-    titles = [axes.get_title() for axes in drawn_from("nutation", tmp_path, monkeypatch, changes).axes]
-    assert titles == ["cusps", "mine", "waves"]
-
-
-@pytest.mark.slow
-def test_polhodes_have_the_moments_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    panels = []
-    paint = Polhodes.paint
-    monkeypatch.setattr(Polhodes, "paint", lambda panel, *given: panels.append(panel) or paint(panel, *given))
-    drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "top={kind: euler, A: 1.5, B: 2.5, C: 1.2}"])
-    assert panels[0].moments == (1.5, 2.5, 1.2)
-    with pytest.raises(UsageError, match="has the moments 2, 2, 1; use three different ones"):
-        drawn_from("polhodes", tmp_path, monkeypatch, ["N=200", "name=x", "top={kind: euler, A: 2, B: 2, C: 1}"])
+def test_a_figure_needs_the_scenes_that_its_columns_name() -> None:
+    """Other figures that need one of them are drawn by no other process at the same time."""
+    assert find_figure("nutation").needs == ("lagrange_cusps", "lagrange_loops", "lagrange_waves")
+    assert find_figure("fig3").needs == find_figure("fig2").needs == ("kowalevski_bohlin_a",)
 
 
 def wave(name: str = "wave", version: int = 1, measured: bool = True) -> Figure:
@@ -255,9 +205,141 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
     assert said.out.startswith("wave: up to date: ")
     assert said.err == "slow: skipped: nothing measured\n"
     figures["wave"] = wave(version=2)
-    assert status("wave") == {"wave": "drawn"}
-    assert status("wave") == {"wave": "up to date"}
+    assert [status("wave") for _ in range(2)] == [{"wave": "drawn"}, {"wave": "up to date"}]
     Path("results/figures/wave.pdf").unlink()
     assert status("wave") == {"wave": "drawn"}
-    short = pq.read_table("results/figures/wave.parquet").column("y").to_numpy()
+    short = table_of(Path("results/figures/wave.parquet"))["y"]
     assert (np.isnan(short) == (np.arange(20) >= 5)).all()
+
+
+HK_STEP = hk.hk_kowalevski_change
+SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
+    "order": (
+        lambda: study_of_orders.order_source(study_of_orders.ladders(["hk", "rk4"])),
+        [
+            HK_STEP,
+            study_of_orders.order_study,
+            study_of_orders._row,
+            study_of_orders._Ladder.rungs,
+            analysis_of_orders.convergence,
+            analysis_of_orders.observed_order,
+            measure.explore,
+            measure.SchemeCompetitor.run,
+            reference.reference_states,
+        ],
+    ),
+    "stress": (
+        study_of_stress.stress_source,
+        [HK_STEP, study_of_stress.verdict_of, checks.keeps_order, checks.claim_violated],
+    ),
+    "error-and-cost": (
+        errors.study_source,
+        [HK_STEP, errors.error_and_cost, measure.time_all, measure.as_rows, measure.SchemeCompetitor.run],
+    ),
+    "roundoff": (
+        growth.growth_code,
+        [
+            HK_STEP,
+            growth.turned_step,
+            growth.bs_change,
+            study_of_roundoff.sampling_of,
+            study_of_roundoff.copies_followed,
+            study_of_roundoff._followed,
+            study_of_roundoff._copies,
+            roundoff.BlockMeans.add,
+            roundoff.block_weights,
+            roundoff.doubling_lags,
+            roundoff.structure,
+        ],
+    ),
+    "integrable": (growth.energy_code, [HK_STEP, growth._energy_errors, growth.largest_by_octave]),
+    "period": (period.period_code, [HK_STEP, period._gamma1, swings.swing_spacing, swings.minima_times]),
+    "torus-points": (torus.torus_code, [HK_STEP, torus.orbit, torus.crossings]),
+}
+"""Digest of what each study depends on, and functions whose results are in its data."""
+CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
+    "order": [
+        (study_of_orders, name, value) for name, value in (("SECONDS", 6.0), ("INTERVALS", 21), ("DURATION", 11.0))
+    ],
+    "roundoff": [(growth, "STEPS", 1 << 18)],
+    "integrable": [(growth, "ENERGY_H", 0.06), (growth, "ENERGY_STEPS", 1 << 19)],
+    "torus-points": [(torus, "THICKNESS", 0.02)],
+}
+"""Settings of studies that are constants of a module."""
+
+
+def edit(patch: pytest.MonkeyPatch, function: Any) -> None:
+    """Give a function another code in its place, wherever it is imported, as an editor would."""
+    assert isinstance(function, FunctionType)
+    code = function.__code__
+    patch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SOURCES)
+def test_the_source_of_a_study_names_everything_behind_its_numbers(name: str) -> None:
+    source, functions = SOURCES[name]
+    before = source()
+    for function in functions:
+        with pytest.MonkeyPatch.context() as patch:
+            edit(patch, function)
+            assert source() != before, function.__qualname__
+    for module, constant, value in CONSTANTS.get(name, []):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, constant, value)
+            assert source() != before, constant
+    assert source() == before
+
+
+DRAWING: dict[str, list[Any]] = {
+    "order": [errors.order_data, curves.CurvePanel._curve, analysis_of_orders.convergence, picture.draw],
+    "stress": [outcomes.figure_data, outcomes._step_text, outcomes.StressGrid.annotate],
+    "work-precision": [comparison._curves, comparison._shown, pareto_front],
+    "compare": [comparison._data, comparison.ErrorPanel.paint, reference.distances, HK_STEP],
+    "swings": [sweep._points, table.summary, picture.Grid.annotate],
+}
+"""Functions between the results of a study and its picture."""
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_a_figure_is_drawn_again_after_an_edit_of_its_code(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name in PREPARE:
+        PREPARE[name](monkeypatch, tmp_path)
+
+    def source() -> str:
+        return _source(FIGURES[name].load(Request(tmp_path, ROOT / "configs")), {})
+
+    before = source()
+    for function in DRAWING[name]:
+        with pytest.MonkeyPatch.context() as patch:
+            edit(patch, function)
+            assert source() != before, function.__qualname__
+    assert source() == before
+
+
+def test_another_panel_is_another_source(tmp_path: Path) -> None:
+    panels = Panel((Line("gamma1"),)), Panel((Line("gamma2"),))
+    figures = (scene_figure("x", "X", "kowalevski_hk", order, Grid()) for order in (panels, panels, panels[::-1]))
+    first, same, other = (_source(figure.load(Request(tmp_path, ROOT / "configs")), {}) for figure in figures)
+    assert first == same != other
+
+
+def test_a_figure_of_a_sweep_is_drawn_again_for_other_rows_choices_and_code(tmp_path: Path) -> None:
+    keys = {"h": [0.1, 0.05, 0.1, 0.05], "seed": [1.0, 1.0, 2.0, 2.0]}
+    folder = write_rows(tmp_path / "one", keys, {"v": [1.0, 2.0, 3.0, 4.0]})
+    other = write_rows(tmp_path / "two" / "one", keys, {"v": [1.0, 2.0, 3.0, 5.0]})
+    choice = Choice("h", "v", aggregate="median")
+
+    def source(choice: Choice = choice, folder: Path = folder) -> str:
+        return _source(sweep_figure(read_rows(folder), choice).load(Request()), {})
+
+    heat = Choice("h", "seed", colour="v")
+    changed = [source(), source(Choice("h", "v", aggregate="max")), source(folder=other), source(heat)]
+    for function, one in ((table.summary, choice), (sweep.scale_of, choice), (HeatPanel._norm, heat)):
+        with pytest.MonkeyPatch.context() as patch:
+            edit(patch, function)
+            changed.append(source(one))
+    assert len(set(changed)) == len(changed)
+    assert source() == changed[0]

@@ -16,8 +16,9 @@ from sweep_rows import write_rows
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_analysis, loaded_comparison
 from topcli.figures.figure import Request
-from topcli.figures.picture import Grid, Line, Panel, draw, styled
-from topcli.figures.roundoff import loaded_roundoff
+from topcli.figures.growth import loaded_roundoff
+from topcli.figures.picture import Grid, Line, Panel, draw
+from topcli.figures.style import styled
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import same_color, to_rgb
+from matplotlib.colors import same_color
+from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from conftest import GEN, PAPER, ROOT
+from drawn_artists import arrows, drawn, explained, labelled, look, seen_from
 from topcli.analysis.motion.diagram import branches, regions
 from topcli.analysis.motion.torus import Torus
 from topcli.analysis.reference import reference_states
@@ -18,7 +20,6 @@ from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request
-from topcli.figures.picture import draw
 from topcli.tops.kowalevski import Kowalevski
 
 TORUS = (-0.4, 0.2, 0.0, -0.28, 0.0, 0.96)
@@ -47,9 +48,8 @@ def region_of(E: float, k_sq: float, two_l: float) -> int:
     return {"5e4": 1, "ee5e4": 2, "5eee4": 2, "e5ee4": 3, "e54": 4, "eee54": 5}.get(word, 0)
 
 
-def drawn(name: str) -> Any:
-    loaded = FIGURES[name].load(Request(configs=ROOT / "configs"))
-    return draw(loaded.panels, loaded.data(), loaded.layout)
+def figure_of(name: str) -> Figure:
+    return drawn(FIGURES[name].load(Request(configs=ROOT / "configs")))
 
 
 def test_regions_are_those_of_the_order_of_the_roots() -> None:
@@ -65,7 +65,7 @@ def test_regions_are_those_of_the_order_of_the_roots() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("two_l", [0.3, 1.288, 1.85, 4.0])
+@pytest.mark.parametrize("two_l", [0.3, 1.85])
 def test_regions_of_states_exist_and_no_state_is_outside(two_l: float) -> None:
     random = np.random.default_rng(2)
     gamma = random.normal(size=(4000, 3))
@@ -95,7 +95,7 @@ def test_two_roots_coincide_on_the_curves_and_only_there() -> None:
 
 @pytest.mark.slow
 def test_bifurcation_diagrams_show_scenes_curves_and_tori() -> None:
-    figure = drawn("bifurcation")
+    figure = figure_of("bifurcation")
     scenes = [("kowalevski_generic_hk", GEN), ("kowalevski_torus", TORUS), None, ("kowalevski_hk", PAPER)]
     tori = {"I": "1 torus", "II": "2 tori", "III": "2 tori", "IV": "2 tori", "V": "4 tori"}
     named = set()
@@ -123,14 +123,10 @@ def test_bifurcation_diagrams_show_scenes_curves_and_tori() -> None:
             E = left + (right - left) * (column + 0.5) / columns
             assert codes[row, column] == region_of(E, low + (high - low) * (row + 0.5) / rows, two_l)
     assert named == set(tori)
-    (legend,) = figure.legends
-    shown = {text.get_text(): line for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
-    assert len({(to_rgb(line.get_color()), line.get_linestyle(), line.get_linewidth()) for line in shown.values()}) == 5
+    key = explained(figure)
+    assert len({(look(line), line.get_linewidth()) for line in key.values()}) == len(key) == 5
     for axes in figure.axes:
-        for line in axes.lines:
-            if line.get_marker() != "o":
-                key = shown[str(line.get_label())]
-                assert same_color(key.get_color(), line.get_color())
+        assert all(look(line) == look(key[label]) for label, line in labelled(axes).items())
 
 
 @pytest.mark.slow
@@ -162,27 +158,22 @@ def test_flows_on_the_torus() -> None:
 
 
 COORDINATES = np.array([[2, 0, 0, 0, 0, 0], [0, 1, 0.5, 0, 0, 0], [0, 0, 0, 0, -1, 1]])
-VIEW = (32.0, 165.0)
 
 
 def seen(states: np.ndarray) -> np.ndarray:
     """Points (m, 3) of the picture of states: right, up, towards the viewer."""
-    e, a = (math.radians(v) for v in VIEW)
-    x, y, z = (states @ COORDINATES.T).T
-    ahead, right = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
-    return np.column_stack([right, math.cos(e) * z - math.sin(e) * ahead, math.sin(e) * z + math.cos(e) * ahead])
+    return seen_from(32.0, 165.0, states @ COORDINATES.T)
 
 
 @pytest.mark.slow
 def test_the_torus_is_drawn_with_its_flows() -> None:
     experiment = load_experiment("kowalevski_torus")
     assert experiment.y0 == TORUS
-    (axes,) = drawn("torus").axes
-    lines = {str(line.get_label()): line for line in axes.lines}
+    (axes,) = figure_of("torus").axes
+    lines = labelled(axes)
     assert list(lines) == ["flow of $E$", "flow of $k^2$", "the motion", "initial state"]
-    legend = axes.get_legend()
-    shown = {text.get_text(): line for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
-    assert all(same_color(shown[name].get_color(), line.get_color()) for name, line in lines.items())
+    key = explained(axes.figure)
+    assert all(same_color(key[name].get_color(), line.get_color()) for name, line in lines.items())
     np.testing.assert_allclose(lines["initial state"].get_xydata()[0], seen(np.array([TORUS]))[0, :2], atol=1e-12)
     # the motion is the orbit, at equal times; hidden points are left out
     path = lines["the motion"].get_xydata()
@@ -193,17 +184,17 @@ def test_the_torus_is_drawn_with_its_flows() -> None:
     assert kept.mean() == pytest.approx(0.334, abs=0.02)
     np.testing.assert_allclose(path[kept], orbit[kept, :2], atol=1e-11)
     # every arrow on it points the way of the motion
-    arrows = [text for text in axes.texts if getattr(text, "arrowprops", None) and text.get_text() == ""]
-    assert len(arrows) > 3  # three belong to the coordinates
-    for arrow in arrows[:-3]:
-        foot, head = np.array(arrow.xyann), np.array(arrow.xy)
+    pointing = arrows(axes)
+    assert len(pointing) > 3  # three belong to the coordinates
+    for foot, head in pointing[:-3]:
         at = int(np.nanargmin(np.linalg.norm(path - foot, axis=1)))
         way = orbit[at + 3, :2] - orbit[at, :2]
         assert way @ (head - foot) > 0.95 * np.linalg.norm(way) * np.linalg.norm(head - foot)
-    for arrow, axis in zip(arrows[-3:], np.linalg.pinv(COORDINATES).T, strict=True):
-        direction = np.array(arrow.xy) - np.array(arrow.xyann)
+    for (foot, head), axis in zip(pointing[-3:], np.linalg.pinv(COORDINATES).T, strict=True):
         expected = seen(axis[None])[0, :2]
-        assert direction @ expected == pytest.approx(np.linalg.norm(direction) * np.linalg.norm(expected), rel=1e-9)
+        assert (head - foot) @ expected == pytest.approx(
+            np.linalg.norm(head - foot) * np.linalg.norm(expected), rel=1e-9
+        )
 
 
 @pytest.mark.slow
@@ -211,15 +202,12 @@ def test_points_behind_the_torus_are_hidden() -> None:
     """A point of a line is shown if no point of the surface is in front of it; nearly all, but for a thin margin."""
     torus = Torus.of(TORUS, 1.0)
     surface = seen(torus.surface(250, 500).reshape(-1, 6))
-    (axes,) = drawn("torus").axes
-    lines = {str(line.get_label()): line for line in axes.lines}
+    (axes,) = figure_of("torus").axes
     points = seen(torus.k_sq_lines(12, 361).reshape(-1, 6))
-    drawn_points = lines["flow of $k^2$"].get_xydata()
+    drawn_points = labelled(axes)["flow of $k^2$"].get_xydata()
     kept = np.isfinite(drawn_points[:, 0]).tolist()
     kept = np.array([flag for i, flag in enumerate([*kept, False]) if i % 362 != 361])
     size = np.ptp(surface, axis=0).max()
-    from scipy.spatial import cKDTree
-
     near = cKDTree(surface[:, :2]).query_ball_point(points[:, :2], 0.006 * size)
     front = np.array([surface[some, 2].max() if some else -np.inf for some in near]) - points[:, 2]
     assert (kept[front > 0.05 * size]).mean() < 0.01

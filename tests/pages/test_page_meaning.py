@@ -22,9 +22,8 @@ from stored_results import store_ensemble, store_run
 from sweep_rows import write_rows
 from topcli.pages.contents import Chapter, Pictures
 from topcli.pages.page import all_chapters, rendered, report_page
-from topcli.pages.runs import outcome_notes
+from topcli.pages.results import outcome_notes, rows_table, sweep_choices, sweep_pictures
 from topcli.pages.studies import claims_chapter, study_chapter
-from topcli.pages.sweeps import rows_table, sweep_choices, sweep_pictures
 from topcli.store.series import read_series
 from topcli.studies.order import ORDER
 from topcli.studies.stress.study import STRESS

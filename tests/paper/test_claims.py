@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import topcli
 from reading_html import read_html
 from topcli.cli.claims import report_claims
-from topcli.figures.claims import VerdictPanel
+from topcli.figures.outcomes import VerdictPanel
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Measurement
 from topcli.paper.decide import Claims, decide_claims
 from topcli.paper.ledger import ledger, read_ledger

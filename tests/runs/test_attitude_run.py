@@ -15,7 +15,7 @@ from topcli.config.load import load, load_experiment
 from topcli.config.rows import RowReader
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
-from topcli.figures.body_motion import BodyMotion, stored_body_motion
+from topcli.figures.body import BodyMotion, stored_body_motion
 from topcli.runs.decision import RunOptions
 from topcli.runs.identity import Identity
 from topcli.runs.run import run_experiment

@@ -22,8 +22,7 @@ from stored_results import BASE, START
 from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
 from topcli.show.claims import ClaimsReport
 from topcli.show.report import SUFFIXES, Report, StudyReport
-from topcli.show.runs import RunReport
-from topcli.show.sweeps import SweepReport
+from topcli.show.results import RunReport, SweepReport
 from topcli.store.series import read_series
 from topcli.studies.compare import COMPARE
 from topcli.studies.study import Result

@@ -14,8 +14,8 @@ from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, g
 from topcli.config.models import Experiment
 from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, Stepper
 from topcli.errors import UsageError
+from topcli.figures.growth import growth_columns, growth_data, loaded_roundoff
 from topcli.figures.picture import draw
-from topcli.figures.roundoff import growth_columns, growth_data, loaded_roundoff
 from topcli.studies.roundoff import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
 from topcli.studies.study import Result
 

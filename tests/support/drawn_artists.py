@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from topcli.figures.figure import Loaded
+from topcli.config.load import load_experiment
+from topcli.figures.catalogue import FIGURES
+from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import draw
 
 
@@ -21,10 +25,28 @@ def drawn(loaded: Loaded) -> Figure:
     return draw(loaded.panels, loaded.data(), loaded.layout)
 
 
+def drawn_from(name: str, folder: Path, changes: Mapping[str, list[str]] | list[str]) -> Figure:
+    """The figure of the catalogue's ``name`` from configs with overrides, for each scene or for all."""
+    for scene in FIGURES[name].needs:
+        overrides = changes if isinstance(changes, list) else changes[scene]
+        (folder / f"{scene}.yaml").write_text(load_experiment(scene, overrides).to_yaml())
+    return drawn(FIGURES[name].load(Request(folder / "r", folder)))
+
+
 def series_of(folder: Path, scene: str) -> dict[str, np.ndarray]:
     """The columns of a run, read without the help of topcli."""
-    table = pq.read_table(folder / "r" / scene / "series.parquet")
+    return table_of(folder / "r" / scene / "series.parquet")
+
+
+def table_of(path: Path) -> dict[str, np.ndarray]:
+    """The columns of a file."""
+    table = pq.read_table(path)
     return {name: table.column(name).to_numpy() for name in table.column_names}
+
+
+def vector(series: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """The vectors (m, 3) of the rows of a run."""
+    return np.column_stack([series[f"{name}{i}"] for i in (1, 2, 3)])
 
 
 def data_of(line: Line2D) -> np.ndarray:
@@ -34,7 +56,24 @@ def data_of(line: Line2D) -> np.ndarray:
 
 def look(line: Line2D) -> tuple[Any, ...]:
     """Features by which a reader identifies a line."""
-    return to_rgb(line.get_color()), line.get_linestyle()
+    filled = not same_color(line.get_markerfacecolor(), "white") if line.get_markerfacecolor() != "none" else False
+    return to_rgb(line.get_color()), line.get_linestyle(), line.get_marker(), filled
+
+
+def labelled(axes: Axes) -> dict[str, Line2D]:
+    """The lines of the legend by their labels, without slopes."""
+    lines = (line for line in axes.lines if line.get_label()[0] != "_")
+    return {str(line.get_gid() or line.get_label()): line for line in lines}
+
+
+def explained(figure: Figure) -> dict[str, Line2D]:
+    """The lines in all legends of a figure by their texts."""
+    legends = [*figure.legends, *(legend for axes in figure.axes if (legend := axes.get_legend()))]
+    return {
+        text.get_text(): line
+        for legend in legends
+        for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)
+    }
 
 
 def in_sight(axes: Axes, line: Line2D) -> bool:
@@ -46,10 +85,33 @@ def in_sight(axes: Axes, line: Line2D) -> bool:
     return bool(len(points) and np.all(inside))
 
 
-def keys_are_true(axes: Axes) -> bool:
-    """True if the legend explains each line by a line that looks like it, and no two lines look alike."""
-    legend = axes.get_legend()
-    assert legend is not None
-    shown = {text.get_text(): look(handle) for text, handle in zip(legend.get_texts(), legend.get_lines(), strict=True)}
-    assert shown == {str(line.get_label()): look(line) for line in axes.lines}
-    return len(set(shown.values())) == len(shown)
+def seen_from(elevation: float, azimuth: float, points: np.ndarray) -> np.ndarray:
+    """Points (m, 3) as (right, up, towards the viewer): turned about the third axis, then tilted."""
+    e, a = math.radians(elevation), math.radians(azimuth)
+    x, y, z = points.T
+    ahead, right = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
+    return np.column_stack([right, math.cos(e) * z - math.sin(e) * ahead, math.sin(e) * z + math.cos(e) * ahead])
+
+
+def arrows(axes: Axes) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Foot and head of every arrow on the axes."""
+    pointing = [text for text in axes.texts if getattr(text, "arrowprops", None) is not None]
+    return [(np.asarray(text.xyann), np.asarray(text.xy)) for text in pointing]  # type: ignore[attr-defined]
+
+
+def in_two_parts(axes: Axes, near: Any, far: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Points (m, 2) of the curve that is drawn as a near and a far line of these colours, and where it is near."""
+    front, back = (
+        next(line for line in axes.lines if same_color(line.get_color(), colour) and len(line.get_xdata()) > 2)
+        for colour in (near, far)
+    )  # type: ignore[arg-type]
+    points, others = data_of(front), data_of(back)
+    seen = np.isfinite(points).all(axis=1)
+    assert (seen ^ np.isfinite(others).all(axis=1)).all()
+    assert (front.get_zorder() > back.get_zorder(), front.get_linewidth() > back.get_linewidth()) == (True, True)
+    return np.where(seen[:, None], points, others), seen
+
+
+def texts_of(axes: Axes) -> list[str]:
+    """Texts inside of the axes."""
+    return [text.get_text() for text in axes.texts if text.get_text()]

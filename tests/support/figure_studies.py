@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +20,7 @@ from sweep_rows import write_rows
 from topcli.figures import period
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request
-from topcli.figures.long_energy import SCHEMES
+from topcli.figures.growth import SCHEMES
 from topcli.figures.picture import draw
 from topcli.studies.stress.cases import CASES
 from topcli.studies.stress.study import chosen
@@ -26,20 +28,28 @@ from topcli.studies.stress.study import chosen
 ORDERS = {"bohlin-a": 1, "bohlin-b": 1, "bohlin-c": 1, "rk4": 4, "hk+kahan-li6": 6, "hk+kahan-li8": 8}
 
 
-def _size(scheme: str, h: float) -> float:
+ORDERED = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
+SIZES = [0.5 * 2.0**-k for k in range(18)]
+
+
+def size(scheme: str, h: float) -> float:
     """An error of the scheme's order down to a plateau; each scheme has its own factor."""
     exact = scheme in ("taylor", "exact", "dop853")
-    factor = 1.0 + sum(map(ord, scheme)) % 17
+    factor = 1.0 + zlib.crc32(scheme.encode()) % 1009 / 60.0
     return max(0.0 if exact else factor * h ** ORDERS.get(scheme, 2), 1e-15 * factor)
+
+
+def measured(measure: str, scheme: str, h: float) -> float:
+    """A value of a measure, different for each measure and scheme."""
+    value = size(scheme, h) * (1.0 + 0.01 * len(measure))
+    return 20.0 + 3.0 * math.log10(value) if "swing" in measure else value
 
 
 def _orders(patch: pytest.MonkeyPatch, folder: Path) -> None:
     def study(what: Any, on_progress: object) -> dict[str, Any]:
-        schemes = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
-        sizes = [0.5 * 2.0**-k for k in range(18)]
         rows = [
-            {"scheme": name, "points": [{"h": h, "error": _size(name, h)} for h in sizes], "declared_order": 2}
-            for name in schemes
+            {"scheme": name, "points": [{"h": h, "error": size(name, h)} for h in SIZES], "declared_order": 2}
+            for name in ORDERED
         ]
         return {"schema_version": 1, "name": "kowalevski_generic_hk", "duration": 10.0, "schemes": rows}
 
@@ -62,11 +72,10 @@ def _sweep(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
         rows = list(itertools.product(*grid.values()))
         keys = {key: [row[i] for row in rows] for i, key in enumerate(grid)}
         keys |= {key: [float(value) for value in keys[key]] for key in keys if key != "scheme"}
-        sizes = [_size(scheme, h) for scheme, h in zip(keys["scheme"], keys.get("h", [0.01] * len(rows)), strict=True)]
-        signs = [1.0 if "random" not in sweep or i % 3 else -1.0 for i in range(len(rows))]
-        measures = dict.fromkeys(sweep["measure"], sizes)
-        measures |= {one: [s * v for s, v in zip(signs, sizes, strict=True)] for one in measures if "drift" in one}
-        measures |= {one: [20.0 + 3.0 * np.log10(v) for v in sizes] for one in measures if "swing" in one}
+        entries = list(zip(keys["scheme"], keys.get("h", [0.01] * len(rows)), strict=True))
+        measures = {one: [measured(one, *entry) for entry in entries] for one in sweep["measure"]}
+        for one in (name for name in measures if "drift" in name and "random" in sweep):
+            measures[one] = [value if i % 3 else -value for i, value in enumerate(measures[one])]
         written = write_rows(folder / name, keys, measures, log=["h"])
         result = SimpleNamespace(folder=written, outcomes={"completed": len(rows)})
         patch.setattr("topcli.sweeps.run.run_sweep", lambda *arguments, **options: result)
@@ -74,20 +83,28 @@ def _sweep(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
     return prepare
 
 
+TIMES = 0.1 * 2.0 ** np.arange(20)
+
+
+def energies(scene: str, scheme: str) -> np.ndarray:
+    """Energy errors that differ between schemes and scenes."""
+    return len(scene) * size(scheme, 0.05) * TIMES**0.1
+
+
 def _energies(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    columns = [f"t:{scene}" for scene in SCHEMES]
-    columns += [f"{scene}:{name}" for scene, names in SCHEMES.items() for name in names]
-    t = 0.1 * 2.0 ** np.arange(20)
-    data = {name: t if name.startswith("t:") else _size(name.rpartition(":")[2], 0.05) * t**0.1 for name in columns}
-    patch.setattr("topcli.figures.long_energy.energy_columns", lambda: data)
+    data = {f"t:{scene}": TIMES for scene in SCHEMES}
+    data |= {f"{scene}:{name}": energies(scene, name) for scene, names in SCHEMES.items() for name in names}
+    patch.setattr("topcli.figures.growth.energy_columns", lambda: data)
+
+
+STEPS = 2.0 ** np.arange(10, 19)
+POWERS = {"a_sq:matrix": (1e-16, 1.0), "a_sq:plain": (6e-17, 0.5), "a_sq:compensated": (2e-18, 0.4)}
+POWERS |= {"k_sq:hybrid": (3e-16, 0.5), "k_sq:hybrid-xi": (2e-16, 0.0)}
 
 
 def _growth(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    steps = 2.0 ** np.arange(10, 19)
-    powers = {"a_sq:matrix": (1e-16, 1.0), "a_sq:plain": (6e-17, 0.5), "a_sq:compensated": (2e-18, 0.4)}
-    powers |= {"k_sq:hybrid": (3e-16, 0.5), "k_sq:hybrid-xi": (2e-16, 0.0)}
-    data = {"steps": steps} | {name: size * steps**power for name, (size, power) in powers.items()}
-    patch.setattr("topcli.figures.roundoff.growth_columns", lambda: data)
+    data = {"steps": STEPS} | {name: least * STEPS**power for name, (least, power) in POWERS.items()}
+    patch.setattr("topcli.figures.growth.growth_columns", lambda: data)
 
 
 PEERS = ("scipy dop853", "scipy dop853 numba", "heyoka", "heyoka high-accuracy", "diffrax Dopri8", "diffrax Tsit5")
@@ -97,20 +114,29 @@ OURS = (SET_UP, "taylor", "rk4", "hk+kahan-li6", "hk+kahan-li8", LONGEST, "split
 TITLES = ("Kowalevski top, generic", "Kowalevski top, near the homoclinic orbit", "Euler top", "Lagrange top")
 
 
+def benched(name: str) -> list[tuple[float, float]]:
+    """Errors and seconds of a competitor, the more accurate the later."""
+    i = (*OURS, *PEERS).index(name)
+    errors = [10.0 ** (-k - 0.1 * i) for k in range(1, 12)]
+    return [(error, (1.0 + i) * 1e-6 * error**-0.1) for error in errors]
+
+
 def _benches(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    def points(i: int) -> list[dict[str, Any]]:
-        errors = [10.0 ** (-k - 0.1 * i) for k in range(1, 12)]
-        found = [{"value": 0.1, "error": e, "seconds": (1.0 + i) * 1e-6 * e**-0.1, "drift": 0.0} for e in errors]
-        return [{**one, "end_error": one["error"], "quartiles": [1.0, 2.0], "invariants": {}} for one in found]
+    """Results of which each competitor has two points that are not drawn: too inaccurate, and beaten in both."""
+
+    def points(name: str) -> list[dict[str, Any]]:
+        rest = {"value": 0.1, "drift": 0.0, "quartiles": [1.0, 2.0], "invariants": {}}
+        found = [*benched(name), (3.0, 1e-9), (0.2, 1.0)]
+        return [{"error": e, "seconds": seconds, "end_error": e / 7.0, **rest} for e, seconds in found]
 
     competitors = [
-        {"name": name, "kind": "peer" if name in PEERS else "topcli", "parameter": "h", "points": points(i)}
+        {"name": name, "kind": "peer" if name in PEERS else "topcli", "parameter": "h", "points": points(name)}
         | {"setup_seconds": 5e-3 if name == SET_UP else 0.0}
-        for i, name in enumerate((*OURS, *PEERS))
+        for name in (*OURS, *PEERS)
     ]
     run = SimpleNamespace(manifest=dict.fromkeys(("name", "digest", "code", "ended"), ""))
     reports = [{"name": title, "title": title, "competitors": competitors} for title in TITLES]
-    patch.setattr("topcli.studies.bench.result.stored_benches", lambda out: [(run, one) for one in reports])
+    patch.setattr("topcli.figures.comparison.stored_benches", lambda out: [(run, one) for one in reports])
 
 
 def _stress(patch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -129,7 +155,13 @@ def _stress(patch: pytest.MonkeyPatch, folder: Path) -> None:
         for case in CASES
         if case.form == scheme.top
     ]
-    patch.setattr("topcli.figures.stress._study", lambda request: ({"trials": trials}, ""))
+    patch.setattr("topcli.figures.outcomes._study", lambda request: ({"trials": trials}, ""))
+
+
+def spacings(name: str, sizes: np.ndarray) -> np.ndarray:
+    """Times between swings for step ``sizes``, other ones for each scheme."""
+    slope = 1.4 if name == "bohlin-a" else 0.1 + 0.001 * len(name)
+    return 28.17 - slope * np.log(sizes / sizes[0])
 
 
 def _period(patch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -139,10 +171,9 @@ def _period(patch: pytest.MonkeyPatch, folder: Path) -> None:
     def columns(on_progress: object) -> dict[str, np.ndarray]:
         data = {"t": t, "swings": np.array([14.0, 42.0])}
         motions = (period.motion_column(name, h) for name, h in period.SHOWN)
-        data |= {name: 1.0 - 2.0 / np.cosh((t - 14.0) % 28.0) for name in motions}
+        data |= {name: 1.0 - (2.0 - 0.01 * i) / np.cosh((t - 14.0) % 28.0) for i, name in enumerate(motions)}
         for name in (scheme.name for scheme in period.SCHEMES):
-            slope = 1.4 if name == "bohlin-a" else 0.1
-            data |= {f"h:{name}": sizes, f"spacing:{name}": 28.17 - slope * np.log(sizes / sizes[0])}
+            data |= {f"h:{name}": sizes, f"spacing:{name}": spacings(name, sizes)}
         return data
 
     patch.setattr("topcli.figures.period.period_columns", columns)

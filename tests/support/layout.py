@@ -13,7 +13,7 @@ from matplotlib.mathtext import MathTextParser
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from topcli.figures.picture import styled
+from topcli.figures.style import styled
 
 SMALLEST = 6.0
 """Points at printed size, of exponents and indices too."""

@@ -16,7 +16,7 @@ from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError
-from topcli.show.motions import motion
+from topcli.show.report import motion
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

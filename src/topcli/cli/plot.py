@@ -178,7 +178,8 @@ def plot(
     from topcli.errors import TopcliError, UsageError, shortened
     from topcli.figures.catalogue import FIGURES
     from topcli.figures.figure import NothingMeasuredError, Request, make_figures
-    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS, read_style
+    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
+    from topcli.figures.style import read_style
 
     if bool(names) == every:
         raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")

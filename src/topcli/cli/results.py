@@ -218,7 +218,7 @@ def animate(
     """
     from topcli.figures.animation import animate as draw
     from topcli.figures.animation import encoder_for, planned
-    from topcli.figures.body_motion import stored_body_motion
+    from topcli.figures.body import stored_body_motion
 
     encoder_for(out, fps, seconds)  # before anything is read or drawn
     motion = stored_body_motion(run)

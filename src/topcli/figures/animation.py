@@ -27,10 +27,11 @@ from topcli.figures.body import (
     TRACE,
     TRACE_FAR,
     BodyArtist,
+    BodyMotion,
     body_of,
 )
-from topcli.figures.body_motion import BodyMotion
-from topcli.figures.picture import STYLE, scheme_label
+from topcli.figures.picture import scheme_label
+from topcli.figures.style import STYLE
 from topcli.store.files import io_failure, require_writable, write_whole
 
 FORMATS = (".gif", ".mp4")

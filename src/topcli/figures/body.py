@@ -1,22 +1,31 @@
-"""A spinning body: its shape from the moments of inertia, its axis, the vertical; and curves of vectors.
+"""A spinning body: its shape from the moments of inertia, its axis, the vertical; and its motion in a stored run.
 
-The body is convex: the faces turned to the viewer hide all others.
+The body is convex: the faces turned to the viewer hide all others. Its attitude is recorded in the run, or
+reconstructed from the rows.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from topcli.analysis.columns import ATTITUDES, QUATERNION
-from topcli.arithmetic.quaternions import matrices
-from topcli.contracts import Array, Top, checked_equations
-from topcli.figures.picture import Runs, halo
-from topcli.figures.scene3d import arrow, lit, pair_of_lines, parallel, projection, split
+from topcli.analysis.columns import invariant_values, quaternions_of
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Outcome, Top, checked_equations
+from topcli.errors import ConfigError, RunError, UsageError, nearest
+from topcli.figures.picture import halo
+from topcli.figures.scene3d import arrow, lit, parallel, projection, quads, split
+from topcli.store.manifest import DamagedRun, StoredRun, all_runs, read_run
+from topcli.store.parts import is_part, parts_of
+from topcli.store.series import read_series
 
 LONGITUDES, LATITUDES = 56, 28
 LIGHT = (-0.45, 0.35, 0.82)
@@ -88,32 +97,20 @@ def _semi_axes(moments: Array) -> Array:
     return LARGEST * np.maximum(sizes / sizes.max(), THINNEST)
 
 
-def _grid(rows: int) -> tuple[Array, Array]:
-    """Angles of the corners of the faces: polar angles (rows + 1,), longitudes (LONGITUDES + 1,)."""
-    return np.linspace(0.0, math.pi, rows + 1), np.linspace(0.0, 2.0 * math.pi, LONGITUDES + 1)
-
-
-def _quads(points: Array) -> Array:
-    """Faces (k, 4, 3) between neighbouring points (rows, columns, 3)."""
-    corners = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
-    return np.stack(corners, axis=2).reshape(-1, 4, 3)
+def _revolution(radius: Array, height: Array) -> Array:
+    """Points (rows, LONGITUDES + 1, 3) of the surface of revolution with this ``radius`` (rows,) at each ``height``."""
+    around = np.linspace(0.0, 2.0 * math.pi, LONGITUDES + 1)
+    heights = np.broadcast_to(height[:, None], (len(height), len(around)))
+    return np.stack([radius[:, None] * np.cos(around), radius[:, None] * np.sin(around), heights], axis=2)
 
 
 def _ellipsoid(semi: Array, axis: Array) -> Array:
     """Faces of the ellipsoid with semi-axes ``semi``, with poles on ``axis``."""
-    polar, around = _grid(LATITUDES)
+    polar = np.linspace(0.0, math.pi, LATITUDES + 1)
     first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first = first / np.linalg.norm(first)
     frame = np.stack([first, np.cross(axis, first), axis])
-    sphere = np.stack(
-        [
-            np.sin(polar)[:, None] * np.cos(around),
-            np.sin(polar)[:, None] * np.sin(around),
-            np.broadcast_to(np.cos(polar)[:, None], (len(polar), len(around))),
-        ],
-        axis=2,
-    )
-    return _quads((sphere @ frame) * semi)
+    return quads((_revolution(np.sin(polar), np.cos(polar)) @ frame) * semi)
 
 
 def _revolved(weight: float) -> Array:
@@ -122,16 +119,7 @@ def _revolved(weight: float) -> Array:
     radius = radius * min(1.25, max(0.5, 2.0 * weight))
     at = np.linspace(0.0, 1.0, LATITUDES + 1) * (len(radius) - 1)
     radius, height = (LARGEST * 1.3 * np.interp(at, np.arange(len(height)), one) for one in (radius, height))
-    _, around = _grid(1)
-    points = np.stack(
-        [
-            radius[:, None] * np.cos(around),
-            radius[:, None] * np.sin(around),
-            np.broadcast_to(height[:, None], (len(height), len(around))),
-        ],
-        axis=2,
-    )
-    return _quads(points[::-1])  # from the top downwards, as on an ellipsoid
+    return quads(_revolution(radius, height)[::-1])  # from the top downwards, as on an ellipsoid
 
 
 def _coloured(faces: Array, axis: Array) -> tuple[Array, Array, Array]:
@@ -257,99 +245,123 @@ class BodyArtist:
         self.name.set_position(tuple(tip[:2] + 0.14 * out))
 
 
-SHADOW, FRAME, START = "0.80", "0.45", "#D55E00"
-LENGTH = 1.18
-"""Length of the axes of a frame, relative to the longest vector."""
-VECTORS = {"omega": r"\omega", "gamma": r"\gamma"}
-
-
-def _finite(data: Mapping[str, np.ndarray], scene: str, names: Sequence[str]) -> Array:
-    """Columns (m, k) of the run of ``scene``, of the figure's own if it is empty; rows padded with nan are left out."""
-    values = np.column_stack([data[f"{scene}:{name}" if scene else name] for name in names])
-    return values[np.isfinite(values).all(axis=1)]
-
-
-def _rotations(data: Mapping[str, np.ndarray], scene: str) -> Array:
-    """Attitudes (m, 3, 3) of the rows of a run."""
-    return matrices(_finite(data, scene, ATTITUDES[QUATERNION]))
+LARGEST_TURN = 0.5
+"""Largest turn between two rows, in radians, from which an attitude is reconstructed."""
+ASK = "--set output.attitude=quaternion"
 
 
 @dataclass(frozen=True)
-class BodyPanel:
-    """Body of the run of ``scene`` after the part ``until`` of its rows, with the trace of its axis until then."""
+class BodyMotion:
+    """Rows of a run: times (m,), attitudes as unit quaternions (m, 4), states (m, d) and invariants (m,) by name.
 
-    title: str
-    scene: str = ""
-    until: float = 1.0
-    elevation: float = 22.0
-    azimuth: float | None = None
-    body: Body | None = field(default=None, repr=False)
-
-    def of_runs(self, runs: Runs) -> BodyPanel:
-        """Return the panel with the body of the run's top, and the run's name if its motion is not the packaged one."""
-        run = runs.by_scene[self.scene]
-        body = body_of(run.experiment.top, run.experiment.y0)
-        return replace(self, body=body, title=self.title if run.as_packaged else run.experiment.name)
-
-    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
-        """Draw into ``axes``; ``styles`` is not used."""
-        assert self.body is not None
-        rotations = _rotations(data, self.scene)
-        last = round(self.until * (len(rotations) - 1))
-        path = rotations[: last + 1] @ self.body.axis
-        artist = BodyArtist(axes, self.body, path, self.elevation, self.azimuth)
-        artist.show(last, 0, rotations[last])
-        for line in artist.new:
-            line.set_linewidth(0.8 * line.get_linewidth() / 1.9)
-        axes.set_title(self.title)
-
-
-@dataclass(frozen=True)
-class VectorPanel:
-    """Curve of the vector ``vector`` of the run of ``scene``, seen from the body or, ``in_space``, from outside.
-
-    It is drawn in parallel projection with the three axes of its frame and its shadow on the plane below.
+    ``states`` and ``invariants`` are empty if the run does not record the components. ``notes`` are messages about
+    what is missing or reconstructed.
     """
 
-    title: str
-    vector: str
-    scene: str = ""
-    in_space: bool = False
-    view: tuple[float, float] = (24.0, 32.0)
+    experiment: Experiment
+    t: Array
+    attitude: Array
+    states: Array | None
+    invariants: Mapping[str, Array]
+    notes: tuple[str, ...]
 
-    def of_runs(self, runs: Runs) -> VectorPanel:
-        """Return the panel, with the name of the run in its title if the motion is not the packaged one."""
-        run = runs.by_scene[self.scene]
-        return self if run.as_packaged else replace(self, title=f"{run.experiment.name}: {self.title}")
 
-    def curve(self, data: Mapping[str, np.ndarray]) -> Array:
-        """Points (m, 3) of the curve in its frame."""
-        points = _finite(data, self.scene, [f"{self.vector}{i}" for i in (1, 2, 3)])
-        return np.einsum("mij,mj->mi", _rotations(data, self.scene), points) if self.in_space else points
+def stored_body_motion(folder: Path) -> BodyMotion:
+    """Motion of the finished or interrupted run in ``folder``.
 
-    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
-        """Draw into ``axes``; ``styles`` is not used."""
-        points = self.curve(data)
-        size = float(np.linalg.norm(points, axis=1).max())
-        points, camera = points / size, projection(*self.view)
-        flat = points @ camera.T
-        floor = np.column_stack([points[:, :2], np.full(len(points), min(0.0, points[:, 2].min() - 0.1))])
-        floor = floor @ camera.T
-        axes.plot(floor[:, 0], floor[:, 1], "-", color=SHADOW, lw=0.6, zorder=1)
-        self._frame(axes, camera)
-        looks = {"color": TRACE, "lw": 1.1, "zorder": 6}, {"color": TRACE_FAR, "lw": 0.8, "zorder": 3}
-        pair_of_lines(axes, flat, flat[:, 2] >= 0.0, looks)
-        axes.plot([flat[0, 0]], [flat[0, 1]], "o", color=START, ms=4.0, mec="white", mew=0.6, zorder=8)
-        shown = np.vstack([flat[:, :2], floor[:, :2], 1.1 * LENGTH * camera[:2].T, np.zeros((1, 2))])
-        low, high = shown.min(axis=0) - 0.1, shown.max(axis=0) + 0.1
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        axes.set_axis_off()
-        axes.set_title(self.title)
+    Raises UsageError if there is no run, or if its rows do not determine the attitude, and RunError if it is damaged.
+    """
+    run = _intact(folder)
+    experiment = _experiment(run)
+    series = read_series(run.series)
+    name, notes = experiment.name, []
+    if run.outcome is not Outcome.COMPLETED:
+        notes.append(f"{name}: {run.manifest.get('message', run.outcome.value)}")
+    states = _states(experiment, series)
+    attitude = quaternions_of(series)
+    if attitude is None:
+        attitude = _reconstructed(experiment, states, folder)
+        notes.append(f"{name}: no attitude is recorded; reconstructed from the rows ({ASK} records the scheme's own)")
+    good: NDArray[np.bool_] = np.isfinite(attitude).all(axis=1).reshape(-1)
+    if not good[0] or good.sum() < 2:
+        raise UsageError(f"{folder}: the attitude is not finite or has a single row; there is no motion to show")
+    last = len(good) if good.all() else int(np.argmin(good))
+    if last < len(good):
+        notes.append(f"{name}: the attitude is not finite after row {last}")
+    return BodyMotion(
+        experiment,
+        _times(experiment, series, len(good))[:last],
+        attitude[:last],
+        None if states is None else states[:last],
+        _invariants(experiment, series, states, last),
+        tuple(notes),
+    )
 
-    def _frame(self, axes: Any, camera: Array) -> None:
-        """Draw the three axes of the frame, labelled by the components of the vector or of space."""
-        for i, axis in enumerate(LENGTH * np.eye(3)):
-            tip = camera @ axis
-            arrow(axes, (0.0, 0.0), tip[:2], FRAME, 0.7, zorder=2)
-            name = rf"${VECTORS[self.vector]}_{i + 1}$" if not self.in_space else ("$x$", "$y$", "$z$")[i]
-            axes.text(*(1.1 * tip[:2]), name, ha="center", va="center", color="0.25", zorder=9)
+
+def _intact(folder: Path) -> StoredRun:
+    """The run in ``folder``, with all its checksums compared."""
+    run = read_run(folder)
+    if isinstance(run, DamagedRun):
+        raise RunError(f"{folder}: {run.reason}; run again with --force")
+    if run is None:
+        if is_part(folder) or parts_of(folder.parent, folder.name):
+            raise UsageError(f"{folder}: the run is unfinished; topcli run --resume continues it")
+        if not os.path.isdir(folder) and not folder.suffix and len(folder.parts) == 1:
+            hint = "give the folder of a run, such as results/NAME"
+        else:
+            hint = nearest(folder.name, [one.folder.name for one in all_runs(folder.parent)])
+        raise UsageError(f"{folder}: no run is stored here (manifest.json is missing); {hint}")
+    for name, reason in run.damage().items():
+        raise RunError(f"{folder / name}: damaged: {reason}; run again with --force")
+    return run
+
+
+def _experiment(run: StoredRun) -> Experiment:
+    """Experiment of a run. Raises UsageError for an ensemble and for a scheme or top that is not known here."""
+    config = run.manifest["config"]
+    if "ensemble" in config:
+        raise UsageError(f"{run.folder}: an ensemble of many trajectories; run a single one of them")
+    try:
+        return load_experiment(config, any_precision=True)
+    except (UsageError, ConfigError) as error:
+        raise UsageError(f"{run.folder}: its config cannot be read here: {error.lines[0]}", *error.lines[1:]) from None
+
+
+def _states(experiment: Experiment, series: Mapping[str, NDArray[Any]]) -> Array | None:
+    """States (m, d) of the rows; None if a component is not recorded."""
+    names = experiment.top.components
+    return np.column_stack([series[name] for name in names]) if all(name in series for name in names) else None
+
+
+def _times(experiment: Experiment, series: Mapping[str, NDArray[Any]], rows: int) -> Array:
+    """Times (m,) of the rows, whose steps are the multiples of ``every``."""
+    return series["t"] if "t" in series else np.arange(rows) * experiment.output.every * experiment.h
+
+
+def _reconstructed(experiment: Experiment, states: Array | None, folder: Path) -> Array:
+    """Attitudes (m, 4) from the states of the rows. Raises UsageError if there are too few columns or rows."""
+    top, every = experiment.top, experiment.output.every
+    if states is None:
+        raise UsageError(
+            f"{folder}: records neither the attitude nor all of {', '.join(top.components)}", f"run it with {ASK}"
+        )
+    from topcli.engine.attitude import attitude_of_rows
+
+    turn = float(np.nanmax(np.linalg.norm(states[:, :3], axis=1))) * abs(experiment.h) * every
+    if not turn <= LARGEST_TURN:
+        raise UsageError(
+            f"{folder}: the body turns by up to {turn:.2g} radians from row to row, and no attitude is recorded",
+            f"run it with {ASK}, or with rows at least {turn / LARGEST_TURN:.1f} times as dense (output.every)",
+        )
+    return attitude_of_rows(top, states, experiment.h * every)
+
+
+def _invariants(
+    experiment: Experiment, series: Mapping[str, NDArray[Any]], states: Array | None, rows: int
+) -> dict[str, Array]:
+    """Invariants of the top along the rows, recorded or evaluated."""
+    known = experiment.top.invariants()
+    values = {each.name: np.asarray(series[each.name], dtype=float) for each in known if each.name in series}
+    if states is not None:
+        values |= invariant_values([each for each in known if each.name not in values], states)
+    return {each.name: values[each.name][:rows] for each in known if each.name in values}

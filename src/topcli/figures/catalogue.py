@@ -5,27 +5,13 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
-from functools import partial
-
 from topcli.analysis.swings import spacing_law
 from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.figures.bifurcation import Window, load_bifurcation
-from topcli.figures.body import BodyPanel, VectorPanel
-from topcli.figures.comparison import load_comparison
-from topcli.figures.errors import load_error_and_cost, load_order
-from topcli.figures.figure import Figure
-from topcli.figures.long_energy import load_long_energy
-from topcli.figures.period import LAW, load_period
+from topcli.figures.figure import Figure, deferred
 from topcli.figures.picture import Grid, Line, Panel
-from topcli.figures.polhodes import Polhodes
-from topcli.figures.roundoff import load_growth
-from topcli.figures.scene3d import Sphere
-from topcli.figures.scenes import scene_figure
-from topcli.figures.stress import load_stress
-from topcli.figures.sweep import Choice, View, sweep_views
-from topcli.figures.torus import TorusPanel, load_torus
-from topcli.figures.torus_points import load_torus_points
-from topcli.figures.work_precision import load_work_precision
+from topcli.figures.scene3d import Polhodes, Sphere
+from topcli.figures.scenes import BodyPanel, VectorPanel, scene_figure
+from topcli.figures.sweep import LAW, Choice, View, sweep_views
 
 
 def _headed(figsize: tuple[float, float]) -> Grid:
@@ -72,12 +58,6 @@ _SWINGING = _schemes("hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "
 """Schemes of the figure of swings: one of each kind."""
 _ERRING = _schemes("hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor")
 """Schemes of the figure of errors: one of each kind; each takes seconds to compile."""
-_WINDOWS = (
-    Window((-0.9, 4.9), (0.0, 3.0), "kowalevski_generic_hk"),
-    Window((-0.9, 2.9), (0.0, 2.0), "kowalevski_torus"),
-    Window((1.66, 2.06), (0.0, 0.1), two_l=1.85),
-    Window((3.0, 12.5), (0.0, 20.0), "kowalevski_hk"),
-)
 
 FIGURES: dict[str, Figure] = {
     figure.name: figure
@@ -141,13 +121,13 @@ FIGURES: dict[str, Figure] = {
             "bifurcation",
             "Kowalevski top: bifurcation diagrams with the classes of tori, and the scenes",
             "kowalevski_hk",
-            partial(load_bifurcation, _WINDOWS, Grid(2, (7.0, 6.2), ncols=5, fontsize=9.0)),
+            deferred("motion:load_bifurcation"),
         ),
         Figure(
             "torus",
             "Kowalevski top: a torus with the lines of the flows of E and k²",
             "kowalevski_torus",
-            partial(load_torus, "torus", "kowalevski_torus", TorusPanel(elevation=32.0, azimuth=165.0)),
+            deferred("torus:load_torus"),
         ),
         scene_figure(
             "body",
@@ -180,27 +160,27 @@ FIGURES: dict[str, Figure] = {
             "roundoff",
             "Growth of round-off: biased, a random walk, compensated, and not at all",
             "lagrange_bs",
-            load_growth,
+            deferred("growth:load_growth"),
         ),
         Figure(
             "compare",
             "Kowalevski top: errors and swings of five schemes",
             "kowalevski_hk",
-            partial(load_comparison, "kowalevski_hk", ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")),
+            deferred("comparison:load_comparison"),
             takes_overrides=True,
         ),
         Figure(
             "period",
             "Kowalevski top: why Figure 2 has another period than Figure 1",
             "kowalevski_hk",
-            load_period,
+            deferred("period:load_period"),
             rank=1,
         ),
         Figure(
             "order",
             "Kowalevski top, generic: error over h, orders and the plateau of round-off",
             "topcli order",
-            load_order,
+            deferred("errors:load_order"),
         ),
         sweep_views(
             "swings",
@@ -251,24 +231,35 @@ FIGURES: dict[str, Figure] = {
             "integrable",
             "Energy over a long time: integrable and canonical maps, exact conservation, drift",
             "euler_hk",
-            load_long_energy,
+            deferred("growth:load_long_energy"),
         ),
         Figure(
             "error-and-cost",
             "Kowalevski top, generic: error of the integrable map and others over h and over time",
             "kowalevski_generic_hk",
-            load_error_and_cost,
+            deferred("errors:load_error_and_cost"),
             rank=1,
         ),
         Figure(
             "torus-points",
             "Kowalevski top: a million points of the integrable map at h = 1 on the torus, and HK's",
             "kowalevski_generic_backlund",
-            load_torus_points,
+            deferred("torus:load_torus_points"),
             rank=1,
         ),
-        Figure("work-precision", "Speed against error of schemes and peers", "topcli bench", load_work_precision),
-        Figure("stress", "Every scheme in the hard cases of its top", "topcli stress", load_stress, rank=1),
+        Figure(
+            "work-precision",
+            "Speed against error of schemes and peers",
+            "topcli bench",
+            deferred("comparison:load_work_precision"),
+        ),
+        Figure(
+            "stress",
+            "Every scheme in the hard cases of its top",
+            "topcli stress",
+            deferred("outcomes:load_stress"),
+            rank=1,
+        ),
     )
 }
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from topcli.analysis.order import convergence
 from topcli.contracts import Array
-from topcli.figures.picture import REFERENCE, Styles, caption, looks
+from topcli.figures.picture import caption
+from topcli.figures.style import REFERENCE, Styles, looks
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 NOTHING = "no value"

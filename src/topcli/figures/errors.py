@@ -21,11 +21,13 @@ from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.curves import LOG, CurvePanel, curve_column, plain
 from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import Grid, Styles, caption, looks
+from topcli.figures.picture import Grid, caption
+from topcli.figures.style import Styles, looks
 from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
 from topcli.store.files import stored_study, write_study
 from topcli.store.provenance import environment
+from topcli.studies import order
 from topcli.studies.bench.contest import Problem
 from topcli.studies.bench.measure import Effort, SchemeCompetitor, as_rows, explore, time_all
 from topcli.studies.entries import scheme_with
@@ -205,9 +207,7 @@ def loaded_order(result: Result) -> Loaded:
 
 def load_order(request: Request) -> Loaded:
     """Load the default study of ``topcli order``, run if it is missing, out of date or forced."""
-    from topcli.studies.order import FILE, ladders, order_source, order_study, stored_order
-
-    what = ladders(())
-    source = order_source(what)
-    study = _current(stored_order(request.results), source, request, partial(order_study, what), FILE)
+    what = order.ladders(())
+    source, stored = order.order_source(what), order.stored_order(request.results)
+    study = _current(stored, source, request, partial(order.order_study, what), order.FILE)
     return loaded_order(Result(study, source=lambda: source))

@@ -8,27 +8,36 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import RunError, TopcliError, UsageError, clipped
-from topcli.figures.picture import DEFAULT_FORMATS, STYLE, Drawable, Grid, draw, exact_column, save
+from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, exact_column, save
+from topcli.figures.style import STYLE
+from topcli.runs.identity import method_fingerprint
 from topcli.store.files import io_failure, require_writable, write_whole
 from topcli.store.series import read_metadata, write_parquet
+from topcli.studies import imported
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
 
 SOURCE = "topcli.figure.source"
 STOP_SECONDS = 10.0
 """Time that an interrupted process has to leave its run in order."""
 PROGRESS_SECONDS = 0.2
 """Shortest time between two reports of progress from a process."""
+_MODULES = ("catalogue", "comparison", "errors", "growth", "motion", "outcomes", "period", "torus")
+PRELOADED = ("topcli.runs.run", *(f"topcli.figures.{name}" for name in _MODULES))
+"""Modules that all processes share."""
 
 OnProgress = Callable[[str, int, int], None]
 """Function called with the name of a figure, and the parts of its data that are done and all of them."""
@@ -121,6 +130,15 @@ class MadeFigure:
     status: str
 
 
+def deferred(place: str) -> Callable[[Request], Loaded]:
+    """The function ``module:name`` of this package, imported when it is called."""
+    return partial(_call, place)
+
+
+def _call(place: str, request: Request) -> Loaded:
+    return imported(f"topcli.figures.{place}")(request)
+
+
 def _source(loaded: Loaded, style: Mapping[str, Any]) -> str:
     """Text that identifies data, panels, style and drawing code: equal texts mean equal pictures."""
     painting = dict.fromkeys([type(loaded.layout), *map(type, loaded.panels)])
@@ -133,6 +151,12 @@ def _source(loaded: Loaded, style: Mapping[str, Any]) -> str:
             **loaded.source,
         }
     )
+
+
+def code_of(experiments: Iterable[Experiment], functions: Iterable[Callable[..., Any]], *settings: object) -> str:
+    """Digest of everything that columns depend on which ``functions`` make of the motions of ``experiments``."""
+    digests = [method_fingerprint(each.method()) + each.digest for each in experiments]
+    return fingerprint(*functions, compiled=False) + "".join(digests) + repr(settings)
 
 
 def _files(name: str, out: Path, formats: Sequence[str]) -> tuple[Path, ...]:
@@ -238,7 +262,7 @@ class _Processes:
 
     def __init__(self, request: Request, out: Path, formats: tuple[str, ...], on_progress: OnProgress) -> None:
         self.context = mp.get_context("forkserver")  # a thread of this process must not be forked
-        self.context.set_forkserver_preload(["topcli.figures.catalogue", "topcli.runs.run", "matplotlib.figure"])
+        self.context.set_forkserver_preload([*PRELOADED, "matplotlib.figure"])
         self.on_message, self.on_progress = request.on_message, on_progress
         silent = replace(request, on_progress=Request.on_progress, on_message=Request.on_message)
         self.arguments = (silent, out, formats)

@@ -1,4 +1,9 @@
-"""Picture of one motion: bifurcation diagram, energy ellipsoid, trace of the axis, or components over time."""
+"""Bifurcation diagram of the Kowalevski top, and the picture of one motion.
+
+The diagram has regions with their numbers of tori, critical curves, and scenes. A motion of the Kowalevski top is a
+place in it, that of an Euler top a polhode on the energy ellipsoid, that of a Lagrange top the trace of its axis; any
+other is drawn as components over time.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +15,180 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.motion import Motion
+from topcli.analysis.motion.diagram import REGIONS, branches, regions
+from topcli.analysis.reference import reference_states
+from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
-from topcli.figures.bifurcation import Diagram, critical_curves, curve_columns, numbers_of_tori
+from topcli.engine.fingerprint import fingerprint
+from topcli.errors import UsageError
 from topcli.figures.curves import plain
-from topcli.figures.picture import Drawable, Line, Panel, Styles, component_symbol
-from topcli.figures.polhodes import Polhodes
-from topcli.figures.scene3d import Sphere
+from topcli.figures.figure import Loaded, Request
+from topcli.figures.picture import Drawable, Grid, Line, Panel, caption, component_symbol, halo
+from topcli.figures.scene3d import Polhodes, Sphere
+from topcli.figures.scenes import scene_config
+from topcli.figures.style import Styles
+from topcli.schemes.kowalevski.closed_form.curve import integrals
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
+
+TINTS = ("#FFFFFF", "#DCE9F5", "#E3F0DC", "#F6EBD3", "#F5DDD9", "#E4DCEF")
+"""Colours of no motion and of the regions I to V."""
+KINDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "separatrix": ("separatrix", {"color": "0.1", "linestyle": "-", "linewidth": 1.4}),
+    "pinch": ("pinch", {"color": "#B2182B", "linestyle": (0, (4, 1.5)), "linewidth": 1.6}),
+    "periodic": (
+        r"periodic: $E-2\ell^2=-k$",
+        {"color": "#0072B2", "linestyle": (0, (7, 1.5, 1.5, 1.5)), "linewidth": 1.8},
+    ),
+    "delone": (r"Delone: $k=0$", {"color": "#009E73", "linestyle": "-", "linewidth": 2.6}),
+    "bobylev-steklov": ("Bobylev, Steklov", {"color": "#0072B2", "linestyle": (0, (1, 1.2)), "linewidth": 1.4}),
+}
+"""Kinds of critical curves: labels and looks, in the order of the legend."""
+PIXELS = (700, 500)
+SMALL, LARGE = 0.035, 0.1
+"""Radius of the largest circle in a region, relative to the panel, from which its name, and its tori, are written."""
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """Diagram in the plane of E and k² for one ``two_l``, with the motion of ``scene`` as a point.
+
+    The columns are ``number:kind:E`` and ``number:kind:k_sq`` for the ``kinds`` of critical curves, with nan between
+    their parts, and ``number:scene:E`` and ``number:scene:k_sq``. By default the ``title`` is a letter and ``two_l``.
+    """
+
+    number: int
+    two_l: float
+    energies: tuple[float, float]
+    k_sq: tuple[float, float]
+    scene: str
+    kinds: tuple[str, ...]
+    title: str = ""
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw regions, curves and the point of the scene into ``axes``."""
+        point = None
+        if self.scene:
+            E, k_sq = (float(data[f"{self.number}:scene:{axis}"][0]) for axis in AXES)
+            point = E, k_sq
+            self._mark(axes, E, k_sq)
+        self._tint(axes, point)
+        for kind in self.kinds:
+            label, look = KINDS[kind]
+            x, y = (data[f"{self.number}:{kind}:{axis}"] for axis in AXES)
+            axes.plot(x, y, label=label, zorder=3 if kind == "bobylev-steklov" else 4, clip_on=False, **look)
+        axes.set(xlim=self.energies, ylim=self.k_sq)
+        axes.grid(False)
+        caption(axes, "$E$", "$k^2$", self.title or rf"({'abcdef'[self.number]}) $2\ell = {self.two_l:.6g}$")
+
+    def _mark(self, axes: Any, E: float, k_sq: float) -> None:
+        """Draw the point of the scene and its name."""
+        axes.plot([E], [k_sq], "o", color="0.05", markersize=5.0, markeredgecolor="white", zorder=6, label="_scene")
+        look = {"textcoords": "offset points", "fontsize": 8, "zorder": 7, "va": "center"}
+        text = axes.annotate(self.scene, (E, k_sq), xytext=(6, 0), **look)
+        halo(text)
+
+    def _tint(self, axes: Any, point: tuple[float, float] | None) -> None:
+        """Tint the regions, and write their names and numbers of tori into those that are large enough."""
+        from matplotlib.colors import ListedColormap
+
+        E = _centres(*self.energies, PIXELS[0])[None, :]
+        k_sq = _centres(*self.k_sq, PIXELS[1])[:, None]
+        codes = regions(E, k_sq, 0.5 * self.two_l, 1.0)
+        extent = (*self.energies, *self.k_sq)
+        axes.imshow(
+            codes, extent=extent, origin="lower", aspect="auto", cmap=ListedColormap(TINTS), vmin=-0.5, vmax=5.5
+        )
+        free = np.ones(codes.shape, dtype=bool)
+        if point is not None:  # room for the name of the scene
+            beside = point[0] - 0.05 * np.ptp(self.energies) < E
+            free &= ~(beside & (np.abs(k_sq - point[1]) < 0.12 * np.ptp(self.k_sq)))
+        for code, (name, region) in enumerate(REGIONS.items(), 1):
+            for row, column, radius in _middles(codes == code, free):
+                if radius > SMALL * PIXELS[1]:
+                    label = f"{name}\n{region.tori} tori" if region.tori > 1 else f"{name}\n1 torus"
+                    text = label if radius > LARGE * PIXELS[1] else name
+                    at = (float(E[0, column]), float(k_sq[row, 0]))
+                    axes.text(*at, text, ha="center", va="center", color="0.25", fontsize=9, zorder=5)
+
+
+AXES = ("E", "k_sq")
+
+
+def _centres(low: float, high: float, count: int) -> np.ndarray:
+    return low + (high - low) * (np.arange(count) + 0.5) / count
+
+
+def _middles(mask: np.ndarray, free: np.ndarray) -> list[tuple[int, int, float]]:
+    """Row and column of the ``free`` point of each connected part of the mask that is furthest from the edges.
+
+    The third number is its distance from them.
+    """
+    from scipy.ndimage import distance_transform_edt, label
+
+    parts: Any
+    parts, count = label(mask)  # type: ignore[misc]
+    middles = []
+    for part in range(1, count + 1):
+        distance: Any = distance_transform_edt(np.pad((parts == part) & free, 1))
+        row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
+        middles.append((int(row) - 1, int(column) - 1, float(distance[row, column])))
+    return middles
+
+
+@dataclass(frozen=True)
+class Window:
+    """Part of the plane that is drawn for the 2l of ``scene``, or for ``two_l`` if there is none."""
+
+    energies: tuple[float, float]
+    k_sq: tuple[float, float]
+    scene: str = ""
+    two_l: float = 0.0
+
+
+WINDOWS = (
+    Window((-0.9, 4.9), (0.0, 3.0), "kowalevski_generic_hk"),
+    Window((-0.9, 2.9), (0.0, 2.0), "kowalevski_torus"),
+    Window((1.66, 2.06), (0.0, 0.1), two_l=1.85),
+    Window((3.0, 12.5), (0.0, 20.0), "kowalevski_hk"),
+)
+
+
+def load_bifurcation(request: Request) -> Loaded:
+    """Load the panels of the windows. Raises UsageError for a scene of another top."""
+    panels, data = [], {}
+    for number, window in enumerate(WINDOWS):
+        two_l, name = window.two_l, ""
+        if window.scene:
+            experiment = load_experiment(scene_config(window.scene, request.configs))
+            name = experiment.name
+            if experiment.top.kind != "kowalevski":
+                raise UsageError(f"bifurcation: {name} is of the top {experiment.top.kind}, not kowalevski")
+            of = integrals(experiment.y0, experiment.top.constants()[0])
+            two_l = 2.0 * float(of.L)
+            data |= curve_columns(number, {"scene": np.array([[3.0 * float(of.l1)], [float(of.k_sq)]])})
+        curves = critical_curves(two_l, window.energies, window.k_sq)
+        data |= curve_columns(number, curves)
+        panels.append(Diagram(number, two_l, window.energies, window.k_sq, name, tuple(curves)))
+    code = fingerprint(regions, branches, _middles, compiled=False)
+    source = {"panels": [repr(panel) for panel in panels], "code": code}
+    return Loaded(tuple(panels), lambda: data, source, Grid(2, (7.0, 6.2), ncols=5, fontsize=9.0))
+
+
+def curve_columns(number: int, curves: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns of curves (2, m) of the panel ``number``."""
+    return {f"{number}:{kind}:{axis}": curve[i] for kind, curve in curves.items() for i, axis in enumerate(AXES)}
+
+
+def critical_curves(two_l: float, energies: tuple[float, float], k_sq: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Critical curves of each kind in a window, in the order of the legend: E and k² (2, m), nan between parts."""
+    parts: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
+    for branch in branches(0.5 * two_l, 1.0, energies, k_sq):
+        if branch.kind in parts:
+            parts[branch.kind] += [np.array([branch.E, branch.k_sq]), np.full((2, 1), np.nan)]
+    return {kind: np.hstack(some) for kind, some in parts.items() if some}
+
 
 Drawn = tuple[Drawable, dict[str, np.ndarray]]
 """Panel and its data."""
@@ -68,8 +238,6 @@ class PlaceDiagram(Diagram):
 
 def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
     """Place in the plane of E and k², in units in which c |gamma| = 1."""
-    from topcli.schemes.kowalevski.closed_form.curve import integrals
-
     of = integrals(motion.state, top.constants()[0])
     unit = math.sqrt(float(of.G))
     E, k_sq, two_l = 3.0 * float(of.l1) / unit, float(of.k_sq) / unit**2, 2.0 * float(of.L) / unit**1.5
@@ -82,13 +250,13 @@ def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
     data = curve_columns(0, {**curves, "scene": np.array([[E], [k_sq]])})
     units = "" if unit == top.C == top.c0 == 1.0 else r" in units in which $C = c_0 = |\boldsymbol{\gamma}| = 1$"
     title = rf"$2\ell = {two_l:.6g}${units}"
-    panel = PlaceDiagram(0, two_l, energies, (0.0, high), plain(name), tuple(curves), numbers_of_tori(), title)
+    panel = PlaceDiagram(0, two_l, energies, (0.0, high), plain(name), tuple(curves), title)
     return panel, data
 
 
 def _polhode(top: Euler, motion: Motion) -> Drawn:
     """The polhode on the energy ellipsoid."""
-    states = _states(top, motion.state, _times(motion, ("period",)))
+    states = reference_states(top, motion.state, _times(motion, ("period",)))
     panel = Polhodes((top.A, top.B, top.C), label="the motion")
     return panel, {name: states[:, i] for i, name in enumerate(panel.omega)}
 
@@ -100,7 +268,7 @@ def _trace(top: Lagrange | LagrangeInertial, motion: Motion) -> Drawn:
     if isinstance(top, Lagrange):
         sign = math.copysign(1.0, top.mu)
         state = _in_space(top, state)
-    axis = _states(LagrangeInertial(), state, _nutations(motion))[:, 3:]
+    axis = reference_states(LagrangeInertial(), state.tolist(), _nutations(motion))[:, 3:]
     axis *= sign / np.linalg.norm(axis, axis=1)[:, None]
     panel = Sphere("", AXIS, elevation=_elevation(axis))
     return panel, {name: axis[:, i] for i, name in enumerate(AXIS)}
@@ -146,16 +314,9 @@ def _times(motion: Motion, periods: tuple[str, ...]) -> Array:
 def _components(top: Top, motion: Motion) -> Drawn:
     """Components of the first vector over time."""
     times = _times(motion, ("period",))
-    states = _states(top, motion.state, times)
+    states = reference_states(top, motion.state, times)
     name, (begin, end) = next(iter(top.vectors.items()))
     names = top.components[begin:end]
     data = {one: states[:, begin + i] for i, one in enumerate(names)}
     label = rf"$\boldsymbol{{\{name}}}$" if len(name) > 1 else rf"$\boldsymbol{{{name}}}$"
     return Panel(tuple(Line(one, component_symbol(one)) for one in names), label), {"t": times, **data}
-
-
-def _states(top: Top, state: Any, times: Array) -> Array:
-    """Motion (m, d) at the given times, by the independent reference."""
-    from topcli.analysis.reference import reference_states
-
-    return reference_states(top, state, times)

@@ -15,9 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
+from topcli.config.load import load_experiment
 from topcli.contracts import Array
-from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import Grid, Styles, caption, looks
+from topcli.engine.loop import Run
+from topcli.figures.figure import Loaded, Request, code_of
+from topcli.figures.picture import Grid, caption
+from topcli.figures.style import Styles, looks
+from topcli.figures.sweep import LAW
+from topcli.studies.entries import under_scheme
 
 if TYPE_CHECKING:
     from topcli.config.models import Experiment
@@ -59,7 +64,6 @@ SHOWN: tuple[tuple[str, float], ...] = (
 """Motions that are shown: scheme and step."""
 
 
-LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
 ROW = 2.6
 """Distance between two rows, in units of gamma_1."""
 TITLES = {"hk": "HK", "rk2": "RK2", "rk4": "RK4", "hybrid": "hybrid", "bohlin-a": "Bohlin A"}
@@ -169,16 +173,11 @@ def _steps(schemes: Sequence[Scheme], shown: Sequence[tuple[str, float]]) -> lis
 
 
 def _experiment(name: str) -> Experiment:
-    from topcli.config.load import load_experiment
-    from topcli.studies.entries import under_scheme
-
     return under_scheme(load_experiment(SCENE), name)
 
 
 def _gamma1(experiment: Experiment, N: int) -> tuple[Array, Array]:
     """Times and gamma_1 of a run in N steps, each (m,)."""
-    from topcli.engine.loop import Run
-
     h = TIME / N
     run = Run(experiment.top, experiment.method(), experiment.y0, h, N, max(1, round(SAMPLING / h)))
     numbers, values = zip(*((chunk.n, chunk.states[:, 3].copy()) for chunk in run), strict=True)
@@ -216,10 +215,6 @@ def period_columns(
 
 def period_code() -> str:
     """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    from topcli.engine.fingerprint import fingerprint
-    from topcli.runs.identity import method_fingerprint
-
     steps = _steps(SCHEMES, SHOWN)
-    names = dict.fromkeys(name for name, _ in steps)
-    digests = [method_fingerprint(each.method()) + each.digest for each in map(_experiment, names)]
-    return fingerprint(_gamma1, swing_spacing, compiled=False) + "".join(digests) + repr(steps)
+    experiments = map(_experiment, dict.fromkeys(name for name, _ in steps))
+    return code_of(experiments, [_gamma1, swing_spacing], *steps)

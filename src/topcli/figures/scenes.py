@@ -1,19 +1,24 @@
-"""Figures of the runs of scenes."""
+"""Figures of the runs of scenes, and panels of bodies and of the traces of vectors in them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from topcli.contracts import Outcome
+from topcli.analysis.columns import ATTITUDES, QUATERNION
+from topcli.arithmetic.quaternions import matrices
+from topcli.config.load import load_experiment, load_named
+from topcli.contracts import Array, Outcome
 from topcli.errors import RunError, UsageError
+from topcli.figures.body import TRACE, TRACE_FAR, Body, BodyArtist, body_of
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs, described, exact_column
+from topcli.figures.scene3d import arrow, pair_of_lines, projection
 
 if TYPE_CHECKING:
     from topcli.runs.run import RunResult
@@ -89,7 +94,6 @@ def _load(name: str, scenes: Mapping[str, str], panels: Sequence[RunPanel], layo
 
 def _run(name: str, scene: str, request: Request) -> tuple[RunResult, DrawnRun]:
     """Completed run of ``scene``. Raises UsageError and RunError."""
-    from topcli.config.load import load_experiment, load_named
     from topcli.runs.decision import RunOptions
     from topcli.runs.run import run_experiment
 
@@ -136,3 +140,101 @@ class _Columns(dict[str, Any]):
         else:
             raise UsageError(f"{self.name}: the config of {self.scenes.get(key, key)} does not record {column}")
         return self[name]
+
+
+SHADOW, FRAME, START = "0.80", "0.45", "#D55E00"
+LENGTH = 1.18
+"""Length of the axes of a frame, relative to the longest vector."""
+VECTORS = {"omega": r"\omega", "gamma": r"\gamma"}
+
+
+def _finite(data: Mapping[str, np.ndarray], scene: str, names: Sequence[str]) -> Array:
+    """Columns (m, k) of the run of ``scene``, of the figure's own if it is empty; rows padded with nan are left out."""
+    values = np.column_stack([data[f"{scene}:{name}" if scene else name] for name in names])
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def _rotations(data: Mapping[str, np.ndarray], scene: str) -> Array:
+    """Attitudes (m, 3, 3) of the rows of a run."""
+    return matrices(_finite(data, scene, ATTITUDES[QUATERNION]))
+
+
+@dataclass(frozen=True)
+class BodyPanel:
+    """Body of the run of ``scene`` after the part ``until`` of its rows, with the trace of its axis until then."""
+
+    title: str
+    scene: str = ""
+    until: float = 1.0
+    elevation: float = 22.0
+    azimuth: float | None = None
+    body: Body | None = field(default=None, repr=False)
+
+    def of_runs(self, runs: Runs) -> BodyPanel:
+        """Return the panel with the body of the run's top, and the run's name if its motion is not the packaged one."""
+        run = runs.by_scene[self.scene]
+        body = body_of(run.experiment.top, run.experiment.y0)
+        return replace(self, body=body, title=self.title if run.as_packaged else run.experiment.name)
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
+        """Draw into ``axes``; ``styles`` is not used."""
+        assert self.body is not None
+        rotations = _rotations(data, self.scene)
+        last = round(self.until * (len(rotations) - 1))
+        path = rotations[: last + 1] @ self.body.axis
+        artist = BodyArtist(axes, self.body, path, self.elevation, self.azimuth)
+        artist.show(last, 0, rotations[last])
+        for line in artist.new:
+            line.set_linewidth(0.8 * line.get_linewidth() / 1.9)
+        axes.set_title(self.title)
+
+
+@dataclass(frozen=True)
+class VectorPanel:
+    """Curve of the vector ``vector`` of the run of ``scene``, seen from the body or, ``in_space``, from outside.
+
+    It is drawn in parallel projection with the three axes of its frame and its shadow on the plane below.
+    """
+
+    title: str
+    vector: str
+    scene: str = ""
+    in_space: bool = False
+    view: tuple[float, float] = (24.0, 32.0)
+
+    def of_runs(self, runs: Runs) -> VectorPanel:
+        """Return the panel, with the name of the run in its title if the motion is not the packaged one."""
+        run = runs.by_scene[self.scene]
+        return self if run.as_packaged else replace(self, title=f"{run.experiment.name}: {self.title}")
+
+    def curve(self, data: Mapping[str, np.ndarray]) -> Array:
+        """Points (m, 3) of the curve in its frame."""
+        points = _finite(data, self.scene, [f"{self.vector}{i}" for i in (1, 2, 3)])
+        return np.einsum("mij,mj->mi", _rotations(data, self.scene), points) if self.in_space else points
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
+        """Draw into ``axes``; ``styles`` is not used."""
+        points = self.curve(data)
+        size = float(np.linalg.norm(points, axis=1).max())
+        points, camera = points / size, projection(*self.view)
+        flat = points @ camera.T
+        floor = np.column_stack([points[:, :2], np.full(len(points), min(0.0, points[:, 2].min() - 0.1))])
+        floor = floor @ camera.T
+        axes.plot(floor[:, 0], floor[:, 1], "-", color=SHADOW, lw=0.6, zorder=1)
+        self._frame(axes, camera)
+        looks = {"color": TRACE, "lw": 1.1, "zorder": 6}, {"color": TRACE_FAR, "lw": 0.8, "zorder": 3}
+        pair_of_lines(axes, flat, flat[:, 2] >= 0.0, looks)
+        axes.plot([flat[0, 0]], [flat[0, 1]], "o", color=START, ms=4.0, mec="white", mew=0.6, zorder=8)
+        shown = np.vstack([flat[:, :2], floor[:, :2], 1.1 * LENGTH * camera[:2].T, np.zeros((1, 2))])
+        low, high = shown.min(axis=0) - 0.1, shown.max(axis=0) + 0.1
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        axes.set_axis_off()
+        axes.set_title(self.title)
+
+    def _frame(self, axes: Any, camera: Array) -> None:
+        """Draw the three axes of the frame, labelled by the components of the vector or of space."""
+        for i, axis in enumerate(LENGTH * np.eye(3)):
+            tip = camera @ axis
+            arrow(axes, (0.0, 0.0), tip[:2], FRAME, 0.7, zorder=2)
+            name = rf"${VECTORS[self.vector]}_{i + 1}$" if not self.in_space else ("$x$", "$y$", "$z$")[i]
+            axes.text(*(1.1 * tip[:2]), name, ha="center", va="center", color="0.25", zorder=9)

@@ -19,6 +19,7 @@ from topcli.errors import RunError, UsageError
 from topcli.figures.curves import LINEAR, LOG, SYMLOG, Axis, CurvePanel, HeatPanel, curve_column, plain
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid
+from topcli.schemes.registry import all_schemes
 from topcli.store.files import sha256_of
 from topcli.sweeps.rows import SweepRows, key_labels, read_rows
 from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_groups
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from topcli.config.rows import Row
     from topcli.sweeps.evaluate import Results, Work
 
+LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
+"""Time between the swings of the Kowalevski top at the distance eps from a homoclinic orbit."""
 DECADES = 2.0
 """Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""
 CROWDED = 20.0
@@ -150,8 +153,6 @@ def _labels(rows: SweepRows, choice: Choice) -> tuple[dict[Any, str], str]:
 
 def _adaptive() -> tuple[str, ...]:
     """Names of the schemes that choose their own steps: h is only the distance of their rows."""
-    from topcli.schemes.registry import all_schemes
-
     return tuple(dict.fromkeys(one.name for one in all_schemes() if one.adaptive))
 
 

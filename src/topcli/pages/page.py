@@ -12,9 +12,8 @@ from topcli import __version__
 from topcli.errors import UsageError, nearest, printable, quoted
 from topcli.pages.contents import Chapter, Picture
 from topcli.pages.pictures import svg_of
-from topcli.pages.runs import comparisons, damaged_chapter, part_chapter, run_chapter
+from topcli.pages.results import comparisons, damaged_chapter, part_chapter, run_chapter, sweep_chapter
 from topcli.pages.studies import bench_chapter, claims_chapter, study_chapter
-from topcli.pages.sweeps import sweep_chapter
 from topcli.store.files import SEAL, DamagedError, check_study, read_json
 from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run
 from topcli.store.parts import is_part, linked_file, parts_of

@@ -18,7 +18,8 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.errors import UsageError, printable
 from topcli.figures.curves import LINEAR, LOG, CurvePanel, curve_column, plain
-from topcli.figures.picture import STYLE, Grid, Line, Panel, column_label, component_symbol, draw
+from topcli.figures.picture import Grid, Line, Panel, column_label, component_symbol, draw
+from topcli.figures.style import STYLE
 from topcli.pages.contents import Picture, Pictures
 from topcli.store.envelope import envelope
 from topcli.store.series import DECIMAL, INTEGERS, WORDS, read_series, series_names

@@ -10,8 +10,8 @@ from typing import Any
 from topcli.analysis.motion import NEIGHBOURS, QUANTITIES, Motion
 from topcli.analysis.motion.of_top import closed_form_top
 from topcli.config.models import Experiment
-from topcli.figures.claims import verdict_category, verdict_panel
 from topcli.figures.motion import motion_drawn
+from topcli.figures.outcomes import verdict_category, verdict_panel
 from topcli.pages.contents import (
     Block,
     Cells,

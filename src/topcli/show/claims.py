@@ -61,7 +61,7 @@ class ClaimsReport(Claims, Report):
         matplotlib Axes
             The axes.
         """
-        from topcli.figures.claims import verdict_panel
+        from topcli.figures.outcomes import verdict_panel
 
         return draw_panel(*verdict_panel(self.as_dict()["claims"]), ax)
 

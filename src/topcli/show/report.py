@@ -1,6 +1,7 @@
 """Results of commands in Python: a table, a plot on axes of the caller, files, and HTML for a notebook.
 
-The function of a study has the parameters of its ``measure`` and returns a ``StudyReport``.
+The function of a study has the parameters of its ``measure`` and returns a ``StudyReport``. ``topcli.motion`` needs
+only a top and a state.
 """
 
 from __future__ import annotations
@@ -9,17 +10,21 @@ import inspect
 import json
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from topcli.analysis.motion import QUANTITIES, Motion
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
 from topcli.errors import UsageError, quoted
-from topcli.figures.picture import REFERENCE, STYLE, Drawable
+from topcli.figures.picture import Drawable
+from topcli.figures.style import REFERENCE, REFERENCE_LOOK, styled
 from topcli.show.progress import Progress
 from topcli.store.files import io_failure, require_writable, write_whole
 from topcli.studies import STUDIES, find_study, imported
@@ -37,7 +42,6 @@ PICTURES = (".png", ".pdf", ".svg")
 SUFFIXES = (".html", ".json", ".csv", ".parquet", *PICTURES)
 """Endings of the names of files that ``Report.save`` writes."""
 _WIDTH = (6.4, 3.6)
-_GREY = {"color": "0.75", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}
 
 
 class Report(ABC):
@@ -115,13 +119,12 @@ class Report(ABC):
                 self._picture(path)
 
     def _picture(self, path: Path) -> None:
-        import matplotlib as mpl
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
         from topcli.figures.picture import save
 
-        with mpl.rc_context(fname=STYLE):
+        with styled():
             figure = Figure(figsize=_WIDTH)
             FigureCanvasAgg(figure)
             self.plot(figure.add_subplot())
@@ -140,15 +143,13 @@ class Report(ABC):
 
 def draw_panel(panel: Drawable, data: Mapping[str, np.ndarray], ax: Axes | None) -> Axes:
     """Draw ``panel`` into ``ax`` in the style of its owner; into new axes in the style of topcli's figures."""
-    import matplotlib as mpl
-
     own = ax is None
-    with mpl.rc_context(fname=STYLE) if own else nullcontext():
+    with styled() if own else nullcontext():
         if ax is None:
             from matplotlib import pyplot
 
             ax = pyplot.subplots(figsize=_WIDTH)[1]
-        panel.paint(ax, data, defaultdict(dict, {REFERENCE: _GREY}))
+        panel.paint(ax, data, defaultdict(dict, {REFERENCE: REFERENCE_LOOK}))
         texts = ax.get_legend_handles_labels()[1]
         if len(texts) > 1 and ax.get_legend() is None:
             ax.legend()
@@ -246,6 +247,113 @@ def function(name: str) -> Callable[..., StudyReport]:
     call.__doc__ = (study.measure.__doc__ or "").replace(_WATCH, _PROGRESS)
     call.__module__ = study.measure.__module__
     return call
+
+
+IRRELEVANT = {"scheme": "taylor", "h": 0.01}
+"""Keys that a config needs and a motion does not."""
+
+
+@dataclass(frozen=True, repr=False)
+class MotionReport(Motion, Report):
+    """Motion that an experiment starts, as ``topcli.motion`` returns it.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        The experiment; only its top and its initial state matter.
+    table : pandas.DataFrame
+        A row for each quantity, indexed by its name: value and meaning.
+    """
+
+    experiment: Experiment = field(kw_only=True)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """DataFrame of the quantities, one row each, indexed by name."""
+        return QUANTITIES.frame(self)
+
+    def chapter(self, name: str | None) -> Chapter:
+        """Return the chapter of a page."""
+        from topcli.pages.studies import motion_chapter
+
+        return motion_chapter(self, self.experiment, name)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the motion.
+
+        That of the Kowalevski top is a place in the bifurcation diagram, that of the Euler top a polhode on the energy
+        ellipsoid, that of the Lagrange top the trace of its axis on the sphere; other tops are drawn over time.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into; new ones by default.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes.
+
+        Raises
+        ------
+        RunError
+            If the motion is too fast to be followed for its picture.
+        """
+        from topcli.analysis.motion.of_top import closed_form_top
+        from topcli.figures.motion import motion_drawn
+
+        return draw_panel(*motion_drawn(closed_form_top(self.experiment.top), self, self.experiment.name), ax)
+
+
+def motion(
+    config: str | Path | Mapping[str, Any] | None = None, *, overrides: Sequence[str] = (), **changes: Any
+) -> MotionReport:
+    """Return class, frequencies and neighbourhood of the exact motion that an experiment starts.
+
+    Everything follows from the closed form; nothing is integrated, and scheme, ``h`` and ``N`` do not matter. All
+    quantities are dimensionless, as in configs.
+
+    Parameters
+    ----------
+    config : path, str or mapping, optional
+        Config file, name of a packaged scene, or the content of a config, as for ``topcli.simulate``;
+        ``top`` and ``initial`` are enough.
+    overrides : sequence of str
+        Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
+    **changes
+        Values that replace whole top-level keys of the config.
+
+    Returns
+    -------
+    MotionReport
+        For the Kowalevski top the class of the torus, its frequencies, periods and actions, and the nearest critical
+        motions; for the Euler top the class and period of the polhode; for the Lagrange top nutation and precession.
+        For a heavy top without a closed form the integrals only.
+
+    Raises
+    ------
+    ConfigError
+        If the config cannot be read, has a fault, or is an ensemble or a sweep.
+    UnknownNameError
+        If there is no such scene.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> motion = topcli.motion("lagrange_cusps")
+    >>> motion.title
+    'nutation with cusps: the axis stops at one of the bounds'
+    >>> round(motion["period.nutation"], 6)
+    2.15473
+    """
+    if config is None or isinstance(config, Mapping):
+        length = {} if "T" in {**(config or {}), **changes} else {"N": 1}
+        config = {"name": "motion", **IRRELEVANT, **length, **(config or {})}
+    from topcli.analysis.motion.of_top import motion_of
+
+    experiment = load_experiment(config, overrides, changes, any_precision=True)
+    plain = motion_of(experiment.top, experiment.y0)
+    return MotionReport(**{entry.name: getattr(plain, entry.name) for entry in fields(plain)}, experiment=experiment)
 
 
 def __getattr__(name: str) -> Callable[..., StudyReport]:

@@ -418,7 +418,7 @@ ROUNDOFF = Study(
     (TABLE,),
     notes=notes,
     faults=faults,
-    figure="topcli.figures.roundoff:loaded_roundoff",
+    figure="topcli.figures.growth:loaded_roundoff",
     draws="the drift against the number of steps",
     captions=("drift of the invariants against the number of steps",),
     stem=lambda data: f"{data['forms'][0]['scheme']}_{data['config']['name']}",

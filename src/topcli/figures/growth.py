@@ -1,8 +1,12 @@
-"""Growth of round-off: the figure of several ways to write a step, and that of ``topcli roundoff``.
+"""Growth of errors over many steps: of round-off, as ``topcli roundoff`` measures it, and of the energy.
 
 The BS scheme of Lagrange's top turns the axis by Cayley's rotation. Written as a product of matrix and vector, it is
 biased; as axis + change, its errors are a random walk; with compensated sums, a smaller one. The hybrid recomputes xi
 from the state in every step; hybrid-xi carries it as a unit number that turns, and its errors do not add up.
+
+The figure ``integrable`` has the energy of several schemes over a long time, with the same step for all schemes of a
+scene. An integrable or canonical map keeps the energy, or a function near it, over very long times; what remains is an
+oscillation that does not grow. A scheme that conserves the energy exactly shows the growth of round-off instead.
 """
 
 from __future__ import annotations
@@ -13,15 +17,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from topcli.analysis.columns import energy_of
 from topcli.analysis.roundoff import doubling_lags, structure
 from topcli.arithmetic.vectors import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Floats, Stepper
-from topcli.engine.fingerprint import fingerprint
-from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import MARKERS, Grid, Styles, caption, halo
-from topcli.runs.identity import method_fingerprint
+from topcli.engine.loop import Run
+from topcli.figures.figure import Loaded, Request, code_of
+from topcli.figures.picture import Grid, Line, Panel, caption, halo
+from topcli.figures.style import MARKERS, Styles
 from topcli.schemes.layout import stepper
+from topcli.studies.entries import under_scheme
 from topcli.studies.roundoff import copies_followed, sampling_of
 from topcli.studies.study import Result
 
@@ -184,12 +190,11 @@ def growth_columns() -> Mapping[str, Array]:
 
 def growth_code() -> str:
     """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    digests = [method_fingerprint(experiment.method()) + experiment.digest for experiment, _ in _variants().values()]
-    code = fingerprint(sampling_of, copies_followed, doubling_lags, structure, compiled=False)
-    return code + "".join(digests) + f"{STEPS} {COPIES}"
+    experiments = [experiment for experiment, _ in _variants().values()]
+    return code_of(experiments, [sampling_of, copies_followed, doubling_lags, structure], STEPS, COPIES)
 
 
-PANELS = (
+GROWTH = (
     GrowthPanel(
         (("a_sq:matrix", "matrix"), ("a_sq:plain", "old + change"), ("a_sq:compensated", "compensated")),
         r"(a) $\boldsymbol{a}^2$, Lagrange top, BS",
@@ -203,4 +208,79 @@ PANELS = (
 
 def load_growth(request: Request) -> Loaded:
     """Load the growth of round-off under several ways to write a step."""
-    return Loaded(PANELS, growth_columns, {"study": growth_code()}, Grid(figsize=(7.0, 3.0)))
+    return Loaded(GROWTH, growth_columns, {"study": growth_code()}, Grid(figsize=(7.0, 3.0)))
+
+
+ENERGY_STEPS = 1 << 20
+ENERGY_H = 0.05
+SCHEMES = {
+    "kowalevski_generic_hk": ("splitting", "dmv", "hk", "midpoint4", "rk4"),
+    "euler_hk": ("splitting", "dmv", "hk", "midpoint", "rk4"),
+}
+"""Schemes of each scene; the last one is the control, whose energy drifts."""
+
+
+def _experiments() -> dict[str, Experiment]:
+    """Experiment of each curve, by the name of its column."""
+    return {
+        f"{scene}:{name}": under_scheme(load_experiment(scene, [f"h={ENERGY_H}"]), name)
+        for scene, names in SCHEMES.items()
+        for name in names
+    }
+
+
+def largest_by_octave(times: Array, values: Array) -> Array:
+    """Largest of ``values`` (m,) from the start of each octave of steps to its end.
+
+    ``times`` (m,) are numbers of steps from 1; octave k has those from 2**k to 2**(k + 1) - 1.
+    """
+    octaves = np.log2(times).astype(int)
+    starts = np.flatnonzero(np.diff(octaves, prepend=-1))
+    return np.maximum.reduceat(values, starts)
+
+
+def _energy_errors(experiment: Experiment) -> Array:
+    """Largest deviation of the energy in each octave, relative to the size of its terms at the start."""
+    top, found, numbers = experiment.top, [], []
+    energy = energy_of(top)
+    assert energy is not None
+    first = np.array([experiment.y0])
+    start, scale = float(energy.value(first)[0]), float(energy.scale(first)[0])
+    for chunk in Run(top, experiment.method(), experiment.y0, experiment.h, ENERGY_STEPS - 1):
+        taken = chunk.n > 0
+        numbers.append(chunk.n[taken].astype(float))
+        found.append(np.abs(energy.value(chunk.states[taken]) - start) / scale)
+    return largest_by_octave(np.concatenate(numbers), np.concatenate(found))
+
+
+def energy_columns() -> Mapping[str, Array]:
+    """Columns of the figure: times ``t:<scene>`` of the ends of octaves, and the energy errors of each curve."""
+    ends = ENERGY_H * 2.0 ** np.arange(1, int(np.log2(ENERGY_STEPS)) + 1)
+    columns: dict[str, Array] = {f"t:{scene}": ends for scene in SCHEMES}
+    for name, experiment in _experiments().items():
+        errors = _energy_errors(experiment)
+        columns[name] = np.where(errors > 0.0, errors, np.nan)  # a logarithmic axis has no zero
+    return columns
+
+
+def energy_code() -> str:
+    """Digest of everything that the columns depend on; equal digests mean equal columns."""
+    return code_of(_experiments().values(), [_energy_errors], ENERGY_STEPS)
+
+
+ENERGIES = tuple(
+    Panel(
+        tuple(Line(f"{scene}:{name}", name) for name in names),
+        "energy error, relative",
+        x=f"t:{scene}",
+        xlog=True,
+        log=True,
+        title=f"{title}, $h = {ENERGY_H}$",
+    )
+    for title, (scene, names) in zip(("(a) Kowalevski top", "(b) Euler top"), SCHEMES.items(), strict=True)
+)
+
+
+def load_long_energy(request: Request) -> Loaded:
+    """Load the energy errors of the schemes, one panel for each scene."""
+    return Loaded(ENERGIES, energy_columns, {"study": energy_code()}, Grid(figsize=(7.0, 3.2)))

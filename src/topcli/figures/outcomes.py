@@ -1,4 +1,8 @@
-"""The figure of the stress study: every scheme in every hard case of its top, in shades that differ in grey too."""
+"""Figures of outcomes: every scheme in every hard case of its top, and verdicts on the paper's claims.
+
+The shades of the stress study differ in grey too. The claims have a bar for each part of the paper, and one for the
+findings beyond it.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,11 @@ import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.figure import Loaded, NothingMeasuredError, Request
-from topcli.figures.picture import Grid, Styles, below_panels
+from topcli.figures.picture import Grid, below_panels
+from topcli.figures.style import Styles
+from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED
+from topcli.paper.ledger import ledger
+from topcli.studies.stress import study as stress_study
 from topcli.studies.stress.study import UNEXPLAINED, known_top
 from topcli.studies.study import Result
 
@@ -44,11 +52,8 @@ def figure_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict[s
 
 def stress_panel(result: Result, top: str | None = None) -> tuple[StressPanel, dict[str, np.ndarray]]:
     """Panel of all trials of one top, by default the first, and its data. Raises UnknownNameError for another top."""
-    wanted = known_top(result.data, top)
     data, names = figure_data(result.data)
-    mine = [trial for trial in result.data["trials"] if trial["top"] == wanted]
-    schemes, cases = (tuple(dict.fromkeys(trial[key] for trial in mine)) for key in ("scheme", "case"))
-    return StressPanel(wanted, schemes, cases, names), data
+    return _panel(result.data["trials"], known_top(result.data, top), names, every=True), data
 
 
 def _step_text(step: float) -> str:
@@ -151,19 +156,17 @@ class StressGrid(Grid):
 
 def _study(request: Request) -> tuple[dict[str, Any], str]:
     """The stress study and the digest of what it depends on; run if missing, out of date or forced."""
-    from topcli.studies.stress.study import stored_stress, stress, stress_data, stress_source, write_stress
-
-    stored = stored_stress(request.results)
+    stored = stress_study.stored_stress(request.results)
     if request.stored_only and stored is None:
         raise NothingMeasuredError(_missing("no stress study", request.results))
-    source = stress_source()
+    source = stress_study.stress_source()
     current = stored is not None and stored.get("source") == source
     if stored is not None and current and (request.stored_only or not request.force):
         return stored, source
     if request.stored_only:
         raise NothingMeasuredError(_missing("only a stress study of other code", request.results))
-    study = stress_data(stress(on_progress=request.on_progress))
-    write_stress(study, request.results, source)
+    study = stress_study.stress_data(stress_study.stress(on_progress=request.on_progress))
+    stress_study.write_stress(study, request.results, source)
     return study, source
 
 
@@ -187,10 +190,68 @@ def loaded_stress(study: Mapping[str, Any], source: str) -> Loaded:
     return Loaded(panels, lambda: data, made_from, layout, {"topcli.names": json.dumps(names)})
 
 
-def _panel(trials: Sequence[Mapping[str, Any]], top: str, names: Names) -> StressPanel:
-    """Panel of the trials of one top."""
+def _panel(trials: Sequence[Mapping[str, Any]], top: str, names: Names, every: bool = False) -> StressPanel:
+    """Panel of the trials of one top, with a row for each case that not all schemes held, or for ``every`` case."""
     own = [trial for trial in trials if trial["top"] == top]
     schemes, cases = (tuple(dict.fromkeys(trial[key] for trial in own)) for key in ("scheme", "case"))
-    outcomes = {(trial["scheme"], trial["case"]): trial["outcome"] for trial in own}
-    hard = tuple(case for case in cases if any(outcomes.get((name, case)) != "held" for name in schemes))
-    return StressPanel(top, schemes, hard, names, len(cases) - len(hard))
+    held = {(trial["scheme"], trial["case"]) for trial in own if trial["outcome"] == "held"}
+    shown = tuple(case for case in cases if every or any((scheme, case) not in held for scheme in schemes))
+    return StressPanel(top, schemes, shown, names, len(cases) - len(shown))
+
+
+LOOKS = {
+    HOLDS: ("#0072B2", "white"),
+    HOLDS_WITHIN: ("#56B4E9", "black"),
+    MISPRINT: ("#E69F00", "black"),
+    FAILS: ("#D55E00", "white"),
+    NOT_TRIED: ("0.8", "black"),
+}
+"""Colours of the bars and of the numbers in them, in the order of the legend."""
+OTHERS = "other claims"
+
+
+def verdict_category(verdict: str) -> str:
+    """Verdict without its bound."""
+    return HOLDS_WITHIN if verdict.startswith(HOLDS_WITHIN) else verdict
+
+
+@dataclass(frozen=True)
+class VerdictPanel:
+    """Number of statements with each verdict, a stacked bar for each of the ``subjects``.
+
+    The columns are the ``verdicts``, each with a number of claims for every subject.
+    """
+
+    subjects: tuple[str, ...]
+    verdicts: tuple[str, ...]
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the bars into ``axes``, the first subject on top."""
+        rows = np.arange(len(self.subjects))
+        left = np.zeros(len(rows))
+        for verdict in self.verdicts:
+            counts = data[verdict]
+            colour, ink = LOOKS[verdict]
+            axes.barh(rows, counts, left=left, height=0.72, color=colour, label=verdict)
+            for row in np.flatnonzero(counts):
+                at = (left[row] + 0.5 * counts[row], row)
+                axes.text(*at, f"{counts[row]:.0f}", ha="center", va="center", color=ink, fontsize="small")
+            left = left + counts
+        axes.set_yticks(rows, self.subjects)
+        axes.set(ylim=(len(rows) - 0.5, -0.5), xlim=(0.0, 1.02 * left.max()), xlabel="number of statements")
+        axes.xaxis.get_major_locator().set_params(integer=True)
+        axes.tick_params(axis="y", length=0)
+        axes.grid(False)
+        look: dict[str, Any] = {"fontsize": "small", "frameon": False, "handlelength": 1.2, "columnspacing": 1.2}
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(LOOKS), borderaxespad=0.2, **look)
+
+
+def verdict_panel(claims: Sequence[Mapping[str, Any]]) -> tuple[VerdictPanel, dict[str, np.ndarray]]:
+    """Panel and data of decided claims, given as the plain data of ``topcli claims --json``."""
+    homes = {claim.id: section.title.partition(" (")[0] for section in ledger().sections for claim in section.claims}
+    pairs = [(homes.get(one["id"], OTHERS), verdict_category(one["verdict"])) for one in claims]
+    present = {subject for subject, _ in pairs}
+    subjects = tuple(subject for subject in dict.fromkeys((*homes.values(), OTHERS)) if subject in present)
+    verdicts = tuple(verdict for verdict in LOOKS if any(found == verdict for _, found in pairs))
+    data = {verdict: np.array([float(pairs.count((one, verdict))) for one in subjects]) for verdict in verdicts}
+    return VerdictPanel(subjects, verdicts), data

@@ -1,0 +1,437 @@
+"""A picture is data: the lines of every figure against the numbers behind them, and what explains the lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import same_color, to_rgb
+from matplotlib.figure import Figure
+
+from drawn_artists import data_of, drawn, drawn_from, explained, in_sight, labelled, look, series_of
+from figure_studies import (
+    ORDERED,
+    OURS,
+    PEERS,
+    POWERS,
+    SET_UP,
+    SIZES,
+    STEPS,
+    TIMES,
+    TITLES,
+    benched,
+    energies,
+    figure_named,
+    measured,
+    size,
+    spacings,
+)
+from seen_colours import pattern
+from topcli.figures.catalogue import FIGURES
+from topcli.figures.comparison import loaded_analysis, loaded_comparison
+from topcli.figures.errors import loaded_study
+from topcli.figures.figure import Request
+from topcli.figures.picture import number_text
+from topcli.studies.study import Result
+
+Points = tuple[Any, Any]
+
+
+@dataclass
+class Shown:
+    """Axes as a reader should find them: labels, scales, and the points of each line by its label."""
+
+    labels: tuple[str, str]
+    scales: tuple[str, str]
+    lines: Mapping[str, Points]
+
+
+LINEAR, LOG = ("linear", "linear"), ("log", "log")
+SCENES = {
+    "fig1": "kowalevski_hk",
+    "fig2": "kowalevski_bohlin_a",
+    "fig3": "kowalevski_bohlin_a",
+    "fig4": "kowalevski_hybrid",
+    "modified": "euler_modified",
+}
+"""Figures of the columns of one run."""
+ERRING = ["hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor"]
+SWINGING = ["hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor"]
+ENERGIES = {
+    "kowalevski_generic_hk": ["splitting", "dmv", "hk", "midpoint4", "rk4"],
+    "euler_hk": ["splitting", "dmv", "hk", "midpoint", "rk4"],
+}
+MEASURED_H = np.array([0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2])
+LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
+
+
+def law(eps: Any) -> Any:
+    return 2.0 * math.sqrt(2.0) * np.log(8.0 * math.sqrt(7.0) / np.asarray(eps))
+
+
+def of_run(name: str, series: dict[str, np.ndarray]) -> list[Shown]:
+    """Axes of a figure of one run."""
+    t = series["t"]
+    if name == "fig3":
+        moved = {
+            "$E$": (t, series["energy"] - series["energy"][0]),
+            r"$2\ell$": (t, series["two_l"] - series["two_l"][0]),
+        }
+        return [Shown(("$t$", r"$E$ − $E$$(0)$, $2\ell$ − $2\ell$$(0)$"), LINEAR, moved)]
+    if name == "modified":
+        symbols = {
+            r"$\boldsymbol{m}^2$": "m_sq",
+            r"$\boldsymbol{m}^2/K$": "modified_m_sq",
+            r"$\kappa_{12}$": "modified_k12",
+        }
+        off = {label: np.abs(series[column] / series[column][0] - 1.0) for label, column in symbols.items()}
+        own = {label: (t, series[column]) for label, column in list(symbols.items())[:2]}
+        right = {label: (t, np.where(values > 0.0, values, np.nan)) for label, values in off.items()}
+        return [
+            Shown(("$t$", ", ".join(own)), LINEAR, own),
+            Shown(("$t$", "relative deviation"), ("linear", "log"), right),
+        ]
+    return [
+        Shown(
+            ("$t$", rf"$\boldsymbol{{\{vector}}}$"),
+            LINEAR,
+            {rf"$\{vector}_{i}$": (t, series[f"{vector}{i}"]) for i in (1, 2, 3)},
+        )
+        for vector in ("gamma", "omega")
+    ]
+
+
+STUDY: dict[str, Any] = {
+    "duration": 100.0,
+    "schemes": [
+        {
+            "scheme": "hk",
+            "points": [
+                {"h": 0.5, "error": 7.0, "seconds": 1e-7},
+                {"h": 0.25, "error": 0.5, "seconds": 2e-7},
+                {"h": 0.125, "error": 0.125, "seconds": 4e-7},
+                {"h": 0.0625, "error": None, "seconds": 8e-7},
+            ],
+        },
+        {"scheme": "backlund", "points": [{"h": 0.5, "error": 0.25, "seconds": 3e-7}]},
+        {"scheme": "midpoint4", "points": []},
+    ],
+}
+
+
+def over_step(measure: str, schemes: list[str]) -> dict[str, Points]:
+    return {name: (MEASURED_H, [measured(measure, name, h) for h in MEASURED_H]) for name in schemes}
+
+
+STUDIES: dict[str, list[Shown]] = {
+    "integrable": [
+        Shown(("$t$", "energy error, relative"), LOG, {name: (TIMES, energies(scene, name)) for name in names})
+        for scene, names in ENERGIES.items()
+    ],
+    "order": [
+        Shown(
+            ("$h$", r"largest error, $0 \leq t \leq 10$"),
+            LOG,
+            {name: (SIZES, [size(name, h) for h in SIZES]) for name in ORDERED},
+        )
+    ],
+    "errors": [
+        Shown(("$h$", "largest error"), LOG, over_step("error.max", ERRING)),
+        Shown(("$h$", "deviation of $E$"), LOG, over_step("deviation.energy", ERRING)),
+    ],
+    "swings": [
+        Shown(
+            (r"$\epsilon = \gamma_3(0)$", "time between swings"),
+            ("log", "linear"),
+            {name: (eps, [measured("swing_spacing.first", name, 0.01)] * 8) for name in SWINGING}
+            | {LAW: (eps, law(eps))},
+        )
+        for eps in [10.0 ** np.arange(-8.0, 0.0)]
+    ]
+    + [
+        Shown(
+            ("$h$", "time between swings"),
+            ("log", "linear"),
+            {name: (x[:-1], y[:-1]) for name, (x, y) in over_step("swing_spacing.first", SWINGING).items()},
+        )
+    ],
+    "work-precision": [
+        Shown(
+            ("largest error over the run; more accurate →", "CPU time per unit of time, µs"),
+            LOG,
+            {
+                name + " (after its set-up)" * (name == SET_UP): tuple(np.array(benched(name)).T * [[1.0], [1e6]])
+                for name in (*PEERS, *OURS)
+            },
+        )
+        for _ in TITLES
+    ],
+    "error-and-cost": [
+        Shown(
+            (label, "largest error"),
+            LOG,
+            {"hk": (hk, [0.5, 0.125]), "backlund, order 2": ([backlund], [0.25])},
+        )
+        for label, hk, backlund in (
+            ("step $h$", [0.25, 0.125], 0.5),
+            ("CPU time per unit of time, µs", [0.2, 0.4], 0.3),
+        )
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*SCENES, *STUDIES])
+def test_lines_are_the_numbers_that_they_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All in sight, alike in all axes, different from each other, and as their legend shows them."""
+    if name in SCENES:
+        figure = drawn_from(name, tmp_path, ["N=900"])
+        expected = of_run(name, series_of(tmp_path, SCENES[name]))
+    else:
+        figure = (
+            drawn(loaded_study(STUDY, "")) if name == "error-and-cost" else figure_named(name, tmp_path, monkeypatch)
+        )
+        expected = STUDIES[name]
+    key = {text: look(line) for text, line in explained(figure).items()}
+    for axes, shown in zip(figure.axes, expected, strict=True):
+        assert (axes.get_xlabel(), axes.get_ylabel()) == shown.labels
+        assert (axes.get_xscale(), axes.get_yscale()) == shown.scales
+        lines = labelled(axes)
+        assert set(lines) == set(shown.lines)
+        for label, points in shown.lines.items():
+            found, wanted = data_of(lines[label]), np.column_stack(points)
+            wanted = wanted[np.argsort(wanted[:, 0])] if len(found) and np.all(np.diff(found[:, 0]) > 0.0) else wanted
+            np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=3e-16)
+            assert in_sight(axes, lines[label])
+            (explanation,) = {
+                shown_look for text, shown_look in key.items() if text == label or text.startswith(f"{label}: ")
+            }
+            assert explanation[0] == to_rgb(lines[label].get_color())
+            assert explanation[2:] == look(lines[label])[2:]
+        assert len({(to_rgb(line.get_color()), pattern(line)) for line in lines.values()}) == len(lines)
+
+
+def test_every_figure_of_the_catalogue_is_inspected() -> None:
+    here = {"period", "roundoff", "stress", "compare", "heavy-drift"}
+    elsewhere = {"sphere", "nutation", "polhodes", "body", "traces", "bifurcation", "torus", "torus-points"}
+    assert set(FIGURES) == {*SCENES, *STUDIES, *here, *elsewhere}
+
+
+def test_changes_of_the_integrals_have_an_inset_of_their_values(tmp_path: Path) -> None:
+    """Whose limits clip nothing: E = 20 of a faster top lies far above the range of the paper's figure."""
+    for changes, high in (([], 6.0), (["initial.omega=[4.4, 0, 0]"], None)):
+        figure = drawn_from("fig3", tmp_path, ["N=200", f"name=a{len(changes)}", *changes])
+        series = series_of(tmp_path, f"a{len(changes)}")
+        (inset,) = figure.axes[0].child_axes
+        assert inset.get_ylim() == (0.0, high or series["energy"].max())
+        for line, outside, column in zip(inset.lines, figure.axes[0].lines, ("energy", "two_l"), strict=True):
+            np.testing.assert_array_equal(data_of(line), np.column_stack([series["t"], series[column]]))
+            assert look(line) == look(outside)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.001, "10^{-3}"), (0.01, "0.01"), (-1e-8, "-10^{-8}"), (2.5e-4, r"2.5\times 10^{-4}"), (3.0, "3"),
+     (99999.0, "99999"), (1e5, "10^{5}"), (0.0, "0")],
+)  # fmt: skip
+def test_numbers_are_written_as_powers_of_ten(value: float, text: str) -> None:
+    assert number_text(value) == text
+
+
+def test_growth_is_drawn_with_its_labels_at_the_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    labels = {"matrix": "a_sq:matrix", "old + change": "a_sq:plain", "compensated": "a_sq:compensated"}
+    others = {r"$\xi$ recomputed": "k_sq:hybrid", r"$\xi$ carried": "k_sq:hybrid-xi"}
+    figure = figure_named("roundoff", tmp_path, monkeypatch)
+    for axes, columns in zip(figure.axes, (labels, others), strict=True):
+        assert (axes.get_xscale(), axes.get_yscale()) == LOG
+        own = [line for line in axes.lines if line.get_marker() in "os^"]
+        named = {text.get_text(): text for text in axes.texts}
+        assert (
+            len({to_rgb(line.get_color()) for line in own}) == len({line.get_marker() for line in own}) == len(columns)
+        )
+        for line, (label, column) in zip(own, columns.items(), strict=True):
+            least, power = POWERS[column]
+            np.testing.assert_allclose(data_of(line), np.column_stack([STEPS, least * STEPS**power]), rtol=1e-12)
+            assert in_sight(axes, line)
+            assert same_color(named[label].get_color(), line.get_color())
+        ends = sorted(columns, key=lambda label: POWERS[columns[label]][0] * STEPS[-1] ** POWERS[columns[label]][1])
+        heights = [named[label].xy[1] for label in ends]  # type: ignore[attr-defined]
+        assert heights == sorted(heights)
+        root, linear = (data_of(line) for line in axes.lines if line not in own)
+        np.testing.assert_allclose(root[:, 1], 2.0**-52 * np.sqrt(STEPS), rtol=1e-12)
+        np.testing.assert_allclose(linear[:, 1], root[0, 1] * STEPS / STEPS[0], rtol=1e-12)
+
+
+def test_the_period_is_drawn_over_the_step_and_the_motions_in_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Row i lies 2.6 i lower; the right scale is that of the law; open markers are irreversible schemes."""
+    names = {"hk": "HK", "rk2": "RK2", "rk4": "RK4", "hybrid": "hybrid", "bohlin-a": "Bohlin A"}
+    left, right = figure_named("period", tmp_path, monkeypatch).axes
+    swings, motions = left.lines[:2], left.lines[2:]
+    assert [line.get_xdata()[0] for line in swings] == [14.0, 42.0]
+    t = np.linspace(0.0, 50.0, 1001)
+    for i, line in enumerate(motions):
+        gamma1 = 1.0 - (2.0 - 0.01 * i) / np.cosh((t - 14.0) % 28.0)
+        np.testing.assert_allclose(data_of(line), np.column_stack([t, gamma1 - 2.6 * i]), atol=1e-12)
+        assert in_sight(left, line)
+    rows = [label.get_text().replace("\n", ", ") for label in left.get_yticklabels()]
+    assert rows[1] == "HK, $h = 10^{-3}$, order 2, reversible"
+    assert rows[4] == "hybrid, $h = 10^{-3}$, order 2, not reversible"
+    assert rows[-1] == "Bohlin A, $h = 10^{-6}$, order 1, not reversible"
+    assert (right.get_xscale(), right.get_yscale()) == ("log", "linear")
+    across, *curves, paper = right.lines
+    assert across.get_ydata() == pytest.approx([28.1716, 28.1716], abs=1e-4)
+    assert paper.get_xdata()[0] == 1e-3
+    h = 10.0 ** np.arange(-7.0, 0.0)
+    for line, (name, title) in zip(curves, names.items(), strict=True):
+        assert str(line.get_label()).startswith(
+            f"{title}: order {rows[1 + list(names).index(name)].partition('order ')[2]}"
+        )
+        np.testing.assert_allclose(data_of(line), np.column_stack([h, spacings(name, h)]), rtol=1e-12)
+        assert (line.get_markerfacecolor() == "white") == (name != "hk")
+        shown = [one for one, row in zip(motions, rows, strict=True) if row.startswith(f"{title},")]
+        assert shown
+        assert all(same_color(one.get_color(), line.get_color()) for one in shown)
+    (scale,) = right.child_axes
+    assert scale.get_yticks() == pytest.approx(law([1e-1, 1e-2, 1e-3]))
+    assert [label.get_text() for label in scale.get_yticklabels()] == ["$10^{-1}$", "$10^{-2}$", "$10^{-3}$"]
+
+
+def test_peers_are_grey_and_better_is_to_the_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points that another beats in both, and errors above 1, are not drawn; ours come first in the legend."""
+    figure = figure_named("work-precision", tmp_path, monkeypatch)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == list(TITLES)
+    for axes in figure.axes:
+        assert axes.get_xlim() == pytest.approx((2.0, min(benched(PEERS[-1]))[0] / 3.0))
+        for name, line in labelled(axes).items():
+            assert same_color(line.get_markerfacecolor(), "white") == (name in PEERS)
+            assert (len(set(to_rgb(line.get_color()))) == 1) >= (name in PEERS)
+    assert list(explained(figure))[-len(PEERS) :] == list(PEERS)
+
+
+def compared(t: np.ndarray, shifts: dict[str, float]) -> Figure:
+    """The figure of a comparison whose schemes lag behind by ``shifts``."""
+    series = {"t": t, "swing:reference": np.cos(t)}
+    for name, shift in shifts.items():
+        series |= {f"error:{name}": shift * t, f"swing:{name}": np.cos(t - shift)}
+    figures = {"schemes": [{"label": name} for name in shifts], "reference": {"swing": "gamma1"}}
+    return drawn(loaded_comparison(Result({**figures, "config": {"h": 0.25}}, series)))
+
+
+def test_a_comparison_draws_errors_and_swings() -> None:
+    """A row for each scheme over the reference in grey; schemes whose errors coincide are one curve and one row."""
+    t = np.linspace(0.0, 12.0, 240)
+    figure = compared(t, {"hk": 0.9, "bohlin-a": 0.2, "bohlin-b": 0.2021, "bohlin-c": 0.2019, "rk4": 1e-3})
+    shifts = {"hk": 0.9, "bohlin-a ≈ bohlin-c": 0.2, "bohlin-b": 0.2021, "rk4": 1e-3}
+    left, right = figure.axes
+    assert figure.get_suptitle() == "$h = 0.25$"
+    assert (left.get_ylabel(), left.get_yscale(), right.get_yscale()) == ("error of the state", "log", "linear")
+    assert right.get_title(loc="left") == r"(b) $\gamma_1$, reference in grey"
+    lines = labelled(left)
+    assert list(lines) == list(shifts)
+    for line, shift in zip(lines.values(), shifts.values(), strict=True):
+        errors = data_of(line)[:, 1]
+        assert np.isnan(errors[0])  # an error of zero has no place on a logarithmic axis
+        np.testing.assert_array_equal(errors[1:], shift * t[1:])
+        assert in_sight(left, line)
+    assert {text: look(line) for text, line in explained(figure).items()} == {
+        label: look(lines[label]) for label in lines
+    }
+    heights = right.get_yticks()
+    assert [tick.get_text() for tick in right.get_yticklabels()] == [name.replace(" ≈", "\n≈") for name in shifts]
+    assert list(heights) == sorted(heights, reverse=True)  # the first at the top
+    middle = 0.5 * (np.cos(t).min() + np.cos(t).max())
+    for i, (height, shift) in enumerate(zip(heights, shifts.values(), strict=True)):
+        reference, line = right.lines[2 * i : 2 * i + 2]
+        assert same_color(reference.get_color(), "0.8")
+        assert same_color(line.get_color(), left.lines[i].get_color())
+        np.testing.assert_allclose(data_of(reference)[:, 1], np.cos(t) + height - middle, atol=1e-12)
+        np.testing.assert_allclose(data_of(line)[:, 1], np.cos(t - shift) + height - middle, atol=1e-12)
+        assert in_sight(right, line)
+    (scale,) = right.child_axes
+    np.testing.assert_allclose(scale.get_yticks(), [np.cos(t).min(), np.cos(t).max()])
+
+
+@pytest.mark.parametrize(("swings", "start"), [(6, 0.0), (7, 8.0 * math.pi)])
+def test_a_long_comparison_shows_the_last_swings(swings: int, start: float) -> None:
+    """Three swings, from the middle between two, if there are more than six."""
+    t = np.linspace(0.0, 2.0 * math.pi * swings, 400 * swings)
+    right = compared(t, {"hk": 0.5}).axes[1]
+    assert right.get_xlim() == pytest.approx((start, t[-1]), abs=1e-6)
+    assert ("last 3 of 7 swings" in right.get_title(loc="left")) == (swings == 7)
+
+
+@pytest.mark.parametrize("reference", [True, False])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_an_analysis_draws_errors_swings_and_deviations(reference: bool, direction: float) -> None:
+    """m² never moves here, and a logarithmic axis has no zero: it has no line."""
+    t = direction * np.linspace(3.0, 7.0, 50)
+    series = {"t": t, "swing": np.cos(t), "deviation:m_sq": np.zeros(50), "deviation:m_omega": 1e-6 * np.abs(t - t[0])}
+    if reference:
+        series |= {"error": 1e-4 * np.abs(t - t[0]), "swing:reference": np.cos(1.01 * t)}
+    config = {"top": "euler", "initial": {"omega": [1, 0, 0]}, "scheme": "hk", "h": 0.1, "N": 1}
+    figure = drawn(loaded_analysis(Result({"config": config, "file": "x.csv", "sha256": ""}, series)))
+    panels: list[tuple[str, str, dict[str, str]]] = [
+        (r"$\omega_2$", "linear", {**({"reference": "swing:reference"} if reference else {}), "series": "swing"}),
+        ("deviation of the invariants", "log", {r"$\boldsymbol{m}\cdot\boldsymbol{\omega}$": "deviation:m_omega"}),
+    ]
+    if reference:
+        panels.insert(0, ("error of the state", "log", {"series": "error"}))
+    key = {text: look(line) for text, line in explained(figure).items()}
+    for axes, (ylabel, scale, columns) in zip(figure.axes, panels, strict=True):
+        assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_yscale()) == ("$t$", ylabel, scale)
+        assert axes.get_xlim() == (t.min(), t.max())
+        lines = labelled(axes)
+        assert list(lines) == list(columns)
+        for label, column in columns.items():
+            expected = series[column] if scale == "linear" else np.where(series[column] > 0.0, series[column], np.nan)
+            np.testing.assert_array_equal(data_of(lines[label]), np.column_stack([t, expected]))
+            assert in_sight(axes, lines[label])
+            assert key[label] == look(lines[label])
+    assert len(set(key.values())) == len(key) or not reference
+
+
+def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes = {
+        ("hk", "a"): ("held", None, "ok"),
+        ("hk", "b"): ("degraded", None, "ok"),
+        ("rk4", "a"): ("broke", 37, "limit"),
+        ("rk4", "b"): ("broke", 40_000, "unexplained"),
+        ("bs", "a"): ("broke", 25_000, "limit"),
+        ("bs", "b"): ("not tried", None, "ok"),
+    } | {(scheme, case): ("held", None, "ok") for scheme in ("hk", "rk4", "bs") for case in ("c", "d")}
+    trials = [
+        {"top": "euler", "scheme": scheme, "case": case, "outcome": outcome, "step": step, "verdict": verdict}
+        for (scheme, case), (outcome, step, verdict) in outcomes.items()
+    ]
+    monkeypatch.setattr("topcli.figures.outcomes._study", lambda request: ({"trials": trials}, ""))
+    figure = drawn(FIGURES["stress"].load(Request(tmp_path)))
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == "euler"
+    schemes = [tick.get_text() for tick in axes.get_xticklabels()]
+    cases = [tick.get_text() for tick in axes.get_yticklabels()]
+    assert cases == ["a", "b", "2 others"]  # what all schemes hold shares a row
+    (image,) = axes.images
+    shades = image.cmap(image.norm(np.asarray(image.get_array())))
+    (legend,) = figure.legends
+    meaning = {text.get_text().split(" ")[0].rstrip(":,"): patch for text, patch in
+               zip(legend.get_texts(), legend.get_patches(), strict=True)}  # fmt: skip
+    keys = {"held": "held", "degraded": "degraded", "broke": "broke", "not tried": "not"}
+    texts = {(round(x), round(y)): text.get_text() for text in axes.texts for x, y in [text.get_position()]}
+    hatched = {patch.get_xy() for patch in axes.patches if patch.get_hatch()}
+    assert {name for name, patch in meaning.items() if patch.get_hatch()} == {"not"}
+    for (scheme, case), (outcome, _, _) in outcomes.items():
+        column, row = schemes.index(scheme), cases.index(case if case in cases else "2 others")
+        assert ((column - 0.5, row - 0.5) in hatched) == (outcome == "not tried")
+        assert same_color(tuple(shades[row, column]), meaning[keys[outcome]].get_facecolor())
+        assert ((column, row) in texts) == (outcome == "broke")
+    order = ("not", "held", "degraded", "broke")
+    darkness = [3.0 - sum(meaning[name].get_facecolor()[:3]) for name in order]
+    assert darkness == sorted(darkness)
+    rows = {("rk4", "a"): "37", ("rk4", "b"): "!", ("bs", "a"): "1e4"}
+    assert {key: texts[schemes.index(key[0]), cases.index(key[1])] for key in rows} == rows
