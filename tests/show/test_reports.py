@@ -308,7 +308,7 @@ def test_plots_of_a_comparison_are_errors_or_swings(compared: StudyReport) -> No
     assert np.isnan(lines["hk"][1][0]), "no error at the start, which a logarithmic axis cannot show"
     axes = compared.plot(Figure().add_subplot(), what="swing")
     np.testing.assert_array_equal(drawn(axes)["reference"][1], compared.series["swing:reference"])
-    assert axes.get_lines()[0].get_color() == "0.75"
+    assert axes.get_lines()[0].get_color() == "0.8"
     with pytest.raises(UsageError, match="'error' or 'swing'"):
         compared.plot(what="x")  # pyright: ignore[reportArgumentType]
     with pytest.raises(UsageError, match="name at least one scheme"):
