@@ -1,7 +1,10 @@
-"""Every command, config and example in README, CONTRIBUTING and the documentation is executed or says why not."""
+"""Every command, config, example and notebook of the documentation is executed or says why not."""
 
 from __future__ import annotations
 
+import doctest
+import inspect
+import json
 import math
 import re
 import subprocess
@@ -10,10 +13,12 @@ import tempfile
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import topcli
 from conftest import PAPER, ROOT
 from documentation import Block, Page, difference, prepare, read_page, run, sessions, without_progress
 from topcli.analysis.reference import reference_states
@@ -166,19 +171,6 @@ def test_formulas_are_well_formed() -> None:
     assert seen > 40
 
 
-def test_first_questions_have_links() -> None:
-    """A scheme to take, a scheme of one's own, and how to cite are in sight from the README and the index."""
-    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
-    for text, answers in (
-        (README, ("docs/which-scheme.md", "\n## Add a scheme\n", "CITATION.cff")),
-        (index, ("which-scheme.md", "own-scheme.md", "citing.md")),
-    ):
-        assert [answer for answer in answers if answer not in text] == []
-    tasks = [line.split("|")[1].strip() for line in index.splitlines() if line.startswith("| ")]
-    for task in ("choose a scheme", "add a scheme", "cite topcli"):
-        assert any(one.startswith(task) for one in tasks), task
-
-
 def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 150
     assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 150
@@ -279,3 +271,75 @@ def test_the_table_of_schemes_beyond_the_paper() -> None:
         scheme = find_scheme(name, "kowalevski")
         *_, last = Run(top, scheme.build(top, scheme.options()), PAPER, 0.05, 1000, 1000)
         assert math.isclose(float(np.abs(last.states[-1] - exact).max()), float(shown), rel_tol=0.05), name
+
+
+# the Python interface, and notebooks
+
+
+@pytest.mark.parametrize("name", ["compare", "order", "run", "simulate", "simulate_ensemble", "stress", "sweep"])
+def test_public_functions_document_every_parameter_and_their_example_runs(name: str) -> None:
+    function = getattr(topcli, name)
+    text = inspect.getdoc(function) or ""
+    for section in ("Parameters", "Returns", "Raises", "Examples"):
+        assert f"\n{section}\n{'-' * len(section)}\n" in text
+    for parameter in inspect.signature(function).parameters.values():
+        stars = {parameter.VAR_KEYWORD: "**", parameter.VAR_POSITIONAL: "*"}.get(parameter.kind, "")
+        assert f"\n{stars}{parameter.name}" in text
+    globs = {"__name__": "__main__"}
+    (example,) = doctest.DocTestFinder(recurse=False).find(function, name, globs=globs)
+    result = doctest.DocTestRunner(optionflags=doctest.FAIL_FAST).run(example)
+    assert result.attempted > 3
+    assert not result.failed
+
+
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+RUNNER = """
+import ast, json, sys
+import matplotlib
+matplotlib.use("agg")
+from matplotlib import pyplot
+names, shown = {"__name__": "__main__"}, []
+for source in json.load(sys.stdin):
+    tree = ast.parse(source)
+    last = None
+    if isinstance(tree.body[-1], ast.Expr) and not source.rstrip().endswith(";"):
+        last = ast.Expression(tree.body.pop().value)
+    exec(compile(tree, "<cell>", "exec"), names)
+    value = None if last is None else eval(compile(last, "<cell>", "eval"), names)
+    shown.append({"text": None if value is None else repr(value), "figures": len(pyplot.get_fignums())})
+    pyplot.close("all")
+print(json.dumps(shown))
+"""
+"""Cells as a kernel executes them: the value of a last expression is shown, figures are shown and closed."""
+
+
+def code_cells(path: Path) -> list[dict[str, Any]]:
+    return [cell for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
+
+
+def words(text: str | None) -> list[str] | None:
+    """Words of an output without numbers, whose last digits differ between machines."""
+    return None if text is None else [one for one in text.split() if not re.search(r"\d[.e]|^NaN$", one)]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
+def test_cells_of_a_notebook_run_and_show_what_is_stored(path: Path, tmp_path: Path) -> None:
+    """They were executed from top to bottom, without errors or messages."""
+    cells = code_cells(path)
+    assert f"notebooks/{path.stem}\n" in (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    assert {one["output_type"] for cell in cells for one in cell["outputs"]} == {"execute_result", "display_data"}
+    assert all(len(line) < 88 for cell in cells for line in "".join(cell["source"]).splitlines())
+    sources = json.dumps(["".join(cell["source"]) for cell in cells])
+    command = [sys.executable, "-W", "error", "-c", RUNNER]
+    done = subprocess.run(command, input=sources, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for cell, now in zip(cells, json.loads(done.stdout), strict=True):
+        results = [one["data"]["text/plain"] for one in cell["outputs"] if one["output_type"] == "execute_result"]
+        assert words(now["text"]) == (words("".join(results[0])) if results else None)
+        assert now["figures"] == sum("image/png" in one.get("data", {}) for one in cell["outputs"])
+
+
+def test_there_is_a_notebook() -> None:
+    assert NOTEBOOKS

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import venv
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from conftest import ROOT
 from documentation import difference, read_page, run, sessions
+from topcli.studies.bench.peers import PEERS, missing
 
 SUFFIXES = {".py", ".pyi", ".yaml", ".toml", ".mplstyle", ".bib", ".jinja", ".css"}
 
@@ -201,3 +205,44 @@ def test_first_steps_work_on_a_bare_machine(bare: tuple[Path, dict[str, str]], t
         "experiment.yaml", "page.html", "results", "topcli.schema.json"
     ]  # fmt: skip
     assert {path.name for path in Path(environment["HOME"]).iterdir()} <= {".cache", ".config", ".local", "Library"}
+
+
+# peers of the benchmark
+
+
+def test_every_peer_has_an_extra_that_installs_it() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    for peer in PEERS.values():
+        if peer.name == "scipy":
+            continue
+        absent = replace(peer, requires=("no_such_package_of_anybody",))
+        assert f"pip install 'topcli[{peer.name}]'" in missing(absent)
+        installed = {re.split("[<>=]", requirement)[0] for requirement in extras[peer.name]}
+        assert set(peer.requires) - {"numba"} <= installed
+        assert peer.name in extras["peers"][0]
+
+
+def test_make_bench_keeps_the_log_of_an_installation(tmp_path: Path) -> None:
+    """A peer that cannot be built costs one line that names the log."""
+    make = shutil.which("make")
+    if make is None:
+        pytest.skip("no make here")
+    recipe = (ROOT / "Makefile").read_text(encoding="utf-8").split("$(VENV)/.installed-peers:")[1].split("\n\n")[0]
+    body = recipe.split("\n", 1)[1]
+    (tmp_path / "Makefile").write_text(f"VENV := venv\nPYTHON := python3\npeers:\n{body}\n")
+    (tmp_path / "venv").mkdir()
+    (tmp_path / "install.sh").write_text('case "$2" in *diffrax*) seq 200; seq 200 >&2; exit 1;; esac; echo fine\n')
+    done = subprocess.run(
+        [make, "--no-print-directory", "peers"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={name: value for name, value in os.environ.items() if not name.startswith("MAKE")},
+    )
+    assert done.returncode == 0
+    assert done.stdout == ""
+    assert done.stderr.splitlines() == [
+        "diffrax could not be installed (see venv/install-diffrax.log); topcli bench runs without it"
+    ]
+    assert len((tmp_path / "venv" / "install-diffrax.log").read_text().splitlines()) == 400

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from conftest import ROOT
-from shown import cells_of, cells_under
+from shown import cells_of
 from topcli.errors import RunError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import MadeFigure, NothingMeasuredError, Request, make_figure
@@ -53,71 +52,22 @@ def build(top, options):
 pytestmark = pytest.mark.usefixtures("own_registry")
 
 
-def test_table_and_json_agree(cli) -> None:
+def test_trials_are_printed_counted_and_given_as_json(cli) -> None:
     asked = ("stress", "hk", "DG4", "--top", "kowalevski", "--case", "huge", "--case", "pole")
     said = cli(*asked)
     assert said.code == 0
-    assert "broke at step 8" in said.out
-    assert "declared limit" in said.out
-    assert "3 held" in said.err
-    document = json.loads(cli(*asked, "--json").out)
-    assert (document["command"], document["schema_version"]) == ("stress", 1)
-    assert {
-        (one["scheme"], one["case"]): (one["outcome"], one["step"], one["verdict"]) for one in document["trials"]
-    } == {
-        ("dg4", "pole"): ("held", None, "ok"),
-        ("dg4", "huge"): ("broke", 8, "limit"),
-        ("hk", "pole"): ("held", None, "ok"),
-        ("hk", "huge"): ("held", None, "ok"),
-    }
-    assert document["trials"][0]["counters"].keys()
-    assert document["files"] == []
+    assert ["dg4", "kowalevski", "huge", "broke at step 8"] in [cells_of(line)[:4] for line in said.out.splitlines()]
+    assert "3 held, 1 broke; 1 of the failures are declared limits" in said.err
+    document = cli(*asked, "--json").json()
+    keys = ("scheme", "case", "outcome", "step", "verdict")
+    assert [tuple(one[key] for key in keys) for one in document["trials"]] == [
+        ("hk", "huge", "held", None, "ok"),
+        ("hk", "pole", "held", None, "ok"),
+        ("dg4", "huge", "broke", 8, "limit"),
+        ("dg4", "pole", "held", None, "ok"),
+    ]
+    assert (document["outcomes"], document["files"]) == ({"held": 3, "broke": 1}, [])
     assert not Path("results").exists()
-
-
-@pytest.mark.slow
-def test_grid_shows_several_schemes(cli) -> None:
-    asked = ("stress", "--top", "euler", "--case", "spherical", "--case", "one-step", "--case", "backwards")
-    said = cli(*asked, "--verbose")
-    trials = cli(*asked, "--json").json()["trials"]
-    assert (said.code, len(trials) > 40) == (0, True)
-    header, *lines = said.out.splitlines()
-    for line, one in zip(lines, trials, strict=True):
-        outcome = one["outcome"] if one["step"] is None else f"{one['outcome']} at step {one['step']}"
-        assert cells_under(header, line)[:4] == [one["scheme"], one["top"], one["case"], outcome]
-    grid = cli("stress", "rk2", "rk4", "hk", "midpoint", "--top", "euler", "--case", "resonance", "--case", "huge",
-               "--case", "denormal", "--case", "one-step", "--case", "backwards", "--case", "spherical")  # fmt: skip
-    assert grid.code == 0
-    assert "· held   o degraded   X broke" in grid.out
-    (numbers,) = {line.strip() for line in grid.out.splitlines() if "1=" in line}
-    at = {case: int(number) for number, case in (one.split("=") for one in numbers.split(", "))}
-    first, *rows = grid.out.splitlines()[: grid.out.splitlines().index("")]
-    marks = {cells_of(row)[0]: cells_under(first, row) for row in rows if cells_of(row)[0] in ("rk2", "rk4", "hk")}
-    broken = {name: {case for case, number in at.items() if cells[number] == "X"} for name, cells in marks.items()}
-    assert broken == {"rk2": {"resonance"}, "rk4": {"resonance"}, "hk": set()}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["dg5"], "did you mean 'dg4'?"),
-        (["--case", "dleone"], "did you mean 'delone'?"),
-        (["--top", "kovalevski"], "did you mean 'kowalevski'?"),
-        (["bs", "--case", "delone"], "none of the schemes bs has one of the cases"),
-        (["hk-exact", "--top", "kowalevski"], "it fits euler"),
-        (["hk", "--set", "h=3"], "scheme.KEY=VALUE"),
-        (["hybrid", "--set", "scheme.brunch=sign"], "did you mean 'branch'?"),
-        (["hybrid", "--case", "pole", "--set", "scheme.branch=odd"], "nearest"),
-        (["--case", "sleeping", "--top", "euler"], "no such case for euler"),
-        (["hk+suzuki5"], "did you mean 'suzuki4'?"),
-    ],
-)
-def test_wrong_usage_of_stress_is_refused(cli, arguments: list[str], message: str) -> None:
-    said = cli("stress", *arguments)
-    assert said.code == 2
-    assert message in said.err
-    assert len(said.err.strip().splitlines()) <= 2
 
 
 def test_undeclared_break_exits_with_4(cli) -> None:
@@ -205,8 +155,6 @@ def test_the_study_is_stored_whole(study: dict, tmp_path: Path) -> None:
 def test_the_stored_study_is_drawn_and_not_run_again(
     study: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from PIL import Image
-
     def never(**options: object) -> None:
         raise AssertionError("run again")
 
@@ -222,11 +170,6 @@ def test_the_stored_study_is_drawn_and_not_run_again(
     assert made(stored_only=True, force=True).status == "drawn"
     with pytest.raises(AssertionError, match="run again"):
         made(force=True)
-    with Image.open(tmp_path / "figures" / "stress.png") as image:
-        pixels = np.asarray(image.convert("L"), dtype=float)
-    assert (pixels[:3] > 250).all()
-    grey = [round(255.0 * value) for value in (0.91, 0.70, 0.21)]
-    assert all((np.abs(pixels - value) < 8).mean() > 0.005 for value in grey)  # all three outcomes, apart in grey
     table = pq.read_table(tmp_path / "figures" / "stress.parquet")
     names = json.loads(table.schema.metadata[b"topcli.names"])
     outcomes = [names["outcome"][int(value)] for value in table.column("outcome").to_numpy()]

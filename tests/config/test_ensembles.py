@@ -1,4 +1,4 @@
-"""Seeded random initial states: the laws they follow, and energies to round-off."""
+"""The section ``ensemble`` of a config: what it means, and the laws and energies of its random draws."""
 
 from __future__ import annotations
 
@@ -10,16 +10,117 @@ from typing import Any
 import numpy as np
 import pytest
 
+from config_texts import CONFIGS, ENSEMBLES, PLAIN, refusal, write
+from json_schema import fits
 from scheme_files import loaded_file
-from test_config_schema import fits
-from test_ensemble_config import BASE, ensemble, loaded, states
 from topcli.analysis.columns import step_of_leaving
 from topcli.config.draws import Drawn
-from topcli.config.ensemble import Combined
+from topcli.config.ensemble import Combined, EnsembleExperiment
+from topcli.config.load import load, load_experiment
 from topcli.config.schema import config_schema
 from topcli.contracts import Array, Top
 from topcli.errors import ConfigError
 from topcli.tops import TOPS
+
+
+def ensemble(**section: Any) -> EnsembleExperiment:
+    return loaded({**PLAIN, "ensemble": section})
+
+
+def loaded(data: dict[str, Any]) -> EnsembleExperiment:
+    found = load(data)
+    assert isinstance(found, EnsembleExperiment)
+    return found
+
+
+def states(found: EnsembleExperiment) -> np.ndarray:
+    return np.concatenate([group.states for group in found.members.groups])
+
+
+def same(one: EnsembleExperiment, other: EnsembleExperiment) -> bool:
+    return one.digest == other.digest and np.array_equal(states(one), states(other))
+
+
+@pytest.mark.parametrize("path", ENSEMBLES, ids=lambda path: path.name)
+def test_the_shipped_ensembles_round_trip(path: Path, tmp_path: Path) -> None:
+    found = load(path)
+    assert isinstance(found, EnsembleExperiment)
+    assert found.name == path.stem
+    assert same(found, loaded(found.resolved()))
+    again = load(write(tmp_path, found.to_yaml(), "again.yaml"))
+    assert isinstance(again, EnsembleExperiment)
+    assert same(found, again)
+    assert fits(config_schema(), found.resolved())
+    assert found.member(found.count - 1).y0 == tuple(states(found)[-1])
+    with pytest.raises(IndexError):
+        found.member(found.count)
+    assert "ensemble: this is an ensemble of" in refusal(path)
+    with pytest.raises(ConfigError, match="simulate_ensemble"):
+        load_experiment(path)
+
+
+def test_list_of_states_is_completed_from_initial() -> None:
+    found = ensemble(states=[{"omega": [1, 2, 3]}, {"gamma": [0, "-auto", 0.6]}, {}])
+    paper = (math.sqrt(1 - 1e-6), 0.0, 1e-3)
+    assert states(found).tolist() == [[1, 2, 3, *paper], [2, 0, 0, 0, -0.8, 0.6], [2, 0, 0, *paper]]
+    assert same(found, loaded(found.resolved()))
+
+
+def test_a_grid_is_a_product_in_the_order_of_the_components() -> None:
+    spaced = {"from": -1, "to": 1, "count": 3}
+    found = ensemble(grid={"gamma3": [0.6, 0.8], "omega2": spaced, "top.c0": [1, 2], "omega1": [5, 4]})
+    assert [group.top.model_dump()["c0"] for group in found.members.groups] == [1.0, 2.0]
+    wanted = [
+        (a, b, 0.0, math.sqrt(1 - c * c), 0.0, c) for a, b, c in itertools.product((5, 4), (-1, 0, 1), (0.6, 0.8))
+    ]
+    for group in found.members.groups:
+        assert np.allclose(group.states, wanted, rtol=0, atol=1e-16)
+    assert found.count == 24
+    assert found.member(12).top == found.members.groups[1].top
+    reordered = ensemble(grid=dict(reversed(found.resolved()["ensemble"]["grid"].items())))
+    assert same(found, reordered)
+    assert same(found, loaded(found.resolved()))
+
+
+def test_a_grid_over_a_whole_vector_needs_no_initial_one() -> None:
+    axes = {f"omega{i}": [0.1, 0.2] for i in (1, 2, 3)}
+    found = loaded({**PLAIN, "top": "euler", "initial": {}, "ensemble": {"grid": axes}})
+    assert states(found).tolist() == [list(x) for x in itertools.product((0.1, 0.2), repeat=3)]
+
+
+def test_overrides_reach_the_section() -> None:
+    path = CONFIGS / "kowalevski_ensemble.yaml"
+    found = load(path, ["ensemble.random.seed=9", "ensemble.store=final", "ensemble.random.count=4"])
+    assert isinstance(found, EnsembleExperiment)
+    assert (found.count, found.rows) == (4, 4)
+    assert found.resolved()["ensemble"]["random"]["seed"] == 9
+
+
+@pytest.mark.parametrize(
+    ("top", "random", "form"),
+    [
+        ("lagrange", {"m": {"sphere": 2}, "a": "sphere"}, "lagrange/inertial"),
+        ("euler", {"omega": {"energy": 2}, "gamma": "sphere"}, "euler+gamma"),
+    ],
+)
+def test_random_vectors_decide_the_form_of_a_top(top: str, random: dict[str, Any], form: str) -> None:
+    section = {"random": {"count": 5, **random}}
+    assert loaded({**PLAIN, "top": top, "initial": {}, "scheme": "bs", "ensemble": section}).top.form == form
+
+
+@pytest.mark.parametrize("number", [math.inf, math.nan, 2**1024 - 1], ids=["inf", "nan", "too large"])
+@pytest.mark.parametrize(
+    "section",
+    [{"grid": {"omega1": [0.5]}}, {"states": [{"omega": [1, 0, 0]}]}, {"random": {"count": 2, "omega": {"sphere": 1}}}],
+    ids=["grid", "states", "random"],
+)
+def test_numbers_that_are_replaced_are_finite_too(section: Any, number: float) -> None:
+    initial = {"omega": [number, 0, 0], "gamma": [0, 0, 1]}
+    with pytest.raises(ConfigError, match=r"initial\.omega: must hold finite numbers, not (inf|nan)"):
+        load({**PLAIN, "initial": initial, "ensemble": section})
+
+
+# random draws
 
 
 def test_draws_are_those_of_the_seed() -> None:
@@ -88,7 +189,7 @@ def test_energies_are_exact(form: str) -> None:
     top = cls.new()
     moving = next(name for name in cls.vectors if name not in cls.unit_vectors)
     random = {"count": 20_000, moving: {"energy": 3.5}, **dict.fromkeys(cls.unit_vectors, "sphere")}
-    data = {**BASE, "top": cls.kind, "scheme": "rk4", "initial": {}, "ensemble": {"random": random}}
+    data = {**PLAIN, "top": cls.kind, "scheme": "rk4", "initial": {}, "ensemble": {"random": random}}
     drawn = states(loaded(data))
     energy, scale = body_energy(top, drawn)
     assert (np.abs(energy - 3.5) <= 4 * np.finfo(float).eps * (scale + 3.5)).all()
@@ -141,7 +242,7 @@ def test_the_energy_of_a_top_is_the_invariant_that_it_names(tmp_path: Path) -> N
 
     def asked(kind: str) -> dict[str, Any]:
         random = {"count": 200, "gamma": "sphere", "omega": {"energy": 3.5}}
-        return {**BASE, "top": kind, "scheme": "rk4", "initial": {}, "ensemble": {"random": random}}
+        return {**PLAIN, "top": kind, "scheme": "rk4", "initial": {}, "ensemble": {"random": random}}
 
     (tmp_path / "tops.py").write_text(OWN_TOPS)
     with loaded_file(tmp_path / "tops.py"):

@@ -1,0 +1,354 @@
+"""Commands through their real entry point: what they print, what they write, how they leave."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from conftest import ROOT, Said
+from injected import topcli_process
+from topcli import __version__
+from topcli.__main__ import main
+from topcli.cli import options
+from topcli.config.load import load_named
+from topcli.engine.loop import Run
+from topcli.schemes.compose import COMPOSITIONS
+
+HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
+HYBRID = str(ROOT / "configs" / "kowalevski_hybrid.yaml")
+
+
+def imported_by(tmp_path: Path, *arguments: str, after: str = "") -> list[str]:
+    """Modules that a command imports in a process of its own, which runs the statement ``after`` at the end."""
+    code = (
+        f"import atexit, subprocess, sys; sys.argv = ['topcli', *{arguments!r}]\n"
+        "started, init = [], subprocess.Popen.__init__\n"
+        "def noted(self, args, *more, **options): started.append(args[0]); init(self, args, *more, **options)\n"
+        "subprocess.Popen.__init__ = noted\n"
+        "from topcli.__main__ import main\n"
+        f"def report(): {after or 'pass'}; print(*sys.modules, sep='\\n')\n"
+        "atexit.register(report); main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    return done.stdout.splitlines()
+
+
+HEAVY = {"numba", "scipy", "pandas", "matplotlib", "numpy.polynomial", "rich"}
+
+
+def test_help_imports_no_heavy_package(tmp_path: Path) -> None:
+    assert not {*HEAVY, "numpy", "pyarrow", "pydantic", "ruamel.yaml"} & set(imported_by(tmp_path, "--help"))
+
+
+@pytest.mark.slow
+def test_warm_run_is_light(tmp_path: Path) -> None:
+    """A run whose machine code is known imports neither the compiler nor pandas nor SciPy, nor what others need.
+
+    It starts one process, which asks for the commit, and looks for no plugins of pydantic.
+    """
+    topcli_process("run", HYBRID, "--set", "N=10", cwd=tmp_path)
+    looks = "from pydantic.plugin import _loader; print(set(started) <= {'git'}, _loader._plugins)"
+    found = imported_by(tmp_path, "run", "--force", "-q", "--set", "N=10", HYBRID, after=looks)
+    others = "cli.bench cli.inspect cli.plot cli.study config.ensemble studies.study tops.euler tops.lagrange"
+    assert not (HEAVY | {f"topcli.{name}" for name in others.split()}) & set(found)
+    assert found[0] == "True None"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", [(), ("--motion",)])
+def test_only_the_option_imports_the_closed_forms(option: tuple[str, ...], tmp_path: Path) -> None:
+    found = set(imported_by(tmp_path, "show", "kowalevski_generic_hk", *option))
+    assert len({"mpmath", "topcli.analysis.motion.of_top"} & found) == (2 if option else 0)
+    assert not {"matplotlib", "pandas"} & found
+
+
+def test_a_run_is_written_and_reported(cli, in_tmp: Path) -> None:
+    assert cli("--version").out == f"topcli {__version__}\n"
+    planned = cli("run", HYBRID, "--dry-run")
+    assert (planned.code, "50001 rows" in planned.out, list(in_tmp.iterdir())) == (0, True, [])
+    said = cli("run", HYBRID)
+    assert said.code == 0
+    assert "completed 50000 steps" in said.err
+    assert "verdict" in said.out
+    assert (in_tmp / "results" / "kowalevski_hybrid" / "manifest.json").is_file()
+    assert "up to date" in cli("run", HYBRID).err
+    assert "up to date" in cli("run", HYBRID, "--dry-run").out
+    assert cli("run", HYBRID, "--quiet") == Said(0, "", "")
+
+
+def test_several_runs_have_titles_and_one_document(cli) -> None:
+    titles = [line for line in cli("run", HK, HYBRID, "--set", "N=100").out.splitlines() if line[:1] == "k"]
+    document = cli("run", HK, HYBRID, "--set", "N=100", "--json").json()
+    assert document["schema_version"] == 1
+    names = [run["name"] for run in document["runs"]]
+    assert [name.partition("-")[0] for name in names] == ["kowalevski_hk", "kowalevski_hybrid"]
+    assert all(title.startswith(name) for title, name in zip(titles, names, strict=True))
+
+
+def test_one_failure_does_not_stop_the_other_runs(cli, in_tmp: Path) -> None:
+    said = cli("run", "nonsense.yaml", HK, "--set", "N=50")
+    assert said.code == 3
+    assert list((in_tmp / "results").glob("kowalevski_hk-??????"))
+    assert "1 of 2 runs succeeded; 1 failed" in said.err
+    said = cli("run", "nonsense.yaml", HYBRID, "--set", "N=50", "--fail-fast")
+    assert said.code == 2
+    assert not list((in_tmp / "results").glob("kowalevski_hybrid*"))
+
+
+@pytest.mark.parametrize(
+    "settings", [("h=1.0", "initial.omega=[1e200, 1e200, 1e200]"), ("h=1e155",)], ids=["motion", "square of h"]
+)
+def test_blow_up_is_reported_and_its_rows_kept(cli, in_tmp: Path, settings: tuple[str, ...]) -> None:
+    said = cli("run", HK, "--name", "far", "--set", "N=50", *(word for text in settings for word in ("--set", text)))
+    assert said.code == 1
+    assert "blew up at step 1 (t = 1" in said.err
+    report = json.loads((in_tmp / "results" / "far" / "report.json").read_text())
+    assert (report["outcome"], report["step"]) == ("blew_up", 1)
+    assert (in_tmp / "results" / "far" / "series.parquet").is_file()
+
+
+def test_another_experiment_of_a_name_is_told_by_the_keys_that_differ(cli) -> None:
+    words = ("run", HK, "--name", "same", "--set", "N=50")
+    assert cli(*words).code == 0
+    for more in ((), ("--dry-run",)):
+        said = cli(*words, "--set", "scheme=hybrid", "--set", "h=0.002", *more)
+        first, advice = said.err.splitlines()
+        assert said.code == 2
+        assert first.startswith("error: results/same: holds a different experiment (")
+        for text in ("scheme.name: hk there, hybrid here", "h: 0.001 there, 0.002 here"):
+            assert text in first
+        assert first.endswith("); nothing was written")
+        assert "digest" not in first
+        assert advice.startswith("choose another name with --name")
+    assert "the existing different run is renamed" in cli(*words, "--set", "h=0.1", "--dry-run", "--force").out
+
+
+def test_run_and_show_name_a_changed_run_by_its_digest(cli) -> None:
+    name = load_named("kowalevski_hk", ["h=0.01", "N=20"]).name
+    sets = ("--set", "h=0.01", "--set", "N=20")
+    said = cli("run", "kowalevski_hk", *sets)
+    assert f"{name}: completed 20 steps (t = 0.2) -> results/{name} (ran)" in said.err
+    assert f"-> results/{name} (rewritten as csv)" in cli("run", "kowalevski_hk", *sets, "--format", "csv").err
+    assert cli("show", "kowalevski_hk", *sets, "--json").json()["config"]["name"] == name
+    shown = cli("show", "kowalevski_hk", *sets).out
+    Path("shown.yaml").write_text(shown)
+    assert cli("show", "shown.yaml").out == shown
+    assert f"{name}: will be rewritten as parquet" in cli("run", "shown.yaml", "--dry-run").out
+    assert sorted(path.name for path in Path("results").iterdir()) == [name]
+    stored = cli("show", f"results/{name}/config.yaml")
+    assert (stored.code, cli("show", f"results/{name}").out) == (0, stored.out)
+    assert "N: 20\n" in stored.out
+
+
+def test_init_writes_a_config_that_runs(cli, in_tmp: Path) -> None:
+    assert cli("init", "first.yaml").code == 0
+    text = (in_tmp / "first.yaml").read_text()
+    assert "yaml-language-server: $schema=topcli.schema.json" in text
+    schema = json.loads((in_tmp / "topcli.schema.json").read_text())
+    assert schema == cli("schema").json()
+    assert {"name", "top", "initial", "scheme", "h", "N", "output"} <= set(schema["properties"])
+    assert cli("run", "first.yaml", "--set", "N=100").code == 0
+    (in_tmp / "topcli.schema.json").write_text("mine")
+    assert cli("init", "second.yaml").code == 2
+    assert (in_tmp / "topcli.schema.json").read_text() == "mine"
+    assert not (in_tmp / "second.yaml").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["yaml", "yml", "toml"])
+def test_init_needs_no_scheme(cli, suffix: str) -> None:
+    assert cli("init", "--top", "euler", f"x.{suffix}").code == 0
+    assert cli("run", f"x.{suffix}", "--set", "N=5").code == 0
+
+
+@pytest.mark.slow
+def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
+    done = topcli_process("run", HK, "--name", "kowalevski_hk", "--set", "N=100", "--json", cwd=tmp_path)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["runs"][0]["outcome"] == "completed"
+    assert done.stderr == ""
+    done = topcli_process("run", HK, "--name", "kowalevski_hk", "--set", "N=100", cwd=tmp_path)
+    assert not {"\x1b", "━"} & set(done.stdout + done.stderr), "neither colours nor boxes in a pipe"
+
+
+@pytest.mark.slow
+def test_options_reach_every_scheme_that_has_them(cli) -> None:
+    said = cli("compare", "hk", "hybrid", "bohlin-a", "--set", "scheme.branch=sign", "--set", "N=100", "--json")
+    changed = {scheme["scheme"]: scheme["changed"] for scheme in said.json()["schemes"]}
+    assert changed == {"hk": {}, "hybrid": {"branch": "sign"}, "bohlin-a": {"branch": "sign"}}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "expected"), [("compare hy", "hybrid"), ("list schemes --top ko", "kowalevski")])
+def test_shell_completion(tmp_path: Path, words: str, expected: str) -> None:
+    asked = {"_TOPCLI_COMPLETE": "complete_bash", "COMP_WORDS": f"topcli {words}"}
+    done = subprocess.run(
+        [sys.executable, "-c", "from topcli.__main__ import main; main()"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, **asked, "COMP_CWORD": str(len(words.split()))},
+        check=False,
+    )
+    assert expected in done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("complete", "begin", "found"),
+    [
+        (options.complete_config, "kowalevski_hyb", ["kowalevski_hybrid", "kowalevski_hybrid_sym"]),
+        (options.complete_top, "lagr", ["lagrange", "lagrange/inertial"]),
+        (options.complete_figure, "work", ["work-precision"]),
+        (options.complete_scheme, "HK+k", ["hk+kahan-li6", "hk+kahan-li8"]),
+        (options.complete_scheme, "hk+", [f"hk+{name}" for name in COMPOSITIONS]),
+        (options.complete_scheme, "hybrid+", []),
+        (options.complete_scheme, "hk-e", ["hk-exact"]),
+    ],
+)
+def test_names_are_completed(complete, begin: str, found: list[str], in_tmp: Path) -> None:
+    assert [name for name in complete(begin) if name in found] == found
+    assert all(name.startswith(begin.lower()) for name in complete(begin))
+    assert found or not complete(begin)
+
+
+def test_errors_about_files_are_not_about_stdout(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(**options: object) -> None:
+        raise OSError(13, "Permission denied", "some/folder")
+
+    monkeypatch.setattr("topcli.cli.app.app", fails)
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    assert leaving.value.code == 1
+    assert capsys.readouterr().err == "error: some/folder: permission denied\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--out", "x" * 300),
+        ("--out", "/".join(["y" * 200] * 30)),
+        ("--resume", "--out", "x" * 300),
+        ("--out", "locked/r"),
+    ],
+    ids=["name", "path", "resume", "permission"],
+)
+def test_impossible_output_folder_is_refused_before_computing(
+    cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    (in_tmp / "locked").mkdir()
+    if arguments[-1] == "locked/r":
+        stat = os.stat
+
+        def denied(path: Any, *rest: Any, **options: Any) -> os.stat_result:
+            if "locked/r" in str(path):
+                raise PermissionError(13, "Permission denied", str(path))
+            return stat(path, *rest, **options)
+
+        monkeypatch.setattr(os, "stat", denied)  # the tests may run as root, whom nothing is denied
+    monkeypatch.setattr(Run, "__iter__", None)
+    said = cli("run", "kowalevski_hk", "--set", "N=5", *arguments)
+    assert said.code == 2
+    assert "nothing was written" in said.err
+    assert "--out" in said.err
+    assert len(said.err) < 1000
+
+
+def test_windows_is_refused_at_once_naming_wsl(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("topcli.__main__.os.name", "nt")
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    monkeypatch.undo()
+    assert leaving.value.code == 2
+    err = capsys.readouterr().err
+    assert "WSL" in err
+    assert len(err.splitlines()) == 1
+
+
+# motions and foreign series
+
+
+def test_infinite_periods_are_shown(cli: Callable[..., Said]) -> None:
+    arguments = ("show", "euler_tennis_racket", "--motion", "--set", "top.A=6", "--set", "top.B=4", "--set", "top.C=3")
+    arguments += ("--set", "initial.omega=[0.5, 0.25, 1]")
+    text = cli(*arguments).out
+    assert any(line.split()[:2] == ["period", "∞"] for line in text.splitlines())
+    assert cli(*arguments, "--json").json()["motion"]["quantities"]["period"] is None
+
+
+def test_a_heavy_top_says_that_it_has_no_closed_form(cli: Callable[..., Said]) -> None:
+    text = cli("show", "heavy_chaotic", "--motion").out
+    assert text.splitlines()[0] == "heavy_chaotic: no closed form is known for a top with these parameters"
+    assert [line.split()[0] for line in text.splitlines()[2:]] == ["gamma_sq", "m_gamma", "energy"]
+
+
+HEADER = "time,w_x,w_y,w_z"
+
+COLUMNS = "t=time,omega1=w_x,omega2=w_y,omega3=w_z"
+
+
+def spin(path: str, omega3: np.ndarray) -> np.ndarray:
+    """Write a rotation about the third axis of ``euler_hk``; return the times."""
+    t = np.linspace(0.0, 10.0, len(omega3)) ** 1.1
+    zero = np.zeros(len(t))
+    np.savetxt(path, np.column_stack([t, zero, zero, omega3]), delimiter=",", header=HEADER, comments="")
+    return t
+
+
+@pytest.mark.slow
+def test_a_csv_file_is_analysed_and_drawn(cli: Callable[..., Any]) -> None:
+    t = spin("mine.csv", 1.3 + 1e-6 * np.linspace(0.0, 1.0, 200))
+    command = ("analyse", "mine.csv", "--config", "euler_hk", "--columns", COLUMNS, "--plot", "--out", "pictures")
+    said = cli(*command, "--json")
+    found = said.json()
+    assert (said.code, said.err) == (0, "")
+    assert (found["command"], found["file"], found["rows"]) == ("analyse", "mine.csv", 200)
+    assert found["max_error"] == pytest.approx(1e-6, rel=1e-6)
+    assert found["files"] == [f"pictures/analyse_euler_hk_mine.{suffix}" for suffix in ("png", "pdf", "parquet")]
+    drawn = pq.read_table(found["files"][-1])
+    np.testing.assert_allclose(drawn.column("t").to_numpy(), t, rtol=1e-15)
+    assert drawn.column("error").to_numpy()[-1] == found["end_error"]
+    assert all(Path(file).is_file() for file in found["files"])
+    plain = cli(*command)
+    assert plain.err.splitlines() == [f"wrote {file}" for file in found["files"]]
+    assert "the first row" in plain.out
+
+
+def test_what_the_tables_leave_out_is_said(cli: Callable[..., Any]) -> None:
+    spin("mine.csv", np.append(np.full(20, 1.3), 1e4))
+    said = cli("analyse", "mine.csv", "--config", "euler_hk", "--columns", COLUMNS, "--set", "top.A=3")
+    assert said.code == 0
+    assert "mine.csv" in said.out.splitlines()[0]
+    cli("run", "euler_gamma", "--set", "N=50", "--name", "euler_gamma", "--quiet")
+    said = cli("analyse", "results/euler_gamma/series.parquet", "--config", "euler_hk")
+    assert said.err == "not read: gamma1, gamma2, gamma3; the config's initial state has no such components\n"
+    cli("run", "heavy_rk4", "--set", "N=50", "--name", "heavy_rk4", "--quiet", "--format", "csv")
+    lines = Path("results/heavy_rk4/series.csv").read_text().splitlines()
+    names = lines[0].split(",")
+    cells = lines[-1].split(",")
+    cells[names.index("omega2")] = "1e5"
+    Path("left.csv").write_text("\n".join([*lines[:-1], ",".join(cells), ""]))
+    said = cli("analyse", "left.csv", "--config", "heavy_rk4")
+    t = cells[names.index("t")]
+    assert said.err == f"warning: left.csv: far off its energy surface at row 51 (t = {float(t):.6g})\n"
+
+
+def test_a_missing_reference_is_said_and_shown(cli: Callable[..., Any]) -> None:
+    Path("far.csv").write_text("t,omega1,omega2,omega3\n0,0,0,1.3\n1e12,0,0,1.3\n")
+    said = cli("analyse", "far.csv", "--config", "euler_hk")
+    assert said.code == 0
+    assert said.err.startswith("warning: no error: the reference would need at least 5e+11 Taylor steps ")
+    shown = {line[:18].strip(): line[18:].strip() for line in said.out.splitlines()}
+    assert (shown["reference from"], shown["max error"], shown["error at the end"]) == ("none", "–", "–")

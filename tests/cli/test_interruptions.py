@@ -1,0 +1,233 @@
+"""Commands that are stopped, killed or resumed, closed pipes and full disks; and progress meanwhile."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from conftest import ROOT
+from injected import Operations, command_in_fork, signal_to_self, topcli_process
+from topcli.cli.output import ProgressDisplay, spell_seconds
+from topcli.store.manifest import stored_runs
+from topcli.store.series import read_series
+
+HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
+SWEEP = """\
+base: {top: kowalevski, initial: {omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}, scheme: hk, N: 50}
+grid:
+  h: {from: 1e-9, to: 1e-8, count: 40}
+measure: [deviation.energy]
+"""
+STOPS = [signal.SIGINT, signal.SIGTERM]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [*STOPS, signal.SIGKILL])
+def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> None:
+    """What a signal at the third checkpoint leaves is continued to the end of a run that was never stopped."""
+    steps = ["--set", "N=12000000", "--set", "output.every=50000", "--checkpoint-every", "0"]
+    arguments = ["run", HK, "--name", "long", *steps]
+    at_a_checkpoint = Operations(tmp_path, 3, signal_to_self(number), names=["replace"], only="checkpoint")
+    said = command_in_fork(arguments, tmp_path, at_a_checkpoint)
+    if number != signal.SIGKILL:
+        assert said.code == 130, said.err
+        assert "--resume continues it" in said.err
+        assert "Traceback" not in said.err
+        manifest = json.loads((tmp_path / "results" / "long" / "manifest.json").read_text())
+        assert manifest["outcome"] == "interrupted"
+        assert 0 < manifest["step"] < 12_000_000
+    else:
+        assert said.code == -signal.SIGKILL
+        planned = topcli_process(*arguments, "--resume", "--dry-run", cwd=tmp_path)
+        assert "will continue from step" in planned.stdout
+    again = topcli_process(*arguments, "--resume", "--json", cwd=tmp_path)
+    assert "continues from step" in again.stderr
+    whole = topcli_process(*arguments, "--out", "whole", "--json", cwd=tmp_path)
+    reports = [json.loads(done.stdout)["runs"][0] for done in (whole, again)]
+    assert [report["status"] for report in reports] == ["ran", "resumed"]
+    for report in reports:
+        del report["seconds"], report["status"], report["folder"]
+    assert reports[0] == reports[1]
+    series = [tmp_path / out / "long" / "series.parquet" for out in ("whole", "results")]
+    assert series[0].read_bytes() == series[1].read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", STOPS)
+@pytest.mark.parametrize("kind", ["run", "ensemble", "sweep"])
+def test_a_signal_after_the_last_step_changes_nothing(tmp_path: Path, number: signal.Signals, kind: str) -> None:
+    """The result is complete, and says so: nothing is left that could be continued."""
+    (tmp_path / "one.yaml").write_text(SWEEP)
+    many = ["--set", "ensemble={random: {count: 3, gamma: sphere}}"] if kind == "ensemble" else []
+    run = ["run", HK, "--name", "one", "--set", "N=500", *many]
+    command, last = (["sweep", "one.yaml"], ".rows") if kind == "sweep" else (run, ".manifest")
+    late = Operations(tmp_path, 1, signal_to_self(number), names=["replace"], only=last)
+    said = command_in_fork(command, tmp_path, late)
+    assert said.code == 0, said.err
+    assert "interrupted" not in said.err
+    assert (tmp_path / "results" / "one" / "manifest.json").exists()
+    again = topcli_process(*command, cwd=tmp_path)
+    assert ("(0 ran)" if kind == "sweep" else "up to date") in again.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", STOPS)
+def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli, in_tmp: Path, number: signal.Signals) -> None:
+    """A signal when the second of four batches is stored: at most the third one is finished."""
+    (in_tmp / "study.yaml").write_text(SWEEP)
+    second = Operations(in_tmp, 2, signal_to_self(number), names=["pwrite"], only="journal")
+    said = command_in_fork(["sweep", "study.yaml", "--threads", "1"], in_tmp, second)
+    assert said.code == 130, said.err
+    assert "interrupted; run it again to continue" in said.err
+    done = pq.read_table("results/study/rows.parquet").num_rows
+    assert 0 < done <= 30
+    assert not Path("results/study/manifest.json").exists()
+    plan = cli("sweep", "study.yaml", "--dry-run", "--json").json()
+    assert (plan["done"], plan["new"]) == (done, 40 - done)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the file size the way Linux does")
+@pytest.mark.parametrize("suffix", ["parquet", "csv"])
+def test_a_file_that_may_not_grow_is_closed_and_readable(tmp_path: Path, suffix: str) -> None:
+    """The kernel itself refuses the write, in the second row group; the first is kept."""
+    room = 12_000_000 if suffix == "parquet" else 40_000_000
+    code = (
+        f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}));"
+        "from topcli.__main__ import main;"
+        f"sys.argv = ['topcli', 'run', {HK!r}, '--out', {str(tmp_path)!r}, '--format', {suffix!r}, '--quiet',"
+        "'--name', 'x', '--set', 'N=300000']; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert f"x/series.{suffix}: the file would exceed the size limit; the run up to step" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    (stored,) = stored_runs(tmp_path)
+    assert stored.manifest["outcome"] == "interrupted"
+    rows = read_series(stored.series)["n"]
+    assert (rows == np.arange(stored.manifest["step"] + 1)).all()
+    assert len(rows) > 100_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_closed_pipe_does_not_change_the_code(tmp_path: Path, unbuffered: str, fails: bool) -> None:
+    """The reader is gone before anything is printed: the worst case of ``| head -1``. Both runs are finished."""
+    failing = ("--set", "scheme=rk4", "--set", "h=40", "--set", "initial.omega=[1e6, 1e6, 1e6]")
+    arguments = ("run", "kowalevski_hk", "kowalevski_hk", "--set", "N=50", *(failing if fails else ()))
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "topcli", *arguments],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+    )
+    os.close(write)
+    assert done.returncode == int(fails), done.stderr
+    (folder,) = (tmp_path / "results").iterdir()
+    assert done.stderr.count(f"{folder.name}: ") == (4 if fails else 2)
+    assert "error: standard output" not in done.stderr
+    assert "Traceback" not in done.stderr
+    assert (folder / "manifest.json").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_unusable_stdout_is_not_reported_as_a_bug(tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        done = topcli_process("show", HK, cwd=tmp_path, stdout=full)
+    assert done.returncode == 1
+    assert "cannot write to standard output" in done.stderr
+    assert "Traceback" not in done.stderr
+    done = topcli_process("run", HK, "--set", "N=50", cwd=tmp_path, env={"PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0, done.stderr
+
+
+# progress in a log
+
+
+class Clock:
+    """A clock that the test sets."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def shown_over(clock: Clock, display: ProgressDisplay, done: Iterator[int], total: int, note: str = "") -> None:
+    """Show the progress at each second."""
+    display.begin("long")
+    for second, count in enumerate(done):
+        clock.now = 1000.0 + second
+        display(count, total, note)
+
+
+def test_progress_in_a_log_is_sparse_and_tells_rate_and_time_left(clock: Clock, capsys) -> None:
+    hours, rate = 20, 50_000
+    total = rate * 3600 * hours + 1_000_000  # resumed: a million steps had been done before
+    steps = (1_000_000 + rate * second for second in range(3600 * hours))
+    shown_over(clock, ProgressDisplay(1, False, clock), steps, total)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "long: 0.0%, 1800000 of 3601000000 steps, 5e+04 steps/s, 19:59:44 h left"
+    assert len(lines) < 6 * hours + 40
+    assert lines[-1].endswith("min left")
+    assert "100.0%" not in lines[-1]
+
+
+def test_the_rate_follows_the_machine(clock: Clock, capsys) -> None:
+    """A machine that slows down: the time left follows from the last half minute."""
+    done = itertools.accumulate([1000] * 100 + [100] * 100)
+    shown_over(clock, ProgressDisplay(2, False, clock), done, 1_000_000)
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "[1/2] long: " in last
+    assert "100 steps/s" in last
+
+
+def test_progress_of_a_sweep_has_rows_and_failures(clock: Clock, capsys) -> None:
+    shown_over(clock, ProgressDisplay(1, False, clock, unit="rows"), iter(range(0, 101, 5)), 200, "4 failed")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "long: 40.0%, 80 of 200 rows, 5 rows/s, 24 s left, 4 failed"
+
+
+def test_progress_survives_a_terminal_that_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(line: str) -> None:
+        raise OSError(5, "Input/output error")
+
+    clock = Clock()
+    monkeypatch.setattr("topcli.cli.output.print_message", gone)
+    teller = ProgressDisplay(1, False, clock)
+    teller.begin("long")
+    clock.now += 100.0
+    teller(1, 10)
+    teller(2, 10)
+    teller.close()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "0 s"), (99, "99 s"), (185, "3:05 min"), (3600, "1:00:00 h"), (90_000, "25:00:00 h"), (300_000, "3 d 11 h")],
+)
+def test_durations_are_spelled_out(seconds: float, words: str) -> None:
+    assert spell_seconds(seconds) == words

@@ -1,0 +1,323 @@
+"""Mistakes in a command: exit code 2, up to three lines that say what is wrong and what to do, and nothing written."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cases import cases_of
+from conftest import ROOT, Said
+from documentation import read_page
+from stored_results import store_run, store_sweep
+from topcli.schemes import registry
+
+pytestmark = pytest.mark.slow
+
+Cli = Callable[..., Said]
+SWEEP = """\
+name: study
+base: {top: kowalevski, initial: {omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}, scheme: rk4, h: 0.01, N: 50}
+grid:
+  h: [0.01, 0.02]
+measure: [deviation.energy]
+"""
+SCHEME = """\
+import topcli
+@topcli.scheme({name}, top={top}, title="t", order=1, explicit=True, self_adjoint=True, citation="c", equations="e")
+def build(top, options):
+    {docstring}
+"""
+FILES = {
+    **read_page(ROOT / "docs" / "own-scheme.md").files(),
+    "study.yaml": SWEEP,
+    "file.txt": "x",
+    "none.json": "x",
+    "other.json": '{"command": "nothing"}',
+    "empty.py": "x = 1\n",
+    "taken.py": SCHEME.format(name="'hk'", top="'kowalevski'", docstring="'''One.'''"),
+    "misspelt.py": SCHEME.format(name="'my'", top="'kowalewski'", docstring="'''One.'''"),
+    "undocumented.py": SCHEME.format(name="'my'", top="'kowalevski'", docstring="pass"),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of a user, a stored run and a stored sweep."""
+    made = tmp_path_factory.mktemp("work")
+    for name, text in FILES.items():
+        (made / name).write_text(text)
+    store_run(made / "results", "mine", N=60)
+    store_sweep(made / "results", "swept")
+    (made / "bare").mkdir()
+    np.savetxt(made / "mine.csv", np.eye(4), delimiter=",", header="time,w_x,w_y,w_z", comments="")
+    return made
+
+
+@pytest.fixture
+def refused(cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], str]]:
+    """Message of a command in the folder, which must refuse."""
+
+    def call(command: str) -> str:
+        monkeypatch.chdir(folder)
+        before = sorted(folder.rglob("*"))
+        said = cli(*shlex.split(command))
+        assert (said.code, said.out) == (2, "")
+        assert said.err.startswith("error: ")
+        assert len(said.err.strip().splitlines()) <= 3
+        assert sorted(folder.rglob("*")) == before
+        return said.err
+
+    yield call
+    registry.unload_scheme_files()
+
+
+MISTAKES = """
+rnu
+    error: no such command 'rnu'; did you mean 'run'? (see topcli --help)
+run
+    error: missing argument 'CONFIG' (see topcli run --help)
+run kowalevski_hk --thread 2
+    error: no such option: --thread; did you mean --threads? (see topcli run --help)
+run kowalevski_hk --out
+    error: option '--out' requires an argument
+schema x
+    error: got unexpected extra argument(s) (x) (see topcli schema --help)
+run configs/nowhere.yaml
+    nowhere.yaml
+run kowalevski_hkk
+    kowalevski_hk
+run zzz
+    `topcli list scenes` lists them
+run results/mine
+    that of this run is results/mine/config.yaml
+run kowalevski_hk --set scheme=hkk
+    did you mean 'hk'
+run kowalevski_hk --set top.kind=kowalewski
+    kowalewski
+    kowalevski
+run kowalevski_hk --set name=figures
+    figures
+    pictures
+run kowalevski_hk --set h=0
+    h: must not be zero
+run kowalevski_hk --format xlsx
+    format
+    parquet
+run kowalevski_hk --resume --force
+    --resume continues a run and --force repeats it
+run kowalevski_hk --checkpoint-every nan
+    must be a number of seconds
+run kowalevski_hk --name ""
+    error: --name must not be empty
+run kowalevski_hk euler_hk --name ""
+    error: --name '': names one run, and 2 configs are given
+run kowalevski_hk --scheme-file nowhere.py
+    nowhere.py
+    no such file
+run kowalevski_hk --scheme-file empty.py
+    registers no scheme
+run kowalevski_hk --scheme-file taken.py
+    already registered by topcli
+run kowalevski_hk --scheme-file misspelt.py
+    did you mean 'kowalevski'
+run kowalevski_hk --scheme-file undocumented.py
+    has no docstring
+run rotor.yaml --scheme-file gyrostat.py --set scheme=dmv
+    use a scheme that needs the field alone, such as rk4
+compare hk hybird
+    unknown scheme 'hybird'; did you mean 'hybrid'
+compare hk HK
+    twice
+compare hk+suzuki4 HK+suzuki4
+    twice
+compare hk bohlin-a+suzuki4
+    not self-adjoint
+compare hk --set scheme=hybrid
+    scheme=hybrid
+    command line
+compare hk hybrid --set scheme.brunch=sign
+    brunch
+    branch
+compare hk kowalevski_hk
+    with: topcli compare hk hybrid --config kowalevski_hk
+compare results/mine/config.yaml
+    hk hybrid --config results/mine/config.yaml
+compare heun rk4 --config rotor.yaml --scheme-file gyrostat.py
+    not give; define euler_poisson()
+compare hk --plot --out file.txt
+    --out
+plot fig1 --out file.txt
+    --out
+plot
+    --all
+plot fig1 --all
+    either names of figures or --all
+plot fig9
+    unknown figure 'fig9'; did you mean 'fig4'
+plot fig1 --format gif
+    gif
+    png
+plot fig1 --configs nowhere
+    error: --configs nowhere: no such folder
+plot mine
+    is a run, not a figure; draw it with: topcli report results/mine --out mine.html
+plot results/mine
+    is a run, not a figure; draw it with: topcli report results/mine --out mine.html
+plot fig1 mine
+    'mine' is a run
+plot kowalevski_hk
+    is a config, not a figure; run it with `topcli run kowalevski_hk`
+plot swept
+    with: topcli plot sweep results/swept --x KEY --y MEASURE
+plot sweep swept
+    no sweep is stored here (rows.parquet is missing); did you mean results/swept?
+show mine
+    show its config with: topcli show results/mine
+show swept
+    show its config with: topcli show results/swept
+show FIG1
+    is a figure; draw it with: topcli plot fig1
+show kowalevski
+    is a top; see `topcli list schemes --top kowalevski`
+show hkk
+    did you mean 'hk'?
+show kowalevski_hkk
+    did you mean 'kowalevski_hk'
+show zzz
+    see `topcli list scenes` and `topcli list schemes`
+show kowalevski_hk --set scheme=hkk
+    unknown scheme 'hkk'; did you mean 'hk'?
+show kowalevski_ensemble --motion
+    this is an ensemble of 1000 trajectories, and a single one is needed here
+show study.yaml --motion
+    this is a sweep, and an experiment is needed here
+show . --motion
+    --motion: needs a single experiment, not a sweep
+show results
+    results: holds no sweep
+show results --row 0
+    results: holds no sweep
+show results/swept --row 6
+    has no row 6; its rows are 0 to 5
+show results/swept --row -1
+    has no row -1; its rows are 0 to 5
+list schemes --top kovalevski
+    kowalevski
+list runs --out nowhere
+    error: --out nowhere: no such folder
+init x.ini
+    x.ini
+    .yaml
+init study.yaml
+    exists already
+cite kowalewski
+    did you mean 'kowalevski'
+claims hybrid-reversable
+    unknown claim 'hybrid-reversable'; did you mean 'hybrid-reversible'
+claims qqq
+    topcli claims --fast lists the claims
+claims --json --markdown
+    exclude each other
+order heun --config rotor.yaml --scheme-file gyrostat.py
+    the reference needs its Euler-Poisson equations, which it does
+order heun --top gyrostat --scheme-file gyrostat.py
+    --top: no scene for the top 'gyrostat'; known: euler
+order hk --h 0.1,0.05
+    --h '0.1,0.05': must be one number; repeat the option for several: --h 0.1 --h 0.05
+order hk --h 0.1 --h "1e-2, 2e-2"
+    repeat the option for several: --h 0.1 --h 1e-2 --h 2e-2
+order hk --h fine
+    --h 'fine': must be one number; for example --h 0.1 --h 0.05
+stress dg5
+    did you mean 'dg4'?
+stress hk+suzuki5
+    did you mean 'suzuki4'?
+stress --case dleone
+    did you mean 'delone'?
+stress --top kovalevski
+    did you mean 'kowalevski'?
+stress bs --case delone
+    none of the schemes bs has one of the cases
+stress hk-exact --top kowalevski
+    it fits euler
+stress hk --set h=3
+    scheme.KEY=VALUE
+stress hybrid --set scheme.brunch=sign
+    did you mean 'branch'?
+stress hybrid --case pole --set scheme.branch=odd
+    nearest
+stress --case sleeping --top euler
+    no such case for euler
+stress heun --top gyrostat --scheme-file gyrostat.py
+    the top gyrostat has no hard cases; those with cases: euler, euler+gamma
+stress --top gyrostat --scheme-file gyrostat.py
+    the top gyrostat has no hard cases; those with cases: euler, euler+gamma
+stress heun --scheme-file gyrostat.py
+    none of the schemes heun has one of the cases; see topcli list cases
+analyse mine.csv --config euler_hk
+    mine.csv: no columns t, omega1, omega2, omega3; known: time, w_x, w_y, w_z; --columns t=COLUMN names it
+analyse mine.csv --config euler_hk --columns t=time,omega1=w_x,omega2=w_y,omega3=w_z,omega4=x
+    unknown name 'omega4'; did you mean
+analyse mine.csv --config euler_hk --steps 0
+    '--steps'
+analyse mine.csv --config euler_ensemble
+    ensemble
+sweep study.yaml --set measure=[deviation.l]
+    error: --set measure=[deviation.l]: measure: measure 'deviation.l'
+sweep study.yaml --dask local:2 --threads 3
+    error: --threads does not go with --dask: each worker has its own number
+sweep study.yaml --dask nowhere
+    error: --dask 'nowhere': neither a number of workers nor the address of a scheduler
+sweep study.yaml --time-limit -1
+    error: --time-limit -1: must be a number of seconds, at least 0
+sweep study.yaml --set "grid.h={from: 0.001, to: 0.01, count: 120000}"
+    error: study.yaml:3: 120000 rows; a sweep of more than 100000 needs --yes
+table swept --rows h --value error.max
+    no sweep is stored here (rows.parquet is missing); did you mean results/swept?
+table results/swpt --rows h --value error.max
+    error: results/swpt: no sweep is stored here (rows.parquet is missing); did you mean 'swept'?
+table results/swept --rows h --value error
+    error: --value: unknown measure 'error'; did you mean 'error.max'?
+table results/swept --rows schem --value error.max
+    error: --rows: unknown key 'schem'; did you mean 'scheme'?
+table results/swept --rows h --columns schemes --value error.max
+    error: --columns: unknown key 'schemes'; did you mean 'scheme'?
+table results/swept --rows h --value error.max --aggregate avg
+    error: --aggregate 'avg': unknown aggregate; known: max, mean, median, order
+table results/swept --rows h --value error.max --format latx
+    error: --format 'latx': unknown format; did you mean 'latex'?
+table results/swept --rows scheme --value error.max --where h=7
+    error: --where 'h=7': no row has this value; h is one of: 0.04, 0.02, 0.01
+table results/swept --rows h --value error.max
+    error: up to 2 values fall into one cell, because scheme still varies
+table results/swept --rows h --columns scheme --value error.max --out file.txt
+    exists already
+table results/swept --rows h --columns scheme --value error.max --out bare
+    --out
+report minee --out page.html
+    error: 'minee': no such file or folder, and no run of this name in results; did you mean 'mine'?
+report results --out page.html
+    error: results: no run, sweep or study is stored here; name what is in it, such as results/
+report bare --out page.html
+    error: bare: no run, sweep or study is stored here
+report file.txt --out page.html
+    error: file.txt: not a file that topcli report reads
+report none.json --out page.html
+    error: none.json: not JSON: Expecting value: line 1 column 1 (char 0)
+report other.json --out page.html
+    error: other.json: not a result that topcli report shows
+report mine --out page.pdf
+    error: --out page.pdf: unknown type of page; use a name ending in .html
+report mine --out bare --force
+    .html
+"""
+
+
+@pytest.mark.parametrize(("command", "messages"), cases_of(MISTAKES))
+def test_a_mistake_is_answered_in_words(refused: Callable[[str], str], command: str, messages: list[str]) -> None:
+    said = refused(command)
+    assert [message for message in messages if message not in said] == []
