@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from topcli.contracts import Block, Floats, Method, Sampler, Scheme, StepFunction, Stepper, Top
@@ -110,9 +111,12 @@ def composed_step(step: StepFunction, weights: tuple[float, ...]) -> StepFunctio
     stages could hide an infinity, or the nan of an iteration that did not converge.
     """
 
+    # an array, because numba checks the index of a tuple, and code that may raise cannot be loaded without numba
+    count, lengths = len(weights), np.array(weights)
+
     def composed(s: Floats, h: float, p: Floats) -> Floats:
-        for c in weights:
-            s = step(s, c * h, p)
+        for i in range(count):
+            s = step(s, float(lengths[i]) * h, p)
             broken = 0.0
             for x in s:
                 broken += x - x
