@@ -17,7 +17,7 @@ from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes
 from topcli.studies.scheme_page import schemes_page
 from topcli.studies.stress.cases import CASES
-from topcli.studies.stress.study import stored_stress, stress, stress_data, stress_source, write_stress
+from topcli.studies.stress.trials import stored_stress, stress, stress_data, stress_source, write_stress
 
 SCHEME = '''
 import topcli
@@ -161,7 +161,7 @@ def test_the_stored_study_is_drawn_and_not_run_again(
     def made(**options: bool) -> MadeFigure:
         return make_figure(FIGURES["stress"], Request(tmp_path, **options), tmp_path / "figures", ["png"])
 
-    monkeypatch.setattr("topcli.studies.stress.study.stress", never)
+    monkeypatch.setattr("topcli.studies.stress.trials.stress", never)
     with pytest.raises(NothingMeasuredError, match=r"no stress study in .*; topcli plot stress makes one"):
         made(stored_only=True)
     write_stress(study, tmp_path, stress_source())

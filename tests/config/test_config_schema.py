@@ -19,7 +19,7 @@ from topcli.config.text import parse_yaml
 from topcli.errors import TopcliError, UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import names_for
-from topcli.studies.lax import lax_experiment
+from topcli.studies.lax_checks import lax_experiment
 from topcli.tops import TOPS, top_class
 
 PAIRS = [(form, name) for form in TOPS for name in names_for(form)]

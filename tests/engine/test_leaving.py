@@ -25,7 +25,7 @@ from topcli.runs.run import run_experiment
 from topcli.runs.simulate import simulate, simulate_ensemble
 from topcli.schemes.registry import find_scheme
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, stays_bounded
-from topcli.studies.stress.study import tried
+from topcli.studies.stress.trials import tried
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

@@ -11,7 +11,7 @@ import pytest
 
 from conftest import ROOT
 from topcli.schemes.registry import all_schemes
-from topcli.studies.stress.study import chosen
+from topcli.studies.stress.trials import chosen
 
 pytestmark = pytest.mark.slow
 

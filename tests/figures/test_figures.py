@@ -33,12 +33,10 @@ from topcli.figures.scenes import scene_figure
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.runs.run import run_experiment
 from topcli.schemes.kowalevski import hk
-from topcli.studies import order as study_of_orders
-from topcli.studies import roundoff as study_of_roundoff
+from topcli.studies import copies, ladders
 from topcli.studies.bench import measure
 from topcli.studies.bench.result import pareto_front
-from topcli.studies.stress import checks
-from topcli.studies.stress import study as study_of_stress
+from topcli.studies.stress import checks, trials
 from topcli.sweeps import table
 from topcli.sweeps.rows import read_rows
 
@@ -215,12 +213,12 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
 HK_STEP = hk.hk_kowalevski_change
 SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
     "order": (
-        lambda: study_of_orders.order_source(study_of_orders.ladders(["hk", "rk4"])),
+        lambda: ladders.order_source(ladders.ladders(["hk", "rk4"])),
         [
             HK_STEP,
-            study_of_orders.order_study,
-            study_of_orders._row,
-            study_of_orders._Ladder.rungs,
+            ladders.order_study,
+            ladders._row,
+            ladders._Ladder.rungs,
             analysis_of_orders.convergence,
             analysis_of_orders.observed_order,
             measure.explore,
@@ -229,8 +227,8 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
         ],
     ),
     "stress": (
-        study_of_stress.stress_source,
-        [HK_STEP, study_of_stress.verdict_of, checks.keeps_order, checks.claim_violated],
+        trials.stress_source,
+        [HK_STEP, trials.verdict_of, checks.keeps_order, checks.claim_violated],
     ),
     "error-and-cost": (
         errors.study_source,
@@ -242,10 +240,10 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
             HK_STEP,
             growth.turned_step,
             growth.bs_change,
-            study_of_roundoff.sampling_of,
-            study_of_roundoff.copies_followed,
-            study_of_roundoff._followed,
-            study_of_roundoff._copies,
+            copies.sampling_of,
+            copies.copies_followed,
+            copies._followed,
+            copies._copies,
             roundoff.BlockMeans.add,
             roundoff.block_weights,
             roundoff.doubling_lags,
@@ -258,9 +256,7 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
 }
 """Digest of what each study depends on, and functions whose results are in its data."""
 CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
-    "order": [
-        (study_of_orders, name, value) for name, value in (("SECONDS", 6.0), ("INTERVALS", 21), ("DURATION", 11.0))
-    ],
+    "order": [(ladders, name, value) for name, value in (("SECONDS", 6.0), ("INTERVALS", 21), ("DURATION", 11.0))],
     "roundoff": [(growth, "STEPS", 1 << 18)],
     "integrable": [(growth, "ENERGY_H", 0.06), (growth, "ENERGY_STEPS", 1 << 19)],
     "torus-points": [(torus, "THICKNESS", 0.02)],

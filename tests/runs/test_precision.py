@@ -20,7 +20,7 @@ from topcli.errors import UsageError
 from topcli.runs.precise import PreciseTally, precise_run
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
-from topcli.studies.compare import compare_schemes
+from topcli.studies.comparison import compare_schemes
 
 EULER = ("precision=rational", "h=1/10", "N=12")
 

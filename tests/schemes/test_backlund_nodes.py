@@ -22,8 +22,8 @@ from topcli.schemes.kowalevski.backlund import BacklundOptions
 from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, lengths, longest_back, longest_composition
 from topcli.schemes.kowalevski.backlund_step import motion, substeps_of
 from topcli.schemes.registry import find_scheme
-from topcli.studies.roundoff import forms_of
-from topcli.studies.stress.study import stress
+from topcli.studies.copies import forms_of
+from topcli.studies.stress.trials import stress
 from topcli.tops.kowalevski import Kowalevski
 
 CONFIG = {"top": "kowalevski", "initial": {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}}

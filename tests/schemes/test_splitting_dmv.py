@@ -22,7 +22,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Top
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
-from topcli.studies.compare import compare_schemes
+from topcli.studies.comparison import compare_schemes
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy

@@ -11,8 +11,7 @@ import topcli
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.errors import UsageError
-from topcli.studies.compare import compare_schemes
-from topcli.studies.compare_ensemble import compare_ensemble
+from topcli.studies.comparison import compare_ensemble, compare_schemes
 from topcli.studies.entries import Entry, few_rows, read_entries
 from topcli.studies.study import Result
 

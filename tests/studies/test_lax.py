@@ -35,7 +35,7 @@ from topcli.errors import UsageError
 from topcli.schemes.any_top.hk_midpoint import midpoint
 from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, longest_step
 from topcli.schemes.registry import find_scheme
-from topcli.studies.lax import lax_experiment, lax_study
+from topcli.studies.lax_checks import lax_experiment, lax_study
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from twins_heavy import random_heavy_tops

@@ -29,7 +29,7 @@ from topcli.studies.stress.cases import (
     swing_time,
 )
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial
-from topcli.studies.stress.study import Judged, stress, verdict_of
+from topcli.studies.stress.trials import Judged, stress, verdict_of
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

@@ -23,7 +23,7 @@ from topcli.figures.figure import Request
 from topcli.figures.growth import SCHEMES
 from topcli.figures.picture import draw
 from topcli.studies.stress.cases import CASES
-from topcli.studies.stress.study import chosen
+from topcli.studies.stress.trials import chosen
 
 ORDERS = {"bohlin-a": 1, "bohlin-b": 1, "bohlin-c": 1, "rk4": 4, "hk+kahan-li6": 6, "hk+kahan-li8": 8}
 
@@ -53,7 +53,7 @@ def _orders(patch: pytest.MonkeyPatch, folder: Path) -> None:
         ]
         return {"schema_version": 1, "name": "kowalevski_generic_hk", "duration": 10.0, "schemes": rows}
 
-    patch.setattr("topcli.studies.order.order_study", study)
+    patch.setattr("topcli.studies.ladders.order_study", study)
 
 
 def _spaced(values: Any) -> list[Any]:

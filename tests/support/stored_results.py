@@ -9,9 +9,10 @@ from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.runs.run import run_experiment
-from topcli.studies.compare import COMPARE, compare_schemes
-from topcli.studies.order import ladders, order_study
-from topcli.studies.stress.study import stress, stress_data
+from topcli.studies.compare import COMPARE
+from topcli.studies.comparison import compare_schemes
+from topcli.studies.ladders import ladders, order_study
+from topcli.studies.stress.trials import stress, stress_data
 from topcli.sweeps.run import SweepOptions, run_sweep
 
 START = {"omega": [2, 0, 0], "gamma": ["auto", 0, 0.1]}

@@ -19,7 +19,7 @@ from topcli.engine.loop import Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError
 from topcli.runs.references import REFERENCES
-from topcli.studies.compare_ensemble import compare_ensemble
+from topcli.studies.comparison import compare_ensemble
 from topcli.sweeps.batch import BatchRecorder
 from topcli.sweeps.batch_run import BatchRun, evaluate
 from topcli.sweeps.measures import MEASURES, measure, resolve_measures

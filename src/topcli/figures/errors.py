@@ -27,7 +27,7 @@ from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
 from topcli.store.files import stored_study, write_study
 from topcli.store.provenance import environment
-from topcli.studies import order
+from topcli.studies import ladders
 from topcli.studies.bench.contest import Problem
 from topcli.studies.bench.measure import Effort, SchemeCompetitor, as_rows, explore, time_all
 from topcli.studies.entries import scheme_with
@@ -207,7 +207,7 @@ def loaded_order(result: Result) -> Loaded:
 
 def load_order(request: Request) -> Loaded:
     """Load the default study of ``topcli order``, run if it is missing, out of date or forced."""
-    what = order.ladders(())
-    source, stored = order.order_source(what), order.stored_order(request.results)
-    study = _current(stored, source, request, partial(order.order_study, what), order.FILE)
+    what = ladders.ladders(())
+    source, stored = ladders.order_source(what), ladders.stored_order(request.results)
+    study = _current(stored, source, request, partial(ladders.order_study, what), ladders.FILE)
     return loaded_order(Result(study, source=lambda: source))

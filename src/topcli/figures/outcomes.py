@@ -20,7 +20,7 @@ from topcli.figures.picture import Grid, below_panels
 from topcli.figures.style import Styles
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED
 from topcli.paper.ledger import ledger
-from topcli.studies.stress import study as stress_study
+from topcli.studies.stress import trials
 from topcli.studies.stress.study import UNEXPLAINED, known_top
 from topcli.studies.study import Result
 
@@ -156,17 +156,17 @@ class StressGrid(Grid):
 
 def _study(request: Request) -> tuple[dict[str, Any], str]:
     """The stress study and the digest of what it depends on; run if missing, out of date or forced."""
-    stored = stress_study.stored_stress(request.results)
+    stored = trials.stored_stress(request.results)
     if request.stored_only and stored is None:
         raise NothingMeasuredError(_missing("no stress study", request.results))
-    source = stress_study.stress_source()
+    source = trials.stress_source()
     current = stored is not None and stored.get("source") == source
     if stored is not None and current and (request.stored_only or not request.force):
         return stored, source
     if request.stored_only:
         raise NothingMeasuredError(_missing("only a stress study of other code", request.results))
-    study = stress_study.stress_data(stress_study.stress(on_progress=request.on_progress))
-    stress_study.write_stress(study, request.results, source)
+    study = trials.stress_data(trials.stress(on_progress=request.on_progress))
+    trials.write_stress(study, request.results, source)
     return study, source
 
 

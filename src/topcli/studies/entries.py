@@ -6,7 +6,7 @@ All entries cover the same time. Entries with different steps are compared at ti
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
@@ -21,10 +21,8 @@ from topcli.config.models import Experiment
 from topcli.config.ranges import steps_over
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
-from topcli.runs.references import EXACT
 from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import find_scheme
-from topcli.tops import TOPS, top_class
 
 STEP = "h"
 """Key of an entry's own step size; all other keys are options of its scheme."""
@@ -305,24 +303,3 @@ def _at_common_times(entries: Sequence[Entry], wanted: int) -> list[Entry]:
 def _divisors(number: int) -> list[int]:
     low = [divisor for divisor in range(1, math.isqrt(number) + 1) if number % divisor == 0]
     return low + [number // divisor for divisor in low]
-
-
-def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Top and scheme of each entry of a study, and of its reference if that is a scheme."""
-    reference = data.get("reference") or {}
-    names = [str(row["scheme"]).partition(":")[0] for row in data["schemes"]]
-    return parts_of(data["config"], [*names, *([EXACT] if reference.get("kind") == EXACT else [])])
-
-
-def parts_of(config: Mapping[str, Any], schemes: Iterable[str]) -> list[tuple[str, str]]:
-    """Form of the top of a resolved config, and each of the ``schemes``."""
-    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
-    return [(form, name) for name in schemes]
-
-
-def top_title(config: Mapping[str, Any]) -> str:
-    """Title of the top of a resolved config, or its name if there is no such top."""
-    kind = config["top"]["kind"]
-    known = [top for top in TOPS.values() if top.kind == kind]
-    fits = [top for top in known if set(top.vectors) == set(config["initial"])]
-    return (fits or known)[0].title if known else str(kind)

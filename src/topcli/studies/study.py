@@ -219,3 +219,30 @@ def stored_result(data: Data) -> Result:
     series = data.get("series")
     columns = series if isinstance(series, dict) else {}
     return Result(data, {name: np.array(values, dtype=float) for name, values in columns.items()})
+
+
+def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Top and scheme of each entry of a study, and of its reference if that is a scheme."""
+    from topcli.runs.references import EXACT
+
+    reference = data.get("reference") or {}
+    names = [str(row["scheme"]).partition(":")[0] for row in data["schemes"]]
+    return parts_of(data["config"], [*names, *([EXACT] if reference.get("kind") == EXACT else [])])
+
+
+def parts_of(config: Mapping[str, Any], schemes: Iterable[str]) -> list[tuple[str, str]]:
+    """Form of the top of a resolved config, and each of the ``schemes``."""
+    from topcli.tops import top_class
+
+    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
+    return [(form, name) for name in schemes]
+
+
+def top_title(config: Mapping[str, Any]) -> str:
+    """Title of the top of a resolved config, or its name if there is no such top."""
+    from topcli.tops import TOPS
+
+    kind = config["top"]["kind"]
+    known = [top for top in TOPS.values() if top.kind == kind]
+    fits = [top for top in known if set(top.vectors) == set(config["initial"])]
+    return (fits or known)[0].title if known else str(kind)

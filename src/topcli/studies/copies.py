@@ -1,0 +1,270 @@
+"""Copies of a run whose invariants show how round-off grows, with plain and with compensated sums.
+
+If a scheme claims no exact invariant, like HK for Kowalevski's top, those of the top are followed by means over long
+windows, which remove their quasi-periodic oscillations. The remaining part that is common to all copies of a run is the
+motion of the exact map, most accurate with compensated sums; the deviations of the copies from it are round-off.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.columns import EnergyWatch
+from topcli.analysis.roundoff import MIN_BLOCKS, BlockMeans, growth
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Ending, Invariant, Outcome, Sampler
+from topcli.engine.loop import Run, nanoseconds_per_step
+from topcli.errors import ConfigError, UsageError
+from topcli.runs.report import finite
+from topcli.schemes.registry import all_schemes
+from topcli.studies.entries import under_scheme
+
+SCENES = {
+    "kowalevski": "kowalevski_hybrid_xi",
+    "lagrange": "lagrange_hk",
+    "lagrange/inertial": "lagrange_bs",
+    "euler": "euler_hk",
+    "euler+gamma": "euler_gamma",
+    "heavy": "heavy_hk",
+}
+"""Default scene for each form of a top."""
+GENERIC = "kowalevski_generic_hk"
+"""Default scene for schemes of Kowalevski's top without exact invariants; near a separatrix windows are too short."""
+DEFAULT_H = 0.01
+BLOCKS = 1024
+ROWS = 16
+"""Rows recorded in each of the BLOCKS blocks of an exact invariant."""
+WINDOW = 4000.0
+"""Length in time of the blocks of other invariants."""
+SAMPLING = 0.05
+"""Time between the rows of other invariants, short enough that sums over a window are integrals."""
+SHIFT = 1e-14
+"""Relative differences between the initial states of the copies."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """``blocks`` of ``rows`` rows, one every ``stride`` steps."""
+
+    blocks: int
+    rows: int
+    stride: int
+
+    @property
+    def block_steps(self) -> int:
+        """Steps from one block to the next."""
+        return self.rows * self.stride
+
+    @property
+    def steps(self) -> int:
+        """Steps of a run."""
+        return self.blocks * self.block_steps
+
+
+def sampling_of(steps: int, h: float, exact: bool) -> Sampling:
+    """Sampling of a run of about ``steps`` steps. Raises UsageError for too few."""
+    if exact:
+        least = MIN_BLOCKS * ROWS
+        if steps < least:
+            raise UsageError(f"--steps {steps}: too few for a fit of the growth; take at least {least}")
+        blocks = min(BLOCKS, steps // ROWS)
+        return Sampling(blocks, ROWS, steps // (blocks * ROWS))
+    stride = max(1, int(SAMPLING / abs(h)))
+    rows = int(WINDOW / (abs(h) * stride))
+    blocks = min(BLOCKS, steps // (rows * stride))
+    if blocks < MIN_BLOCKS:
+        raise UsageError(
+            f"--steps {steps}: the scheme conserves nothing exactly, and the means over windows of length {WINDOW:g} "
+            f"that take its oscillations out need at least {MIN_BLOCKS * rows * stride} steps at h = {h:g}"
+        )
+    return Sampling(blocks, steps // (blocks * stride), stride)
+
+
+def roundoff_experiment(scheme: str, config: str | Path | None, overrides: Sequence[str] = ()) -> Experiment:
+    """Experiment of ``config`` under ``scheme``; by default a packaged scene for the scheme, at h = 0.01.
+
+    Raises UsageError, and UnknownNameError for an unknown scheme.
+    """
+    if config is not None:
+        return under_scheme(load_experiment(config, overrides), scheme)
+    if not any(text.partition("=")[0].strip() == "h" for text in overrides):
+        overrides = [f"h={DEFAULT_H}", *overrides]
+    base = scheme.lower().partition("+")[0]
+    forms = {one.top for one in all_schemes() if one.name == base}
+    form = next((form for form in SCENES if form in forms), "kowalevski")
+    found = under_scheme(load_experiment(SCENES[form], overrides), scheme)
+    if form == "kowalevski" and not found.scheme.conserves and not found.modified:
+        return under_scheme(load_experiment(GENERIC, overrides), scheme)
+    return found
+
+
+def _watched(experiment: Experiment) -> tuple[tuple[Invariant, ...], bool]:
+    """Invariants to follow; True if the scheme claims them as exact."""
+    known = experiment.top.invariants()
+    claimed = tuple(one for one in known if one.name in experiment.scheme.conserves) + experiment.modified
+    return (claimed, True) if claimed else (known, False)
+
+
+def _copies(experiment: Experiment, count: int) -> list[Array]:
+    """Initial states: that of the experiment, and others so close that only the rounding differs."""
+    random = np.random.default_rng(1)
+    y0 = np.array(experiment.y0)
+    return [y0, *(y0 * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y0))) for _ in range(count - 1))]
+
+
+def _followed(
+    experiment: Experiment, watched: Sequence[Invariant], sampling: Sampling, y0: Array, stop: Event
+) -> tuple[BlockMeans, Ending]:
+    tally = BlockMeans(watched, sampling.blocks, sampling.rows)
+    run = Run(
+        experiment.top, experiment.method(), tuple(y0), experiment.h, sampling.steps, sampling.stride, stop.is_set
+    )
+    watch = EnergyWatch(experiment.top, y0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for chunk in run:
+            tally.add(chunk.states)
+            watch.add(chunk.n, chunk.states)
+    assert run.ending is not None
+    return tally, run.ending.with_left(watch.left, experiment.h)
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Results of all copies of one form.
+
+    ``means`` (invariants, copies, blocks) are block means; ``largest`` and ``scale`` (invariants,) are the largest
+    deviation and the scale of each invariant.
+    """
+
+    ending: Ending
+    means: Array
+    largest: Array
+    scale: Array
+
+
+def copies_followed(experiment: Experiment, watched: Sequence[Invariant], sampling: Sampling, copies: int) -> Copies:
+    """Run all copies of one form, in as many threads as there are processors."""
+    stop = Event()
+    with ThreadPoolExecutor(max_workers=min(copies, os.cpu_count() or 1)) as pool:
+        try:
+            runs = [
+                pool.submit(_followed, experiment, watched, sampling, y0, stop) for y0 in _copies(experiment, copies)
+            ]
+            done = [run.result() for run in runs]
+        finally:  # in particular after an interruption
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+    failed = [ending for _, ending in done if ending.outcome is not Outcome.COMPLETED]
+    return Copies(
+        failed[0] if failed else done[0][1],
+        np.stack([tally.means for tally, _ in done], axis=1),
+        np.max([tally.largest for tally, _ in done], axis=0),
+        np.max([tally.scale for tally, _ in done], axis=0),
+    )
+
+
+def _rows(
+    watched: Sequence[Invariant], exact: bool, sampling: Sampling, runs: Copies, common: Array
+) -> list[dict[str, Any]]:
+    """Figures on the growth of each invariant; ``common`` (invariants, blocks) is the motion of the exact map."""
+    rows = []
+    for i, invariant in enumerate(watched):
+        drift = runs.means[i] - common[i]
+        own = not exact and np.array_equal(common[i], runs.means[i].mean(axis=0))
+        if not exact:
+            drift = drift - drift[:, :1]
+        if own:  # the mean of the copies absorbs a part of their scatter, and all of a bias
+            drift = drift * np.sqrt(len(drift) / (len(drift) - 1.0))
+        fitted = growth(drift, sampling.block_steps, float(runs.scale[i])).as_dict()
+        if own:
+            fitted |= {"bias": None, "bias_error": None}
+        scale = float(runs.scale[i])
+        rows.append(
+            {
+                "name": invariant.name,
+                "symbol": invariant.symbol,
+                "claimed": exact,
+                "drift": float(np.sqrt(np.mean(drift[:, -1] ** 2))),
+                "max_drift": float(np.abs(drift).max()),
+                "max_deviation": float(runs.largest[i]),
+                "scale": scale,
+                **fitted,
+            }
+        )
+    return rows
+
+
+def forms_of(experiment: Experiment) -> dict[str, Experiment]:
+    """Experiment with plain and with compensated sums, by name; only the former if these options have no other form."""
+    if "compensated" not in type(experiment.options).model_fields:
+        return {"plain": experiment}
+    resolved = experiment.resolved()
+
+    def form(compensated: bool) -> Experiment:
+        return load_experiment(resolved | {"scheme": resolved["scheme"] | {"compensated": compensated}})
+
+    plain = form(False)
+    try:
+        return {"plain": plain, "compensated": form(True)}
+    except ConfigError:  # an option that cannot be combined with it
+        return {"plain": plain}
+
+
+def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str, Any]:
+    """Follow ``copies`` of the experiment over about ``steps`` steps each; plain data, ready for JSON.
+
+    ``experiment.N`` is ignored. Raises UsageError for a scheme that takes no steps, and for too few steps.
+    """
+    if isinstance(experiment.method(), Sampler):
+        raise UsageError(f"scheme {experiment.scheme.name!r} is a closed form: it takes no steps whose errors add up")
+    watched, exact = _watched(experiment)
+    least = 1 if exact else 2
+    if copies < least:
+        raise UsageError(f"--copies {copies}: must be at least {least}")
+    sampling = sampling_of(steps, experiment.h, exact)
+    variants = forms_of(experiment)
+    methods = [one.method() for one in variants.values()]
+    # before the runs, which heat the processor; thread time does not depend on other threads
+    timed = nanoseconds_per_step(
+        [(experiment.top, method, experiment.y0, experiment.h) for method in methods], clock=time.thread_time_ns
+    )
+    runs = {name: copies_followed(one, watched, sampling, copies) for name, one in variants.items()}
+    finest = list(runs.values())[-1]
+    common = np.zeros_like(finest.means[:, 0]) if exact else finest.means.mean(axis=1)
+    forms = []
+    for (name, one), nanoseconds in zip(variants.items(), timed, strict=True):
+        found = runs[name]
+        completed = found.ending.outcome is Outcome.COMPLETED
+        forms.append(
+            {
+                "form": name,
+                "scheme": one.scheme.name,
+                "options": one.options.model_dump(mode="json"),
+                "outcome": found.ending.outcome.value,
+                "message": found.ending.message,
+                "nanoseconds_per_step": nanoseconds,
+                "cost": nanoseconds / timed[0],
+                "invariants": _rows(watched, exact, sampling, found, common) if completed else [],
+            }
+        )
+    return finite(
+        {
+            "config": experiment.resolved(),
+            "top": experiment.top.title,
+            "h": experiment.h,
+            "steps": sampling.steps,
+            "copies": copies,
+            "claimed": exact,
+            "forms": forms,
+        }
+    )
