@@ -167,6 +167,9 @@ CASES = {
         PLAIN,
         "(scheme.name: rk4 there, hk here; h: 0.2 there, 0.1 here; N: 7 there, 100 here; ...); nothing",
     ),
+    "this run of another version": Case(
+        {"run": run(digest="b" * 64)}, PLAIN, "holds this experiment as identified by another version of topcli"
+    ),
     "a different run, by force": Case(
         {"run": OTHER_RUN}, FORCE, action="will run; the existing different run is renamed, not overwritten"
     ),

@@ -1,8 +1,11 @@
-"""Runs that are stopped, killed or out of disk, and resumed: equal, bit for bit, to the uninterrupted run."""
+"""Runs that are stopped or killed, and resumed: equal, bit for bit, to the uninterrupted run."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,21 +14,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from conftest import GEN, ROOT
+from conftest import GEN
 from declared import TRIALS, by_name
-from resuming import FILES, KINDS, NAME, after, content, killed, small
+from resuming import HK, NAME, after, content, killed, small
 from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Outcome, Scheme, Stepper
+from topcli.contracts import Outcome, Scheme
 from topcli.engine.loop import Position, Run
 from topcli.errors import UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.recorder import COST, Checkpoints
 from topcli.runs.run import run_experiment
-from topcli.schemes.registry import all_schemes
+from topcli.runs.run_list import listed_runs
+from topcli.store import parts
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint, write_checkpoint
-from topcli.store.manifest import stored_run, stored_runs
+from topcli.store.manifest import stored_runs
+from topcli.store.parts import lock_new, new_part, parts_of, take_lock
 from topcli.store.series import SeriesMark, read_series
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
@@ -63,45 +68,43 @@ def test_every_scheme_resumes_bit_for_bit(scheme: Scheme) -> None:
     assert resumed.report() == whole_tally.report()
 
 
-def test_physical_states_alone_do_not_resume_bit_for_bit() -> None:
-    """Positive control: started again from the recorded state, a scheme with carried quantities ends elsewhere."""
-    (scheme,) = (s for s in all_schemes() if (s.name, s.top) == ("hybrid-xi", "kowalevski"))
-    top = TRIALS["kowalevski"][1]
-    method = scheme.build(top, scheme.options())
-    assert isinstance(method, Stepper)
-    assert method.width > 6
-    whole = Run(top, method, GEN, 0.01, 400).collect().states
-    half = Run(top, method, whole[200], 0.01, 200).collect().states
-    assert not (half == whole[200:]).all()
-    assert np.abs(half - whole[200:]).max() < 1e-12
+RESUMED = {
+    "increments": ("kowalevski_hk", "parquet", "N=100"),
+    "carried phase": ("kowalevski_hybrid_xi", "csv", "N=100"),
+    "iterative with counters": ("kowalevski_hybrid_sym", "parquet", "N=100"),
+    "interpreted": ("kowalevski_dop853", "csv", "N=70"),
+    "closed form": ("euler_exact", "parquet", "N=100"),
+    "chart": ("kowalevski_bohlin_a", "parquet", "N=100"),
+    "attitude": ("kowalevski_hk", "csv", "N=300", "output.attitude=quaternion", "output.every=3"),
+    "attitude of a series": ("kowalevski_taylor", "parquet", "N=100", "output.attitude=quaternion", "output.every=3"),
+    "digits": ("euler_hk", "csv", "N=24", "h=1/10", "precision=40", "output.digits=20"),
+    "rational": ("euler_hk", "parquet", "N=24", "h=1/10", "precision=rational"),
+}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scene", KINDS.values(), ids=KINDS)
-@pytest.mark.parametrize("suffix", ["parquet", "csv"])
-def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, scene: str, suffix: str) -> None:
-    N = 70 if "dop853" in scene else 300
-    experiment = load_experiment(ROOT / "configs" / f"{scene}.yaml", [f"N={N}", f"output.format={suffix}"])
+@pytest.mark.parametrize("kind", RESUMED)
+def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, kind: str) -> None:
+    """Stopped after one chunk, twice or three times on and stopped again."""
+    scene, suffix, *overrides = RESUMED[kind]
+    experiment = load_experiment(scene, [f"output.format={suffix}", *overrides], any_precision=True)
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
-    out, messages = tmp_path / "out", []
-    chunks = 2
-    result = run_experiment(experiment, out, RunOptions(stop=after(chunks)))
-    for _ in range(3):  # three times on, and stopped again
-        assert result.outcome is Outcome.INTERRUPTED
+    out, messages, steps = tmp_path / "out", list[str](), list[int]()
+    stopped = RunOptions(resume=True, stop=after(1), checkpoint_every=0.0, on_message=messages.append)
+    result = run_experiment(experiment, out, replace(stopped, resume=False))
+    while result.outcome is Outcome.INTERRUPTED:
         assert (result.stored.folder / CHECKPOINT).exists()
         rows = len(next(iter(read_series(result.stored.series).values())))
-        assert rows == result.report["step"] + 1
-        result = run_experiment(experiment, out, RunOptions(resume=True, stop=after(1), on_message=messages.append))
+        assert rows == result.report["step"] // experiment.output.every + 1
+        steps.append(result.report["step"])
+        stop = after(1) if len(steps) < 4 else lambda: False
+        result = run_experiment(experiment, out, replace(stopped, stop=stop))
         assert result.status == "resumed"
-        if result.outcome is Outcome.COMPLETED:
-            break
-    result = run_experiment(experiment, out, RunOptions(resume=True, on_message=messages.append))
     assert content(result.stored.folder) == expected
-    assert f"continues from step {chunks * 16 if N > 70 else 32} of {N}" in messages[0]
+    assert messages == [f"{experiment.name}: continues from step {step} of {experiment.N}" for step in steps]
+    assert 0 < steps[0] <= steps[-1] < experiment.N
     assert [path.name for path in out.iterdir()] == [experiment.name]
     assert result.report["seconds"]["run"] > 0.0
-    assert result.stored.manifest["resumed"][0]["step"] > 0
-    assert run_experiment(experiment, out, RunOptions(resume=True)).status == "up to date"
+    assert [one["step"] for one in result.stored.manifest["resumed"]] == steps
 
 
 def test_a_killed_run_is_resumed_and_nothing_of_it_is_left(tmp_path: Path) -> None:
@@ -121,100 +124,20 @@ def test_a_killed_run_is_resumed_and_nothing_of_it_is_left(tmp_path: Path) -> No
     assert [path.name for path in out.iterdir()] == [NAME]
 
 
-def test_killed_between_manifest_and_place_it_is_only_put_in_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Killed(BaseException):
-        pass
-
-    def rename(*args: object) -> None:
-        raise Killed
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "rename", rename)
-        with pytest.raises(Killed):
-            run_experiment(small(), tmp_path)
-        assert stored_runs(tmp_path) == []
-    (left,) = tmp_path.iterdir()
-    assert sorted(path.name for path in left.iterdir()) == sorted([*FILES, "series.parquet"])
-    left.rename(tmp_path / f".{NAME}.part-999999999-00000000")  # a process that has ended
-    monkeypatch.setattr(Run, "__iter__", None)  # nothing is integrated
-    assert run_experiment(small(), tmp_path, RunOptions(resume=True)).outcome is Outcome.COMPLETED
-    assert [path.name for path in tmp_path.iterdir()] == [NAME]
-
-
-def test_without_resume_it_runs_again_and_says_what_could_be(tmp_path: Path) -> None:
-    messages: list[str] = []
-    killed(tmp_path, small(), 5)
-    result = run_experiment(small(), tmp_path, RunOptions(on_message=messages.append))
-    assert (result.status, result.outcome) == ("ran", Outcome.COMPLETED)
-    assert "--resume would continue" in messages[0]
-    assert [path.name for path in tmp_path.iterdir()] == [NAME], "superseded, and swept away"
-
-
-def test_resume_without_a_checkpoint_starts_from_step_0(tmp_path: Path) -> None:
-    messages: list[str] = []
-    assert run_experiment(small(), tmp_path, RunOptions(resume=True, on_message=messages.append)).status == "ran"
-    assert messages == [f"{NAME}: nothing to resume; starting from step 0"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", ["killed", "interrupted"])
-def test_another_experiment_or_code_is_refused_and_nothing_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
-) -> None:
-    if how == "killed":
-        left = killed(tmp_path, small(), 5)
-    else:
-        left = run_experiment(small(), tmp_path, RunOptions(stop=after(5))).stored.folder
-    before = {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"}
-    with pytest.raises(UsageError, match=r"different experiment \(h: 0.001 there, 0.002 here\).*\n.*without --resume"):
-        run_experiment(small("h=0.002"), tmp_path, RunOptions(resume=True))
-    monkeypatch.setattr("topcli.runs.identity.method_fingerprint", lambda method: "0" * 64)
-    with pytest.raises(UsageError, match="other code of the scheme hk"):
-        run_experiment(small(), tmp_path, RunOptions(resume=True))
-    assert {path.name: path.read_bytes() for path in left.iterdir() if path.name != "lock"} == before
-    monkeypatch.undo()
-
-
-def test_an_interrupted_run_never_takes_the_place_of_more(tmp_path: Path) -> None:
-    complete = content(run_experiment(small(), tmp_path).stored.folder)
-    result = run_experiment(small(), tmp_path, RunOptions(force=True, stop=after(3)))
-    assert result.set_aside is not None
-    assert content(result.set_aside) == complete
-    further = run_experiment(small(), tmp_path / "b", RunOptions(stop=after(8)))
-    less = run_experiment(small(), tmp_path / "b", RunOptions(stop=after(2)))
-    assert less.set_aside is not None
-    assert stored_run(less.set_aside).manifest["step"] == further.report["step"]
-    messages: list[str] = []
-    run_experiment(small(), tmp_path / "b", RunOptions(resume=True, on_message=messages.append))
-    assert f"step {further.report['step']} of" in messages[0], "the one that got further goes on"
-
-
-def test_a_forced_run_beside_a_different_one_is_resumed(tmp_path: Path) -> None:
-    first = content(run_experiment(small("h=0.002"), tmp_path).stored.folder)
-    killed(tmp_path, small(), 5)
-    result = run_experiment(small(), tmp_path, RunOptions(resume=True))
-    assert (result.status, result.outcome) == ("resumed", Outcome.COMPLETED)
-    assert result.set_aside is not None
-    assert content(result.set_aside) == first
-
-
-def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(tmp_path: Path) -> None:
     """Parts of the same name belong to another experiment, to other code, or to this run; some got further."""
     out = tmp_path / "out"
     out.mkdir()
 
-    def left(place: str, experiment: Experiment, chunks: int) -> str:
+    def left(place: str, experiment: Experiment, chunks: int, **about: Any) -> str:
         folder = killed(tmp_path / place, experiment, chunks)
+        checkpoint = read_checkpoint(folder)
+        assert checkpoint is not None
+        write_checkpoint(folder, replace(checkpoint, about={**checkpoint.about, **about}))
         folder.rename(out / folder.name)
         return folder.name
 
-    with monkeypatch.context() as patch:
-        patch.setattr("topcli.runs.identity.method_fingerprint", lambda method: "0" * 64)
-        other_code = left("code", small(), 4)
+    other_code = left("code", small(), 4, code="0" * 64)
     other = left("experiment", small("h=0.002"), 4)
     less, more = left("less", small(), 2), left("more", small(), 8)
     run_experiment(small(), out, RunOptions(stop=after(5)))
@@ -293,3 +216,122 @@ def test_slow_checkpoints_are_written_less_often(cost: float, pause: float | Non
         clock[0] = time
         kept.consider(run, recorder)
         assert len(written) == count
+
+
+@pytest.mark.slow
+def test_living_process_excludes_others(tmp_path: Path) -> None:
+    """The lock is the system's: held by a living process, free the moment it is killed."""
+    code = (
+        "import sys; from pathlib import Path; from topcli.config.load import load_experiment\n"
+        "from topcli.runs.decision import RunOptions\n"
+        "from topcli.runs.run import run_experiment\n"
+        f"experiment = load_experiment({str(HK)!r}, ['N=300'])\n"
+        "def wait(done, total):\n"
+        "    if done > 200000 or done == total:\n"
+        "        print('running', flush=True); sys.stdin.read()\n"
+        "run_experiment(experiment, Path(sys.argv[1]), RunOptions(checkpoint_every=0.0, on_progress=wait))\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "running\n"
+        (part,) = parts_of(tmp_path, NAME)
+        assert (part.alive, part.owner["pid"]) == (True, other.pid)
+        with pytest.raises(UsageError, match=f"process {other.pid} is running this experiment"):
+            run_experiment(small(), tmp_path, RunOptions(resume=True))
+        messages: list[str] = []
+        assert run_experiment(small(), tmp_path, RunOptions(on_message=messages.append)).status == "ran"
+        assert messages == [f"{NAME}: process {other.pid} is running this experiment too"]
+        assert part.folder.is_dir(), "the other one's folder is left alone"
+    finally:
+        other.kill()
+        other.communicate()
+    (part,) = parts_of(tmp_path, NAME)
+    assert not part.alive, "a stale lock does not block"
+    assert run_experiment(small(), tmp_path, RunOptions(force=True, resume=True)).status in ("resumed", "ran")
+    assert parts_of(tmp_path, NAME) == []
+
+
+@pytest.mark.parametrize("locks", [True, False])
+def test_lock_belongs_to_a_living_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locks: bool) -> None:
+    """Without locks, the process number shows if the owner is alive."""
+    if not locks:
+        monkeypatch.setattr(parts, "fcntl", None)
+    folder = new_part(tmp_path, "x")
+    folder.mkdir()
+    assert take_lock(folder) is None, "just made by a living process"
+    mine = lock_new(folder, {"digest": "d"})
+    assert parts.owner(folder) == {"pid": os.getpid(), "digest": "d"}
+    assert take_lock(folder) is None
+    mine.release()
+    mine.release()
+    if not locks:
+        (folder / "lock").write_text('{"pid": 999999999}')
+    again = take_lock(folder, {"digest": "e"})
+    assert again is not None
+    assert parts.owner(folder)["digest"] == "e"
+    again.release()
+
+
+KEYS = ("name", "outcome", "step", "resumable")
+
+
+def rows(out: Path) -> list[tuple[Any, ...]]:
+    return [tuple(item[key] for key in KEYS) for item in listed_runs(out)]
+
+
+def test_unfinished_runs_are_listed_beside_finished_ones(cli: Callable[..., Any], in_tmp: Path) -> None:
+    out = in_tmp / "results"
+    run_experiment(small("name=done"), out)
+    run_experiment(small("name=stopped"), out, RunOptions(stop=after(4)))
+    killed(out, small("name=dead"), 5)
+    (out / ".empty.part-999999999-0123abcd").mkdir()
+    seen: list[list[tuple[Any, ...]]] = []
+    run_experiment(small("name=busy"), out, RunOptions(on_progress=lambda done, total: seen.append(rows(out))))
+    assert ("busy", "running", None, False) in seen[1]
+    before = sorted(path.relative_to(out) for path in out.rglob("*"))
+    found = rows(out)
+    assert sorted(path.relative_to(out) for path in out.rglob("*")) == before, "listing changes nothing"
+    steps = {name: step for name, _, step, _ in found}
+    assert 0 < steps["stopped"] < 300
+    assert 0 < steps["dead"] < 300
+    assert [(name, outcome, resumable) for name, outcome, _, resumable in found] == [
+        ("busy", "completed", False),
+        ("dead", "killed", True),
+        ("done", "completed", False),
+        ("empty", "killed", False),
+        ("stopped", "interrupted", True),
+    ]
+    dead = cli("list", "runs", "--json").json()["runs"][1]
+    assert (dead["scheme"], dead["h"], dead["N"], dead["ended"]) == ("hk", 0.001, 300, None)
+    header, *lines = cli("list", "runs").out.splitlines()
+    assert header.split() == ["name", "outcome", "step", "resumable", "scheme", "h", "N", "digest", "ended"]
+    assert lines[1].split()[:7] == ["dead", "killed", str(steps["dead"]), "yes", "hk", "0.001", "300"]
+
+
+@pytest.mark.parametrize(("how", "given"), [("killed", "mine"), ("interrupted", "results/mine/")])
+def test_a_run_continues_by_its_name(cli: Callable[..., Any], in_tmp: Path, how: str, given: str) -> None:
+    out = in_tmp / "results"
+    if how == "killed":
+        killed(out, small("name=mine"), 5)
+    else:
+        run_experiment(small("name=mine"), out, RunOptions(stop=after(4)))
+    said = cli("run", given, "--resume")
+    assert said.code == 0
+    assert "mine: continues from step" in said.err
+    whole = run_experiment(small("name=mine"), in_tmp / "whole").stored.folder
+    assert content(out / "mine") == content(whole)
+    assert "(up to date)" in cli("run", given, "--resume").err
+
+
+def test_a_run_that_is_computed_now_is_not_resumed_by_name(cli: Callable[..., Any], in_tmp: Path) -> None:
+    said: list[Any] = []
+
+    def once(done: int, total: int) -> None:
+        if not said:
+            said.append(cli("run", "mine", "--resume"))
+
+    run_experiment(small("name=mine"), in_tmp / "results", RunOptions(on_progress=once))
+    assert said[0].code == 2
+    assert "is computing this run now; there is nothing to resume" in said[0].err

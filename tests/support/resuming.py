@@ -17,14 +17,6 @@ from topcli.runs.run import run_experiment
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 NAME = "kowalevski_hk"
 FILES = ["config.yaml", "manifest.json", "report.json", "report.md"]
-KINDS = {
-    "increments": "kowalevski_hk",
-    "carried phase": "kowalevski_hybrid_xi",
-    "iterative with counters": "kowalevski_hybrid_sym",
-    "interpreted": "kowalevski_dop853",
-    "closed form": "euler_exact",
-    "chart": "kowalevski_bohlin_a",
-}
 
 
 def small(*overrides: str) -> Experiment:

@@ -1,0 +1,436 @@
+"""The order of writes, and what a disk that is full or fails in the middle of them leaves."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import topcli
+from resuming import HK, NAME, content, killed, small
+from stored_results import store_comparison, store_ensemble, store_sweep
+from sweeping import sweep, with_grid
+from topcli.contracts import Outcome
+from topcli.engine.loop import Run
+from topcli.errors import RunError
+from topcli.runs.decision import RunOptions
+from topcli.runs.run import run_experiment
+from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
+from topcli.store.manifest import stored_run, stored_runs
+from topcli.store.parts import new_part
+from topcli.store.series import GrowingFile, SeriesWriter, read_series
+
+Calls = list[tuple[str, str, str]]
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    """Flushes and renames in their order: ("flush", path, "") and ("rename", from, to)."""
+    seen: Calls = []
+    fsync, rename, replace = os.fsync, os.rename, os.replace
+
+    def flushed(handle: int) -> None:
+        seen.append(("flush", os.readlink(f"/proc/self/fd/{handle}"), ""))
+        fsync(handle)
+
+    def renamed(source: os.PathLike[str], target: os.PathLike[str], **options: int) -> None:
+        rename(source, target, **options)
+        seen.append(("rename", os.fspath(source), os.fspath(target)))
+
+    def replaced(source: os.PathLike[str], target: os.PathLike[str], **options: int) -> None:
+        replace(source, target, **options)
+        seen.append(("rename", os.fspath(source), os.fspath(target)))
+
+    monkeypatch.setattr(os, "fsync", flushed)
+    monkeypatch.setattr(os, "rename", renamed)
+    monkeypatch.setattr(os, "replace", replaced)
+    return seen
+
+
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="names of open files are read from /proc"),
+    pytest.mark.usefixtures("small_chunks"),
+]
+
+
+def placed(calls: Calls, target: Path) -> int:
+    """Index of the rename that put the run into its place, the only one."""
+    (at,) = (i for i, (kind, _, to) in enumerate(calls) if kind == "rename" and to == str(target))
+    return at
+
+
+def test_a_run_is_flushed_whole_before_it_is_renamed_into_its_place(tmp_path: Path, calls: Calls) -> None:
+    """Each file, then the manifest, then the folder; then the rename; then the folder of the folders."""
+    result = run_experiment(small(), tmp_path)
+    target = result.stored.folder
+    at = placed(calls, target)
+    part = calls[at][1]
+    later = {source: to for kind, source, to in calls[:at] if kind == "rename"}
+    paths = [Path(later.get(path, path)) for kind, path, _ in calls[:at] if kind == "flush"]
+    flushed = [path.name for path in paths if path.parent == Path(part)]
+    files = {path.name for path in target.iterdir()}
+    assert {"series.parquet", "report.json", "report.md", "config.yaml", "manifest.json"} <= files
+    assert files <= set(flushed)
+    assert flushed[-1] == "manifest.json"
+    (manifest,) = (i for i, (_, _, to) in enumerate(calls) if to == f"{part}/manifest.json")
+    folder = max(i for i, (kind, path, _) in enumerate(calls) if kind == "flush" and path == part)
+    out = min(i for i, (kind, path, _) in enumerate(calls) if kind == "flush" and path == str(tmp_path) and i > at)
+    assert manifest < folder < at < out
+
+
+def files_put_in_place(calls: Calls, folder: Path) -> list[str]:
+    """Names of the files that were renamed below ``folder``: each was flushed just before, its folder just after."""
+    found = []
+    for i, (kind, source, to) in enumerate(calls):
+        if kind == "rename" and Path(to).is_relative_to(folder) and Path(source).suffix and Path(to).name != "lock":
+            assert calls[i - 1] == ("flush", source, ""), f"{to} was not flushed before its rename"
+            assert calls[i + 1] == ("flush", str(Path(to).parent), ""), f"the folder of {to} was not flushed"
+            found.append(Path(to).name)
+    return found
+
+
+def test_a_checkpoint_is_flushed_before_it_replaces_the_earlier_one(tmp_path: Path, calls: Calls) -> None:
+    result = run_experiment(small(), tmp_path / "out", RunOptions(checkpoint_every=0.0))
+    part = placed(calls, result.stored.folder)
+    del calls[part]
+    names = files_put_in_place(calls, tmp_path)
+    assert names[-1] == "manifest.json"
+    assert len(names) > 3
+    assert set(names[:-1]) == {"checkpoint.npz"}
+
+
+def save_page(out: Path) -> None:
+    topcli.run("kowalevski_hk", out, N=50, progress=False).save(out / "page.html")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("store", "names"),
+    [
+        (store_sweep, {"sweep.yaml", "rows.parquet", "manifest.json"}),
+        (store_ensemble, {"manifest.json"}),
+        (lambda out: store_comparison(out / "compared.json"), {"compared.json"}),
+        (save_page, {"manifest.json", "page.html"}),
+    ],
+)
+def test_every_file_is_flushed_before_its_rename_and_its_folder_after(
+    tmp_path: Path, calls: Calls, store: Callable[[Path], object], names: set[str]
+) -> None:
+    store(tmp_path)
+    runs = [i for i, (kind, source, _) in enumerate(calls) if kind == "rename" and ".part-" in Path(source).name]
+    for i in reversed(runs):
+        del calls[i]
+    assert set(files_put_in_place(calls, tmp_path)) == names
+
+
+def being_written(handle: int) -> tuple[str, str]:
+    """Name of an open file, and the one that it gets when it is complete."""
+    name = Path(os.readlink(f"/proc/self/fd/{handle}")).name
+    return name, re.sub(r"^\.(\w+)\.\d+", r"\1", name)
+
+
+@contextmanager
+def flush_failing(name: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Every flush of the file ``name`` fails for a full disk; yields the names of the failures."""
+    fsync, failed = os.fsync, []
+
+    def full(handle: int) -> None:
+        if name in being_written(handle):
+            failed.append(name)
+            raise OSError(28, "No space left on device")
+        fsync(handle)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        yield failed
+
+
+@pytest.mark.parametrize("name", ["sweep.yaml", "rows.parquet", "manifest.json"])
+def test_a_failed_flush_keeps_the_earlier_table_of_a_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    sweep(tmp_path)
+    before = (tmp_path / "study" / "rows.parquet").read_bytes()
+    said = pytest.raises(RunError, match=f"{name}.*: no space left on the device; ")
+    with flush_failing(name, monkeypatch) as failed, said:
+        sweep(tmp_path, with_grid(h=[0.01, 0.03]))
+    assert failed
+    rows = (tmp_path / "study" / "rows.parquet").read_bytes()
+    assert (rows == before) == (name != "manifest.json")
+    assert not list((tmp_path / "study").glob(".*"))
+    assert sweep(tmp_path, with_grid(h=[0.01, 0.03])).ran == (2 if name == "sweep.yaml" else 0)
+
+
+def test_a_checkpoint_vouches_for_rows_that_are_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """When a checkpoint is put in its place the series has been flushed at least as far as it says."""
+    fsync, replace = os.fsync, os.replace
+    flushed, claimed = [0], []
+
+    def flush(handle: int) -> None:
+        fsync(handle)
+        if Path(os.readlink(f"/proc/self/fd/{handle}")).stem == "series":
+            flushed.append(os.fstat(handle).st_size)
+
+    def put(source: os.PathLike[str], target: os.PathLike[str]) -> None:
+        replace(source, target)
+        if Path(target).name == "checkpoint.npz":
+            found = read_checkpoint(Path(target).parent)
+            assert found is not None
+            claimed.append(found.series.length)
+            assert claimed[-1] <= flushed[-1]
+
+    monkeypatch.setattr(os, "fsync", flush)
+    monkeypatch.setattr(os, "replace", put)
+    run_experiment(small(), tmp_path, RunOptions(checkpoint_every=0.0))
+    assert len(set(claimed)) > 3
+
+
+@pytest.mark.parametrize("name", ["report.json", "series.parquet", "manifest.json"])
+def test_a_failed_flush_keeps_the_earlier_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    earlier = run_experiment(small(), tmp_path).stored
+    content = {path.name: path.read_bytes() for path in earlier.folder.iterdir()}
+    with flush_failing(name, monkeypatch) as failed, pytest.raises(RunError, match="no space left"):
+        run_experiment(small("h=0.002"), tmp_path, RunOptions(force=True))
+    assert failed
+    assert {path.name: path.read_bytes() for path in earlier.folder.iterdir()} == content
+    found = stored_run(earlier.folder)
+    assert found is not None
+    assert not found.damage()
+
+
+def full_after(monkeypatch: pytest.MonkeyPatch, room: int, forever: bool = True) -> None:
+    """A disk that accepts a number of further bytes of series, then nothing, or only bytes freed by truncation."""
+    append, used = SeriesWriter._append, [0]
+
+    def limited(self: SeriesWriter, *pieces: bytes) -> None:
+        size = sum(map(len, pieces))
+        if used[0] + size > room:
+            used[0] = room if forever else 0
+            raise OSError(errno.ENOSPC, "No space left on device", str(self._path))
+        used[0] += size
+        append(self, *pieces)
+
+    monkeypatch.setattr(SeriesWriter, "_append", limited)
+
+
+def test_a_full_disk_leaves_what_was_written_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No checkpoint yet: what reached the disk is kept as an interrupted run, and can be resumed."""
+    suffix = "csv"
+    experiment = small(f"output.format={suffix}")
+    expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
+    data = read_series(tmp_path / "whole" / NAME / f"series.{suffix}")
+    with monkeypatch.context() as patched:
+        full_after(patched, 16_000, forever=False)
+        with pytest.raises(RunError, match=rf"series.{suffix}: no space left .* kept, marked interrupted") as caught:
+            run_experiment(experiment, tmp_path / "out")
+    assert caught.value.exit_code == 1
+    stored = stored_run(tmp_path / "out" / NAME)
+    assert stored is not None
+    assert stored.interrupted
+    kept = read_series(stored.series)
+    assert 0 < len(kept["t"]) == stored.manifest["step"] + 1 < 301
+    assert all((kept[name] == data[name][: len(kept[name])]).all() for name in data)
+    assert content(run_experiment(experiment, tmp_path / "out", RunOptions(resume=True)).stored.folder) == expected
+
+
+@pytest.mark.parametrize("every", [0.0, 1e9])
+def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: float
+) -> None:
+    """Also where none was due: the last state that was remembered is written then."""
+    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
+    out = tmp_path / "out"
+    with monkeypatch.context() as patched:
+        full_after(patched, 16_000)
+        with pytest.raises(RunError, match=r"no space left .* last checkpoint holds is kept.*\(up to step \d+\)"):
+            run_experiment(small(), out, RunOptions(checkpoint_every=every))
+    assert stored_runs(out) == []
+    assert content(run_experiment(small(), out, RunOptions(resume=True)).stored.folder) == expected
+    assert [path.name for path in out.iterdir()] == [NAME]
+
+
+class Disk:
+    """A disk on which the series may have ``room`` bytes, and which refuses its flushes and renames after ``calls``.
+
+    ``claimed`` is the furthest step of a checkpoint that was put in its place.
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch, room: int = 10**9, calls: int = 10**9, forever: bool = True) -> None:
+        self.claimed, self.refused = 0, 0
+        append, replace, done = GrowingFile.append, os.replace, itertools.count()
+
+        def full() -> None:
+            self.refused += 1
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def limited(file: GrowingFile, *pieces: bytes) -> None:
+            if file.length + sum(map(len, pieces)) > room:
+                full()
+            append(file, *pieces)
+
+        def counted(real: Callable[..., Any]) -> Callable[..., Any]:
+            def operation(*arguments: Any, **options: Any) -> Any:
+                number = next(done)
+                if number == calls or (forever and number > calls):
+                    full()
+                return real(*arguments, **options)
+
+            return operation
+
+        def put(source: Any, target: Any, **options: Any) -> None:
+            replace(source, target, **options)
+            if Path(target).name == CHECKPOINT:
+                found = read_checkpoint(Path(target).parent)
+                assert found is not None
+                self.claimed = max(self.claimed, found.done)
+
+        patch.setattr(GrowingFile, "append", limited)
+        for name, real in (("replace", put), ("rename", os.rename), ("fsync", os.fsync)):
+            patch.setattr(os, name, counted(real))
+
+
+def failure(out: Path) -> str:
+    """Message of a run that fails; empty if it does not."""
+    try:
+        run_experiment(small(), out, RunOptions(checkpoint_every=0.0))
+    except RunError as error:
+        return str(error)
+    return ""
+
+
+def resumed_from(out: Path, expected: dict[str, object]) -> int:
+    """Step from which the run in ``out`` continues, to the result that it is to have; 300 if it was complete."""
+    messages: list[str] = []
+    for part in out.glob(".*"):  # as after the end of this process
+        part.rename(out / f".{NAME}.part-999999999-00000000")
+    run = run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append))
+    assert content(run.stored.folder) == expected
+    assert [path.name for path in out.iterdir()] == [NAME]
+    (step,) = [int(found[1]) for line in messages if (found := re.search(r"continues from step (\d+)", line))] or [
+        300 if "was complete" in messages[0] else 0
+    ]
+    return step
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [0.0, 1e9])
+def test_a_disk_that_is_full_at_any_byte_takes_back_no_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: float
+) -> None:
+    """With a checkpoint after each chunk and with none: an older state fits where the last one does not."""
+    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
+    size = (tmp_path / "whole" / NAME / "series.parquet").stat().st_size
+    steps, claims = [], []
+    for room in range(0, size, size // 20):
+        with monkeypatch.context() as patch:
+            disk = Disk(patch, room)
+            with pytest.raises(RunError, match="no space left"):
+                run_experiment(small(), tmp_path / f"{room}", RunOptions(checkpoint_every=every))
+        steps.append(resumed_from(tmp_path / f"{room}", expected))
+        claims.append(disk.claimed)
+        assert steps[-1] >= claims[-1], f"with room for {room} bytes it went back to step {steps[-1]}"
+    assert steps == sorted(steps)
+    assert steps[-1] > 200
+    assert max(claims) > 200
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("forever", [True, False])
+def test_a_disk_that_is_full_at_any_flush_or_rename_takes_back_no_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forever: bool
+) -> None:
+    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
+    seen = set()
+    for calls in itertools.count(int(forever), 3):
+        out = tmp_path / f"{calls}"
+        with monkeypatch.context() as patch:
+            disk = Disk(patch, calls=calls, forever=forever)
+            said = failure(out)
+        if not disk.refused:
+            break
+        assert "no space left on the device" in said
+        if (found := stored_run(out / NAME)) is not None and not found.interrupted:
+            assert content(out / NAME) == expected
+            assert said.endswith("the finished run is in its place")
+            continue
+        assert ("nothing was" in said) == (not any(out.iterdir()))
+        step = resumed_from(out, expected)
+        assert step >= disk.claimed, f"with {calls} flushes and renames it went back to step {step}"
+        seen.add(step)
+    assert calls > 40
+    assert len(seen) > 5
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the file size the way Linux does")
+def test_a_real_write_failure_through_the_entry_point(tmp_path: Path) -> None:
+    """The kernel itself refuses the write: a file may not grow beyond 50 kB."""
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000));"
+        "from topcli.__main__ import main;"
+        f"sys.argv = ['topcli', 'run', {str(HK)!r}, '--out', {str(tmp_path)!r}, '--quiet'];"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert "size limit" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_resume_that_fails_at_the_start_keeps_the_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    left = killed(tmp_path, small(), 9)
+    before = (left / CHECKPOINT).read_bytes()
+
+    def fails(*paths: Path) -> None:
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "rename", fails)
+        with pytest.raises(RunError, match="last checkpoint holds is kept"):
+            run_experiment(small(), tmp_path, RunOptions(resume=True))
+    (kept,) = tmp_path.glob(f".{NAME}.part-*/{CHECKPOINT}")
+    assert kept.read_bytes() == before
+    assert run_experiment(small(), tmp_path, RunOptions(resume=True)).status == "resumed"
+
+
+def test_a_finished_run_that_cannot_be_put_in_its_place_says_where_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def denied(source: object, target: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "rename", denied)
+        with pytest.raises(
+            RunError, match=rf"the finished run is kept in .*\.{NAME}\.part-.*--resume puts it"
+        ) as caught:
+            run_experiment(small(), tmp_path)
+    (left,) = tmp_path.iterdir()
+    assert str(left) in str(caught.value)
+    left.rename(new_part(tmp_path, NAME).with_name(f".{NAME}.part-999999999-00000000"))
+    monkeypatch.setattr(Run, "__iter__", None)
+    assert run_experiment(small(), tmp_path, RunOptions(resume=True)).outcome is Outcome.COMPLETED
+
+
+def test_an_output_folder_deleted_meanwhile_is_not_said_to_hold_a_checkpoint(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def progress(done: int, total: int) -> None:
+        if done > 150 and out.exists():
+            shutil.rmtree(out)
+
+    with pytest.raises(RunError) as caught:
+        run_experiment(small(), out, RunOptions(checkpoint_every=0.0, on_progress=progress))
+    assert "nothing was kept of this run" in str(caught.value)
+    assert "checkpoint" not in str(caught.value)
