@@ -127,27 +127,21 @@ def _smooth_end(motion: BodyMotion, begin: float, count: int) -> float:
 
 def turns(q: Array) -> Array:
     """Angles (m - 1,) of the rotations from each attitude (m, 4) to the next."""
-    apart = np.minimum(*(np.linalg.norm(q[1:] - sign * q[:-1], axis=1) for sign in (1.0, -1.0)))
-    return 4.0 * np.arcsin(np.minimum(0.5 * apart, 1.0))
+    from scipy.spatial.transform import Rotation
+
+    at = Rotation.from_quat(q, scalar_first=True)
+    return (at[:-1].inv() * at[1:]).magnitude()
 
 
 def attitudes_at(motion: BodyMotion, times: Array) -> tuple[Array, NDArray[np.int64]]:
     """Attitudes (k, 4) at ``times`` (k,), on great circles between the rows, and the last row (k,) before each."""
+    from scipy.spatial.transform import Rotation, Slerp
+
     forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
-    rows = np.clip(
-        np.searchsorted(forwards * motion.t, forwards * times, side="right") - 1, 0, len(motion.t) - 2
-    ).astype(np.int64)
-    first, second = motion.attitude[rows], motion.attitude[rows + 1]
-    part = (times - motion.t[rows]) / (motion.t[rows + 1] - motion.t[rows])
-    cosine = (first * second).sum(axis=1)
-    second = second * np.where(cosine < 0.0, -1.0, 1.0)[:, None]
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    straight = angle < 1e-6
-    sine = np.where(straight, 1.0, np.sin(angle))
-    before = np.where(straight, 1.0 - part, np.sin((1.0 - part) * angle) / sine)
-    after = np.where(straight, part, np.sin(part * angle) / sine)
-    q = before[:, None] * first + after[:, None] * second
-    return q / np.linalg.norm(q, axis=1, keepdims=True), rows
+    t, at = forwards * motion.t, np.clip(forwards * times, *sorted(forwards * motion.t[[0, -1]]))
+    rows = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2).astype(np.int64)
+    between = Slerp(t, Rotation.from_quat(motion.attitude, scalar_first=True))
+    return between(at).as_quat(scalar_first=True), rows
 
 
 class Stage:

@@ -176,11 +176,7 @@ def _missing(found: str, results: Path) -> str:
 
 def load_stress(request: Request) -> Loaded:
     """Load the whole stress study, stored or run. Raises UsageError and RunError."""
-    return loaded_stress(*_study(request))
-
-
-def loaded_stress(study: Mapping[str, Any], source: str) -> Loaded:
-    """The figure of a stress study."""
+    study, source = _study(request)
     data, names = figure_data(study)
     panels = [_panel(study["trials"], top, names) for column in _in_columns(names["top"]) for top in column]
     by_top = {panel.top: panel for panel in panels}

@@ -34,12 +34,15 @@ class Drawable(Protocol):
 class DrawnRun:
     """Experiment of a run that a panel draws; ``as_packaged`` if its motion is that of the packaged scene.
 
-    ``changed`` has the first digits of the digest if overrides of the command line change the experiment.
+    ``changed`` has the first digits of the digest if overrides of the command line change the experiment. Its results
+    are described in the ``manifest``, and its columns are in the file ``series``.
     """
 
     experiment: Experiment
     as_packaged: bool
-    changed: str = ""
+    changed: str
+    manifest: Mapping[str, Any]
+    series: Path
 
 
 @dataclass(frozen=True)

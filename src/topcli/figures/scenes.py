@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from topcli.figures.body import TRACE, TRACE_FAR, Body, BodyArtist, body_of
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs, described, exact_column
 from topcli.figures.scene3d import arrow, pair_of_lines, projection
-
-if TYPE_CHECKING:
-    from topcli.runs.run import RunResult
 
 
 class RunPanel(Protocol):
@@ -68,31 +65,26 @@ def scene_figure(
 
 def _load(name: str, scenes: Mapping[str, str], panels: Sequence[RunPanel], layout: Grid, request: Request) -> Loaded:
     """Load panels and columns of the runs, which are carried out if missing. Raises UsageError and RunError."""
-    finished: dict[str, RunResult] = {}
     drawn: dict[str, DrawnRun] = {}
     for key, scene in scenes.items():
-        finished[key], drawn[key] = finished[scene], drawn[scene] = _run(name, scene, request)
+        drawn[key] = drawn[scene] = _run(name, scene, request)
     runs = Runs(drawn, request.overlay)
     completed = tuple(panel.of_runs(runs) for panel in panels)
-    heading = described(layout.heading, next(iter(drawn.values())).experiment)
+    heading = described(layout.heading, drawn[""].experiment)
     if request.overlay:
         if not any(getattr(panel, "exact", ()) for panel in completed):
             raise UsageError(f"{name}: --overlay exact: no panel shows components or integrals themselves")
         heading = "; ".join([*([heading] if heading else []), "exact motion in grey"])
     return Loaded(
         completed,
-        lambda: _Columns(name, scenes, finished, drawn),
-        {
-            "runs": [
-                [run.stored.manifest[key] for key in ("digest", "code")] for run in map(finished.__getitem__, scenes)
-            ]
-        },
+        lambda: _Columns(name, scenes, drawn),
+        {"runs": [[drawn[scene].manifest[key] for key in ("digest", "code")] for scene in scenes]},
         replace(layout, heading=heading),
         variant=next((run.changed for run in drawn.values() if run.changed), ""),
     )
 
 
-def _run(name: str, scene: str, request: Request) -> tuple[RunResult, DrawnRun]:
+def _run(name: str, scene: str, request: Request) -> DrawnRun:
     """Completed run of ``scene``. Raises UsageError and RunError."""
     from topcli.runs.decision import RunOptions
     from topcli.runs.run import run_experiment
@@ -102,25 +94,24 @@ def _run(name: str, scene: str, request: Request) -> tuple[RunResult, DrawnRun]:
     changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
     if changed:
         experiment = experiment.renamed(load_named(config, request.overrides).name)
-    options = RunOptions(force=request.force, on_progress=request.on_progress)
-    run = run_experiment(experiment, request.results, options)
+    run = run_experiment(experiment, request.results, RunOptions(force=request.force, on_progress=request.on_progress))
     if run.set_aside:
         request.on_message(run.set_aside_message)
     if run.outcome is not Outcome.COMPLETED:
         raise RunError(f"{name}: the run {run.stored.folder} {run.report['message']}")
     packaged = load_experiment(scene)
     as_packaged = (experiment.top, experiment.y0) == (packaged.top, packaged.y0)
-    return run, DrawnRun(experiment, as_packaged, experiment.digest[:6] if changed else "")
+    return DrawnRun(
+        experiment, as_packaged, experiment.digest[:6] if changed else "", run.stored.manifest, run.stored.series
+    )
 
 
 class _Columns(dict[str, Any]):
     """Columns of the runs, read when they are drawn; ``exact:<column>`` is that of the exact motion."""
 
-    def __init__(
-        self, name: str, scenes: Mapping[str, str], finished: Mapping[str, RunResult], drawn: Mapping[str, DrawnRun]
-    ) -> None:
+    def __init__(self, name: str, scenes: Mapping[str, str], drawn: Mapping[str, DrawnRun]) -> None:
         super().__init__()
-        self.name, self.scenes, self.finished, self.drawn = name, scenes, finished, drawn
+        self.name, self.scenes, self.drawn = name, scenes, drawn
         self.exact: dict[str, Mapping[str, np.ndarray]] = {}
 
     def __missing__(self, name: str) -> np.ndarray:
@@ -130,13 +121,13 @@ class _Columns(dict[str, Any]):
 
         plain = name.removeprefix(exact_column(""))
         key, _, column = plain.rpartition(":")
-        experiment = self.drawn[key].experiment
+        run = self.drawn[key]
         if plain != name:
             if key not in self.exact:
-                self.exact[key] = exact_columns(experiment)
+                self.exact[key] = exact_columns(run.experiment)
             self[name] = self.exact[key][column]
-        elif column in experiment.recorded:
-            self[name] = read_series(self.finished[key].stored.series, [column])[column]
+        elif column in run.experiment.recorded:
+            self[name] = read_series(run.series, [column])[column]
         else:
             raise UsageError(f"{self.name}: the config of {self.scenes.get(key, key)} does not record {column}")
         return self[name]
