@@ -17,7 +17,7 @@ HOMES = {
     "Motion": "topcli.analysis.motion",
     "Trajectory": "topcli.analysis.trajectory",
     "analyse": "topcli.show.report",
-    "claims": "topcli.show.claims",
+    "claims": "topcli.show.report",
     "compare": "topcli.show.report",
     "lax": "topcli.show.report",
     "measure": "topcli.sweeps.measures",

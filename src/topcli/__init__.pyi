@@ -4,8 +4,8 @@ from topcli.analysis.trajectory import Trajectory as Trajectory
 from topcli.runs.simulate import simulate as simulate
 from topcli.runs.simulate import simulate_ensemble as simulate_ensemble
 from topcli.schemes.registry import scheme as scheme
-from topcli.show.claims import claims as claims
 from topcli.show.report import analyse as analyse
+from topcli.show.report import claims as claims
 from topcli.show.report import compare as compare
 from topcli.show.report import lax as lax
 from topcli.show.report import motion as motion

@@ -28,6 +28,7 @@ from topcli.studies import doctor, find_study
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.stress.cases import CASES
 from topcli.studies.stress.study import FAILURES, QUESTIONS, TRIALS, grid_of, printed
+from topcli.studies.study import Result
 from topcli.table import Table
 from topcli.tops import TOPS
 
@@ -347,14 +348,14 @@ def test_the_grid_of_hard_cases_shows_each_outcome(numbered: bool) -> None:
 
 def test_many_trials_are_printed_as_a_grid_and_those_that_did_not_hold() -> None:
     many = {**STRESS_TRIALS, "trials": STRESS_TRIALS["trials"] * 6}
-    grid, legend, failed = printed(many)
+    grid, legend, failed = printed(Result(many))
     assert isinstance(grid, Table)
     assert isinstance(failed, Table)
     assert grid.cells(many).header[0] == "kowalevski"
     assert "o degraded" in str(legend)
     assert len(failed.cells(many).lines) == 6 * 5
     for data, verbose in ((STRESS_TRIALS, False), (many, True)):
-        assert list(printed(data, verbose=verbose)) == [TRIALS]
+        assert list(printed(Result(data), verbose=verbose)) == [TRIALS]
 
 
 REGISTERED: dict[str, tuple[str, Callable[[], Sequence[Any]]]] = {

@@ -21,7 +21,7 @@ from sweep_rows import write_rows
 from topcli.pages.contents import Chapter, Pictures
 from topcli.pages.page import all_chapters, rendered, report_page
 from topcli.pages.results import outcome_notes, rows_table, sweep_choices, sweep_pictures
-from topcli.pages.studies import claims_chapter, study_chapter
+from topcli.pages.studies import study_chapter
 from topcli.store.series import read_series
 from topcli.studies import find_study
 from topcli.studies.stress.study import STRESS
@@ -199,10 +199,10 @@ def test_the_distribution_of_an_ensemble_is_that_of_its_trajectories(tmp_path: P
 
 
 def test_verdicts_on_claims_have_their_colours() -> None:
-    keys = ("id", "origin", "statement", "source", "figure", "bound", "verdict")
+    keys = ("id", "origin", "statement", "source", "figure", "bound_text", "verdict")
     verdicts = {"holds": GREEN, "does not hold as stated": RED, "not tried": ""}
     claims = [dict(zip(keys, (name, "paper", "s", "p", 1.0, 2.0, name), strict=True)) for name in verdicts]
-    page = shown(claims_chapter({"claims": claims}))
+    page = shown(study_chapter(find_study("claims"), Result({"claims": claims, "controls": {}}), ""))
     table = page.all("table")[0]
     at = table.cells()[0].index("verdict")
     rows = zip(table.cells()[1:], colours_of(table, colour_names(page)["light"])[1:], strict=True)

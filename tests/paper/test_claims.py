@@ -16,13 +16,17 @@ from matplotlib.figure import Figure
 
 import topcli
 from reading_html import read_html
-from topcli.cli.claims import report_claims
+from topcli.cli.study import command
 from topcli.figures.outcomes import VerdictPanel
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Measurement
 from topcli.paper.decide import Claims, decide_claims
 from topcli.paper.ledger import ledger, read_ledger
 from topcli.paper.page import claims_page
-from topcli.show.claims import ClaimsReport
+from topcli.paper.study import CLAIMS as STUDY
+from topcli.paper.study import decided_result
+from topcli.show.report import StudyReport
+from topcli.studies import SILENT, Watch
+from topcli.studies.study import Result
 
 CLAIMS = {claim.id: claim for claim in ledger().claims}
 IDS = ("matrix-m", "hk-heavy-equation", "hybrid-reversible")
@@ -101,9 +105,12 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
     """Exit code, output and messages of the command on decided claims."""
 
     def printed(found: Claims, details: bool = False, as_json: bool = False) -> tuple[int, str, str]:
+        def measure(watch: Watch = SILENT) -> Result:
+            return decided_result(replace(found, named=details), watch)
+
         code = 0
         try:
-            report_claims(found, details, as_json, False)
+            command(replace(STUDY, measure=measure))(as_json=as_json, scheme_files=None, markdown=False)
         except typer.Exit as leaving:
             code = leaving.exit_code
         return code, *capsys.readouterr()
@@ -201,7 +208,7 @@ def test_progress_counts_claims_and_controls() -> None:
 @pytest.mark.slow
 def test_report_has_the_figures_of_each_claim_and_escapes_their_texts() -> None:
     found = small()
-    shown = ClaimsReport(found.rows, found.controls)
+    shown = StudyReport(STUDY, decided_result(found))
     assert repr(shown).endswith("1 holds, 1 does not hold as stated; findings of ours: 1 holds within>")
     assert shown.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [4.0, "≤ 5 mm", "holds within 5 mm"]
     html = shown._repr_html_()

@@ -20,7 +20,6 @@ import topcli
 from reading_html import read_html
 from stored_results import BASE, START
 from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
-from topcli.show.claims import ClaimsReport
 from topcli.show.report import SUFFIXES, Report, StudyReport
 from topcli.show.results import RunReport, SweepReport
 from topcli.store.series import read_series
@@ -72,7 +71,7 @@ def stressed() -> StudyReport:
 
 
 @pytest.fixture(scope="module")
-def claimed() -> ClaimsReport:
+def claimed() -> StudyReport:
     return topcli.claims(["matrix-m", "hk-heavy-small", "hk-heavy-equation", "hybrid-reversible"])
 
 

@@ -119,7 +119,7 @@ class _Topcli(LazyGroup):
         "lax": STUDY,
         "roundoff": STUDY,
         "stress": STUDY,
-        "claims": "claims.claims",
+        "claims": STUDY,
         "show": "inspect.show",
         "init": "inspect.init",
         "schema": "inspect.schema",

@@ -23,7 +23,16 @@ from topcli.cli.options import (
     load_scheme_files,
     require_new,
 )
-from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
+from topcli.cli.output import (
+    ProgressDisplay,
+    emit,
+    emit_prose,
+    emit_text,
+    print_cells,
+    print_json,
+    print_message,
+    print_warnings,
+)
 from topcli.errors import UsageError
 from topcli.store.files import require_writable, write_study
 from topcli.studies import Watch, imported
@@ -73,7 +82,7 @@ def command(study: Study) -> Callable[..., None]:
     if study.printed:
         flags = list(inspect.signature(study.printed, eval_str=True).parameters.values())[1:]
     shared: dict[str, tuple[Any, Any]] = {}
-    if study.figure:
+    if study.figure and study.draws:
         folder = (Out, Path("results")) if study.file else (FigureOut, Path("results/figures"))
         shared |= {"plot": (Annotated[bool, typer.Option("--plot", help=f"Draw {study.draws}.")], False), "out": folder}
     elif study.file:
@@ -96,6 +105,9 @@ def command(study: Study) -> Callable[..., None]:
             if save.suffix != ".json":
                 raise UsageError(f"--save {save}: unknown type of file; use a name ending in .json")
             require_new(save, force, "--save")
+        for alone in [_flag(flag)[1].option for flag in flags if _flag(flag)[1].alone and given[flag.name]]:
+            if as_json:
+                raise UsageError(f"--json and {alone} exclude each other; choose one")
         load_scheme_files(scheme_files)
         arguments, options = _arguments(measured, given)
         watch = _CommandWatch(study, as_json, out, plot)
@@ -112,13 +124,7 @@ def command(study: Study) -> Callable[..., None]:
             _print(study, result, {flag.name: given[flag.name] for flag in flags})
             for file in files:
                 print_message(f"wrote {file}{study.hint}")
-        for line in study.notes(result.data):
-            print_message(line)
-        code, lines = study.faults(result.data)
-        for line in lines:
-            print_message(f"error: {line}")
-        if code:
-            raise typer.Exit(code)
+        report_faults(study, result)
 
     helps = _helps(study.measure.__doc__) | (_helps(study.printed.__doc__) if study.printed else {})
     made = [option for p in (*measured, *flags) if (option := _option(p, helps.get(p.name, ""))) is not None]
@@ -129,16 +135,27 @@ def command(study: Study) -> Callable[..., None]:
     return call
 
 
+def report_faults(study: Study, result: Result) -> None:
+    """Print notes and faults, and exit with the code of the faults."""
+    for line in study.notes(result.data):
+        print_message(line)
+    code, lines = study.faults(result.data)
+    for line in lines:
+        print_message(f"error: {line}")
+    if code:
+        raise typer.Exit(code)
+
+
 def _print(study: Study, result: Result, flags: Mapping[str, Any]) -> None:
     """Print tables and sentences of a result, with empty lines around tables."""
     data = result.data
-    parts: Iterable[Table | str] = study.printed(data, **flags) if study.printed else study.tables_of(data)
+    parts: Iterable[Table | str] = study.printed(result, **flags) if study.printed else study.tables_of(data)
     before: Table | str | None = None
     for part in parts:
         if before is not None and not (isinstance(before, str) and isinstance(part, str)):
             emit()
         if isinstance(part, str):
-            emit_prose(part)
+            (emit_text if "\n" in part else emit_prose)(part)
         else:
             print_cells(part.cells(data), part.title_of(data))
         before = part

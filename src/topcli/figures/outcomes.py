@@ -18,7 +18,7 @@ from topcli.engine.fingerprint import fingerprint
 from topcli.figures.figure import Loaded, NothingMeasuredError, Request
 from topcli.figures.picture import Grid, below_panels
 from topcli.figures.style import Styles
-from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED
+from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, category_of
 from topcli.paper.ledger import ledger
 from topcli.studies.stress import trials
 from topcli.studies.stress.study import UNEXPLAINED, known_top
@@ -206,11 +206,6 @@ LOOKS = {
 OTHERS = "other claims"
 
 
-def verdict_category(verdict: str) -> str:
-    """Verdict without its bound."""
-    return HOLDS_WITHIN if verdict.startswith(HOLDS_WITHIN) else verdict
-
-
 @dataclass(frozen=True)
 class VerdictPanel:
     """Number of statements with each verdict, a stacked bar for each of the ``subjects``.
@@ -245,9 +240,15 @@ class VerdictPanel:
 def verdict_panel(claims: Sequence[Mapping[str, Any]]) -> tuple[VerdictPanel, dict[str, np.ndarray]]:
     """Panel and data of decided claims, given as the plain data of ``topcli claims --json``."""
     homes = {claim.id: section.title.partition(" (")[0] for section in ledger().sections for claim in section.claims}
-    pairs = [(homes.get(one["id"], OTHERS), verdict_category(one["verdict"])) for one in claims]
+    pairs = [(homes.get(one["id"], OTHERS), category_of(one["verdict"])) for one in claims]
     present = {subject for subject, _ in pairs}
     subjects = tuple(subject for subject in dict.fromkeys((*homes.values(), OTHERS)) if subject in present)
     verdicts = tuple(verdict for verdict in LOOKS if any(found == verdict for _, found in pairs))
     data = {verdict: np.array([float(pairs.count((one, verdict))) for one in subjects]) for verdict in verdicts}
     return VerdictPanel(subjects, verdicts), data
+
+
+def loaded_claims(result: Result) -> Loaded:
+    """Picture of decided claims."""
+    panel, data = verdict_panel(result.data["claims"])
+    return Loaded([panel], lambda: data, {})

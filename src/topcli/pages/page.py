@@ -13,7 +13,7 @@ from topcli.errors import UsageError, nearest, printable, quoted
 from topcli.pages.contents import Chapter, Picture
 from topcli.pages.pictures import svg_of
 from topcli.pages.results import comparisons, damaged_chapter, part_chapter, run_chapter, sweep_chapter
-from topcli.pages.studies import bench_chapter, claims_chapter, study_chapter
+from topcli.pages.studies import bench_chapter, study_chapter
 from topcli.store.files import SEAL, DamagedError, check_study, read_json
 from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run
 from topcli.store.parts import is_part, linked_file, parts_of
@@ -193,8 +193,6 @@ def _of_file(path: Path, name: str) -> Chapter:
 
 def _study(data: dict[str, Any], name: str) -> Chapter | None:
     """Chapter on a study; None if the data is that of none."""
-    if isinstance(data.get("claims"), list):
-        return claims_chapter(data, name)
     for study in map(find_study, STUDIES):
         if data.get("command") == study.name or study.known(data):
             return study_chapter(study, stored_result(data), name)

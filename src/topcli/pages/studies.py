@@ -1,20 +1,15 @@
-"""Chapters on studies, from their declarations, on claims and benchmarks, and on the closed form of a motion."""
+"""Chapters on studies, from their declarations, on benchmarks, and on the closed form of a motion."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from topcli.analysis.motion import NEIGHBOURS, QUANTITIES, Motion
 from topcli.analysis.motion.of_top import closed_form_top
 from topcli.config.models import Experiment
 from topcli.figures.motion import motion_drawn
-from topcli.figures.outcomes import verdict_category, verdict_panel
 from topcli.pages.contents import (
     Block,
-    Cells,
     Chapter,
     Notes,
     Picture,
@@ -23,50 +18,12 @@ from topcli.pages.contents import (
     add_origin,
     citation_block,
     config_block,
-    value_text,
 )
-from topcli.paper.ledger import OURS, PAPER
 from topcli.store.manifest import StoredRun
 from topcli.studies import imported
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.study import Result, Study
-from topcli.table import Table, number
-
-
-def claims_chapter(data: dict[str, Any], name: str | None = None) -> Chapter:
-    """Chapter on claims of the paper with their verdicts.
-
-    ``name`` is unique within the page; None leaves out pictures.
-    """
-    chapter = Chapter("Claims of the paper", "claims", "each with the figure that decides it and its bound", "decided")
-    chapter.attempt("claims", lambda: _claims(chapter, data["claims"]))
-    if name:
-        chapter.attempt("pictures", lambda: _claims_picture(data["claims"], name))
-    add_origin(chapter, data)
-    return chapter
-
-
-def _claims(chapter: Chapter, claims: Sequence[Mapping[str, Any]]) -> Cells:
-    parts = []
-    for origin, title in ((PAPER, ""), (OURS, "findings of ours: ")):
-        counted = Counter(verdict_category(str(row["verdict"])) for row in claims if row["origin"] == origin)
-        if counted:
-            parts.append(title + ", ".join(f"{count} {verdict}" for verdict, count in counted.most_common()))
-    chapter.message = "; ".join(parts)
-    keys = ("id", "origin", "statement", "verdict", "figure", "bound", "source")
-    shown = [{**row, "bound": row.get("bound_text", row["bound"])} for row in claims]
-    lines = [[_figure(row[key]) for key in keys] for row in shown]
-    return Cells("Claims", keys, lines, numbers=False, marks={"holds": "good", "does not hold as stated": "bad"})
-
-
-def _claims_picture(claims: Sequence[Mapping[str, Any]], name: str) -> Pictures:
-    panel, data = verdict_panel(claims)
-    caption = "statements with each verdict, by parts of the paper; findings beyond it apart"
-    return Pictures([Picture(panel, data, name, caption)])
-
-
-def _figure(value: object) -> str:
-    return number(value) if isinstance(value, float) else value_text(value)
+from topcli.table import Table
 
 
 def bench_chapter(run: StoredRun) -> Chapter:

@@ -93,3 +93,8 @@ def number_text(value: float) -> str:
     if value == round(value) and abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:.2g}"
+
+
+def category_of(verdict: str) -> str:
+    """Verdict without its bound."""
+    return HOLDS_WITHIN if verdict.startswith(HOLDS_WITHIN) else verdict

@@ -119,10 +119,13 @@ class Claims:
         The claims, in the order of the ledger.
     controls : tuple of CheckResult
         The positive control of each kind of check that was used.
+    named : bool
+        True if the claims were asked for by name.
     """
 
     rows: tuple[Decided, ...]
     controls: tuple[CheckResult, ...]
+    named: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -213,4 +216,4 @@ def decide_claims(
     for check in checks:
         controls.append(CheckResult(**carry_out(check, check.control)))
         on_progress(len(rows) + len(controls), total)
-    return Claims(tuple(rows), tuple(controls))
+    return Claims(tuple(rows), tuple(controls), bool(ids))

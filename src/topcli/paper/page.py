@@ -1,4 +1,4 @@
-"""Tables of the decided claims, and the ledger as a page of the documentation, ``docs/claims.md``."""
+"""The ledger as a page of the documentation, ``docs/claims.md``."""
 
 from __future__ import annotations
 
@@ -35,25 +35,6 @@ CONTROLS = """## Kinds of checks
 
 Each kind of check, with what it measures, and its positive control: a defect that it must find.
 """
-
-CLAIMS = Table(
-    "claims",
-    (
-        Column("id", "id"),
-        Column("origin", "origin"),
-        Column("statement", "statement"),
-        *(Column("", key) for key in ("source", "experiment")),
-        Column("verdict", "verdict", key=""),
-        Column("figure", "figure", number_text),
-        Column("bound", "bound_text", key="bound"),
-        Column("source", "source", key=""),
-        *(Column("", key) for key in ("verdict", "note", "recorded", "seconds")),
-    ),
-    heading="Claims",
-    index="id",
-    numbers=False,
-)
-"""Table of the plain data of decided claims."""
 
 
 def _cell(text: str) -> str:

@@ -45,6 +45,7 @@ STUDIES = {
     "lax": Place("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
     "roundoff": Place("topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."),
     "stress": Place("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
+    "claims": Place("topcli.paper.study:CLAIMS", "Decide the paper's claims by experiments."),
     "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }
 """All studies by name."""

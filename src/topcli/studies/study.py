@@ -43,6 +43,8 @@ class Flag:
         The command needs at least one of several positional arguments.
     several : bool
         The option may be repeated for a parameter that is no sequence.
+    alone : bool
+        The option excludes ``--json``.
     """
 
     option: str = ""
@@ -54,6 +56,7 @@ class Flag:
     most: float | None = None
     required: bool = False
     several: bool = False
+    alone: bool = False
 
 
 PYTHON_ONLY = Flag("-")
@@ -79,12 +82,15 @@ class Result:
         Digest of what the result depends on.
     file : Path, optional
         File in the folder of results that keeps this result; that of the default options only.
+    of : object, optional
+        What was measured, for texts and attributes that need more than the data.
     """
 
     data: Data
     arrays: Mapping[str, Array] = field(default_factory=dict)
     source: Callable[[], str] = lambda: ""
     file: Path | None = None
+    of: Any = None
 
 
 class Head(NamedTuple):
@@ -135,7 +141,8 @@ class Study:
     tables : sequence of Table, or callable
         Tables of a result; the first is ``table`` in Python.
     printed : callable, optional
-        Tables and sentences on a terminal; by default the tables. Its keyword parameters are flags of the command.
+        Tables and texts of a ``Result`` on a terminal; by default the tables. Its keyword parameters are flags of the
+        command.
     frames : sequence of Table
         Tables that are DataFrames only.
     notes : callable
@@ -145,7 +152,7 @@ class Study:
     figure : str
         Function ``module:function`` of a result that loads the figure.
     draws : str
-        What ``--plot`` draws, in a few words.
+        What ``--plot`` draws, in a few words; empty for a figure of pages only.
     captions : sequence of str, or callable
         A caption for each panel.
     plotted : str

@@ -193,7 +193,7 @@ def grid_of(data: Data, top: str, numbered: bool = False) -> Table:
     )
 
 
-def printed(data: Data, *, verbose: Annotated[bool, Flag("--verbose -v")] = False) -> Iterator[Table | str]:
+def printed(result: Result, *, verbose: Annotated[bool, Flag("--verbose -v")] = False) -> Iterator[Table | str]:
     """Tables on a terminal: grids of the outcomes of many trials, then a line for each trial that did not hold.
 
     Parameters
@@ -201,6 +201,7 @@ def printed(data: Data, *, verbose: Annotated[bool, Flag("--verbose -v")] = Fals
     verbose : bool, optional
         List trials that held as well.
     """
+    data = result.data
     every = verbose or len(data["trials"]) <= SHOWN
     if not every:
         for top in tops_of(data):
