@@ -168,6 +168,16 @@ class CompensatedOption(BaseModel):
     )
 
 
+def linear_invariants(top: Top) -> tuple[str, ...]:
+    """Names of the invariants that every Runge-Kutta method conserves."""
+    return polynomial_invariants(top, 1)
+
+
+def all_invariants(top: Top) -> tuple[str, ...]:
+    """Names of all invariants of ``top``."""
+    return tuple(invariant.name for invariant in top.invariants())
+
+
 def is_compensated(options: object) -> bool:
     """True if ``options`` have the option ``compensated`` and it is set."""
     return isinstance(options, CompensatedOption) and options.compensated

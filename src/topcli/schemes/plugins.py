@@ -212,3 +212,34 @@ def users_error(error: Exception) -> SchemeCodeError | None:
 def reason_of(error: BaseException) -> str:
     """Type and first line of the message of an error."""
     return (f"{type(error).__name__}: {error}".splitlines() or [type(error).__name__])[0][:400]
+
+
+@dataclass(frozen=True)
+class PluginFailure:
+    """Plugin that could not be imported, with the reason in one line."""
+
+    name: str
+    reason: str
+
+
+def import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
+    """Import a plugin; if that fails, remove what it had registered and return the failure."""
+    before, tops, previous = registry.snapshot(), set(TOPS), registry.origin
+    every_top = dict(registry.for_every_top)
+    registry.origin = origin
+    try:
+        load()
+        for form in TOPS.keys() - tops:
+            registry.top_origins[form] = origin
+            for known, register_for in every_top.items():
+                if (known, form) not in registry.schemes:  # the plugin may bring its own
+                    register_for(form)
+    except (KeyboardInterrupt, MemoryError):
+        raise
+    except BaseException as error:  # including SystemExit: a plugin must not end the program
+        registry.restore(before)
+        place = users_place(error)
+        return PluginFailure(name, reason_of(error) + (f" ({place})" if place else ""))
+    finally:
+        registry.origin = previous
+    return None

@@ -10,7 +10,6 @@ import pkgutil
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache, partial, wraps
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -27,25 +26,17 @@ from topcli.schemes.plugins import (
     ENTRY_POINT_GROUP,
     SCHEME_FILE,
     FromSource,
+    PluginFailure,
     SchemeFile,
+    import_plugin,
     modules_beside,
     origin_of,
-    reason_of,
     registry,
     users_error,
-    users_place,
 )
 from topcli.tops import TOPS
 
 Build = Callable[[Any, Any], Method]
-
-
-@dataclass(frozen=True)
-class PluginFailure:
-    """Plugin that could not be imported, with the reason in one line."""
-
-    name: str
-    reason: str
 
 
 def scheme(
@@ -244,29 +235,6 @@ def _checked(build: Build, name: str) -> Build:
     return checked
 
 
-def _import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
-    """Import a plugin; if that fails, remove what it had registered and return the failure."""
-    before, tops, previous = registry.snapshot(), set(TOPS), registry.origin
-    every_top = dict(registry.for_every_top)
-    registry.origin = origin
-    try:
-        load()
-        for form in TOPS.keys() - tops:
-            registry.top_origins[form] = origin
-            for known, register_for in every_top.items():
-                if (known, form) not in registry.schemes:  # the plugin may bring its own
-                    register_for(form)
-    except (KeyboardInterrupt, MemoryError):
-        raise
-    except BaseException as error:  # including SystemExit: a plugin must not end the program
-        registry.restore(before)
-        place = users_place(error)
-        return PluginFailure(name, reason_of(error) + (f" ({place})" if place else ""))
-    finally:
-        registry.origin = previous
-    return None
-
-
 @cache
 def plugin_failures() -> tuple[PluginFailure, ...]:
     """Import the built-in schemes and the plugins of the entry-point group; return the plugins that failed."""
@@ -276,7 +244,7 @@ def plugin_failures() -> tuple[PluginFailure, ...]:
     plugins: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
     for entry in plugins:
         origin = entry.dist.name if entry.dist else entry.name
-        failure = _import_plugin(entry.name, origin, entry.load)
+        failure = import_plugin(entry.name, origin, entry.load)
         if failure:
             failures.append(failure)
     return tuple(failures)
@@ -303,7 +271,7 @@ def load_scheme_file(path: Path) -> None:
         registry.before_files = registry.snapshot()
     folder = path.resolve().parent
     with modules_beside(folder) as imported:
-        failure = _import_plugin(str(path), str(path), lambda: loader.exec_module(module))
+        failure = import_plugin(str(path), str(path), lambda: loader.exec_module(module))
     if failure:
         raise UsageError(f"scheme file {path}: {failure.reason}")
     if registry.registered() == known:

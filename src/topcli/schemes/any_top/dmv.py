@@ -45,7 +45,7 @@ from topcli.arithmetic.vectors import VECTOR_VARIANTS, Matrix, Vector, cayley_in
 from topcli.contracts import EulerPoisson, Floats, Integrability, Stepper, Top, checked_equations
 from topcli.errors import UsageError
 from topcli.schemes.any_top.splitting import KEPT, entering, inverse_moments, kick, leaving, state_length
-from topcli.schemes.layout import NO_LONG_STEP, Change, CompensatedOption, stepper
+from topcli.schemes.layout import NO_LONG_STEP, Change, CompensatedOption, all_invariants, stepper
 from topcli.schemes.registry import scheme
 
 ORDERS = (4, 6, 8, 10)
@@ -357,9 +357,7 @@ FREE_MAP = Integrability(
     order=2,
     explicit=False,
     self_adjoint=True,
-    conserves=lambda top: (
-        tuple(one.name for one in top.invariants()) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ())
-    ),
+    conserves=lambda top: all_invariants(top) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ()),
     citation="Moser, Veselov 1991; McLachlan, Scovel 1995; McLachlan, Zanna 2005 (equal to RATTLE, preprocessed); "
     "Hairer, Vilmart 2006 (preprocessed)",
     formula=r"""

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.vectors import add, axpy
 from topcli.contracts import Array, Floats, NoOptions, StepFunction, Stepper, Top, check_stop
-from topcli.schemes.layout import explicit_limits, polynomial_invariants, rk2_limits
+from topcli.schemes.layout import explicit_limits, linear_invariants, rk2_limits
 from topcli.schemes.registry import scheme
 
 VectorField = Callable[[Floats, Floats], Floats]
@@ -69,7 +69,7 @@ def rk4_step(field: VectorField, axpy: Axpy, add: Add) -> StepFunction:
     order=2,
     explicit=True,
     self_adjoint=False,
-    conserves=lambda top: polynomial_invariants(top, 1),
+    conserves=linear_invariants,
     citation="Runge 1895",
     formula=r"y' = y + h\,f\bigl(y + \tfrac h2 f(y)\bigr)",
     equations="y' = y + h f(y + h/2 f(y))",
@@ -87,7 +87,7 @@ def build_rk2(top: Top, options: NoOptions) -> Stepper:
     order=4,
     explicit=True,
     self_adjoint=False,
-    conserves=lambda top: polynomial_invariants(top, 1),
+    conserves=linear_invariants,
     citation="Kutta 1901",
     formula=r"""
 y' = y + \tfrac h6\,(k_1 + 2k_2 + 2k_3 + k_4), \qquad
@@ -127,7 +127,7 @@ class Tolerances(BaseModel):
     explicit=True,
     self_adjoint=False,
     adaptive=True,
-    conserves=lambda top: polynomial_invariants(top, 1),
+    conserves=linear_invariants,
     citation="Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993; scipy.integrate.DOP853",
     formula=r"""
 y_{j+1} = y_j + h_j\sum_{i=1}^{12} b_i k_i, \qquad

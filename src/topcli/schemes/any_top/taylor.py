@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from topcli.contracts import Array, Block, EulerPoisson, Floats, Top, checked_equations
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
 from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, two_sum
-from topcli.schemes.layout import polynomial_invariants
+from topcli.schemes.layout import linear_invariants
 from topcli.schemes.registry import scheme
 
 STEP, FRACTION, LAG, TIME, LOG2_TOL, TABLES = 0, 1, 2, 3, 4, 5
@@ -320,7 +320,7 @@ def log2_tolerance(tol: float) -> float:
     explicit=True,
     self_adjoint=False,
     adaptive=True,
-    conserves=lambda top: polynomial_invariants(top, 1),
+    conserves=linear_invariants,
     citation="Jorba, Zou, Experimental Mathematics 14 (2005) 99",
     formula=r"""
 y(t + \delta) = \sum_m y_m\,\delta^m, \qquad

@@ -15,7 +15,14 @@ from topcli.arithmetic.fused import follow_precision
 from topcli.arithmetic.vectors import Vector, cayley_increment
 from topcli.contracts import Floats, Stepper, Top
 from topcli.schemes.euler.hk import CITATION, FORMS, OmegaChange, hk_increment, omega_change
-from topcli.schemes.layout import NEWTON_SINGULAR, NO_SOLUTION, Change, CompensatedOption, increment_stepper
+from topcli.schemes.layout import (
+    NEWTON_SINGULAR,
+    NO_SOLUTION,
+    Change,
+    CompensatedOption,
+    all_invariants,
+    increment_stepper,
+)
 from topcli.schemes.registry import scheme
 
 Axis = Callable[[Vector, Vector], Vector]
@@ -305,7 +312,7 @@ def midpoint_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
     order=2,
     explicit=False,
     self_adjoint=True,
-    conserves=lambda top: tuple(invariant.name for invariant in top.invariants()),
+    conserves=all_invariants,
     citation=CITATION,
     formula=r"m' - m = h\,\bar m\times\bar\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\bar\omega",
     equations="the last difference equations of section 1.2; gamma by the modified BS scheme of section 3.2.3",

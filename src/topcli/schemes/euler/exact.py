@@ -35,6 +35,7 @@ from topcli.arithmetic.quaternions import products, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.euler.hk import FORMS, hk_integrals
+from topcli.schemes.layout import all_invariants
 from topcli.schemes.registry import scheme
 
 
@@ -317,7 +318,7 @@ def _at_rest(w: Vector, alpha: Vector) -> bool:
     order=None,
     explicit=True,
     self_adjoint=True,
-    conserves=lambda top: tuple(invariant.name for invariant in top.invariants()),
+    conserves=all_invariants,
     citation="Jacobi 1850; Landau, Lifshitz, Mechanics, section 37",
     formula=r"""
 \omega_1 = a_1\,\mathrm{dn}(u; k), \quad \omega_2 = a_2\,\mathrm{sn}(u; k), \quad

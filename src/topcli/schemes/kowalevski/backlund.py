@@ -47,7 +47,7 @@ from topcli.schemes.kowalevski.backlund_step import (
     scaled_step,
     substeps_of,
 )
-from topcli.schemes.kowalevski.four_integrals import sizes, target_values
+from topcli.schemes.kowalevski.four_integrals import INTEGRALS, sizes, target_values
 from topcli.schemes.kowalevski.projected import COUNTERS, project
 from topcli.schemes.layout import CompensatedOption, stepper
 from topcli.schemes.registry import scheme
@@ -255,7 +255,7 @@ def domain(top: Top, y0: Floats, options: BacklundOptions) -> float:
     order=2,
     explicit=True,
     self_adjoint=True,
-    conserves=("gamma_sq", "two_l", "energy", "k_sq"),
+    conserves=INTEGRALS,
     citation="after Kuznetsov, Vanhaecke 2000 (Bäcklund transformations); Bobenko, Reyman, Semenov-Tian-Shansky 1989 "
     "(Lax pair)",
     integrable=Integrability("5x5, L' U = U L", "Lie-Poisson bracket of e(3)", "lie-poisson"),

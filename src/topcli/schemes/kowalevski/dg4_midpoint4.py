@@ -21,8 +21,8 @@ y)/2 and a direction n that conserves gamma², 2l and E (``four_integrals``)::
     y' = y + h f(z) + s n(z),   s such that k(y') = k(y)
 
 The midpoint rule conserves gamma², 2l and E because they are quadratic, and so does the term s n(z); only the number s
-remains to be determined. All terms are symmetric in y and y', so the step is self-adjoint. It is not singular where
-omega1 + i omega2 vanishes: k² enters by its gradient, and there is no square root.
+remains to be determined. This step is symmetric too. It is not singular where omega1 + i omega2 vanishes: k² enters by
+its gradient, and there is no square root.
 
 If k is so small that the error of the step could rotate xi about 0, the condition on k is replaced by one on both
 components of xi, with two directions n: xi' is xi rotated by -h m3. For k = 0 this is Delone's motion.
@@ -63,11 +63,12 @@ from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.hk_midpoint import implicit_matrix, midpoint
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
+    INTEGRALS,
     PARALLEL,
-    TINY,
     Floats4,
     NewtonMatrix,
     bracket,
+    change_of_xi,
     combination,
     conserving_direction,
     directional_derivatives,
@@ -80,6 +81,7 @@ from topcli.schemes.kowalevski.four_integrals import (
     momentum_field,
     newton_matrix,
     newton_solve,
+    restoring_change,
     solve,
     target_values,
     xi_fields,
@@ -194,7 +196,7 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     order=2,
     explicit=False,
     self_adjoint=True,
-    conserves=("gamma_sq", "two_l", "energy", "k_sq"),
+    conserves=INTEGRALS,
     citation="McLachlan, Quispel, Robidoux 1999; Dahlby, Owren, Yaguchi 2011 (several integrals)",
     formula=r"""
 y' = y + h\,\bigl(1 - D\,(D^{\mathsf T} D)^{-1} D^{\mathsf T}\bigr)\,f(\bar y), \qquad
@@ -234,30 +236,6 @@ BAND = 2.0 * EPS
 """Deviation of k² relative to its terms, its rounding error, which is not corrected."""
 follow_precision(__name__, caps=("ROUNDS",), BAND=1)
 Solution = tuple[Floats6, float, float]
-
-
-def restoring_change(y: Floats, t: Floats4, c: float) -> Floats6:
-    """Change of the state that takes gamma², 2l and E about halfway back to their targets in ``t``."""
-    w1, w2, w3, g1, g2, g3 = y
-    i1, i2, i3 = first_three(y, c)
-    ww, w33 = w1 * w1 + w2 * w2, w3 * w3
-    gg, g33 = g1 * g1 + g2 * g2, g3 * g3
-    x = (
-        0.5 * (t[0] - i1) / ((gg + g33) + TINY),
-        0.5 * (t[1] - i2) / ((4.0 * (gg + ww) + (g33 + w33)) + TINY),
-        0.5 * (t[2] - i3) / ((4.0 * ww + (w33 + c * c)) + TINY),
-        0.0,
-    )
-    return combination(y, c, (0.0, 0.0, 0.0, 0.0), x)
-
-
-def change_of_xi(y: Floats, e: Floats6, c: float) -> tuple[float, float]:
-    """xi(y + e) - xi(y), with rounding errors proportional to e."""
-    w1, w2, e1, e2 = y[0], y[1], e[0], e[1]
-    return (
-        (e1 * (2.0 * w1 + e1) - e2 * (2.0 * w2 + e2)) - c * e[3],
-        2.0 * (e1 * (w2 + e2) + e2 * w1) - c * e[4],
-    )
 
 
 def midpoint_residual(m: Floats6, e: Floats6, b: Floats6, f: Floats6, h: float) -> Floats6:
@@ -406,7 +384,7 @@ def enter_midpoint4(y: Floats, h: float, p: Floats) -> Floats:
     order=2,
     explicit=False,
     self_adjoint=True,
-    conserves=("gamma_sq", "two_l", "energy", "k_sq"),
+    conserves=INTEGRALS,
     citation="after Dahlby, Owren, Yaguchi 2011 (several integrals) and Cooper 1987 (quadratic ones)",
     formula=r"""
 y' = y + h\,f(\bar y) + s\,J\,\bigl(|F|^2 X - (F\cdot X)\,F\bigr), \qquad

@@ -32,6 +32,7 @@ from topcli.arithmetic.fused import follow_precision
 from topcli.arithmetic.vectors import Floats6, Matrix, Vector, axpy, dot, scaled
 from topcli.contracts import Floats
 
+INTEGRALS = ("gamma_sq", "two_l", "energy", "k_sq")
 EPS = 2.0**-52
 DEPENDENT = 2.0**-44
 """Squared sine of the angle between a gradient and the span of the previous ones, below which it is round-off."""
@@ -289,6 +290,30 @@ def xi_correction(y: Floats, r1: float, r2: float, c: float) -> tuple[Floats6, f
         return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0
     a, b = (uv * r2 - vv * r1) / det, (uv * r1 - uu * r2) / det
     return bracket(y, axpy(scaled(a, u), b, v)), 0.0
+
+
+def restoring_change(y: Floats, t: Floats4, c: float) -> Floats6:
+    """Change of the state that takes gamma², 2l and E about halfway back to their targets in ``t``."""
+    w1, w2, w3, g1, g2, g3 = y
+    i1, i2, i3 = first_three(y, c)
+    ww, w33 = w1 * w1 + w2 * w2, w3 * w3
+    gg, g33 = g1 * g1 + g2 * g2, g3 * g3
+    x = (
+        0.5 * (t[0] - i1) / ((gg + g33) + TINY),
+        0.5 * (t[1] - i2) / ((4.0 * (gg + ww) + (g33 + w33)) + TINY),
+        0.5 * (t[2] - i3) / ((4.0 * ww + (w33 + c * c)) + TINY),
+        0.0,
+    )
+    return combination(y, c, (0.0, 0.0, 0.0, 0.0), x)
+
+
+def change_of_xi(y: Floats, e: Floats6, c: float) -> tuple[float, float]:
+    """xi(y + e) - xi(y), with rounding errors proportional to e."""
+    w1, w2, e1, e2 = y[0], y[1], e[0], e[1]
+    return (
+        (e1 * (2.0 * w1 + e1) - e2 * (2.0 * w2 + e2)) - c * e[3],
+        2.0 * (e1 * (w2 + e2) + e2 * w1) - c * e[4],
+    )
 
 
 def newton_matrix(m: Floats, d: float, c: float) -> NewtonMatrix:

@@ -26,6 +26,7 @@ from topcli.arithmetic.vectors import Vector, add, axpy, dot, scaled, subtract
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
+    INTEGRALS,
     Floats4,
     combination,
     directional_derivatives,
@@ -197,7 +198,6 @@ SETTLED_CHANGES = EPS / 4.0
 follow_precision(__name__, caps=("SYMMETRIC_ROUNDS",), VANISHING=0.5, SETTLED_CHANGES=1)
 MAX_CORRECTION = 1.0
 """Largest length of a correction relative to that of the step: this times h² (omega² + c gamma), but at most 1."""
-CONSERVES = ("gamma_sq", "two_l", "energy", "k_sq")
 LIMITS = {
     "resonance": "With steps of about one revolution HK jumps so far that no correction as short as its own step "
     "restores the integrals; counted as unmet.",
@@ -232,7 +232,7 @@ def projected_step(s: Floats, h: float, p: Floats) -> Floats:
     order=2,
     explicit=True,
     self_adjoint=False,
-    conserves=CONSERVES,
+    conserves=INTEGRALS,
     citation="Hairer, Lubich, Wanner, Geometric Numerical Integration, section IV.4 (projection methods)",
     formula=r"""
 y' = z - D(z)\,x, \qquad z = \Phi^{\mathrm{HK}}_h(y), \qquad x \text{ such that } I(y') = I(y), \qquad
@@ -332,7 +332,7 @@ def symmetric_step(s: Floats, h: float, p: Floats) -> Floats:
     order=2,
     explicit=False,
     self_adjoint=True,
-    conserves=CONSERVES,
+    conserves=INTEGRALS,
     citation="Hairer 2000 (symmetric projection methods)",
     formula=r"""
 y' = \Phi^{\mathrm{HK}}_h\bigl(y + D(y)\,x\bigr) + D(y')\,x, \qquad x \text{ such that } I(y') = I(y), \qquad
