@@ -9,13 +9,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, reject, settings
 from hypothesis import strategies as st
 
-from config_texts import CONFIGS
+from config_texts import CONFIGS, PLAIN
+from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.files import parse_override
-from topcli.config.load import load_experiment
+from topcli.config.load import load, load_experiment
 from topcli.config.models import name_fault
 from topcli.config.text import key_lines, parse_yaml, to_yaml
 from topcli.errors import ConfigError, StepTooLongError, TopcliError
@@ -34,58 +36,18 @@ def folder() -> Iterator[Path]:
 
 
 # Texts near to configs reach deeper than arbitrary ones do.
-YAML_PIECES = [
-    *("name", "top", "kind", "initial", "omega", "gamma", "scheme", "h", "N", "output", "columns", "normalize"),
-    *("kowalevski", "hk", "hybrid", "auto", "-auto", "1e-3", "0", "-1", ".nan", "no", "true", "~", "'x'", '"\\u00e9"'),
-    *(
-        ": ",
-        ":",
-        "\n",
-        "\n  ",
-        "\n    ",
-        "- ",
-        "[",
-        "]",
-        "{",
-        "}",
-        ", ",
-        " #",
-        "&a ",
-        "*a",
-        "!t ",
-        "<<",
-        "? ",
-        "| ",
-        ">",
-    ),
-    *("---", "...", "%YAML 1.1\n", "\t", "\\", '"', "'", "@", "`", "\x85", "\u2028", "\ufeff", "\ud7ff", "🌀"),
-]
-TOML_PIECES = [
-    *("name", "top", "kind", "initial", "omega", "gamma", "scheme", "h", "N", "output", "columns", "normalize"),
-    *('"kowalevski"', "'hk'", '"auto"', "1e-3", "0x1F", "nan", "inf", "true", "1979-05-27", "07:32:00", '"\\u00e9"'),
-    *(
-        " = ",
-        "=",
-        ".",
-        "\n",
-        "[",
-        "]",
-        "[[",
-        "]]",
-        "{",
-        "}",
-        ", ",
-        " #",
-        '"""',
-        "'''",
-        '"',
-        "'",
-        "\\",
-        "\t",
-        "\r",
-        "🌀",
-    ),
-]
+KEYS = "name top kind initial omega gamma scheme h N output columns normalize "
+YAML_WORDS = r"""
+kowalevski hk hybrid auto -auto 1e-3 0 -1 .nan no true ~ 'x' "\u00e9"
+: - [ ] { } &a *a !t << ? | > --- ... ' " \ @ `
+"""
+TOML_WORDS = r"""
+"kowalevski" 'hk' "auto" 1e-3 0x1F nan inf true 1979-05-27 07:32:00 "\u00e9"
+= . [ ] [[ ]] { } " ' ''' \
+"""
+YAML_PIECES = [*(KEYS + YAML_WORDS).split(), ": ", "\n", "\n  ", "\n    ", "- ", ", ", " #", "%YAML 1.1\n"]
+YAML_PIECES += ["\t", "\x85", "\u2028", "\ufeff", "\ud7ff", "🌀"]
+TOML_PIECES = [*(KEYS + TOML_WORDS).split(), '"""', " = ", "\n", ", ", " #", "\t", "\r", "🌀"]
 
 
 def pieces(words: list[str]) -> st.SearchStrategy[str]:
@@ -166,13 +128,6 @@ def test_any_value_of_a_key_loads_or_is_refused(key: str, value: object) -> None
 
 
 # --- round trips ----------------------------------------------------------------------------------------------------
-
-
-def toml_paths(data: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    for key, value in data.items():
-        yield (*path, key)
-        if isinstance(value, dict):
-            yield from toml_paths(value, (*path, key))
 
 
 @settings(CONFIG)
@@ -264,6 +219,37 @@ def test_auto_gives_a_unit_vector(others: tuple[float, float], place: int, sign:
     assert tuple(value for index, value in enumerate(found) if index != place) == others
 
 
+VALUES = st.integers(-3, 3) | st.floats() | st.sampled_from(["auto", "sphere", None, True])
+DRAWS = VALUES | st.dictionaries(st.sampled_from(["sphere", "near", "energy", "x"]), VALUES, max_size=2)
+AXES = VALUES | st.lists(VALUES, max_size=3)
+AXES |= st.fixed_dictionaries({"from": VALUES, "to": VALUES, "count": VALUES | st.integers(1, 4)})
+VECTORS = st.dictionaries(st.sampled_from(["omega", "gamma", "m", "normalize"]), st.lists(VALUES, max_size=3))
+OPTIONAL = {"gamma": DRAWS, "omega": DRAWS, "seed": VALUES}
+SECTIONS = {
+    "random": st.fixed_dictionaries({"count": st.integers(0, 4)}, optional=OPTIONAL) | VALUES,
+    "grid": st.dictionaries(st.sampled_from(["omega1", "gamma3", "gamma1", "top.c0", "top.A", "x"]), AXES, max_size=3),
+    "states": VALUES | st.lists(VECTORS | VALUES, max_size=3),
+}
+
+
+@pytest.mark.slow
+@settings(CONFIG)
+@given(section=st.sampled_from(list(SECTIONS)).flatmap(lambda name: st.fixed_dictionaries({name: SECTIONS[name]})))
+def test_any_section_of_an_ensemble_is_refused_or_round_trips(section: dict[str, Any]) -> None:
+    data = {**PLAIN, "ensemble": section}
+    if message := refusal(lambda: load(data)):
+        assert not message.startswith("not a message")
+        return
+    first = load(data)
+    again = load(first.resolved())
+    assert isinstance(first, EnsembleExperiment)
+    assert isinstance(again, EnsembleExperiment)
+    states, others = (np.concatenate([group.states for group in one.members.groups]) for one in (first, again))
+    assert np.isfinite(states).all()
+    assert np.abs((states[:, 3:] ** 2).sum(axis=1) - 1.0).max() <= 2e-12
+    assert (first.digest, states.tobytes()) == (again.digest, others.tobytes())
+
+
 # Half a surrogate pair is no text that UTF-8 can hold.
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
 SECTION_VALUES = st.recursive(
@@ -276,6 +262,8 @@ SECTION_VALUES = st.recursive(
 @pytest.mark.slow
 @settings(CONFIG)
 @given(data=st.dictionaries(TEXT, SECTION_VALUES, min_size=1, max_size=4))
+@example(data={"texts": ["no", "true", "1e3", "", 'a "b" \\ #', "ä\x85\u2028\ufeff🌀", "-", "x: y"], "with space": {}})
+@example(data={"numbers": [1e-5, 1e22, -0.0, 5e-324, 1.7976931348623157e308, 3, True, None], "deep": {"a": [[], [{}]]}})
 def test_emitted_yaml_reads_back(data: dict[str, Any]) -> None:
     found, _ = parse_yaml(to_yaml(data), "text")
     assert repr(found) == repr(data)
