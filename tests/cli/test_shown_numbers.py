@@ -41,7 +41,7 @@ Expected = tuple[Sequence[Any], Columns]
 
 def columns_of(text: str) -> list[tuple[str, Any]]:
     """Columns from lines of a heading and the paths of its fields, with a colon between them."""
-    return [(head, paths) for head, _, paths in (line.partition(": ") for line in text.strip("\n").split("\n"))]
+    return [(head, paths) for head, _, paths in (line.rpartition(": ") for line in text.strip("\n").split("\n"))]
 
 
 def assert_shows(table: Table, data: Any, rows: Sequence[Any], columns: Columns) -> None:
@@ -53,6 +53,7 @@ def assert_shows(table: Table, data: Any, rows: Sequence[Any], columns: Columns)
     for row, cells in zip(rows, shown, strict=True):
         for (head, of), cell in zip(columns, cells, strict=True):
             values = of(row) if callable(of) else [field(row, path) for path in of.split()]
+            values = values if any(value is not None for value in values) else [None]
             assert shows(cell, *values), (head, cell, values)
 
 
@@ -115,54 +116,66 @@ def compared(data: Any) -> Iterator[Expected]:
 
 def lax_forms(data: Any) -> Iterator[Expected]:
     """A column for each form; then a line for each scheme, with the drifts of each form's spectrum."""
-    yield (
-        data["forms"],
-        [
-            ("", "form"),
-            ("size", lambda form: [f"{form['size']}x{form['size']}"]),
-            ("dL/dt - [M,L] by the equations", "residual_by_field"),
-            ("dL/dt - [M,L] by differences", "residual_by_differences"),
-            ("traces", lambda form: [{"block": "block traces of L^k"}.get(form["form"], "tr L^k")]),
-            ("independent integrals", "independent_integrals"),
-            ("carried integrals", lambda form: [", ".join(form["carries"]) or "–"]),
-            ("Lax pair", lambda form: [{True: "yes", False: "no"}[form["lax_pair"]]]),
-            ("midpoint rule: L' - U L U^-1", "midpoint.conjugation_defect"),
-            ("  its order in h", lambda form: [form["midpoint"]["order"] or "round-off"]),
-        ],
-    )
-    drifts = {"traces": "drift", "eigenvalues": "eigenvalue_shift"}
-    columns = [
-        (f"{form['form']}: {form.get(kind, kind)}", f"forms.{i}.{key}")
-        for i, form in enumerate(data["forms"])
-        for kind, key in drifts.items()
+    forms = [
+        {
+            **form,
+            "shape": f"{form['size']}x{form['size']}",
+            "trace": {"block": "block traces of L^k"}.get(form["form"], "tr L^k"),
+            "carried": ", ".join(form["carries"]) or "–",
+            "pair": {True: "yes", False: "no"}[form["lax_pair"]],
+            "order": form["midpoint"]["order"] or "round-off",
+        }
+        for form in data["forms"]
     ]
+    yield (
+        forms,
+        columns_of("""
+: form
+size: shape
+dL/dt - [M,L] by the equations: residual_by_field
+dL/dt - [M,L] by differences: residual_by_differences
+traces: trace
+independent integrals: independent_integrals
+carried integrals: carried
+Lax pair: pair
+midpoint rule: L' - U L U^-1: midpoint.conjugation_defect
+  its order in h: order
+"""),
+    )
+    columns: list[tuple[str, str]] = [("", "scheme")]
+    for i, form in enumerate(forms):
+        columns.append((f"{form['form']}: {form['trace']}", f"forms.{i}.drift"))
+        columns.append((f"{form['form']}: eigenvalues", f"forms.{i}.eigenvalue_shift"))
     discrete = [("L'U - UL", "discrete_lax_defect")] if "backlund" in [run["scheme"] for run in data["runs"]] else []
-    yield data["runs"], [("", "scheme"), *columns, *discrete]
+    yield data["runs"], columns + discrete
 
 
 def orders(data: Any) -> Iterator[Expected]:
     """The order and the smallest error of each scheme, and all errors at each step size."""
-
-    def best(row: Any) -> Any:
-        return min(row["points"], key=lambda point: point["error"])
-
-    def error_at(h: float, scheme: Any) -> list[Any]:
-        return [point["error"] for point in scheme["points"] if point["h"] == h] or [None]
-
     schemes = data["schemes"]
+    rows = []
+    for row in schemes:
+        errors = {point["error"]: point["h"] for point in row["points"]}
+        ends = {"fit": row["fitted"][0], "end": row["fitted"][-1]} if row["fitted"] else {"fit": None, "end": None}
+        rows.append({**row, **ends, "error": min(errors), "at": errors[min(errors)]})
     yield (
-        schemes,
-        [
-            *columns_of("scheme: scheme\norder: declared_order\nobserved: order\nverdict: verdict"),
-            ("fitted over h", lambda row: (row["fitted"][0], row["fitted"][-1]) if row["fitted"] else [None]),
-            *columns_of("round-off: plateau\nfrom h: onset"),
-            ("smallest error", lambda row: [best(row)["error"]]),
-            ("at h", lambda row: [best(row)["h"]]),
-        ],
+        rows,
+        columns_of("""
+scheme: scheme
+order: declared_order
+observed: order
+verdict: verdict
+fitted over h: fit end
+round-off: plateau
+from h: onset
+smallest error: error
+at h: at
+"""),
     )
     sizes = sorted({point["h"] for row in schemes for point in row["points"]}, reverse=True)
-    errors = [(row["scheme"], lambda h, row=row: error_at(h, row)) for row in schemes]
-    yield sizes, [("h", lambda h: [h]), *errors]
+    points = {(row["scheme"], point["h"]): point["error"] for row in schemes for point in row["points"]}
+    rows = [{"h": h, **{row["scheme"]: points.get((row["scheme"], h)) for row in schemes}} for h in sizes]
+    yield rows, [(name, name) for name in rows[0]]
 
 
 def roundoffs(data: Any) -> Iterator[Expected]:
@@ -276,57 +289,60 @@ def test_an_analysis_shows_what_it_measured(tmp_path: Path, swings: int) -> None
 
 def test_a_benchmark_shows_what_it_measured() -> None:
     entry = {"name": "hk", "setting": "h=0.5", "seconds": 1.0}
-    decades = [
-        {"error": error, "topcli": entry, "peer": {**entry, "name": "rk4"}, "ratio": 1.0, "baseline_ratio": 1.0}
-        for error in (1e-3, 1e-4)
-    ]
+    pair = {"topcli": entry, "peer": {**entry, "name": "rk4", "setting": "h=0.25"}}
+    decades = [{"error": error, **pair, "ratio": 1.0, "baseline_ratio": 1.0} for error in (1e-3, 1e-4)]
     point = {"value": 0.5, "seconds": 1.0, "quartiles": [1.0, 1.0], "error": 1.0, "end_error": 1.0, "drift": 1.0}
     competitors = [{"name": name, "kind": "topcli", "parameter": "h", "points": [point, point]} for name in "ab"]
-    data = {
-        "decades": distinct(decades, 2, keep=("error",)),
-        "competitors": distinct(competitors, 3, keep=("value",)),
-    }
-    for i, decade in enumerate(data["decades"]):
-        decade["topcli"]["setting"], decade["peer"]["setting"] = f"h=0.{i + 1}", f"h={i + 1}"
-    columns: list[Any] = [("error", "error")]
-    for kind in ("topcli", "peer"):
-        columns += [(f"best {kind}", f"{kind}.name"), ("with", f"{kind}.setting")]
-        columns.append(("µs", lambda row, kind=kind: [1e6 * row[kind]["seconds"]]))
-    ratios = [(head, lambda row, key=key: [float(f"{row[key]:.2g}")]) for head, key in RATIOS.items()]
-    assert_shows(DECADE_TABLE, data, data["decades"], [*columns, *ratios])
-    points = [{**one, **point} for one in data["competitors"] for point in one["points"]]
-    assert_shows(
-        POINT_TABLE,
-        data,
-        points,
-        [
-            ("", "name"),
-            ("with", lambda row: [f"h={row['value']:g}"]),
-            ("µs per unit time", lambda row: [1e6 * row["seconds"]]),
-            ("quartiles", lambda row: [1e6 * quartile for quartile in row["quartiles"]]),
-            ("max error", "error"),
-            ("at the end", "end_error"),
-            ("largest drift", "drift"),
-        ],
-    )
-
-
-RATIOS = {"ratio": "ratio", "over scipy": "baseline_ratio"}
-TRIAL_COLUMNS = [("scheme", "scheme"), ("top", "top"), ("case", "case")]
+    data = {"decades": distinct(decades, 2, keep=("error",)), "competitors": distinct(competitors, 3, keep=("value",))}
+    rows = [
+        {**row, "µs": [1e6 * row[kind]["seconds"] for kind in ("topcli", "peer")], "rounded": rounded}
+        for row in data["decades"]
+        for rounded in [[float(f"{row[key]:.2g}") for key in ("ratio", "baseline_ratio")]]
+    ]
+    decade_columns = columns_of("""
+error: error
+best topcli: topcli.name
+with: topcli.setting
+µs: µs.0
+best peer: peer.name
+with: peer.setting
+µs: µs.1
+ratio: rounded.0
+over scipy: rounded.1
+""")
+    assert_shows(DECADE_TABLE, data, rows, decade_columns)
+    points = [
+        {**one, **point, "setting": "h=0.5", "µs": [1e6 * x for x in (point["seconds"], *point["quartiles"])]}
+        for one in data["competitors"]
+        for point in one["points"]
+    ]
+    point_columns = columns_of("""
+: name
+with: setting
+µs per unit time: µs.0
+quartiles: µs.1 µs.2
+max error: error
+at the end: end_error
+largest drift: drift
+""")
+    assert_shows(POINT_TABLE, data, points, point_columns)
 
 
 def test_trials_in_hard_cases_are_shown_with_their_verdicts() -> None:
     words = {"ok": "", "limit": "declared limit"}
-    trials = STRESS_TRIALS["trials"]
-    steps = {one["step"]: "" if one["step"] is None else f" at step {one['step']}" for one in trials}
-    told: Columns = [("outcome", lambda one: [one["outcome"] + steps[one["step"]]]), ("why", "why")]
-    verdict: Columns = [("", lambda one: [words.get(one["verdict"], one["verdict"].upper())])]
-    assert_shows(TRIALS, STRESS_TRIALS, trials, [*TRIAL_COLUMNS, *told, *verdict])
-    failed = [one for one in trials if one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"]
-    verdict = [("verdict", lambda one: [words.get(one["verdict"], one["verdict"])])]
-    plain: Columns = [("outcome", "outcome"), ("step", "step"), ("why", "why")]
-    assert_shows(FAILURES, STRESS_TRIALS, failed, [*TRIAL_COLUMNS, *plain, *verdict])
-    assert_shows(QUESTIONS, STRESS_TRIALS, STRESS_TRIALS["cases"], [(key, key) for key in ("case", "top", "question")])
+    rows = []
+    for one in STRESS_TRIALS["trials"]:
+        step = "" if one["step"] is None else f" at step {one['step']}"
+        word = words.get(one["verdict"], one["verdict"])
+        loud = word if one["verdict"] in words else word.upper()
+        rows.append({**one, "what": one["outcome"] + step, "word": word, "loud": loud})
+    shared = "scheme: scheme\ntop: top\ncase: case\n"
+    assert_shows(TRIALS, STRESS_TRIALS, rows, columns_of(f"{shared}outcome: what\nwhy: why\n: loud"))
+    failed = [one for one in rows if one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"]
+    columns = columns_of(f"{shared}outcome: outcome\nstep: step\nwhy: why\nverdict: word")
+    assert_shows(FAILURES, STRESS_TRIALS, failed, columns)
+    columns = columns_of("case: case\ntop: top\nquestion: question")
+    assert_shows(QUESTIONS, STRESS_TRIALS, STRESS_TRIALS["cases"], columns)
 
 
 @pytest.mark.parametrize("numbered", [True, False])

@@ -262,26 +262,6 @@ def test_growth_over_a_run(ratio: float, stays: str, grows: str) -> None:
 
 
 @pytest.mark.slow
-def test_energy_of_figure_3_between_swings() -> None:
-    """Read off the run at times without motion: 5.00000, 5.00128, 5.00255, 5.00384."""
-    run = LedgerScene("kowalevski_bohlin_a").trajectory()
-    wanted = [float(run["energy"][np.searchsorted(run.t, t)]) for t in (3.0, 22.0, 36.0, 50.0)]
-    assert wanted == pytest.approx([5.00000, 5.00128, 5.00256, 5.00384], abs=6e-6)
-    levels, _ = run_checks.levels_between_swings(run, "energy")
-    assert levels == pytest.approx(wanted, abs=4e-6)
-
-
-@pytest.mark.slow
-def test_reversible_schemes_as_inaccurate_as_figure_3_return() -> None:
-    """The control is the size: E deviates by 0.0045 in Figure 3, and as much under the two schemes."""
-    sizes = [float(x) for x in re.findall(r"range (\S+),", measure("fig3-cause")[0].note)]
-    assert len(sizes) == 2
-    assert min(sizes) > 0.0044
-    coarse = LedgerScene.read("kowalevski_hk scheme=rk2 h=0.0625 N=800")
-    assert verdict("oscillation", run_checks.returns([coarse], "energy")) == FAILS
-
-
-@pytest.mark.slow
 def test_distance_between_pictures() -> None:
     """Two horizontal lines 0.3 mm apart, and one with a bump of 2 mm."""
     x = np.linspace(0.0, 45.0, 500)
@@ -314,14 +294,6 @@ def test_the_hybrid_drifts_and_its_reversible_form_does_not() -> None:
     assert sym_slope < 1e-6
     assert measured.figure > 100.0
     assert run_checks.slopes("hybrid", "hybrid", orbits).figure == 1.0
-
-
-@pytest.mark.slow
-def test_neighbours_part_under_maps_that_are_not_integrable() -> None:
-    for name in ("hybrid", "bohlin-a", "bohlin-c"):
-        assert measure(f"{name}-only-approximates")[0].figure > 9.0
-    for h in (0.1, 0.2):
-        assert run_checks.map_neighbours("backlund", h).figure < 4.0
 
 
 @pytest.mark.slow
@@ -363,14 +335,6 @@ def test_angles_modulo_two_pi_miss_one_root() -> None:
     assert measured.corrected < 1e-15
     for halves, expected in ((1, HOLDS), (4, MISPRINT)):
         assert verdict("angles of the roots", exact_checks.angles(0.5, halves, 1)) == expected
-
-
-@pytest.mark.slow
-def test_choice_by_sign_is_right_in_figure_2_and_wrong_elsewhere() -> None:
-    assert measure("branch-by-sign-fig2")[0].figure == 0.0
-    measured, result = measure("branch-by-sign")
-    assert (measured.figure, result) == (13.0, FAILS)
-    assert measured.note == "6 of 200 states next to the negative real axis, in a step of 0.001"
 
 
 def test_a_wrong_root_at_the_papers_step_by_plain_complex_numbers() -> None:

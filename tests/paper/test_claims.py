@@ -15,7 +15,6 @@ import typer
 from matplotlib.figure import Figure
 
 import topcli
-from reading_html import read_html
 from topcli.cli.study import command
 from topcli.figures.outcomes import VerdictPanel
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Measurement
@@ -36,21 +35,17 @@ IDS = ("matrix-m", "hk-heavy-equation", "hybrid-reversible")
 def test_json_has_one_list_of_claims(cli) -> None:
     said = cli("claims", *IDS, "--json")
     assert said.code == 0
-    document = json.loads(said.out)
-    assert [key for key, value in document.items() if isinstance(value, list)] == ["claims"]
-    assert [row["id"] for row in document["claims"]] == list(IDS)
-    for row in document["claims"]:
-        claim = CLAIMS[row["id"]]
-        for key in ("statement", "source", "recorded", "origin", "slow"):
-            assert row[key] == getattr(claim, key)
-        assert (row["kind"], row["measures"]) == (claim.check.name, claim.check.measures)
-    assert document["verdicts"] == {FAILS: 1, HOLDS: 1, MISPRINT: 1}
-    assert document["findings"] == {}
-    assert [row["verdict"] for row in document["claims"]] == [HOLDS, MISPRINT, FAILS]
-    assert document["claims"][1]["bound"] == {"low": 0.0, "high": 0.0}
-    assert document["claims"][1]["corrected"] == 0.0
-    reasons = [row["bound_reason"] for row in document["claims"]]
-    assert reasons == [*2 * ["an identity leaves exactly 0 in rational numbers"], "rounding with 50 digits"]
+    document = said.json()
+    rows = document["claims"]
+    for row, name in zip(rows, IDS, strict=True):
+        claim = CLAIMS[name]
+        assert (row["id"], row["kind"], row["measures"]) == (name, claim.check.name, claim.check.measures)
+        assert all(row[key] == getattr(claim, key) for key in ("statement", "source", "recorded", "origin", "slow"))
+    assert [row["verdict"] for row in rows] == [HOLDS, MISPRINT, FAILS]
+    assert (document["verdicts"], document["findings"]) == ({FAILS: 1, HOLDS: 1, MISPRINT: 1}, {})
+    assert (rows[1]["bound"], rows[1]["corrected"]) == ({"low": 0.0, "high": 0.0}, 0.0)
+    reasons = ["an identity leaves exactly 0 in rational numbers"] * 2 + ["rounding with 50 digits"]
+    assert [row["bound_reason"] for row in rows] == reasons
     assert set(document["controls"]) == {"identity", "reversible"}
 
 
@@ -188,17 +183,6 @@ def test_missing_package_is_not_tried(report, monkeypatch: pytest.MonkeyPatch) -
     assert re.search(r"\| misprint \| \d.*; corrected: 0 \| 0 \|$", line)
 
 
-def test_unknown_claims_name_the_nearest(cli) -> None:
-    said = cli("claims", "hybrid-reversable")
-    assert said.code == 2
-    assert "unknown claim 'hybrid-reversable'; did you mean 'hybrid-reversible'" in said.err
-    assert said.out == ""
-    said = cli("claims", "qqq")
-    assert said.code == 2
-    assert "topcli claims --fast lists the claims" in said.err
-    assert cli("claims", "--json", "--markdown").code == 2
-
-
 def test_progress_counts_claims_and_controls() -> None:
     steps: list[tuple[int, int]] = []
     decide_claims(claims=read_ledger(SMALL), on_progress=lambda done, total: steps.append((done, total)))
@@ -206,17 +190,12 @@ def test_progress_counts_claims_and_controls() -> None:
 
 
 @pytest.mark.slow
-def test_report_has_the_figures_of_each_claim_and_escapes_their_texts() -> None:
+def test_report_has_the_figures_of_each_claim() -> None:
     found = small()
     shown = StudyReport(STUDY, decided_result(found))
     assert repr(shown).endswith("1 holds, 1 does not hold as stated; findings of ours: 1 holds within>")
     assert shown.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [4.0, "≤ 5 mm", "holds within 5 mm"]
-    html = shown._repr_html_()
-    assert "&lt;b&gt;one&lt;/b&gt;" in html
-    assert "<b>one" not in html
-    (table,) = read_html(html).all("table")
-    assert table.cells()[2][:2] == ["two", "ours"]
-    assert table.cells()[2][3:6] == ["holds within 5 mm", "4", "≤ 5 mm"]
+    assert "&lt;b&gt;one&lt;/b&gt;" in shown._repr_html_()
 
 
 @pytest.mark.slow

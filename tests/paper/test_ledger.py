@@ -6,10 +6,12 @@ import ast
 import inspect
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from cases import cases_of
 from conftest import ROOT
 from topcli.errors import ConfigError
 from topcli.paper import ledger as module
@@ -46,32 +48,35 @@ def test_findings_have_a_section_of_their_own_and_hold() -> None:
     assert {RECORDED[name] for name in ours} == {HOLDS}
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            "check: reversible\n",
-            "check: reversable\n",
-            r"hk-euler-reversible: check: unknown check 'reversable'.*'reve",
-        ),
-        ("scene: euler_bs rational N=6", "scene: euler_bs rationel", r"bs-euler-m-sq: scene: .* 'rationel'; did you"),
-        ("invariants: [m_sq]}\n        recorded", "invariant: m_sq}\n        recorded", r"hk-euler-m-sq: invariants: "),
-        ("difference: kepler", "difference: keppler", "bohlin-kepler: difference: .*has a function 'keppler'"),
-        ("with: {equation: midpoint}", "with: {equation: midpoint, width: x}", "hybrid-explicit: width: "),
-        ("source: section 1.2, HK scheme\n", "sourse: section 1.2\n", "hk-euler-equation: source: Field required"),
-        ("id: direct\n", "id: kepler\n        id2: x\n", "kepler: id2: Extra inputs"),
-        ("function: reversal\n", "function: reversel\n", "reversible: no check function 'reversel'"),
-        (
-            "control: {scheme: hk, other: hybrid-sym}",
-            "control: {scheme: hk}",
-            "different slopes: other: Field required",
-        ),
-        ("recorded: misprint\n", "recorded: misprinted\n", "kowalevski-fourth: recorded: "),
-    ],
-)
-def test_a_wrong_entry_is_named_with_its_line(old: str, new: str, message: str) -> None:
+WRONG = r"""
+check: reversible\n -> check: reversable\n
+    hk-euler-reversible: check: unknown check 'reversable'.*'reve
+scene: euler_bs rational N=6 -> scene: euler_bs rationel
+    bs-euler-m-sq: scene: .* 'rationel'; did you
+invariants: [m_sq]}\n        recorded -> invariant: m_sq}\n        recorded
+    hk-euler-m-sq: invariants:
+difference: kepler -> difference: keppler
+    bohlin-kepler: difference: .*has a function 'keppler'
+with: {equation: midpoint} -> with: {equation: midpoint, width: x}
+    hybrid-explicit: width:
+source: section 1.2, HK scheme\n -> sourse: section 1.2\n
+    hk-euler-equation: source: Field required
+id: direct\n -> id: kepler\n        id2: x\n
+    kepler: id2: Extra inputs
+function: reversal\n -> function: reversel\n
+    reversible: no check function 'reversel'
+control: {scheme: hk, other: hybrid-sym} -> control: {scheme: hk}
+    different slopes: other: Field required
+recorded: misprint\n -> recorded: misprinted\n
+    kowalevski-fourth: recorded:
+"""
+
+
+@pytest.mark.parametrize(("change", "message"), cases_of(WRONG))
+def test_a_wrong_entry_is_named_with_its_line(change: str, message: list[str]) -> None:
+    old, new = change.replace("\\n", "\n").split(" -> ")
     assert old in TEXT
-    with pytest.raises(ConfigError, match=message) as caught:
+    with pytest.raises(ConfigError, match=message[0]) as caught:
         read_ledger(TEXT.replace(old, new, 1), "my.yaml")
     (number,) = re.findall(r"^my.yaml:(\d+): ", str(caught.value))
     assert -1 <= TEXT[: TEXT.index(old)].count("\n") + 1 - int(number) <= 20, "the line of the key or of its entry"
@@ -135,30 +140,25 @@ def test_verdicts_do_not_depend_on_the_record() -> None:
     assert set(decided.changed) == set(names)
 
 
-@pytest.mark.parametrize(
-    ("figure", "bound", "corrected", "verdict"),
-    [
-        (1.0, Bound(0.0, 1.0), None, HOLDS),
-        (math.nextafter(1.0, 2.0), Bound(0.0, 1.0), None, FAILS),
-        (0.5, Bound(0.0, 1.0, approximate=True), None, HOLDS_WITHIN),
-        (2.0, Bound(2.0), None, HOLDS),
-        (math.nextafter(2.0, 0.0), Bound(2.0), None, FAILS),
-        (0.0, Bound(0.0, open_low=True), None, FAILS),
-        (5e-324, Bound(0.0, open_low=True), None, HOLDS),
-        (1.9, Bound(1.9, 2.1), None, HOLDS),
-        (2.1, Bound(1.9, 2.1), None, HOLDS),
-        (math.nextafter(1.9, 0.0), Bound(1.9, 2.1), None, FAILS),
-        (math.nan, Bound(-math.inf, math.inf), None, FAILS),
-        (1.0, Bound(0.0, 0.0), 0.0, MISPRINT),
-        (1.0, Bound(0.0, 0.0), 1e-9, FAILS),
-        (0.0, Bound(0.0, 0.0), 1.0, HOLDS),
-        (1.0, Bound(0.0, 0.0), math.nan, FAILS),
-    ],
-)
-def test_verdict_follows_from_figure_and_bound(
-    figure: float, bound: Bound, corrected: float | None, verdict: str
-) -> None:
-    assert bound.verdict(figure, corrected) == verdict
+BOUNDS = [
+    (Bound(0.0, 1.0), [0.0, 1.0], [-5e-324, math.nextafter(1.0, 2.0)]),
+    (Bound(2.0), [2.0, math.inf], [math.nextafter(2.0, 0.0)]),
+    (Bound(0.0, open_low=True), [5e-324], [0.0]),
+    (Bound(1.9, 2.1), [1.9, 2.1], [math.nextafter(1.9, 0.0), math.nextafter(2.1, 3.0)]),
+]
+
+
+@pytest.mark.parametrize(("bound", "inside", "outside"), BOUNDS)
+def test_verdict_follows_from_figure_and_bound(bound: Bound, inside: list[float], outside: list[float]) -> None:
+    assert {bound.verdict(figure, None) for figure in inside} == {HOLDS}
+    assert {bound.verdict(figure, None) for figure in (*outside, math.nan)} == {FAILS}
+    assert {replace(bound, approximate=True).verdict(figure, None) for figure in inside} == {HOLDS_WITHIN}
+
+
+def test_a_misprint_fails_as_printed_and_holds_corrected() -> None:
+    exactly = Bound(0.0, 0.0)
+    found = [exactly.verdict(figure, fixed) for figure, fixed in ((1.0, 0.0), (1.0, 1e-9), (0.0, 1.0), (1.0, math.nan))]
+    assert found == [MISPRINT, FAILS, HOLDS, FAILS]
 
 
 def test_bounds_are_written_with_their_sides() -> None:
@@ -184,52 +184,54 @@ def test_all_claims_have_their_recorded_verdicts(every_claim: Claims) -> None:
     assert (every_claim.changed, every_claim.uncaught) == ((), ())
 
 
-DEFECTS: dict[str, tuple[float, float]] = {
-    "identity": (486.6, 1e-9),
-    "explicit": (24.88, 1e-3),
-    "implicit": (0.0, 0.0),
-    "independence": (2.0, 0.0),
-    "conserved exactly": (7.69e-4, 1e-2),
-    "not conserved": (0.0, 1e-47),
-    "reversible": (3.588e-4, 1e-3),
-    "not reversible": (0.0, 0.0),
-    "equal maps": (2.986e-2, 1e-3),
-    "neighbours part under a map": (3.50, 1e-2),
-    "angles of the roots": (1.395, 1e-3),
-    "order of an equation": (0.992, 1e-2),
-    "undefined step": (0.0, 0.0),
-    "different slopes": (0.241, 1e-2),
-    "printed formula": (1.32e-3, 1e-2),
-    "symmetric equation": (6.491e-3, 1e-3),
-    "growth of numbers": (1.55, 1e-2),
-    "content of a spectrum": (4.0, 0.0),
-    "neighbours part": (1.41, 1e-2),
-    "choice of the root": (3.0, 0.0),
-    "order of a deviation": (1.095, 1e-2),
-    "order of convergence": (0.996, 1e-2),
-    "oscillation": (0.8565, 1e-3),
-    "rise at each swing": (1.48e-4, 1e-2),
-    "no growth": (17.9, 1e-2),
-    "growth": (1.0, 1e-4),
-    "small deviation": (0.283, 1e-2),
-    "equal quality": (3.75e4, 1e-2),
-    "stated range": (2.285e-5, 1e-3),
-    "equal pictures": (11.57, 1e-2),
-    "different pictures": (0.0, 0.018),
-    "straight line": (14.887, 1e-3),
-    "invisible change": (27.98, 1e-2),
-    "different period": (2.21e-5, 1e-2),
-    "elliptic function": (6.0, 0.0),
-    "unequal quality": (1.122, 1e-3),
-}
+DEFECTS = """
+identity: 486.6 1e-9
+explicit: 24.88 1e-3
+implicit: 0.0 0.0
+independence: 2.0 0.0
+conserved exactly: 7.69e-4 1e-2
+not conserved: 0.0 1e-47
+reversible: 3.588e-4 1e-3
+not reversible: 0.0 0.0
+equal maps: 2.986e-2 1e-3
+neighbours part under a map: 3.50 1e-2
+angles of the roots: 1.395 1e-3
+order of an equation: 0.992 1e-2
+undefined step: 0.0 0.0
+different slopes: 0.241 1e-2
+printed formula: 1.32e-3 1e-2
+symmetric equation: 6.491e-3 1e-3
+growth of numbers: 1.55 1e-2
+content of a spectrum: 4.0 0.0
+neighbours part: 1.41 1e-2
+choice of the root: 3.0 0.0
+order of a deviation: 1.095 1e-2
+order of convergence: 0.996 1e-2
+oscillation: 0.8565 1e-3
+rise at each swing: 1.48e-4 1e-2
+no growth: 17.9 1e-2
+growth: 1.0 1e-4
+small deviation: 0.283 1e-2
+equal quality: 3.75e4 1e-2
+stated range: 2.285e-5 1e-3
+equal pictures: 11.57 1e-2
+different pictures: 0.0 0.018
+straight line: 14.887 1e-3
+invisible change: 27.98 1e-2
+different period: 2.21e-5 1e-2
+elliptic function: 6.0 0.0
+unequal quality: 1.122 1e-3
+"""
 """Figure of each kind of check on its defect, and the relative tolerance; absolute where the figure is 0."""
 
 
 @pytest.mark.slow
 def test_checks_find_their_defects(every_claim: Claims) -> None:
-    assert {control.check.name for control in every_claim.controls} == set(DEFECTS)
+    lines = (line.partition(": ") for line in DEFECTS.strip().split("\n"))
+    defects = {kind: map(float, numbers.split()) for kind, _, numbers in lines}
+    assert {control.check.name for control in every_claim.controls} == set(defects)
     for control in every_claim.controls:
-        value, tolerance = DEFECTS[control.check.name]
+        value, tolerance = defects[control.check.name]
         assert control.category == FAILS
         assert control.measurement is not None
         assert control.measurement.figure == pytest.approx(value, rel=tolerance, abs=0.0 if value else tolerance)
