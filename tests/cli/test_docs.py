@@ -339,7 +339,3 @@ def test_cells_of_a_notebook_run_and_show_what_is_stored(path: Path, tmp_path: P
         results = [one["data"]["text/plain"] for one in cell["outputs"] if one["output_type"] == "execute_result"]
         assert words(now["text"]) == (words("".join(results[0])) if results else None)
         assert now["figures"] == sum("image/png" in one.get("data", {}) for one in cell["outputs"])
-
-
-def test_there_is_a_notebook() -> None:
-    assert NOTEBOOKS

@@ -16,7 +16,6 @@ from topcli.figures.figure import MadeFigure, NothingMeasuredError, Request, mak
 from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes
 from topcli.studies.scheme_page import schemes_page
-from topcli.studies.stress.cases import CASES
 from topcli.studies.stress.trials import stored_stress, stress, stress_data, stress_source, write_stress
 
 SCHEME = '''
@@ -106,17 +105,11 @@ def test_options_and_compositions(cli) -> None:
 
 
 def test_limits_are_shown(cli) -> None:
-    said = cli("show", "dg4")
-    assert said.code == 0
-    assert "`singular-step`: The iteration starts from HK" in said.out
-    shown = json.loads(cli("show", "midpoint", "--json").out)["schemes"]
-    assert {one["top"] for one in shown} >= {"euler", "heavy", "kowalevski"}
-    assert "singular-step" in next(one for one in shown if one["top"] == "heavy")["limits"]
+    assert "`singular-step`: The iteration starts from HK" in cli("show", "dg4").out
     assert "limits: none known" in cli("show", "dop853").out
-    listed = json.loads(cli("list", "schemes", "--json").out)["schemes"]
-    assert next(one for one in listed if one["name"] == "bohlin-c")["limits"].keys() >= {"rest-on-axis"}
-    cases = json.loads(cli("list", "cases", "--json").out)["cases"]
-    assert len(cases) == len(CASES)
+    shown = {one["top"]: one["limits"] for one in cli("show", "midpoint", "--json").json()["schemes"]}
+    assert {"euler", "heavy", "kowalevski"} <= shown.keys()
+    assert "singular-step" in shown["heavy"]
 
 
 def test_the_page_of_the_schemes_is_up_to_date(cli) -> None:

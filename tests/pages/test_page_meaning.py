@@ -11,18 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 import topcli
 from reading_html import Element, read_html, section_of
-from shown import STRESS_TRIALS, shows
-from stored_results import store_ensemble, store_order, store_run
+from shown import STRESS_TRIALS
+from stored_results import store_order, store_run
 from sweep_rows import write_rows
 from topcli.pages.contents import Chapter, Pictures
 from topcli.pages.page import all_chapters, rendered, report_page
 from topcli.pages.results import outcome_notes, rows_table, sweep_choices, sweep_pictures
 from topcli.pages.studies import study_chapter
-from topcli.store.series import read_series
 from topcli.studies import find_study
 from topcli.studies.stress.study import STRESS
 from topcli.studies.study import Result
@@ -148,54 +146,31 @@ def test_the_pictures_of_a_sweep_draw_medians_and_say_so(tmp_path: Path) -> None
 
 
 def test_rows_of_a_sweep_are_listed_with_their_values_and_outcomes(tmp_path: Path) -> None:
+    columns = {"scheme": ["hk", "rk4", "hk"], "h": [0.1, 0.05, 0.025]}
+    values = {"a": [1.25, 2.5, 3.75], "b": [4.0, 5.0, 6.0]}
     outcomes = ["completed", "blew_up", "left_motion"]
-    keys = {"scheme": ["hk", "rk4", "hk"], "h": [0.1, 0.05, 0.025]}
-    folder = write_rows(tmp_path / "s", keys, {"a": [1.25, 2.5, 3.75], "b": [4.0, 5.0, 6.0]}, outcome=outcomes)
-    stored = read_rows(folder)
+    stored = read_rows(write_rows(tmp_path / "s", columns, values, outcome=outcomes))
     assert [choice.aggregate for choice in sweep_choices(stored)] == [None, None], "each row is a point of its own"
     chapter = Chapter("s", "sweep")
     chapter.blocks.append(rows_table(stored))
-    page = shown(chapter)
-    header, *rows = page.all("table")[0].cells()
+    table = shown(chapter).all("table")[0]
+    header, *rows = table.cells()
     assert header == ["row", "scheme", "h", "outcome", "a", "b"]
-    for i, row in enumerate(rows):
-        assert row[:2] == [str(i), keys["scheme"][i]]
-        assert row[3] == outcomes[i]
-        assert [float(row[j]) for j in (2, 4, 5)] == [keys["h"][i], 1.25 * (i + 1), 4.0 + i]
-    colours = [row[3] for row in colours_of(page.all("table")[0], colour_names(page)["light"])[1:]]
+    listed = zip(*columns.values(), outcomes, *values.values(), strict=True)
+    for i, (row, (scheme, h, outcome, a, b)) in enumerate(zip(rows, listed, strict=True)):
+        assert [row[0], row[1], row[3]] == [str(i), scheme, outcome]
+        assert [float(row[j]) for j in (2, 4, 5)] == [h, a, b]
+    colours = [row[3] for row in colours_of(table, colour_names(shown(chapter))["light"])[1:]]
     assert colours == ["", RED, RED]
 
 
 @pytest.mark.parametrize(("columns", "h"), [(["t", "gamma1"], 0.01), (["n", "gamma1"], 0.01), (["n", "gamma1"], -0.02)])
 def test_time_is_time_without_a_column_of_times(columns: list[str], h: float, tmp_path: Path) -> None:
-    """Step numbers alone are multiplied by h, on the page and in a plot."""
+    """Step numbers alone are multiplied by h."""
     folder = store_run(tmp_path, "one", h=h, output={"columns": columns})
     (chapter,) = all_chapters([str(folder)], tmp_path)
     (pictures,) = [block.pictures for block in chapter.blocks if isinstance(block, Pictures)]
     np.testing.assert_allclose(pictures[0].data["t"], h * np.arange(401), rtol=1e-12, atol=1e-15)
-    config = json.loads((folder / "manifest.json").read_text())["config"]
-    found = topcli.run(config, tmp_path)
-    axes = found.plot(Figure().add_subplot(), columns=["gamma1"])
-    (line,) = axes.get_lines()
-    np.testing.assert_allclose(line.get_xdata(), h * np.arange(401), rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(line.get_ydata(), read_series(folder / "series.parquet", ["gamma1"])["gamma1"])
-
-
-def test_the_distribution_of_an_ensemble_is_that_of_its_trajectories(tmp_path: Path) -> None:
-    """The value that a given fraction of the trajectories stays below, and the table's quantiles."""
-    folder = store_ensemble(tmp_path, count=11)
-    table = read_series(folder / "trajectories.parquet")
-    page = read_html(report_page([str(folder)]).text)
-    rows = {row[0]: row[1:] for row in section_of(page, "Conservation laws").all("table")[0].cells()}
-    report = json.loads((folder / "report.json").read_text())
-    for i, invariant in enumerate(report["invariants"]):
-        ordered = sorted(table[f"{invariant['name']}_max_deviation"].tolist())
-        assert ordered[0] < ordered[5] < ordered[10]
-        for label, at in (("min", 0), ("median", 5), ("max", 10)):
-            assert shows(rows[f"max deviation, {label}"][i], ordered[at]), label
-        rms = sorted(table[f"{invariant['name']}_rms_deviation"].tolist())
-        assert shows(rows["rms deviation, median"][i], rms[5])
-        assert shows(rows["rms deviation, max"][i], rms[10])
 
 
 def test_verdicts_on_claims_have_their_colours() -> None:

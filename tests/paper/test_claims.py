@@ -214,32 +214,23 @@ def test_plot_counts_the_verdicts_of_each_part_of_the_paper() -> None:
 
 def test_bars_of_verdicts_have_their_numbers_within_and_their_own_colours() -> None:
     """Blue is what holds, orange what does not, grey what was not tried; the number is in the middle of its bar."""
-    counts = {
-        HOLDS: [4.0, 0.0],
-        HOLDS_WITHIN: [2.0, 1.0],
-        MISPRINT: [1.0, 3.0],
-        FAILS: [3.0, 2.0],
-        NOT_TRIED: [0.0, 5.0],
-    }
-    panel = VerdictPanel(("first", "second"), tuple(counts))
+    rows = {HOLDS: [4.0, 0.0], HOLDS_WITHIN: [2.0, 1.0], MISPRINT: [1.0, 3.0], FAILS: [3.0, 2.0], NOT_TRIED: [0.0, 5.0]}
     axes = Figure().add_subplot()
-    panel.paint(axes, {name: np.array(values) for name, values in counts.items()}, {})
+    VerdictPanel(("first", "second"), tuple(rows)).paint(axes, {name: np.array(rows[name]) for name in rows}, {})
     texts = {text.get_position(): text.get_text() for text in axes.texts}
-    hues = {}
-    for verdict, bars in zip(counts, axes.containers, strict=True):
-        assert bars.get_label() == verdict
-        for row, (bar, count) in enumerate(zip(bars, counts[verdict], strict=True)):
-            assert bar.get_width() == count
-            if count:
-                assert texts.pop((bar.get_x() + 0.5 * count, row)) == f"{count:.0f}"
-        red, _, blue, _ = bars[0].get_facecolor()
-        hues[verdict] = "blue" if blue > red + 0.3 else "orange" if red > blue + 0.3 else "grey"
-    assert not texts
-    assert list(hues.values()) == ["blue", "blue", "orange", "orange", "grey"]
-    assert len({bars[0].get_facecolor() for bars in axes.containers}) == len(counts)
     legend = axes.get_legend()
-    shown = {text.get_text(): patch for text, patch in zip(legend.get_texts(), legend.get_patches(), strict=True)}
-    assert all(shown[bars.get_label()].get_facecolor() == bars[0].get_facecolor() for bars in axes.containers)
+    keys = dict(zip([text.get_text() for text in legend.get_texts()], legend.get_patches(), strict=True))
+    hues = []
+    for (verdict, counts), bars in zip(rows.items(), axes.containers, strict=True):
+        assert [bar.get_width() for bar in bars] == counts
+        for row, (bar, count) in enumerate(zip(bars, counts, strict=True)):
+            assert not count or texts.pop((bar.get_x() + 0.5 * count, row)) == f"{count:.0f}"
+        assert keys[verdict].get_facecolor() == bars[0].get_facecolor()
+        red, _, blue, _ = bars[0].get_facecolor()
+        hues.append("blue" if blue > red + 0.3 else "orange" if red > blue + 0.3 else "grey")
+    assert not texts
+    assert hues == ["blue", "blue", "orange", "orange", "grey"]
+    assert len({bars[0].get_facecolor() for bars in axes.containers}) == len(rows)
 
 
 def test_a_figure_that_is_not_finite_is_null_in_json() -> None:

@@ -5,63 +5,63 @@ from __future__ import annotations
 import re
 from typing import Any
 
+TYPES: dict[str, Any] = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
+ANNOTATIONS = ("$schema", "title", "description", "default", "then")
 
-def fits(schema: Any, value: Any, root: Any = None) -> bool:
-    """True if ``value`` satisfies ``schema``, for the keywords that the config's schema uses."""
-    root = root or schema
-    checks = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
 
-    def of_type(name: str) -> bool:
-        if name in ("number", "integer"):
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            return number and (name == "number" or float(value).is_integer())
-        return isinstance(value, checks[name])
+def of_type(name: str, value: Any) -> bool:
+    if name in TYPES:
+        return isinstance(value, TYPES[name])
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and (name == "number" or float(value).is_integer())
 
-    def keyword(name: str, limit: Any) -> bool:
-        match name:
-            case "type":
-                return any(of_type(kind) for kind in ([limit] if isinstance(limit, str) else limit))
-            case "const":
-                return value == limit and isinstance(value, bool) == isinstance(limit, bool)
-            case "enum":
-                return value in limit
-            case "not":
-                return not fits(limit, value, root)
-            case "anyOf":
-                return any(fits(inner, value, root) for inner in limit)
-            case "oneOf":
-                return sum(fits(inner, value, root) for inner in limit) == 1
-            case "allOf":
-                return all(fits(inner, value, root) for inner in limit)
-            case "if":
-                return not fits(limit, value, root) or fits(schema["then"], value, root)
-            case "properties" if isinstance(value, dict):
-                return all(fits(limit[key], item, root) for key, item in value.items() if key in limit)
-            case "required" if isinstance(value, dict):
-                return all(key in value for key in limit)
-            case "additionalProperties" if isinstance(value, dict):
-                return limit is not False or value.keys() <= schema["properties"].keys()
-            case "items" if isinstance(value, list):
-                return all(fits(limit, item, root) for item in value)
-            case "minItems" | "maxItems" if isinstance(value, list):
-                return len(value) >= limit if name == "minItems" else len(value) <= limit
-            case "uniqueItems" if isinstance(value, list):
-                return len(set(map(repr, value))) == len(value)
-            case "minimum" if isinstance(value, (int, float)):
-                return value >= limit
-            case "maximum" if isinstance(value, (int, float)):
-                return value <= limit
-            case "exclusiveMinimum" if isinstance(value, (int, float)):
-                return value > limit
-            case "maxLength" if isinstance(value, str):
-                return len(value) <= limit
-            case "pattern" if isinstance(value, str):
-                return re.search(limit, value) is not None
-            case _:
-                known = {"$schema", "title", "description", "default", "then", "properties", "required"}
-                known |= {"additionalProperties", "items", "minItems", "maxItems", "uniqueItems", "minimum"}
-                known |= {"maximum", "exclusiveMinimum", "maxLength", "pattern"}
-                assert name in known, name
-                return True
 
-    return all(keyword(name, limit) for name, limit in schema.items())
+def fits(schema: Any, value: Any) -> bool:
+    """True if ``value`` satisfies ``schema``."""
+    return all(name in ANNOTATIONS or _holds(schema, name, limit, value) for name, limit in schema.items())
+
+
+def _holds(schema: Any, name: str, limit: Any, value: Any) -> bool:
+    """True if one keyword of the schema holds, which may say nothing of values of this type."""
+    match name, value:
+        case "type", _:
+            return any(of_type(kind, value) for kind in ([limit] if isinstance(limit, str) else limit))
+        case "const", _:
+            return value == limit and isinstance(value, bool) == isinstance(limit, bool)
+        case "enum", _:
+            return value in limit
+        case "not", _:
+            return not fits(limit, value)
+        case "anyOf" | "oneOf" | "allOf", _:
+            count = sum(fits(inner, value) for inner in limit)
+            return {"anyOf": count > 0, "oneOf": count == 1, "allOf": count == len(limit)}[name]
+        case "if", _:
+            return not fits(limit, value) or fits(schema["then"], value)
+        case "properties", dict():
+            return all(fits(limit[key], item) for key, item in value.items() if key in limit)
+        case "required", dict():
+            return value.keys() >= set(limit)
+        case "additionalProperties", dict():
+            return limit is not False or value.keys() <= schema["properties"].keys()
+        case "items", list():
+            return all(fits(limit, item) for item in value)
+        case "minItems", list():
+            return len(value) >= limit
+        case "maxItems", list():
+            return len(value) <= limit
+        case "uniqueItems", list():
+            return len(set(map(repr, value))) == len(value)
+        case "minimum", int() | float():
+            return value >= limit
+        case "maximum", int() | float():
+            return value <= limit
+        case "exclusiveMinimum", int() | float():
+            return value > limit
+        case "maxLength", str():
+            return len(value) <= limit
+        case "pattern", str():
+            return re.search(limit, value) is not None
+    assert name in ("properties", "required", "additionalProperties", "items", "pattern", "exclusiveMinimum") or (
+        name.startswith(("min", "max", "unique"))
+    ), name
+    return True
