@@ -33,6 +33,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/support", "src")]
 
+from plain_steps import hk_block  # noqa: E402
+
 from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine import native as compiler  # noqa: E402
@@ -42,7 +44,6 @@ from topcli.engine.native import native  # noqa: E402
 from topcli.engine.tile import SIGNATURE, plain_lanes, stages_of  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
-from twins import hk_block  # noqa: E402
 
 H, STEPS = 0.01, 2000
 CASES = (

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from c_peer import compiled
+from plain_steps import hk_block, hybrid_cmath, hybrid_polar
 from ratios import ratio_rows, show_rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,7 +36,6 @@ from topcli.engine.driver import loop_of  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402
-from twins import hk_block, hybrid_cmath, hybrid_polar  # noqa: E402
 
 GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
 H, STEPS = 0.01, 100_000

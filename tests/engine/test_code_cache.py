@@ -1,4 +1,4 @@
-"""Machine code on disk: only what its owner wrote, for this function, is loaded."""
+"""Machine code on disk: found by the next process, and only what its owner wrote, for this function, is loaded."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import ROOT, Said
+from conftest import GEN, ROOT, Said
+from steppers import EXPLODE
 from topcli.engine import code_cache, native
+from topcli.engine.loop import Run
 from topcli.engine.native import native as compiled
+from topcli.tops.kowalevski import Kowalevski
 
 
 def _double(x, n):
@@ -210,3 +213,118 @@ def test_code_of_another_processor_is_not_known(monkeypatch: pytest.MonkeyPatch,
     value = made()  # type: ignore[operator]
     monkeypatch.setattr(llvm, name, lambda: Features(value) if isinstance(value, dict) else value)
     assert native._machine.__wrapped__()[1] != words
+
+
+# code from one process to the next
+
+SCHEME_FILE = """
+import topcli
+from topcli.contracts import Stepper
+
+FACTOR = {factor}
+
+def helper(x):
+    return FACTOR * x
+
+def step(s, h, p):
+    return (helper(s[0]), s[1], s[2], s[3], s[4], s[5])
+
+@topcli.scheme("mine", top="kowalevski", title="mine", order=1, explicit=True, self_adjoint=False,
+               citation="none", equations="none")
+def mine(top, options):
+    '''Multiply omega1 by a constant.'''
+    return Stepper(step, 6)
+"""
+
+PROBE = """
+import json, sys
+from itertools import chain
+from pathlib import Path
+from topcli.engine.loop import Run
+from topcli.schemes.registry import find_scheme, load_scheme_file
+from topcli.tops.kowalevski import Kowalevski
+load_scheme_file(Path(sys.argv[1]))
+top = Kowalevski()
+run = Run(top, find_scheme("mine", "kowalevski").build(top, None), (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), 0.1, 3)
+last = [chunk.states[-1, 0] for chunk in run if len(chunk.n)][-1]
+print(json.dumps({"last": last, "cached": run.cached, "numba": "numba" in sys.modules}))
+"""
+
+
+def probe(tmp_path: Path, cache: Path, factor: float) -> dict:
+    file = tmp_path / "mine.py"
+    file.write_text(SCHEME_FILE.format(factor=factor))
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE, str(file)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        cwd=ROOT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.slow
+def test_second_process_hits_the_cache_and_an_edited_kernel_is_recompiled(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert probe(tmp_path, cache, 2.0) == {"last": 8.0, "cached": False, "numba": True}
+    assert probe(tmp_path, cache, 2.0) == {"last": 8.0, "cached": True, "numba": False}
+    assert probe(tmp_path, cache, 3.0) == {"last": 27.0, "cached": False, "numba": True}
+    stored = sorted((cache / "topcli").iterdir())
+    assert len(stored) == 2
+    for path in stored:  # damaged machine code is never run
+        path.write_bytes(path.read_bytes()[:-7] + b"garbage")
+    assert probe(tmp_path, cache, 2.0) == {"last": 8.0, "cached": False, "numba": True}
+
+
+@pytest.mark.slow
+def test_runs_without_a_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocker = tmp_path / "file"
+    blocker.write_text("not a folder")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(blocker))
+    run = Run(Kowalevski(), EXPLODE, GEN, 0.01, 5)
+    assert not run.cached
+    assert len(run.collect().n) == 6
+
+
+@pytest.mark.slow
+def test_cache_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("topcli.engine.code_cache.CACHE_ENTRIES", 2)
+    folder = tmp_path / "topcli"
+    folder.mkdir()
+    for i in range(5):
+        (folder / f"{i}.o").write_bytes(b"old")
+        os.utime(folder / f"{i}.o", (i, i))
+    Run(Kowalevski(), EXPLODE, GEN, 0.01, 5)
+    assert len(list(folder.glob("*.o"))) == 2
+
+
+REFERENCE_PROBE = """
+import sys
+import numpy as np
+from topcli.analysis.reference import reference_states
+from topcli.tops.kowalevski import Kowalevski
+states = reference_states(Kowalevski(), (0.7, -0.4, 1.3, 0.6, 0.48, 0.64), np.linspace(0.0, 5.0, 11))
+print(states.tobytes().hex(), "numba" in sys.modules)
+"""
+
+
+@pytest.mark.slow
+def test_code_with_functions_of_its_own_survives_the_cache(tmp_path: Path) -> None:
+    """The reference is compiled without forced inlining and mentions numba's own symbols."""
+    printed = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", REFERENCE_PROBE],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            cwd=ROOT,
+            check=True,
+        )
+        printed.append(done.stdout.split())
+    assert printed[0][0] == printed[1][0]
+    assert [numba for _, numba in printed] == ["True", "False"]

@@ -14,7 +14,6 @@ from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import ensemble
 from topcli.engine.ensemble import TILE, EnsembleRun, Execution, Piece
 from topcli.engine.loop import Run
-from topcli.engine.tile import plain_lanes
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
@@ -100,21 +99,6 @@ def test_large_steps_have_the_bits_of_a_single_run(name: str) -> None:
         assert 0 < len(failed) < 20
 
 
-def test_the_stand_in_for_libm_is_noticed() -> None:
-    """Side by side the rotation by a large angle is nan, which sends the trajectory to the loop of single runs."""
-    top, y = Kowalevski(), np.array([0.3, 0.2, 2.0, 0.6, 0.48, 0.64])
-    stepper = find_scheme("hybrid", "kowalevski").build(top, find_scheme("hybrid", "kowalevski").options())
-    assert isinstance(stepper, Stepper)
-    assert stepper.enter is not None
-    drive = plain_lanes(stepper, 6, 1, 1)
-    for h, finite in ((0.1, True), (1.0, False)):
-        start = stepper.enter(tuple(y.tolist()), h, (1.0,))
-        work = [*start, 0.0]
-        drive(work, [0.0] * 6, [1.0, 1.0], h, 1, 1, 1, 6)
-        assert math.isfinite(work[stepper.width]) == finite
-        assert all(map(math.isfinite, stepper.step(start, h, (1.0,))))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, ensemble.SMALL_TILE, TILE // 2 + 1, TILE, TILE + 1])
 @pytest.mark.parametrize(("N", "every"), [(1, 1), (10, 3), (10, 10), (10, 11)])
@@ -154,31 +138,6 @@ def test_an_infinity_that_passes_is_seen() -> None:
     _, run = together(Kowalevski(), Stepper(passing_step, 6), y0, 0.5, 50)
     assert run.endings[4] == Ending(Outcome.BLEW_UP, 2, 1.0)
     assert [ending.outcome for ending in run.endings].count(Outcome.COMPLETED) == 8
-
-
-def test_huge_states_do_not_fail() -> None:
-    """Their sum overflows, which raises the alarm, and the loop of single runs calls it off."""
-    still = Stepper(lambda s, h, p: (s[0], s[1], s[2], s[3], s[4], s[5]), 6)
-    y0 = np.full((COUNT, 6), 1.5e308)
-    y0[0] = 1.0
-    rows, run = together(Kowalevski(), still, y0, 0.5, 20)
-    assert all(ending.outcome is Outcome.COMPLETED for ending in run.endings)
-    assert all((states == y0[i]).all() for i, (_, states) in enumerate(rows))
-
-
-def test_counters_belong_to_their_trajectory() -> None:
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        return (s[0], s[1], s[2], s[3], s[4], s[5], s[6] + (1.0 if s[0] > 0.0 else 0.0))
-
-    def enter(y: Floats, h: float, p: Floats) -> Floats:
-        return (*y, 0.0)
-
-    def leave(s: Floats, h: float, p: Floats) -> Floats:
-        return (s[0], s[1], s[2], s[3], s[4], s[5])
-
-    y0 = random_states(COUNT, 4)
-    _, run = together(Kowalevski(), Stepper(step, 7, enter, leave, ("positive",)), y0, 0.1, 10)
-    assert [ending.counters["positive"] for ending in run.endings] == np.where(y0[:, 0] > 0, 10, 0).tolist()
 
 
 def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:

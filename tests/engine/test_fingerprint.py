@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import math
-import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +14,6 @@ from topcli.engine.fingerprint import fingerprint, same_method
 from topcli.errors import SchemeCodeError
 from topcli.runs.identity import method_fingerprint
 from topcli.schemes.registry import all_schemes
-from topcli.sweeps.batch_run import BatchRun
-from topcli.sweeps.evaluate import Shared, shared_experiment
 from topcli.tops import TOPS
 
 REST = "s[1], s[2], s[3], s[4], s[5])"
@@ -105,12 +99,6 @@ def test_an_edit_gives_the_new_numbers(folder: Path, kind: str) -> None:
     assert not first.cached
     assert not edited.cached
     assert back.cached is (kind not in ("large array", "strided array"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", sorted({*COMPILED} - {*EDITED}))
-def test_machine_code_depends_on_every_kind_of_value(folder: Path, kind: str) -> None:
-    assert run_scheme(write_files(folder, COMPILED[kind], "2.0")).value == 4.0
 
 
 PLAIN = {
@@ -206,24 +194,6 @@ def test_modules_of_one_name_beside_two_files_stay_apart(folder: Path, tmp_path:
     assert [run_scheme(path).value for path in (here, there, here)] == [4.0, 16.0, 4.0]
 
 
-def test_reading_a_constant_of_a_library_does_not_walk_the_library() -> None:
-    visited = []
-
-    def step(s, h, p):
-        return (math.sin(s[0]) + np.pi + np.linalg.norm(s),)
-
-    from topcli.engine import fingerprint as module
-
-    class Counting(module._Walk):
-        def _function(self, function) -> None:
-            visited.append(function.__name__)
-            super()._function(function)
-
-    walk = Counting(None)
-    walk.value(step)
-    assert visited == ["step"]
-
-
 @pytest.mark.parametrize("value", [0.0, -0.0, 1, True, 1.0, "1", b"1", (1,), [1], None, {1: 1}, frozenset((1,)), 1j])
 def test_values_that_differ_in_kind_or_sign_differ(value: object) -> None:
     others = [0.0, -0.0, 1, True, 1.0, "1", b"1", (1,), [1], None, {1: 1}, frozenset((1,)), 1j]
@@ -254,54 +224,6 @@ def test_arrays_count_by_type_shape_layout_and_content(change) -> None:
 
     assert fingerprint(make(array)) == fingerprint(make(array.copy()))
     assert fingerprint(make(array)) != fingerprint(make(change(array)))
-
-
-MUTABLE = """
-import numpy as np
-import consts
-A, B = 1.5, (2.5, [7.5][0])
-C = np.array([3.5, 4.5])
-sum = 5.5
-
-def inner(x, k=6.5):
-    return x * k + consts.times(x)
-
-def make(k, f):
-    def step(s, h, p, q=8.5):
-        x = A * s[0] + B[0] * s[1] - C[1] * f(s[2]) + k
-        return (x / (q + sum * consts.G), s[1] - h * B[1] * C[0], s[2], s[3], s[4], s[5])
-    return step
-
-step = make(9.5, inner)
-"""
-MUTATIONS = 5
-SEED = 20261122
-
-
-@pytest.mark.slow
-def test_random_edits_give_what_an_empty_cache_gives(folder: Path, tmp_path: Path, monkeypatch) -> None:
-    """One number or operator of the scheme file or of the module beside it is changed at a time."""
-    random = np.random.default_rng(SEED)
-    texts = {"mine": MUTABLE, "consts": CONSTS.replace("2.0", "0.25")}
-    write_files(folder, "step = None", "0.5")
-    known: dict[str, float] = {}
-    for i in range(MUTATIONS):
-        name = ("mine", "consts")[int(random.random() < 0.3)]
-        spots = list(re.finditer(r"\d\.\d+|(?<= )[-+*](?= )", texts[name]))
-        spot = spots[random.integers(len(spots))]
-        is_operator = len(spot[0]) == 1
-        new = str(random.choice([c for c in "-+*" if c != spot[0]]) if is_operator else random.integers(1, 99) / 8)
-        texts[name] = texts[name][: spot.start()] + new + texts[name][spot.end() :]
-        (folder / "consts.py").write_text(texts["consts"])
-        path = write_scheme(folder, texts["mine"])
-        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-        shared = run_scheme(path)
-        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / f"empty{i}"))
-        empty = run_scheme(path)
-        assert shared.value == empty.value, f"seed {SEED}, mutation {i}: {spot[0]} -> {new}"
-        assert shared.code == empty.code
-        assert not empty.cached
-        assert known.setdefault(shared.code, shared.value) == shared.value
 
 
 METHOD = """
@@ -355,14 +277,6 @@ def test_every_edit_of_a_method_changes_its_code_key(edit: str) -> None:
     assert METHOD.count(old) == 1
     assert key(METHOD) == key(METHOD)
     assert (key(METHOD.replace(old, new)) == key(METHOD)) == (edit in SAME)
-
-
-def test_edits_have_keys_of_their_own() -> None:
-    keys = [key(METHOD.replace(*EDITS[edit])) for edit in EDITS if edit not in SAME]
-    assert len(set(keys)) == len(keys)
-
-
-evaluation = importlib.import_module("topcli.sweeps.batch_run")
 
 
 def stepper(factor: Any, default: Any = 1.0, other: bool = False) -> Stepper:
@@ -436,28 +350,3 @@ def test_what_is_the_same_has_the_same_fingerprint(form: str) -> None:
             assert not same or equal, scheme.name
             found.append(same)
     assert any(found)
-
-
-def test_tops_that_share_code_keep_their_own_constants(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evaluation, "_codes", {})
-    monkeypatch.setattr(evaluation, "_latest", {})
-    start = np.array([[0.7, -0.4, 1.3, 0.6, 0.48, 0.64]])
-
-    def last(text: str) -> list[float]:
-        shared = Shared("heavy", text, '{"name": "rk4"}', 0.01, 50, 50)
-        return BatchRun(shared_experiment(shared), ()).finished(start).last[0].tolist()
-
-    made: list[Callable[..., Any]] = []
-    real = evaluation.EnsembleCode
-    monkeypatch.setattr(evaluation, "EnsembleCode", lambda *given: made.append(given) or real(*given))
-    texts = [f'{{"kind": "heavy", "A": {A}, "B": 1.5, "C": 1.0}}' for A in (1.25, 1.75)]
-    together = [last(text) for text in texts]
-    assert len(made) == 1
-    alone = []
-    for text in texts:
-        evaluation._codes.clear()
-        evaluation._latest.clear()
-        alone.append(last(text))
-    assert len(made) == 3
-    assert together == alone
-    assert together[0] != together[1]

@@ -32,7 +32,6 @@ from topcli.runs.run import run_experiment
 from topcli.schemes.any_top import dmv, rk2_rk4_dop853
 from topcli.schemes.any_top.taylor import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.schemes.kowalevski import exact
-from topcli.schemes.kowalevski.closed_form import oval
 from topcli.schemes.kowalevski.exact import ExactSetup
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
@@ -124,21 +123,6 @@ def test_taylor_refuses_a_step_of_too_many_series() -> None:
     assert ending.message == "did not converge at step 1 (t = 1e+08); a step of 1e+08 would need 7e+07 series or more"
 
 
-def test_taylor_in_an_ensemble_stops_within_a_step(impatient: None) -> None:
-    run = EnsembleRun(
-        Kowalevski(),
-        method("taylor"),
-        np.tile(GEN, (3, 1)),
-        1e6,
-        2,
-        made=lambda piece: None,
-        execution=Execution(AskedAt(5), threads=1),
-    )
-    for _ in run:
-        pass
-    assert [(one.outcome, one.step) for one in run.endings] == [(Outcome.INTERRUPTED, 0)] * 3
-
-
 def test_dop853_stops_within_a_step() -> None:
     stepper = method("dop853")
     asked = AskedAt(7)
@@ -164,24 +148,6 @@ def test_the_set_up_of_a_closed_form_stops_when_asked(monkeypatch: pytest.Monkey
     run = Run(Kowalevski(), method("exact"), GEN, 0.1, 10, stop=AskedAt(3))
     found = run.collect()
     assert (found.ending.outcome, found.n.tolist()) == (Outcome.INTERRUPTED, [0])
-
-
-@pytest.mark.parametrize("singular", [[complex(math.nan)], [complex(0.1 * i, 1e-9) for i in range(9)]])
-def test_the_panels_of_a_set_up_have_a_budget(singular: list[complex], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(oval, "MAX_PANELS", 100)
-    with pytest.raises(RunError, match="more than 100 panels"):
-        oval._cuts(singular, 0.0, 1.0)
-
-
-def test_panels_are_halves_of_halves() -> None:
-    """With one singularity at the beginning, panels [a, 2a]: the Bernstein parameter there is 3 + sqrt 8 < 9."""
-    cuts = oval._cuts([0j], 2.0**-5, 1.0)
-    widths = np.diff(cuts)
-    assert (cuts[0], cuts[-1]) == (2.0**-5, 1.0)
-    for begin, width in zip(cuts, widths, strict=False):
-        zeta = (2.0 * begin + width) / width
-        assert zeta + math.sqrt(zeta * zeta - 1.0) >= 9.0
-        assert math.log2(width).is_integer() or math.log2(width / 31.0).is_integer()
 
 
 def test_waiting_for_a_set_up_of_another_process_ends_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,7 +253,7 @@ def test_slow_interpreted_steps_are_timed_few_at_a_time() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("h", [5e-324, 1e-310, -1e-300])
+@pytest.mark.parametrize("h", [5e-324, -1e-300])
 @pytest.mark.parametrize(
     "one", [one for one in all_schemes() if "+" not in one.name], ids=lambda one: f"{one.top}-{one.name}"
 )
@@ -328,28 +294,10 @@ def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: Non
         assert asked.count <= QUESTIONS, (size, h)
 
 
-def long_step(s, h, p):
-    """About 20 ms of compiled arithmetic."""
-    x = s[0]
-    for _ in range(5_000_000):
-        x = 0.75 * x + 1e-3
-    return (x, s[1], s[2], s[3], s[4], s[5])
-
-
 def stop_after(times: int):
     """A request to stop, from the poll with this number on."""
     polls = iter(range(times))
     return lambda: next(polls, None) is None
-
-
-@pytest.mark.slow
-def test_a_step_that_never_ends_is_given_up_when_asked_to() -> None:
-    experiment = load_experiment(ROOT / "configs" / "heavy_dop853.yaml", ["h=1e4", "N=3"])
-    run = Run(experiment.top, experiment.method(), experiment.y0, 1e4, 3, stop=stop_after(2))
-    for _ in run:
-        pass
-    assert run.ending is not None
-    assert (run.ending.outcome, run.ending.step) == (Outcome.INTERRUPTED, 0)
 
 
 def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -363,25 +311,11 @@ def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.Mo
     assert 3000 <= run.ending.counters["evaluations"] < 3020
 
 
-@pytest.mark.slow
-def test_long_compiled_steps_are_interrupted_within_a_chunk() -> None:
-    run = Run(Kowalevski(), Stepper(long_step, 6), GEN, 0.1, 100_000, stop=stop_after(2))
-    chunks = list(run)
-    assert run.ending is not None
-    assert run.ending.outcome is Outcome.INTERRUPTED
-    assert 0 < run.ending.step < 1000
-    assert not chunks[-1].whole
-    position = run.position()
-    assert position is not None
-    assert position.done == position.into == run.ending.step
-
-
-@pytest.mark.slow
-def test_an_ensemble_of_long_steps_is_interrupted_within_a_chunk() -> None:
+def test_an_ensemble_is_interrupted_within_a_chunk(impatient: None) -> None:
     y0 = np.tile(GEN, (40, 1))
     run = EnsembleRun(
         Kowalevski(),
-        Stepper(long_step, 6),
+        method("hk"),
         y0,
         0.1,
         10_000,
@@ -390,7 +324,7 @@ def test_an_ensemble_of_long_steps_is_interrupted_within_a_chunk() -> None:
     )
     rows = [made for made, _ in run]
     assert {ending.outcome for ending in run.endings} == {Outcome.INTERRUPTED}
-    assert run.endings[0].step < 1000
+    assert 0 < run.endings[0].step < 1000
     assert rows[-1] == run.endings[0].step + 1
     assert (run.last_n == run.endings[0].step).all()
 
@@ -447,3 +381,22 @@ def test_a_run_stopped_within_a_chunk_resumes_to_the_same_bytes(
     series = [(folder.stored.folder / "series.parquet").read_bytes() for folder in (result, whole)]
     assert series[0] == series[1]
     assert result.report["invariants"] == whole.report["invariants"]
+
+
+def test_times_of_steps_are_medians_without_the_first_and_over_the_steps_taken() -> None:
+    """With a clock made up here: 50,000 compiled steps, 512 interpreted ones, 5,000 states of a closed form.
+
+    A run that ends by itself is timed up to its end.
+    """
+    top, exploding = Kowalevski(), (3.0, -2.0, 6.0, 0.6, 0.48, 0.64)
+    names = ("hk", "dop853", "exact", "rk4")
+    schemes = [find_scheme(name, "kowalevski") for name in names]
+    methods = [scheme.build(top, scheme.options()) for scheme in schemes]
+    ended = Run(top, methods[3], exploding, 1.0, 50_000).collect().ending.step
+    assert 1 < ended < 100
+    elapsed = [[9e9, 1e3, 9e9, 9e9], [7e6, 5e6, 1e6, 3e6], [1e6, 9e6, 5e6, 3e6], [4e6, 2e6, 3e6, 3e6]]
+    ticks = iter([tick for row in elapsed for one in row for tick in (0, int(one))])
+    runs = [(top, method, GEN, 0.01) for method in methods[:3]] + [(top, methods[3], exploding, 1.0)]
+    found = nanoseconds_per_step(runs, 50_000, repetitions=3, clock=lambda: next(ticks))
+    assert found == pytest.approx([4e6 / 50_000, 5e6 / 512, 3e6 / 5_000, 3e6 / ended], rel=1e-12)
+    assert next(ticks, None) is None

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from fractions import Fraction
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from conformance import compositions_of
 from conftest import GEN
-from kick_turn import KICK_TURN
-from topcli.contracts import EulerPoisson, Invariant, Outcome, Sampler, Scheme, Stepper, Top
+from kick_turn import KICK_TURN, SPLIT
+from topcli.contracts import Outcome, Sampler, Scheme, Stepper
 from topcli.engine.loop import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle, palindrome
@@ -21,11 +21,7 @@ from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
 HK = find_scheme("hk", "kowalevski")
-SPLIT = replace(
-    HK, name="kick-turn", conserves=("gamma_sq",), build=lambda top, options: KICK_TURN, doc="A turn between kicks."
-)
 BASES = [SPLIT, *(scheme for scheme in all_schemes() if not obstacle(scheme))]
-by_base = pytest.mark.parametrize("base", BASES, ids=lambda s: f"{s.name}/{s.top}")
 by_composition = pytest.mark.parametrize("name", COMPOSITIONS)
 
 
@@ -36,64 +32,14 @@ def states_of(run: Run) -> np.ndarray:
     return run.collect().states
 
 
-def deviation(values: np.ndarray, scale: np.ndarray, steps: int) -> float:
-    """In units of 50 ulp of the terms times the square root of the number of steps."""
-    return float(np.abs(values - values[0]).max() / (50.0 * np.finfo(float).eps * np.sqrt(steps) * scale.max()))
-
-
-class Oscillator(Top):
-    """q'' = -q: no top, but the simplest system whose self-adjoint scheme has an integral that depends on h."""
-
-    kind = form = "oscillator"
-    title = citation = swing = "oscillator"
-    components = ("q", "p")
-    vectors: ClassVar = {"q": (0, 2)}
-
-    def constants(self) -> tuple[float, ...]:
-        return (1.0,)
-
-    def euler_poisson(self) -> EulerPoisson:
-        raise NotImplementedError
-
-
-def leapfrog(s, h, p):
-    """Kick, drift, kick; conserves p² + (1 - h²/4) q²."""
-    v = s[1] - (0.5 * h) * s[0]
-    q = s[0] + h * v
-    return (q, v - (0.5 * h) * q)
-
-
-def leapfrog_integral(top: Top, h: float, options: object) -> tuple[Invariant, ...]:
-    def value(y):
-        return y[:, 1] ** 2 + (1.0 - 0.25 * h * h) * y[:, 0] ** 2
-
-    return (Invariant("modified_energy", "E", "E", "energy of the leapfrog", value, value),)
-
-
-@by_composition
-def test_modified_integrals_of_the_base_are_not_conserved(name: str) -> None:
-    """And are not said to."""
-    top, h, N = Oscillator(), 0.3, 4000
-    base = replace(HK, top="oscillator", build=lambda *_: Stepper(leapfrog, 2), modified=leapfrog_integral)
-    scheme = compose(base, name)
-    assert scheme.modified is None
-    (integral,) = leapfrog_integral(top, h, None)
-    kept, lost = (integral.value(states_of(Run(top, s.build(top, None), (0.6, 0.8), h, N))) for s in (base, scheme))
-    assert deviation(kept, kept, N) < 1.0
-    assert 2.4e9 < deviation(lost, lost, N * COMPOSITIONS[name].stages) < 2.5e10
-    # nor does the same integral at the length of any one stage
-    for c in COMPOSITIONS[name].weights:
-        (integral,) = leapfrog_integral(top, c * h, None)
-        lost = integral.value(states_of(Run(top, scheme.build(top, None), (0.6, 0.8), h, N)))
-        assert 2.3e7 < deviation(lost, lost, N * COMPOSITIONS[name].stages) < 7e10
-
-
 # How stages are put together
 
 
 @pytest.mark.slow
-@by_base
-@by_composition
+@pytest.mark.parametrize(
+    ("base", "name"),
+    [pytest.param(base, name, id=f"{base.name}/{base.top}-{name}") for base in BASES for name in compositions_of(base)],
+)
 def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
     """Ten compiled steps equal, bit for bit, as many runs of one compiled base step each.
 
@@ -222,21 +168,9 @@ def test_order_conditions(name: str) -> None:
         assert 1.7e-12 < residual(off, found.order) < 1.3e-10
 
 
-def test_number_of_conditions() -> None:
-    """The number of conditions is that of the theory, and one stage alone has order 2."""
-    assert [len(words(n)) - len(words(n - 1)) for n in range(1, 9)] == [1, 1, 2, 3, 5, 8, 13, 21]
-    assert residual((1.0,), 2) == 0.0
-    assert residual((1.0,), 4) == 1.0
-
-
 @by_composition
 def test_weights_are_palindromes_that_add_up_to_one(name: str) -> None:
     weights = COMPOSITIONS[name].weights
     assert weights == weights[::-1]
     assert len(weights) % 2 == 1
     assert abs(sum(map(Fraction, weights)) - 1) <= Fraction(math.ulp(weights[len(weights) // 2])) / 2
-
-
-def test_weights_in_the_middle_are_the_published_ones() -> None:
-    assert COMPOSITIONS["kahan-li6"].weights[4] == pytest.approx(0.79854399093482996340, rel=0, abs=1e-15)
-    assert COMPOSITIONS["kahan-li8"].weights[8] == pytest.approx(-0.60550853383003451170, rel=0, abs=1e-15)

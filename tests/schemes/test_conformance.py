@@ -5,7 +5,6 @@ Each measure of ``conformance`` comes with positive controls: methods without th
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,37 +13,37 @@ import pytest
 from conformance import (
     Subject,
     choices,
+    compositions_of,
     errors_after,
     exactness,
     ladder,
+    named,
     order_of,
     reversal_defect,
-    states_of,
     subjects,
     working_states,
 )
-from conftest import GEN
 from declared import SCHEMES, TRIALS, by_name, gen
-from kick_turn import KICK_TURN
+from kick_turn import SPLIT
 from steppers import EULER, RK2, rk2
+from stepping import states_of
 from topcli.analysis.order import reversal
-from topcli.analysis.tally import invariant_report
-from topcli.contracts import Method, Scheme, Stepper, Top
+from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
 from topcli.engine.loop import Run
 from topcli.schemes.compose import COMPOSITIONS, compose, composed_step
 from topcli.schemes.kowalevski.hk import hk_kowalevski
+from topcli.schemes.layout import polynomial_invariants
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler
+from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 
 HK = find_scheme("hk", "kowalevski")
-SPLIT = replace(
-    HK, name="kick-turn", conserves=("gamma_sq",), build=lambda top, options: KICK_TURN, doc="A turn between kicks."
-)
-"""A scheme that is not topcli's own."""
 SUBJECTS = [
-    subject for scheme in (SPLIT, *SCHEMES) for subject in subjects(scheme, TRIALS[scheme.top][:2], tuple(COMPOSITIONS))
+    subject
+    for scheme in (SPLIT, *SCHEMES)
+    for subject in subjects(scheme, TRIALS[scheme.top][:2], compositions_of(scheme))
 ]
 DOUBLED = (25, 50, 100, 200, 400, 800, 1600)
 WEIGHTS = {name: composition.weights for name, composition in COMPOSITIONS.items()}
@@ -76,7 +75,7 @@ def test_names_are_unique() -> None:
 
 @cases(*(subject for subject in SUBJECTS if not subject.scheme.adaptive))
 def test_declared_order_is_observed(subject: Subject) -> None:
-    """That of compositions between 1e-3 and round-off; the adaptive schemes are tried in ``test_baselines``."""
+    """That of compositions between 1e-3 and round-off; the adaptive schemes are tried in ``test_adaptive``."""
     order = subject.scheme.order_for(subject.options)
     if order is None:
         assert max(errors_after(subject.top, subject.method, 2.0, [1, 7, 300])) < 1e-14
@@ -133,17 +132,51 @@ def test_self_adjointness_control(top: Top, method: Method, count: int, defect: 
     assert reversal_defect(top, method, 0.1, count) == pytest.approx(defect, rel=0.02)
 
 
+CONSERVING = [
+    Subject(scheme, top, options)
+    for scheme in SCHEMES
+    if scheme.conserves or scheme.modified
+    for top in TRIALS[scheme.top]
+    for options in (choices(scheme, top) if top is TRIALS[scheme.top][0] else [scheme.options()])
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scheme", "top"),
-    [(scheme, top) for scheme in SCHEMES if scheme.conserves for top in TRIALS[scheme.top]],
-    ids=lambda value: f"{value.name}/{value.top}" if isinstance(value, Scheme) else repr(value),
-)
-def test_declared_invariants_are_exact(scheme: Scheme, top: Top) -> None:
-    """Round-off and no more, on several tops, states and step sizes."""
-    method = scheme.build(top, scheme.options())
-    for y0, h in zip([gen(top), *states_of(top, 3, seed=11)], (0.1, 0.05, 0.01, 0.002), strict=True):
-        assert exactness(top, method, y0, h, scheme.conserves) < 1.0
+@pytest.mark.parametrize("subject", CONSERVING, ids=str)
+def test_declared_invariants_are_exact(subject: Subject) -> None:
+    """Round-off and no more, the modified ones of the scheme too, on several tops, states and step sizes."""
+    scheme, top = subject.scheme, subject.top
+    for y0, h in zip(
+        [gen(top), *states_of(top, 3, seed=11)], (0.1, 0.5 if scheme.modified else 0.05, 1e-2, 2e-3), strict=True
+    ):
+        assert exactness(top, subject.method, y0, h, watched(subject, h)) < 1.0
+
+
+def watched(subject: Subject, h: float) -> list[Invariant]:
+    """Invariants that the scheme declares to be exact."""
+    modified = subject.scheme.modified(subject.top, h, subject.options) if subject.scheme.modified else ()
+    return [*named(subject.top, *subject.scheme.conserves), *modified]
+
+
+@pytest.mark.parametrize("scheme", [scheme for scheme in SCHEMES if scheme.modified], ids=lambda s: f"{s.name}/{s.top}")
+def test_modified_integrals_tend_to_those_of_the_motion(scheme: Scheme) -> None:
+    """Their difference falls with h to the order of the scheme."""
+    assert scheme.modified is not None
+    for top in TRIALS[scheme.top][:2]:
+        y, plain = np.array([gen(top)]), {one.name: one for one in top.invariants()}
+        gaps = []
+        for h in (0.02, 0.01):
+            modified = {one.name.removeprefix("modified_"): one for one in scheme.modified(top, h, scheme.options())}
+            gaps.append(
+                {
+                    name: abs(float(modified[name].value(y)[0] - plain[name].value(y)[0]))
+                    for name in modified.keys() & plain
+                }
+            )
+        assert gaps[0]
+        for name, gap in gaps[0].items():
+            assert gap < 0.01
+            assert gap < 1e-14 or gap / gaps[1][name] == pytest.approx(2.0**scheme.order, rel=0.02), name
 
 
 @cases(*(subject for subject in SUBJECTS if subject.stages > 1 and subject.scheme.conserves))
@@ -153,16 +186,16 @@ def test_compositions_conserve_what_their_base_does(subject: Subject) -> None:
     longest = max(map(abs, WEIGHTS[scheme.name.rpartition("+")[2]]))
     for h in (0.5 if split else 0.2 / longest, 0.03):
         given = (top, subject.method, gen(top), h)
-        assert exactness(*given, scheme.conserves, 4000, subject.stages) < 1.0
+        assert exactness(*given, named(top, *scheme.conserves), 4000, subject.stages) < 1.0
         for other in {one.name for one in top.invariants()} - set(scheme.conserves) if split and h == 0.5 else ():
-            assert exactness(*given, [other], 4000, subject.stages) > 100.0
+            assert exactness(*given, named(top, other), 4000, subject.stages) > 100.0
 
 
 @pytest.mark.parametrize("top", [*TRIALS["kowalevski"], *TRIALS["euler"], *TRIALS["euler+gamma"][:2]], ids=repr)
 def test_exactness_control(top: Top) -> None:
     """The explicit midpoint rule, at a small step, fails the same test by far."""
     for name in {"kowalevski": ("gamma_sq", "k_sq")}.get(top.form, [one.name for one in top.invariants()]):
-        assert 410000.0 < exactness(top, rk2(top), gen(top), 0.01, (name,)) < 5.9e8
+        assert 410000.0 < exactness(top, rk2(top), gen(top), 0.01, named(top, name)) < 5.9e8
 
 
 @cases(*(subject for subject in SUBJECTS if isinstance(subject.method, Stepper) and not subject.method.plain))
@@ -192,21 +225,6 @@ def test_machine_code_control() -> None:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", [s for s in SCHEMES if not s.adaptive], ids=lambda s: f"{s.name}/{s.top}")
-def test_reversal_order_is_reported(scheme: Scheme) -> None:
-    """The study's own measure: no order for a self-adjoint scheme, at least order + 1 for the others."""
-    top = TOPS[scheme.top]()
-    found = reversal(top, scheme.build(top, scheme.options()), states_of(top, 6, seed=5), 1e-3)
-    if scheme.self_adjoint:
-        assert found.order is None
-        assert found.defect < 1e-14
-    else:
-        assert found.order is not None
-        assert scheme.order is not None
-        assert found.order > scheme.order + 0.8
-
-
 @pytest.mark.parametrize(
     ("h", "sizes"), [(0.05, (0.05, 0.1, 0.2, 0.4)), (-0.05, (0.05, 0.1, 0.2, 0.4)), (0.3, (0.0375, 0.075, 0.15, 0.3))]
 )
@@ -228,15 +246,6 @@ def test_the_reversal_defect_is_that_of_the_step_itself(h: float, sizes: tuple[f
     assert len(set(found.defects)) == 4
 
 
-def test_verdict_exact_needs_the_declared_invariants_only() -> None:
-    """HK's report does not call k² exact; a constant series is."""
-    top = Kowalevski()
-    n, states, _ = Run(top, HK.build(top, HK.options()), GEN, 0.05, 4000).collect()
-    assert {row.verdict for row in invariant_report(top.invariants(), n, 0.05, states)} == {"bounded"}
-    still = np.repeat(states[:1], len(n), axis=0)
-    assert {row.verdict for row in invariant_report(top.invariants(), n, 0.05, still)} == {"exact"}
-
-
 def test_choices_leave_out_what_a_top_refuses() -> None:
     dmv = find_scheme("dmv", "heavy")
     assert [options.model_dump(exclude_defaults=True) for options in choices(dmv, TOPS["heavy"].new())] == [
@@ -244,3 +253,11 @@ def test_choices_leave_out_what_a_top_refuses() -> None:
         {"compensated": True},
     ]
     assert compose(SPLIT, "suzuki4").name == "kick-turn+suzuki4"
+
+
+def test_which_invariants_are_quadratic() -> None:
+    for top in (Kowalevski(), Kowalevski(c0=-3.0, A=0.1)):
+        assert polynomial_invariants(top, 1) == ()
+        assert polynomial_invariants(top, 2) == polynomial_invariants(top, 3) == ("gamma_sq", "two_l", "energy")
+        assert polynomial_invariants(top, 4) == ("gamma_sq", "two_l", "energy", "k_sq")
+    assert polynomial_invariants(Heavy(), 2) == ("gamma_sq", "m_gamma", "energy")

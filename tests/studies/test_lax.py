@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, random_states
+from declared import random_heavy_tops
 from steppers import RK2
 from topcli.analysis.lax import (
     LAMBDAS,
@@ -38,7 +39,6 @@ from topcli.schemes.registry import find_scheme
 from topcli.studies.lax_checks import lax_experiment, lax_study
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
-from twins_heavy import random_heavy_tops
 
 EULER = EulerPoisson((2.0, 1.5, 1.0), (0.0, 0.0, 0.0))
 

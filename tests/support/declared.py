@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from conftest import GEN
@@ -32,3 +33,13 @@ def gen(top: Top) -> tuple[float, ...]:
 
 
 by_name = pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}/{s.top}")
+
+
+def random_heavy_tops(count: int, seed: int) -> list[Heavy]:
+    """Heavy tops of real bodies: moments that are sums of pairs of positive numbers, any centre of gravity."""
+    random = np.random.default_rng(seed)
+    made = []
+    for a, b, c in random.uniform(0.2, 1.5, size=(count, 3)):
+        x, y, z = random.normal(size=3)
+        made.append(Heavy(A=b + c, B=c + a, C=a + b, x0=x, y0=y, z0=z))
+    return made

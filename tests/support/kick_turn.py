@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from topcli.arithmetic.vectors import cayley_increment
 from topcli.contracts import Floats, Stepper
+from topcli.schemes.registry import find_scheme
 
 
 def kick_turn_step(s: Floats, h: float, p: Floats) -> Floats:
@@ -37,3 +40,11 @@ def leave_counted(s: Floats, h: float, p: Floats) -> Floats:
 
 
 KICK_TURN = Stepper(kick_turn_step, 7, enter_counted, leave_counted, ("stages",))
+SPLIT = replace(
+    find_scheme("hk", "kowalevski"),
+    name="kick-turn",
+    conserves=("gamma_sq",),
+    build=lambda top, options: KICK_TURN,
+    doc="A turn between kicks.",
+)
+"""The scheme with this step, which is not topcli's own."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from conftest import GEN, Said, random_states
+from conftest import GEN, random_states
 from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson, Top, checked_equations
 from topcli.errors import UsageError
@@ -135,80 +133,3 @@ def test_a_rotor_at_rest_is_a_heavy_top() -> None:
     for y0 in map(tuple, random_states(3, seed=61)):
         same = reference_states(Gyrostat(rotor=0.0), y0, times)
         assert np.array_equal(same, reference_states(Heavy(), y0, times))
-
-
-FILE = '''
-import topcli
-from topcli.contracts import EulerPoisson, Stepper
-from topcli.tops import TOPS
-from topcli.tops.heavy import Heavy
-
-def field(y, p):
-    w1, w2, w3, g1, g2, g3 = y
-    A, B, C, x0, y0, z0, r = p
-    return (((B - C) * w2 * w3 + (g2 * z0 - g3 * y0) - r * w2) / A,
-            ((C - A) * w3 * w1 + (g3 * x0 - g1 * z0) + r * w1) / B,
-            ((A - B) * w1 * w2 + (g1 * y0 - g2 * x0)) / C,
-            g2 * w3 - g3 * w2, g3 * w1 - g1 * w3, g1 * w2 - g2 * w1)
-
-class Gyrostat(Heavy):
-    """A heavy top with a rotor."""
-    kind = form = "gyrostat"
-    title = "gyrostat"
-    field = staticmethod(field)
-    rotor: float = 0.7
-
-    def constants(self):
-        return (*super().constants(), self.rotor)
-
-    def invariants(self):
-        return tuple(one for one in super().invariants() if one.name != "m_gamma")
-{description}
-TOPS["gyrostat"] = Gyrostat
-
-def step(s, h, p):
-    f = field(s, p)
-    m = tuple([a + 0.5 * h * b for a, b in zip(s, f)])
-    return tuple([a + h * b for a, b in zip(s, field(m, p))])
-
-@topcli.scheme("my-rk2", top="gyrostat", title="mine", order=2, explicit=True, self_adjoint=False, citation="none",
-               equations="y' = y + h f(y + h/2 f(y))")
-def build(top, options):
-    """Midpoint."""
-    return Stepper(step, 6, plain=True)
-'''
-NONE = "\n    def euler_poisson(self):\n        raise NotImplementedError\n"
-CONFIG = """name: g
-top: gyrostat
-initial: {omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}
-scheme: my-rk2
-h: 0.01
-N: 200
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("description", ["", NONE], ids=["wrong", "none"])
-def test_a_gyrostat_from_a_file(cli: Callable[..., Said], in_tmp: Path, own_registry: None, description: str) -> None:
-    """Runs under what needs its field alone; what needs the description refuses, and says so by name."""
-    file = in_tmp / f"gyrostat{len(description)}.py"
-    file.write_text(FILE.replace("{description}", description))
-    Path("g.yaml").write_text(CONFIG)
-    ends = {}
-    for scheme in ("my-rk2", "rk2", "rk4", "dop853"):
-        done = cli("run", "g.yaml", "--scheme-file", str(file), "--set", f"scheme={scheme}", "--set", f"name={scheme}")
-        assert (done.code, done.err.count("error")) == (0, 0), done.err
-        table = pq.read_table(f"results/{scheme}/series.parquet")
-        ends[scheme] = np.array([table.column(name)[-1].as_py() for name in TOPS["gyrostat"].components])
-    assert np.abs(ends["rk2"] - ends["my-rk2"]).max() < 1e-13
-    assert np.abs(ends["rk4"] - ends["dop853"]).max() < 1e-8
-    for arguments, user in (
-        (("compare", "my-rk2", "--config", "g.yaml"), "the reference"),
-        (("run", "g.yaml", "--set", "scheme=taylor", "--force"), "scheme 'taylor'"),
-        (("lax", "gyrostat"), "the study of Lax forms"),
-    ):
-        done = cli(*arguments, "--scheme-file", str(file))
-        assert done.code == 2, arguments
-        assert user in done.err
-        assert "omega1' is " in done.err or description
-        assert len(done.err.strip().splitlines()) <= 2

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
+from typing import Any
 
-import mpmath
+import mpmath as _mpmath
 import numpy as np
 import pytest
 
@@ -15,9 +17,13 @@ from topcli.analysis.motion.kowalevski import Ovals
 from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.motion.torus import actions
 from topcli.analysis.reference import reference_states
+from topcli.schemes.kowalevski.closed_form import set_up
+from topcli.schemes.kowalevski.closed_form.course import Lattice
 from topcli.schemes.kowalevski.closed_form.curve import Integrals, integrals
+from topcli.schemes.kowalevski.closed_form.motion import SeparatedMotion
 from topcli.tops.kowalevski import Kowalevski
 
+mpmath: Any = _mpmath  # its annotations make every root complex
 STATES = {
     "I": (-1.3, 0.2, 1.5, -0.6, 0.48, 0.64),
     "II": (-1.6, 0.2, -1.3, 0.6, -0.7, 0.5),
@@ -74,82 +80,53 @@ def test_place_in_the_diagram() -> None:
     )
 
 
+def half_periods(y) -> list[tuple[Any, Any]]:
+    """Integrals of ds/|w| and s ds/|w| over the ovals of s1 and s2; angles remove the roots at the ends."""
+    E, L, G, k_sq = constants([mpmath.mpf(v) for v in y], mpmath.mpf(1))
+    m, k = E / 3, mpmath.sqrt(k_sq)
+    cubic = [-(m * (k_sq - G - m * m) + L * L), -(k_sq - G + 3 * m * m), 0, 4]
+    roots = [*mpmath.polyroots(cubic, extraprec=200, maxsteps=200, asc=True), (m + k) / 2, (m - k) / 2]
+    ends = sorted((z for z in roots if abs(mpmath.im(z)) < 1e-20), key=mpmath.re)
+    low, a, b = ends[0], ends[-2], ends[-1]
+
+    def upper(angle: Any, power: int) -> Any:
+        s = mpmath.re(a + (b - a) * mpmath.sin(angle) ** 2)
+        return s**power / mpmath.sqrt(mpmath.fprod(abs(s - z) for z in roots if z not in (a, b)))
+
+    def lower(angle: Any, power: int) -> Any:
+        S, C = mpmath.sin(angle), mpmath.cos(angle)
+        rest = mpmath.fprod(abs((z - low) * C**2 + S**2) for z in roots if z != low)
+        return mpmath.re(low * C**2 - S**2) ** power * C ** (2 - 2 * power) / mpmath.sqrt(rest)
+
+    grid = [n * mpmath.pi / 8 for n in range(5)]
+
+    def integral(density: Callable[..., Any], power: int) -> Any:
+        return mpmath.quad(lambda angle: density(angle, power), grid)
+
+    return [(integral(density, 0), integral(density, 1)) for density in (upper, lower)]
+
+
 @pytest.mark.slow
-def test_random_states_are_in_the_region_of_their_roots() -> None:
-    random, seen = np.random.default_rng(5), set()
-    for _ in range(16):
-        gamma = random.normal(size=3)
-        y = [*(random.normal(size=3) * 10 ** random.uniform(-1, 0.6)), *(gamma / np.linalg.norm(gamma))]
-        found = motion(y)
-        seen.add(order(y))
-        assert (found.kind, found["tori"]) == (f"torus {NAMES[order(y)]}", TORI[order(y)])
-    assert len(seen) >= 3
-
-
 @pytest.mark.parametrize("name", STATES)
-@pytest.mark.slow
 def test_half_periods_by_quadrature(name: str) -> None:
-    """ds/|w| and s ds/|w| by tanh-sinh over the real ovals, from the roots of the quintic."""
-    y = STATES[name]
-    found = motion(y)
-    with mpmath.workdps(30):
-        E, L, G, k_sq = (mpmath.mpf(v) for v in constants([mpmath.mpf(v) for v in y], mpmath.mpf(1)))
-        m, k = E / 3, mpmath.sqrt(k_sq)
-        cubic = mpmath.polyroots(
-            [-(m * (k_sq - G - m * m) + L * L), -(k_sq - G + 3 * m * m), 0, 4], extraprec=200, asc=True
-        )
-        roots = [*cubic, (m + k) / 2, (m - k) / 2]
-        ends = sorted(mpmath.re(z) for z in roots if abs(mpmath.im(z)) < 1e-20)
-
-        def density(s, power):
-            product = mpmath.mpf(4)
-            for root in roots:
-                product *= s - root
-            return s**power / mpmath.sqrt(abs(product))
-
-        r, a, b = ends[0], ends[-2], ends[-1]
-        for name_of, grid in (("s1", [a, (a + b) / 2, b]), ("s2", [-mpmath.inf, r - 1, r])):
-            for power in (0, 1):
-                value = mpmath.quad(lambda s, power=power: density(s, power), grid)
-                # the ends cancel to half the digits, and s^-3/2 decays slowly
-                assert found[f"half_period.{name_of}.{power}"] == pytest.approx(float(value), rel=1e-9)
-
-
-def fit_residual(y, first: float, second: float, span: float = 700.0) -> float:
-    """Largest misfit of omega3 of the orbit by a Fourier series with the frequencies m first + n second."""
-    t = np.arange(0.0, span, 0.35)
-    states = reference_states(Kowalevski(), list(y), t)
-    pairs = [(m, n) for m in range(-9, 10) for n in range(10) if n or m >= 0]
-    phases = 2.0 * np.pi * np.outer(t, [m * first + n * second for m, n in pairs])
-    basis = np.hstack([np.cos(phases), np.sin(phases)])
-    solution = np.linalg.lstsq(basis, states[:, 2], rcond=1e-12)[0]
-    return float(np.abs(basis @ solution - states[:, 2]).max())
+    found = motion(STATES[name])
+    with mpmath.workdps(25):
+        for oval, values in zip(("s1", "s2"), half_periods(STATES[name]), strict=True):
+            for power, value in enumerate(values):
+                assert found[f"half_period.{oval}.{power}"] == pytest.approx(float(value), rel=1e-12)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["I", "II", "III", "V"])
-def test_frequencies_are_those_of_a_long_orbit(name: str) -> None:
-    """The orbit is a Fourier series in both frequencies, but not if one of them is doubled or off by 1e-3."""
-    y = STATES[name]
-    found = motion(y)
-    one, two = found["frequency.1"], found["frequency.2"]
-    fit = fit_residual(y, one, two)
-    assert fit < 2e-3
-    for factor in (1.001, 2.0):
-        assert fit_residual(y, factor * one, two) > 10 * fit
-        assert fit_residual(y, one, factor * two) > 10 * fit
-
-
-@pytest.mark.parametrize("name", STATES)
-@pytest.mark.slow
-def test_omega2_vanishes_once_a_period_of_s2(name: str) -> None:
-    y = STATES[name]
-    found = motion(y)
-    span = 200 * found["period.s2"]
-    states = reference_states(Kowalevski(), list(y), np.linspace(0.0, span, 8001))
-    zeros = np.count_nonzero(np.diff(np.signbit(states[:, 1])))
-    assert abs(zeros - 200) <= 1
-    assert found["time_between_swings"] == 2 * found["period.s2"]
+def test_frequencies_of_the_closed_form_to_thirty_digits() -> None:
+    """States after 1e20 steps need them; an angle of s1 or s2 turns once in two of their cycles."""
+    found = set_up(GEN, 1.0)
+    assert isinstance(found, SeparatedMotion)
+    assert isinstance(found.course, Lattice)
+    with mpmath.workdps(45):
+        (a, P), (b, Q) = half_periods(GEN)
+        period = 4 * abs(a * Q - b * P)
+        for rate, value in zip(found.course.rates, (b, a), strict=True):
+            assert abs(mpmath.mpf(rate.numerator) / rate.denominator * period / value - 1) < 1e-30
 
 
 @pytest.mark.parametrize("eps", [1e-3, 1e-6])
@@ -161,16 +138,6 @@ def test_time_between_swings_near_the_homoclinic_orbit(eps: float) -> None:
         assert round(found["time_between_swings"], 4) == 28.1716
 
 
-@pytest.mark.slow
-def test_swings_of_the_paper_are_that_far_apart() -> None:
-    found = motion(PAPER)
-    t = np.linspace(0.0, 60.0, 60001)
-    gamma1 = reference_states(Kowalevski(), list(PAPER), t)[:, 3]
-    inner = (gamma1[1:-1] < gamma1[:-2]) & (gamma1[1:-1] < gamma1[2:]) & (gamma1[1:-1] < -0.5)
-    minima = t[1:-1][inner]
-    assert minima[1] - minima[0] == pytest.approx(found["time_between_swings"], abs=3e-3)
-
-
 def at_level(of: Integrals, dE: Fraction, dk: Fraction) -> Integrals:
     """Integrals with E and k² changed."""
     m, k_sq, L, G = of.l1 + dE / 3, of.k_sq + dk, of.L, of.G
@@ -178,7 +145,7 @@ def at_level(of: Integrals, dE: Fraction, dk: Fraction) -> Integrals:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*STATES, "released from rest"])
+@pytest.mark.parametrize("name", ["II", "III", "IV", "released from rest"])
 def test_derivative_of_the_energy_by_an_action_is_its_frequency(name: str) -> None:
     y = STATES.get(name, (0.0, 0.0, 0.0, 0.3, 0.4, 0.5))  # l = 0: the oval of s1 ends at x = 0
     found, of = motion(y), integrals(tuple(map(float, y)), 1.0)
@@ -220,7 +187,7 @@ def with_moment(y, two_l: float) -> tuple[float, ...]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("start", [(0.6, -0.7, 1.1), (0.9, -0.8, 1.3), (1.0, -0.5, 1.5), (0.5, -0.6, 1.4)])
+@pytest.mark.parametrize("start", [(0.6, -0.7, 1.1), (0.9, -0.8, 1.3)])
 def test_actions_are_integrals_of_p_dq(start: tuple[float, float, float]) -> None:
     """The mean of p dq/dt is 2 pi nu.J with the actions in Euler angles, which differ by multiples of 2l."""
     y = with_moment((*start, 0.6, 0.48, 0.64), 0.9)
@@ -259,7 +226,7 @@ def test_two_roots_coincide_at_the_neighbours(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", STATES)
+@pytest.mark.parametrize("name", ["I", "III", "V"])
 def test_periods_grow_like_a_logarithm_at_separatrices_only(name: str) -> None:
     y = STATES[name]
     of = integrals(tuple(map(float, y)), 1.0)
@@ -308,35 +275,6 @@ def test_neighbours_by_scaling(shrinks: bool, factor: float) -> None:
     powers = {"energy": 2, "k_sq": 4}
     for one, other in zip(slow.neighbours, fast.neighbours, strict=True):
         assert other.distance == pytest.approx(one.distance * factor ** powers[one.along], rel=1e-9)
-
-
-def interval_at_zeros(y) -> int:
-    """Half of the four real zeros of R, 0 or 1, between which omega1 is whenever omega2 = 0."""
-    E, L, G, k_sq = constants(y)
-    zeros = np.sort(np.roots([-1, 0, 2 * E, -4 * L, G - k_sq]).real)
-    states = reference_states(Kowalevski(), list(y), np.linspace(0.0, 60.0, 30001))
-    at = states[np.flatnonzero(np.diff(np.signbit(states[:, 1]))), 0]
-    assert len(at)
-    return int(at.mean() > 0.5 * (zeros[1] + zeros[2]))
-
-
-@pytest.mark.slow
-def test_tori_that_shrink_to_motions_of_bobylev_and_steklov() -> None:
-    """Exactly those whose interval of omega1 at omega2 = 0 is the one that shrinks."""
-    random, seen = np.random.default_rng(0), {True: 0, False: 0}
-    while min(seen.values()) < 4:
-        gamma = random.normal(size=3)
-        y = [*(random.normal(size=3) * 10 ** random.uniform(-1, 0.5)), *(gamma / np.linalg.norm(gamma))]
-        if order(y) != "5eee4":
-            continue
-        E, L, G, _ = constants(y)
-        outer = np.sort(np.roots([1, 0, -E, L]).real)[[0, 2]]  # the maxima of R + k²; the lower one meets zero first
-        heights = G + outer**4 - 2 * L * outer
-        shrinking, value = int(np.argmin(heights)), float(heights.min())
-        found = [one.value for one in motion(y).neighbours if (one.along, one.kind) == ("k_sq", "bobylev-steklov")]
-        expected = interval_at_zeros(y) == shrinking
-        assert [pytest.approx(value, rel=1e-9)] * expected == found
-        seen[expected] += 1
 
 
 @pytest.mark.slow
@@ -398,15 +336,3 @@ def test_another_moment_of_inertia_scales_energies_and_actions() -> None:
     for name in small:
         factor = 4.0 if name in ("energy", "two_l", "action.1", "action.2") else 1.0
         assert large[name] == pytest.approx(factor * small[name], rel=1e-14)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["I", "III"])
-def test_faster_motions_by_scaling(name: str) -> None:
-    """omega doubled and gravity times four: half the time, and twice the actions."""
-    y = STATES[name]
-    slow, fast = motion(y), motion((*(2.0 * v for v in y[:3]), *y[3:]), c0=4.0)
-    assert fast["period.s1"] == pytest.approx(0.5 * slow["period.s1"], rel=1e-13)
-    for i in (1, 2):
-        assert fast[f"action.{i}"] == pytest.approx(2.0 * slow[f"action.{i}"], rel=1e-12)
-    assert fast["separatrix.distance"] == pytest.approx(4.0 * slow["separatrix.distance"], rel=1e-12)

@@ -1,4 +1,4 @@
-"""The registry of the tops: names known without import, classes imported when needed."""
+"""The tops: their registry, constants and invariants, their parameters in configs, and what they warn of."""
 
 from __future__ import annotations
 
@@ -6,12 +6,22 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from conftest import ROOT
-from topcli.tops import BUILT_IN, TOPS, Tops, top_names
+from conftest import ROOT, Said, random_states
+from declared import TRIALS
+from topcli.config.load import load_experiment
+from topcli.contracts import Top
+from topcli.errors import UsageError
+from topcli.runs.simulate import simulate
+from topcli.tops import BUILT_IN, TOPS, Tops, top_class, top_names
+from topcli.tops.euler import Euler, EulerGamma
+from topcli.tops.heavy import Heavy
+from topcli.tops.lagrange import Lagrange
 
 
 def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
@@ -54,7 +64,7 @@ def test_the_constants_of_a_step_are_what_the_registry_says(form: str) -> None:
     assert len(said) == len(top.constants()) > 0
 
 
-def test_an_author_of_a_step_is_told_what_p_contains(cli: Callable[..., Any]) -> None:
+def test_an_author_of_a_step_is_told_what_p_contains(cli: Callable[..., Said]) -> None:
     tops = {item["form"]: item["step_p"] for item in cli("list", "tops", "--json").json()["tops"]}
     assert tops["kowalevski"] == ["c = c0/C"]
     for form, constants in tops.items():
@@ -75,3 +85,120 @@ def test_loading_a_scene_imports_only_what_it_names() -> None:
     assert {name for name in found if name.startswith("topcli.tops.")} == {"topcli.tops.kowalevski"}
     assert "topcli.config.ensemble" not in found
     assert "topcli.config.text" in found
+
+
+# invariants
+
+
+def terms_of(top: Top, y: np.ndarray) -> dict[str, Any]:
+    """Terms of the invariants of a rigid body with the moments J and the weight r; of Lagrange's axis in space."""
+    a, b = y[:3], y[3:]
+    if top.form == "lagrange/inertial":
+        return {"a_sq": b * b, "m_p": a[2:], "m_a": a * b, "energy": [*(0.5 * a * a), b[2]]}
+    equations = top.euler_poisson()
+    J, r = np.array(equations.moments), np.array(equations.gravity)
+    terms: dict[str, Any] = {"m_sq": (J * a) ** 2, "m_omega": J * a * a, "m_axis": [J[2] * a[2]]}
+    if len(b):
+        xi = complex(a[0], a[1]) ** 2 - r[0] / J[2] * complex(b[0], b[1])
+        terms |= {"gamma_sq": b * b, "m_gamma": J * a * b, "two_l": J * a * b, "k_sq": [xi.real**2, xi.imag**2]}
+        terms["energy"] = [*(0.5 * J * a * a), *(r * b)]
+    return terms
+
+
+@pytest.mark.parametrize("top", [top for tops in TRIALS.values() for top in tops], ids=repr)
+def test_invariants_and_their_scales_are_those_of_their_terms(top: Top) -> None:
+    """The sum of the terms and of their magnitudes; for k² = |omega² - c gamma|², of the terms within the square.
+
+    Other tests divide deviations by the scale; this one makes that an independent measure.
+    """
+    for y in random_states(50, seed=71)[:, : len(top.components)]:
+        terms = terms_of(top, y)
+        for invariant in top.invariants():
+            scale = float(invariant.scale(y[None])[0])
+            if invariant.name == "k_sq":
+                w_sq, c = y[0] ** 2 + y[1] ** 2, abs(2.0 * top.model_dump()["c0"] / top.model_dump()["A"])
+                assert scale == pytest.approx((w_sq + c * np.hypot(y[3], y[4])) ** 2, rel=1e-14)
+            else:
+                assert scale == pytest.approx(sum(map(abs, terms[invariant.name])), rel=1e-14)
+            value = float(invariant.value(y[None])[0])
+            assert value == pytest.approx(sum(terms[invariant.name]), rel=0.0, abs=4e-15 * max(scale, 1e-300))
+
+
+# parameters
+
+
+@pytest.mark.parametrize(
+    ("moments", "named"),
+    [
+        ((2.0, 1.5, 1.0), ""),
+        ((1.0, 1.0, 2.0), ""),
+        ((0.1, 0.7, 0.8), ""),  # a flat body, although 0.1 + 0.7 < 0.8 in doubles
+        ((0.8, 0.1, 0.7), ""),
+        ((0.3, 0.1, 0.2), ""),
+        ((0.1, 0.7, 0.8 * (1.0 + 0.9e-12)), ""),
+        ((0.1, 0.7, 0.8 * (1.0 + 1.1e-12)), "C"),
+        ((1.0, 3.1, 2.0), "B"),
+        ((9.0, 1, 2), "A"),
+    ],
+)
+@pytest.mark.parametrize("top", [Heavy, Euler, EulerGamma])
+def test_impossible_moments_are_warned_of(top: type[Heavy | Euler], moments, named: str) -> None:
+    A, B, C = moments
+    found = top(A=A, B=B, C=C).warnings()
+    assert len(found) == bool(named)
+    for line in found:
+        assert f"{named} = {max(moments):g} >" in line
+
+
+def test_the_initial_vectors_choose_the_form() -> None:
+    assert top_class("Euler") is Euler
+    assert top_class("euler", ["omega"]) is Euler
+    assert top_class("euler", ["gamma", "omega"]) is EulerGamma
+
+
+def written(name: str, moments: str, scheme: str = "hk") -> str:
+    Path(name).write_text(
+        f"top: {{kind: euler, {moments}}}\ninitial: {{omega: [0.7, -0.4, 1.3]}}\nscheme: {scheme}\nh: 0.01\nN: 10\n"
+    )
+    return name
+
+
+@pytest.mark.parametrize("command", [("run",), ("compare", "hk", "bs", "--config")])
+def test_moments_violating_the_triangle_inequality_warn(cli: Callable[..., Said], command: tuple[str, ...]) -> None:
+    """A warning on stderr, and the run goes on; a flat body's moments are not warned about."""
+    done = cli(*command, written("odd.yaml", "A: 5, B: 1, C: 1.5"))
+    assert done.code == 0
+    assert "warning: odd: the moments (5, 1, 1.5) violate the triangle inequality: A = 5 > 1 + 1.5" in done.err
+    assert "warning" not in done.out
+    assert "warning" not in cli(*command, written("fine.yaml", "A: 3, B: 2, C: 1")).err
+
+
+@pytest.mark.parametrize("value", ["0", "-2", ".nan", ".inf", "'two'"])
+def test_bad_moments_are_refused(cli: Callable[..., Said], value: str) -> None:
+    done = cli("run", written("bad.yaml", f"B: {value}"))
+    assert done.code == 2
+    assert "bad.yaml:1" in done.err
+    assert "B" in done.err
+    assert not Path("results").exists()
+
+
+def test_a_scheme_of_another_top_is_refused_with_those_that_fit(cli: Callable[..., Said]) -> None:
+    done = cli("run", written("odd.yaml", "A: 3", "hybrid"))
+    assert done.code == 2
+    assert "does not fit top 'euler'" in done.err
+    assert "bs-implicit" in done.err
+    with pytest.raises(UsageError, match=r"'bs' does not fit top 'lagrange'.*lagrange/inertial"):
+        load_experiment("lagrange_hk", ("scheme=bs",))
+
+
+def test_unequal_moments_are_refused_and_heavy_is_offered() -> None:
+    base = {"initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "scheme": "hk", "h": 0.1, "N": 10}
+    with pytest.raises(UsageError, match=r"B: must equal A = 1\.0 .* not 2\.0.*heavy"):
+        simulate(top={"kind": "lagrange", "A": 1.0, "B": 2.0}, **base)
+    assert Lagrange(A=3.0).B == 3.0
+    equal = simulate(top={"kind": "lagrange", "A": 1.0, "B": 1.0}, **base)
+    assert np.array_equal(equal.states, simulate(top={"kind": "lagrange", "A": 1.0}, **base).states)
+    with pytest.raises(UsageError, match="greater than 0"):
+        simulate(top={"kind": "lagrange", "C": -1.0}, **base)
+    assert "triangle" in Lagrange(C=2.5).warnings()[0]
+    assert Lagrange(C=2.0).warnings() == ()

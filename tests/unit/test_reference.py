@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from functools import cache
 from typing import ClassVar
 
@@ -22,7 +21,6 @@ from topcli.tops.kowalevski import Kowalevski
 
 GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
 PAPER = (2.0, 0.0, 0.0, math.sqrt(1 - 1e-6), 0.0, 1e-3)
-U = Fraction(1, 2**53)
 
 
 class Heavy(Top):
@@ -168,65 +166,6 @@ def test_the_state_carries_29_digits(top, y0):
         assert max(abs(a - b) for a, b in zip(pairs(state), true, strict=True)) < 1e-29
 
 
-def homoclinic(t, w=2, c=1):
-    """Closed form of the orbit that leaves (w,0,0; 1,0,0) and returns to it, in mpmath."""
-    w, c = mp.mpf(w), mp.mpf(c)
-    lam, q = mp.sqrt(c / 2), mp.sqrt(2 * w**2 / (2 * w**2 - c))
-    s, ch = mp.sinh(lam * t), mp.cosh(lam * t)
-    phi = 2 * mp.atan2(q, s)
-    dphi = -2 * lam * q * ch / (s**2 + q**2)
-    ddphi = -2 * lam**2 * q * (s * (s**2 + q**2) - 2 * s * ch**2) / (s**2 + q**2) ** 2
-    rho = w - c / (2 * w)
-    w1, w2 = c / (2 * w) + rho * mp.cos(phi), rho * mp.sin(phi)
-    return [w1, w2, -2 * dphi, 2 - w1 / w - 2 * dphi**2 / c, 2 * ddphi / c, -dphi / w]
-
-
-@pytest.mark.parametrize(("w", "c"), [(2, 1), (1.5, 2.5)])
-def test_the_swing_in_closed_form(w, c):
-    """From eight growth times before the swing to eight after it.
-
-    The orbit is unstable (perturbations grow like e^(lambda t)), so the start is given in double-double: from
-    a start rounded to doubles no integrator could come closer than about 1e-11.
-    """
-    with mp.workdps(45):
-        lam = math.sqrt(c / 2)
-        t0 = mp.mpf(-8 / lam)
-        times = [16 / lam * k / 64 for k in range(65)]
-        true = [homoclinic(t0 + mp.mpf(t), w, c) for t in times]
-        code, state, out = drive(Kowalevski(c0=c), homoclinic(t0, w, c), times)
-        assert code == taylor.DONE
-        assert ulps(out, true) <= 1.0
-        at_end = homoclinic(t0 + mp.mpf(float(state[12])), w, c)
-        error = max(abs(a - b) for a, b in zip(pairs(state), at_end, strict=True))
-        assert error < 1e-31 * 50 * math.exp(16)
-
-
-def test_series_coefficients_against_those_of_the_closed_form():
-    with mp.workdps(50):
-        t0 = mp.mpf("0.3")
-        closed = cache(lambda t, _precision: homoclinic(t))  # the six share their sample points
-        true = [mp.taylor(lambda t, i=i: closed(t, mp.mp.prec)[i], t0, ORDER) for i in range(6)]
-        work = [0.0] * (12 * (ORDER + 1))
-        n = ORDER + 1
-        for i in range(6):
-            work[2 * i * n] = float(true[i][0])
-            work[2 * i * n + n] = float(true[i][0] - work[2 * i * n])
-        taylor.expand(coefficients(Kowalevski().euler_poisson()).tolist(), work, ORDER)
-        for j in range(n):
-            largest = max(abs(true[i][j]) for i in range(6))
-            for i in range(6):
-                found = mp.mpf(work[2 * i * n + j]) + mp.mpf(work[2 * i * n + n + j])
-                assert abs(found - true[i][j]) <= 1e-29 * largest
-
-
-def test_forward_then_back_returns():
-    _, state, _ = drive(Heavy(), GEN, [20.0])
-    end = float(state[12])
-    code, _, out = drive(Heavy(), pairs(state), [-end])
-    assert code == taylor.DONE
-    assert np.abs(out[0] - GEN).max() <= math.ulp(1.3)
-
-
 @pytest.mark.slow
 def test_machine_code_does_what_plain_python_does():
     """Bit for bit: a contracted or reassociated operation would destroy the error terms."""
@@ -250,14 +189,6 @@ def test_failures_have_codes():
 
 
 # ---------------------------------------------------------------- the driver
-
-
-def test_invariants_stay_over_a_long_time():
-    top = Kowalevski()
-    states = reference_states(top, GEN, np.arange(10001) * 0.1)
-    for invariant in top.invariants():
-        value = invariant.value(states)
-        assert np.abs(value - value[0]).max() <= 8 * np.finfo(float).eps * invariant.scale(states).max()
 
 
 def test_requested_times_do_not_change_the_states(monkeypatch):
@@ -333,18 +264,12 @@ class Inertial(Heavy):
 
 
 def test_unreachable_accuracy_is_reported(monkeypatch):
-    with pytest.raises(RunError, match=r"at least 1e\+10 Taylor steps to reach t = 1e\+10; at most 20000000 are taken"):
-        reference_states(Kowalevski(), PAPER, np.array([1e10]))
     with pytest.raises(RunError, match=r"m1, m2, m3.*expected omega"):
         reference_states(Inertial(), GEN, np.array([1.0]))
     with pytest.raises(RunError, match="beyond double precision"):
         reference_states(Heavy(moments=(5e-324, 1.0, 1.0)), GEN, np.array([1.0]))
     with pytest.raises(RunError, match="initial angular velocity is beyond double precision"):
         reference_states(Heavy(moments=(1.0, 8.0, 1.0)), (1e308, *GEN[1:]), np.array([1.0]))
-    with monkeypatch.context() as patch:
-        patch.setattr(reference, "BUDGET", 100)
-        with pytest.raises(RunError, match=r"about 1\.\de\+04 Taylor steps to reach t = 10000; at most 12000"):
-            reference_states(Kowalevski(), PAPER, np.array([1e4]), 12_000)
     monkeypatch.setattr(reference, "_units", lambda coef, y: (0, 0))
     with pytest.raises(RunError, match=r"beyond t = 0: it is not finite"):
         reference_states(Kowalevski(), (1e150, *GEN[1:]), np.array([1e-150]))

@@ -1,25 +1,26 @@
-"""Silent difficulties are counted; the counters change nothing else."""
+"""Difficulties of schemes: counts and warnings, steps that do not converge, and the states that limits name."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
-from conftest import GEN, Said
-from steppers import physical
-from topcli.arithmetic.vectors import root_nearest
+import topcli
+from conftest import GEN, PAPER, Said
+from steppers import RK2
 from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
+from topcli.engine.driver import plain_loop
 from topcli.engine.loop import Run
+from topcli.errors import RunError
 from topcli.runs.report import warning_of
-from topcli.schemes.any_top.hk_midpoint import heavy_determinant
-from topcli.schemes.euler.hk import euler_determinant, hk_increment
-from topcli.schemes.kowalevski.bohlin import bohlin_step, method_c
-from topcli.schemes.kowalevski.hk import hk_kowalevski, kowalevski_determinant
-from topcli.schemes.kowalevski.hybrid import hybrid_step
-from topcli.schemes.lagrange.hk_bs import hk_lagrange, lagrange_determinant
+from topcli.schemes.any_top.hk_midpoint import heavy_determinant, midpoint
+from topcli.schemes.euler.hk import euler_determinant
+from topcli.schemes.kowalevski.hk import kowalevski_determinant
+from topcli.schemes.lagrange.hk_bs import lagrange_determinant
 from topcli.schemes.layout import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress.cases import TORUS_E4, singular_step
@@ -28,51 +29,29 @@ from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
-from twins_heavy import hk_heavy
 
 
-def ran(top: Top, name: str, y0: Floats, h: float, N: int) -> tuple[np.ndarray, Ending]:
+def carried_out(top: Top, name: str, y0: Floats, h: float, N: int) -> tuple[np.ndarray, Ending]:
     scheme = find_scheme(name, top.form)
     _, states, ending = Run(top, scheme.build(top, scheme.options()), y0[: len(top.components)], h, N).collect()
     return states, ending
 
 
-def plain(top: Top, step, y0: Floats, h: float, N: int) -> np.ndarray:
-    return Run(top, Stepper(step, 6), y0, h, N).collect().states
-
-
-@pytest.mark.parametrize(
-    ("top", "name", "step"),
-    [
-        (Kowalevski(), "hk", hk_kowalevski),
-        (Heavy(), "hk", hk_heavy),
-        (Lagrange(), "hk", hk_lagrange),
-        (Kowalevski(), "hybrid", hybrid_step(root_nearest)),
-        (Kowalevski(), "bohlin-c", bohlin_step(method_c, root_nearest)),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_counters_change_no_bit(top: Top, name: str, step) -> None:
-    """Bit for bit, compiled and in plain Python."""
-    states, ending = ran(top, name, GEN, 0.05, 2000)
-    assert set(ending.counters.values()) == {0}
-    assert np.array_equal(states, plain(top, step, GEN, 0.05, 2000))
-    scheme = find_scheme(name, top.form)
-    made = physical(scheme.build(top, scheme.options()))
-    assert made(GEN, 0.05, top.constants()) == step(GEN, 0.05, top.constants())
+def counters(top: Top, name: str, y0: Floats, h: float, N: int) -> dict[str, int]:
+    return carried_out(top, name, y0, h, N)[1].counters
 
 
 @pytest.mark.parametrize("top", [Kowalevski(), Heavy(), Lagrange(), Euler(), EulerGamma()], ids=repr)
 def test_near_singular_solves_are_counted(top: Top) -> None:
     h = singular_step(top, GEN[: len(top.components)])  # pyright: ignore
-    assert ran(top, "hk", GEN, h, 1)[1].counters[NEAR_SINGULAR] == 1
-    assert ran(top, "hk", GEN, 0.05, 1000)[1].counters[NEAR_SINGULAR] == 0
+    assert counters(top, "hk", GEN, h, 1)[NEAR_SINGULAR] == 1
+    assert counters(top, "hk", GEN, 0.05, 1000)[NEAR_SINGULAR] == 0
 
 
 def test_hybrids_count_singular_solves_of_hk() -> None:
     top = Kowalevski()
     for name in ("hybrid", "hybrid-xi"):
-        assert ran(top, name, GEN, singular_step(top, GEN), 1)[1].counters[NEAR_SINGULAR] == 1  # pyright: ignore
+        assert counters(top, name, GEN, singular_step(top, GEN), 1)[NEAR_SINGULAR] == 1  # pyright: ignore
 
 
 @pytest.mark.parametrize(
@@ -96,47 +75,36 @@ def test_determinants_are_those_of_kahans_matrix(determinant, top: Top) -> None:
     assert terms >= abs(value)
 
 
-def test_the_euler_determinant_is_what_the_step_divides_by() -> None:
-    top, h = Euler(), 0.3
-    d = 0.5 * h
-    c = [d * alpha for alpha in top.constants()[3:]]
-    value, _ = euler_determinant(GEN[:3], h, top.constants())
-    w1, w2, w3 = GEN[:3]
-    u1, u2, u3 = c[0] * w2 * w3, c[1] * w3 * w1, c[2] * w1 * w2
-    first = 2.0 * (u1 * (1.0 + c[1] * c[2] * w1 * w1) + c[0] * (w2 * u3 + w3 * u2)) / value
-    assert hk_increment(*GEN[:3], *c)[0] == pytest.approx(first, rel=1e-14, abs=0.0)
-
-
 def test_ambiguous_roots_are_counted() -> None:
     """At rest on the axis both roots are 0 in every step; on a calm motion it never happens, in a wild one often."""
     top = Kowalevski()
     rest = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     for name in ("bohlin-a", "bohlin-b", "bohlin-c"):
-        assert ran(top, name, rest, 0.02, 100)[1].counters[AMBIGUOUS] == 100
-        assert ran(top, name, GEN, 0.01, 2000)[1].counters[AMBIGUOUS] == 0
-    assert ran(top, "hybrid", GEN, 0.01, 2000)[1].counters == {NEAR_SINGULAR: 0, AMBIGUOUS: 0}
-    wild = ran(top, "bohlin-a", (3.0, -2.0, 6.0, 0.6, 0.48, 0.64), 1.0, 5000)[1].counters[AMBIGUOUS]
+        assert counters(top, name, rest, 0.02, 100)[AMBIGUOUS] == 100
+        assert counters(top, name, GEN, 0.01, 2000)[AMBIGUOUS] == 0
+    assert counters(top, "hybrid", GEN, 0.01, 2000) == {NEAR_SINGULAR: 0, AMBIGUOUS: 0}
+    wild = counters(top, "bohlin-a", (3.0, -2.0, 6.0, 0.6, 0.48, 0.64), 1.0, 5000)[AMBIGUOUS]
     assert 1000 < wild <= 5000
 
 
 def test_dg4_counts_short_corrections() -> None:
     """On a torus that has shrunk to an orbit the Gram matrix is singular; elsewhere it is not."""
     top = Kowalevski()
-    assert ran(top, "dg4", GEN, 0.02, 200)[1].counters["short_corrections"] == 0
-    counters = ran(top, "dg4", TORUS_E4, 0.02, 200)[1].counters
-    assert counters["short_corrections"] + counters["midpoint_steps"] >= 190
+    assert counters(top, "dg4", GEN, 0.02, 200)["short_corrections"] == 0
+    found = counters(top, "dg4", TORUS_E4, 0.02, 200)
+    assert found["short_corrections"] + found["midpoint_steps"] >= 190
 
 
 def test_dg4_counts_steps_that_do_not_restore_the_integrals() -> None:
     """omega = gamma = e3: k = 0, 2l = 1, E = 1/2 = 2 l², where the projected midpoint steps lose k² (1.4e-7)."""
     top, start, h, N = Kowalevski(), (0.0, 0.0, 1.0, 0.0, 0.0, 1.0), 0.05, 400
-    states, ending = ran(top, "dg4", start, h, N)
+    states, ending = carried_out(top, "dg4", start, h, N)
     w1, w2, _, g1, g2, _ = states.T
     k_sq = (w1**2 - w2**2 - g1) ** 2 + (2 * w1 * w2 - g2) ** 2
     assert ending.counters["midpoint_steps"] == N
     assert N // 2 < ending.counters["unmet"] <= N
     assert k_sq.max() == pytest.approx(1.4e-7, rel=0.05)
-    assert ran(top, "dg4", GEN, 0.02, 200)[1].counters["unmet"] == 0
+    assert counters(top, "dg4", GEN, 0.02, 200)["unmet"] == 0
 
 
 def integrals(y: Sequence[float]) -> np.ndarray:
@@ -185,19 +153,11 @@ def test_unmet_counts_the_steps_that_leave_the_integrals_off(name: str, options:
 @pytest.mark.parametrize("top", [Euler(), EulerGamma()], ids=lambda top: top.form)
 def test_implicit_euler_top_steps_report_no_convergence(top: Top) -> None:
     for name in ("bs-implicit", "midpoint"):
-        _, ending = ran(top, name, GEN, singular_step(top, GEN[: len(top.components)]), 50)  # pyright: ignore
+        _, ending = carried_out(top, name, GEN, singular_step(top, GEN[: len(top.components)]), 50)  # pyright: ignore
         assert ending.outcome is Outcome.NO_CONVERGENCE
-        assert ran(top, name, GEN, 0.05, 100)[1].outcome is Outcome.COMPLETED
-    _, blown = ran(top, "rk4", (3.0, -2.0, 6.0, 0.6, 0.48, 0.64), 1.0, 50)
+        assert carried_out(top, name, GEN, 0.05, 100)[1].outcome is Outcome.COMPLETED
+    _, blown = carried_out(top, "rk4", (3.0, -2.0, 6.0, 0.6, 0.48, 0.64), 1.0, 50)
     assert blown.outcome is Outcome.BLEW_UP
-
-
-def test_the_closed_form_reaches_denormal_omega() -> None:
-    y0 = (7e-311, -4e-311, 1.3e-310, 0.6, 0.48, 0.64)
-    states, ending = ran(EulerGamma(), "exact", y0, 0.02, 100)
-    assert ending.outcome is Outcome.COMPLETED
-    assert np.abs(states - np.array(y0)).max() < 1e-15
-    assert math.isfinite(states.sum())
 
 
 def test_a_run_warns_of_what_it_counted() -> None:
@@ -213,7 +173,7 @@ def test_a_run_warns_of_what_it_counted() -> None:
 def test_normal_counts_give_no_warning(scheme: Scheme) -> None:
     """On an ordinary run nothing that a scheme counts is a warning; what can be one has a limit that explains it."""
     top = TOPS[scheme.top].new()
-    _, ending = ran(top, scheme.name, GEN, 0.02, 200)
+    _, ending = carried_out(top, scheme.name, GEN, 0.02, 200)
     report = {"step": ending.step, "scheme": scheme.name}
     assert warning_of({**report, "counters": ending.counters}) == ""
     warned = [name for name in ending.counters if warning_of({**report, "counters": {name: 1}})]
@@ -225,3 +185,86 @@ def test_run_of_taylor_prints_only_its_end(cli: Callable[..., Said]) -> None:
     assert done.code == 0
     assert "expansions" not in done.err
     assert done.err.startswith("euler_taylor: completed ")
+
+
+# steps that end a run
+
+
+@pytest.mark.parametrize("y", [(0.0,) * 6, (0.0, 0.0, 0.0, 0.6, 0.0, 0.8), (0.0, 0.0, 2.0, 0.6, 0.0, 0.8), PAPER])
+@pytest.mark.parametrize("h", [1e-9, 0.1])
+def test_equilibria_and_special_states_settle(y: Floats, h: float) -> None:
+    for p in ((1.0, 1.0, 1.0, 0.6, 0.0, 0.8), (2.0, 2.0, 1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0, 1.0, 0.0, 0.0)):
+        assert midpoint(y, h, p)[6] == 0.0
+
+
+def test_hanging_top_stays_at_rest() -> None:
+    """Gamma along g at rest is an equilibrium; the step leaves it where it is, to the last bit."""
+    y = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+    assert midpoint(y, 0.1, (2.0, 1.5, 1.0, 0.0, 0.0, 3.0))[:6] == y
+
+
+def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
+    """An h with no hope: the outcome, the step, the rows before it, compiled and interpreted alike."""
+    top, y0, h = Heavy(A=3.0, B=2.0, C=1.2, x0=40.0, y0=-30.0, z0=60.0), (9.0, -8.0, 7.0, 0.6, 0.48, 0.64), 7.0
+    method = find_scheme("midpoint", "heavy").build(top, find_scheme("midpoint", "heavy").options())
+    assert isinstance(method, Stepper)
+    states, ending = carried_out(top, "midpoint", y0, h, 1000)
+    assert (ending.outcome, ending.step, len(states)) == (Outcome.NO_CONVERGENCE, 2, 2)
+    assert np.isfinite(states).all()
+    assert ending.counters["iterations"] == 35  # 10 in the first step, and all 25 in the second
+    assert ending.message.startswith("did not converge at step 2")
+    enter, drive = plain_loop(method, 6, 6)
+    work, out, p = np.zeros(method.width), np.zeros(6000), np.array(top.constants())
+    enter(np.array(y0), work, p, h)
+    assert drive(work, out, p, h, 1000, 1, 1) == -2
+    assert math.isnan(work[method.width - 2])
+
+
+def test_blow_up_is_not_reported_as_no_convergence() -> None:
+    run = Run(Kowalevski(), RK2, (1e200, 1e200, 0.0, 0.6, 0.48, 0.64), 1.0, 10)
+    assert run.collect().ending.outcome is Outcome.BLEW_UP
+
+
+# states that the texts of limits name
+
+NUMBERS = r"\(([-\d., ]+)\)"
+EXAMPLE = re.compile(rf"omega = {NUMBERS},?(?: with| and)? gamma = {NUMBERS}(?: with c0 = ([-\d.]+))?")
+
+
+def examples() -> list[tuple[Scheme, str, list[float], list[float], float]]:
+    """Scheme, name of the limit, omega, gamma and c0 of every state in a text."""
+    return [
+        (scheme, name, vector(omega), vector(gamma), float(c0 or 1.0))
+        for scheme in all_schemes()
+        for name, text in scheme.limits.items()
+        for omega, gamma, c0 in EXAMPLE.findall(text)
+    ]
+
+
+def vector(numbers: str) -> list[float]:
+    return [float(v) for v in numbers.split(",")]
+
+
+def simulate(scheme: str, omega: list[float], gamma: list[float], c0: float) -> topcli.Trajectory:
+    top = {"kind": "kowalevski", "c0": c0}
+    return topcli.simulate(
+        {"top": top, "initial": {"omega": omega, "gamma": gamma}, "scheme": scheme, "h": 0.01, "N": 10}
+    )
+
+
+def test_every_state_in_a_limit_is_found() -> None:
+    """No text names a vector that the examples leave out."""
+    vectors = sum(len(re.findall(r"= " + NUMBERS, text)) for one in all_schemes() for text in one.limits.values())
+    assert vectors == 2 * len(examples()) > 0
+
+
+@pytest.mark.parametrize(("scheme", "name", "omega", "gamma", "c0"), examples(), ids=lambda one: str(one)[:20])
+def test_states_in_limits_can_be_run(
+    scheme: Scheme, name: str, omega: list[float], gamma: list[float], c0: float
+) -> None:
+    """Legal for every other scheme; those of limits that say "refused" are refused."""
+    assert simulate("hk", omega, gamma, c0).outcome is Outcome.COMPLETED
+    if "refused" in scheme.limits[name]:
+        with pytest.raises(RunError):
+            simulate(scheme.name, omega, gamma, c0)
+        assert simulate(scheme.name, [omega[0] + 1e-3, *omega[1:]], gamma, c0).outcome is Outcome.COMPLETED

@@ -1,0 +1,211 @@
+"""Closed forms of the Euler and Lagrange tops and of the HK map, and the elliptic functions that they are made of."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal, localcontext
+from fractions import Fraction
+from typing import Any
+
+import mpmath as _mpmath
+import numpy as np
+import pytest
+
+from conftest import GEN, random_states
+from test_euler import random_tops
+from topcli.analysis.reference import reference_states
+from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rc, carlson_rf, carlson_rj, jacobi, landen, to_dd
+from topcli.contracts import Sampler, Top
+from topcli.engine.loop import Run
+from topcli.errors import RunError
+from topcli.schemes.registry import find_scheme
+from topcli.tops.euler import Euler, EulerGamma
+from topcli.tops.lagrange import Lagrange, LagrangeInertial
+
+mpmath: Any = _mpmath  # its annotations make every root complex
+mp, mpf = mpmath.mp, mpmath.mpf
+
+
+def sampled(name: str, top: Top, y0, h: float, n) -> np.ndarray:
+    method = find_scheme(name, top.form).build(top, None)
+    assert isinstance(method, Sampler)
+    return method.states(np.array(y0, dtype=float), h, np.array(n, dtype=np.int64), top.constants())
+
+
+@pytest.mark.slow
+def test_exact_is_the_reference() -> None:
+    """Random tops, 400 times up to t = 50, against the package's own Taylor series in double-double."""
+    n = np.arange(1, 401)
+    for top, y0 in random_tops(40, seed=41):
+        error = np.abs(sampled("exact", top, y0, 0.125, n) - reference_states(top, y0, n * 0.125))
+        assert error[:, :3].max() < 1e-14
+        assert error[:, 3:].max() < 1e-13
+
+
+@pytest.mark.parametrize("offset", [1e-3, 1e-9, 1e-15, -1e-15, -1e-9, -1e-3])
+def test_exact_beside_the_separatrix(offset: float) -> None:
+    """omega3² = 3 omega1² for A, B, C = 3, 2, 1; by t = 50 the motion amplifies an error of the offset by 1e12."""
+    top, y0 = EulerGamma(), (0.7 * (1.0 + offset), 0.1, 0.7 * math.sqrt(3.0), *GEN[3:])
+    error = np.abs(sampled("exact", top, y0, 0.5, [100])[0] - reference_states(top, y0, np.array([50.0]))[0])
+    assert error[:3].max() < 1e-13
+    assert error[3:].max() < 1e-11
+
+
+SPECIAL = {
+    "on the separatrix": ((3.0, 2.0, 1.5), (0.5, 0.1, 1.0)),
+    "spherical": ((2.0, 2.0, 2.0), (0.5, 0.1, 1.0)),
+    "oblate": ((1.0, 1.0, 1.5), (0.5, 0.1, 1.0)),
+    "prolate": ((1.0, 2.0, 2.0), (0.5, 0.1, 1.0)),
+    "equatorial": ((1.0, 2.0, 2.0), (0.0, 0.1, 1.0)),
+    "nearly symmetric": ((1.0, 1.0 + 1e-12, 2.0), (1.0, 1.0, 1.0)),
+    "principal axis": ((3.0, 2.0, 1.0), (0.0, 0.7, 0.0)),
+    "at rest": ((3.0, 2.0, 1.0), (0.0, 0.0, 0.0)),
+    "no middle component": ((3.0, 2.0, 1.0), (0.5, 0.0, 0.1)),
+    "no third component": ((3.0, 2.0, 1.0), (0.5, 0.1, 0.0)),
+    "no first component": ((3.0, 2.0, 1.0), (0.0, 0.1, 0.5)),
+    "tennis racket": ((3.0, 2.0, 1.0), (1e-9, 0.7, 0.0)),
+    "wobble of 1e-12": ((1.0, 3.0, 2.0), (1.0, 1e-12, 1e-10)),
+    "impossible body": ((9.0, 2.0, 1.0), (0.5, -0.3, 0.8)),
+    "slow": ((3.0, 2.0, 1.0), (7e-8, -4e-8, 1.3e-7)),
+    "denormal": ((3.0, 2.0, 1.0), (7e-311, -4e-311, 1.3e-310)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, 1), (1, -1, 1), (1, 1, -1)], ids=str)
+@pytest.mark.parametrize("scene", SPECIAL)
+def test_exact_in_special_cases(scene: str, signs: tuple[int, int, int]) -> None:
+    """Every degenerate case, in every octant up to rotation, forwards and backwards, with and without gamma."""
+    (A, B, C), omega = SPECIAL[scene]
+    y0 = (*(s * w for s, w in zip(signs, omega, strict=True)), *GEN[3:])
+    top, n = EulerGamma(A=A, B=B, C=C), np.arange(1, 201)
+    for h in (0.25, -0.25):
+        states = sampled("exact", top, y0, h, n)
+        assert np.abs(states - reference_states(top, y0, n * h)).max() < 1e-13
+        assert np.array_equal(sampled("exact", Euler(A=A, B=B, C=C), y0[:3], h, n), states[:, :3])
+
+
+def test_exact_after_a_very_long_time() -> None:
+    """1e12 steps of 2^-10: the phase is reduced without loss; mpmath's functions at 60 digits say the same."""
+    top, n = Euler(), 10**12
+    got = sampled("exact", top, GEN[:3], 2.0**-10, [n])[0]
+    with mp.workdps(60):
+        x, y, z = (mpf(w) for w in GEN[:3])  # 3, 2, 1: L = 3 x² - z² < 0, so the third axis carries dn
+        p, q = 2 * y**2 + 6 * x**2, 2 * z**2 + 2 * y**2  # 2 T C - m², m² - 2 T A, up to sign
+        m = 1 - 2 * (z**2 - 3 * x**2) / q
+        a = (mp.sqrt(p / 6), mp.sqrt(p / 2), mp.sqrt(q / 2))
+        sign = -1  # omega2' = -omega3 omega1
+        u0 = mp.ellipf(mp.atan2(y / (sign * a[1]), x / a[0]), m)
+        u = u0 + mp.sqrt(q / 6) * n / 2**10
+        exact = (
+            a[0] * mp.ellipfun("cn", u, m=m),
+            sign * a[1] * mp.ellipfun("sn", u, m=m),
+            a[2] * mp.ellipfun("dn", u, m=m),
+        )
+        assert max(abs(mpf(float(g)) - e) for g, e in zip(got, exact, strict=True)) < 1e-14
+
+
+@pytest.mark.parametrize("scene", SPECIAL)
+@pytest.mark.parametrize("h", [0.1, -0.1])
+def test_hk_exact_in_special_cases(scene: str, h: float) -> None:
+    (A, B, C), omega = SPECIAL[scene]
+    top = Euler(A=A, B=B, C=C)
+    states = Run(top, find_scheme("hk", "euler").build(top, None), omega, h, 100).collect().states
+    got = sampled("hk-exact", top, omega, h, np.arange(101))
+    assert np.abs(got - states).max() < 1e-13
+
+
+def test_hk_exact_says_when_the_step_is_too_long() -> None:
+    with pytest.raises(RunError, match=r"hk-exact: h = 1\.5 is too large .* use \|h\| < 0\.577"):
+        sampled("hk-exact", Euler(), (0.7, -6.0, 1.3), 1.5, [1])
+    assert np.isfinite(sampled("hk-exact", Euler(), (0.7, -6.0, 1.3), 0.577, [1])).all()
+
+
+@pytest.mark.parametrize(
+    "arguments", [("0.3", "1.7", "0.01"), ("0", "1e-30", "1"), ("2", "2", "2"), ("1e-20", "0", "5")]
+)
+def test_carlsons_integrals_to_thirty_five_digits(arguments: tuple[str, str, str]) -> None:
+    with localcontext(prec=DIGITS), mp.workdps(60):
+        x, y, z = (Decimal(a) for a in arguments)
+        pairs = [(carlson_rf(x, y, z), mpmath.elliprf(*arguments))]
+        if y:
+            pairs.append((carlson_rc(x, y), mpmath.elliprc(*arguments[:2])))
+        for p in ("0.5", "30", "1e-6"):
+            pairs.append((carlson_rj(x, y, z, Decimal(p)), mpmath.elliprj(*arguments, p)))
+        for got, exact in pairs:
+            assert abs(mpf(str(got)) / exact - 1) < mpf(10) ** -35
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("m1", [1.0, 0.7, 0.01, 1e-6, 1e-12, 1e-25])
+def test_jacobis_functions_keep_the_digits_of_the_small(m1: float) -> None:
+    """sn, cn and dn to some ulp each of its own size, though cn and dn fall to sqrt(m1) and below."""
+    with localcontext(prec=DIGITS):
+        quarter = to_dd(carlson_rf(Decimal(0), Decimal(m1), Decimal(1)))
+    u = np.concatenate([np.linspace(-1, 1, 41), [1e-12, -1e-200, 1 - 1e-6]]) * quarter[0]
+    got = jacobi((u, np.zeros_like(u)), quarter, m1)
+    with mp.workdps(60):
+        m = 1 - mpf(m1)
+        for i, at in enumerate(u):
+            for name, values in zip(("sn", "cn", "dn"), got, strict=True):
+                exact = mp.ellipfun(name, mpf(float(at)), m=m)
+                # K itself has 32 digits, and mpmath's sn(0) and cn(K) are not quite zero
+                slack = 32 * 2.0**-52 * abs(exact) + 2.0**-106 * quarter[0]
+                assert abs(mpf(float(values[i])) - exact) <= slack, (name, at)
+
+
+def test_decimal_pi_is_correct() -> None:
+    with mp.workdps(110):
+        assert abs(mpf(str(PI)) - mp.pi) < mpf(10) ** -99
+    assert Fraction(PI) != Fraction(math.pi)
+
+
+# the Lagrange top
+
+
+@pytest.mark.slow
+def test_lagrange_motions_are_the_reference() -> None:
+    times, random = np.arange(0, 2001, 50), np.random.default_rng(5)
+    for y0 in random_states(8, seed=6):
+        A, C, mu = random.uniform((0.5, 0.3, 0.1), 2.0) * (1.0, 1.0, random.choice([-1.0, 1.0]))
+        for top in (Lagrange(A=A, C=C, mu=mu), LagrangeInertial()):
+            for h in (0.02, -0.05):
+                error = sampled("exact", top, y0, h, times) - reference_states(top, y0, times * h)
+                assert np.abs(error).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "y0",
+    [
+        (0.0, 0.0, 0.0, 0.6, 0.0, 0.8),  # a plane pendulum let go
+        (0.0, 0.3, 0.0, 0.6, 0.0, 0.8),  # pushed
+        (0.0, 3.0, 0.0, 0.6, 0.0, 0.8),  # going over the top
+        (0.0, 0.0, 2.5, 0.0, 0.0, 1.0),  # asleep
+        (1e-5, 0.0, 1.9, 0.0, 0.0, 1.0),  # waking
+        (0.0, 0.0, 0.5, 1e-10, 0.0, 1.0),  # falling from next to the vertical
+        (0.0, 0.0, 0.0, 0.0, 0.0, -1.0),  # hanging at rest
+        (3.0, 4.0, 0.0, 0.0, 0.0, 1.0),  # thrown off the vertical
+        (0.0, 0.0, 20.0, 0.6, 0.0, 0.8),  # fast
+        (0.4, 0.7, 1.3, 0.6, 0.8, 0.0),  # level
+        (0.0, 0.0, 1.99, 0.1, 0.0, 0.99498743710662),  # close to a sleeping top's separatrix
+    ],
+)
+@pytest.mark.parametrize("mu", [1.0, 0.0, -1.3])
+def test_lagrange_motions_of_special_kinds(y0: tuple[float, ...], mu: float) -> None:
+    top, n = Lagrange(C=1.0, mu=mu), np.arange(0, 1001, 10)
+    assert np.abs(sampled("exact", top, y0, 0.02, n) - reference_states(top, y0, n * 0.02)).max() < 2e-13
+
+
+def test_almost_planar_motion_is_refused() -> None:
+    with pytest.raises(RunError, match="planar"):
+        sampled("exact", LagrangeInertial(), (0, 0, 1e-6, 0.6, 0, 0.8), 0.1, range(3))
+
+
+@pytest.mark.parametrize("kc2", [1.0, 0.7, 1e-3, 1e-12])
+def test_jacobi_functions(kc2: float) -> None:
+    with mp.workdps(30):
+        quarter = float(mp.ellipk(1 - mp.mpf(kc2)))
+        u = np.linspace(-2 * quarter, 2 * quarter, 23)
+        for mine, name in zip(landen(u, kc2), ("sn", "cn", "dn"), strict=True):
+            true = [float(mp.ellipfun(name, mp.mpf(x), m=1 - mp.mpf(kc2))) for x in u]
+            assert mine == pytest.approx(true, abs=3e-15 * max(1.0, quarter))
