@@ -16,10 +16,10 @@ from topcli.engine import native
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
 from topcli.errors import UsageError
+from topcli.schemes.any_top import taylor as loop_text
 from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, extended_precision, order_for, quotients
 from topcli.schemes.any_top.taylor_series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.schemes.registry import scheme as loop_text
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
