@@ -147,7 +147,7 @@ LEFT = 100.0
 
 def energy_of(top: Top) -> Invariant | None:
     """Invariant of ``top`` that is its energy or a multiple of it; None for a top without one."""
-    return next((one for one in top.invariants() if one.name == top.energy), None)
+    return next((invariant for invariant in top.invariants() if invariant.name == top.energy), None)
 
 
 @cache

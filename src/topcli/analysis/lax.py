@@ -73,11 +73,11 @@ class LaxForm:
     def invariants(self, states: Array, lam: complex) -> Matrices:
         """Traces of the blocks of L, ..., L^size at ``states`` (n, 6): shape (n, size * blocks)."""
         L = power = self.L(states, lam)
-        found = []
+        traces = []
         for _ in range(self.size):
-            found += self.traces(power)
+            traces += self.traces(power)
             power = power @ L
-        return np.stack(found, axis=1)
+        return np.stack(traces, axis=1)
 
     def traces(self, matrices: Matrices) -> list[NDArray[Any]]:
         """Trace (n,) of each block of ``matrices`` (n, size, size)."""
@@ -195,14 +195,14 @@ def lax_forms(equations: EulerPoisson) -> tuple[LaxForm, ...]:
     """Lax forms of the equations: the pairs of an integrable top, and always the paper's block form."""
     A, B, C = equations.moments
     x, y, z = equations.gravity
-    found = []
+    pairs = []
     if x == y == z == 0.0:
-        found.append(manakov_form(equations))
+        pairs.append(manakov_form(equations))
     if A == B and x == y == 0.0:
-        found.append(lagrange_form(equations))
+        pairs.append(lagrange_form(equations))
     if A == B == 2.0 * C and y == z == 0.0:
-        found.append(kowalevski_form(equations))
-    return (*found, block_form(equations))
+        pairs.append(kowalevski_form(equations))
+    return (*pairs, block_form(equations))
 
 
 WEIGHTS = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
@@ -244,8 +244,8 @@ def spectral_drift(form: LaxForm, states: Array, lam: complex) -> float:
 
 def eigenvalue_shift(form: LaxForm, states: Array, lam: complex) -> float:
     """Largest distance of an eigenvalue of L from the nearest one of the first state, relative to ||L||."""
-    found = np.linalg.eigvals(form.L(states, lam))
-    distance = np.abs(found[:, :, None] - found[0][None, None, :]).min(axis=2)
+    eigenvalues = np.linalg.eigvals(form.L(states, lam))
+    distance = np.abs(eigenvalues[:, :, None] - eigenvalues[0][None, None, :]).min(axis=2)
     return float(distance.max()) / _size(form.L(states, lam))
 
 
@@ -255,11 +255,11 @@ def gradients(form: LaxForm, state: Array, lam: complex) -> Matrices:
     L = form.L(state[None, :], lam)
     dL = form.L(units, lam) - form.L(np.zeros((6, 6)), lam)
     power = np.broadcast_to(np.eye(form.size), L.shape)
-    found = []
+    rows = []
     for k in range(1, form.size + 1):
-        found += form.traces(k * (power @ dL))
+        rows += form.traces(k * (power @ dL))
         power = power @ L
-    return np.array(found)
+    return np.array(rows)
 
 
 @dataclass(frozen=True)
@@ -306,8 +306,8 @@ def conjugation_defect(form: LaxForm, states: Array, h: float, lam: complex) -> 
     """
     L = form.L(states, lam)
     X = 0.5 * h * form.M(0.5 * (states[1:] + states[:-1]), lam)
-    one = np.eye(form.size)
-    U = np.linalg.solve(one - X, one + X)
+    identity = np.eye(form.size)
+    U = np.linalg.solve(identity - X, identity + X)
     return _size(L[1:] @ U - U @ L[:-1]) / _size(U @ L[:-1])
 
 
@@ -328,11 +328,11 @@ def reflections(axes: Matrices) -> Matrices:
 
 def dressings(vectors: Matrices, alpha: float, lam: complex) -> Matrices:
     """The matrices g D (lambda² - alpha²) (n, 5, 5) of eigenvectors (n, 5)."""
-    one = np.eye(5)
-    P = 0.5 * (one - reflections(vectors))
+    identity = np.eye(5)
+    P = 0.5 * (identity - reflections(vectors))
     Q = SIGNATURE @ P @ SIGNATURE
-    D = (lam - alpha) ** 2 * P + (lam**2 - alpha**2) * (one - P - Q) + (lam + alpha) ** 2 * Q
-    g = np.broadcast_to(one, P.shape).astype(complex)
+    D = (lam - alpha) ** 2 * P + (lam**2 - alpha**2) * (identity - P - Q) + (lam + alpha) ** 2 * Q
+    g = np.broadcast_to(identity, P.shape).astype(complex)
     g[:, :2, :2] = g[:, 3:, 3:] = reflections(vectors[:, 3:])
     return g @ D
 
@@ -374,5 +374,5 @@ def discrete_lax_defect(form: LaxForm, states: Array, h: float, lam: complex) ->
         except np.linalg.LinAlgError:
             return np.nan
         U = second @ first
-        sizes = [np.linalg.norm(one, axis=(1, 2)) for one in (second, first, L[:-1], L[1:] @ U - U @ L[:-1])]
+        sizes = [np.linalg.norm(matrices, axis=(1, 2)) for matrices in (second, first, L[:-1], L[1:] @ U - U @ L[:-1])]
         return float((sizes[3] / (sizes[0] * sizes[1] * sizes[2])).max())

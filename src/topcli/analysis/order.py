@@ -174,7 +174,7 @@ class OrderVerdict(StrEnum):
 
 
 def judge_order(
-    declared: int, found: Convergence, size: float, consistent: Callable[[], bool] = lambda: True
+    declared: int, observed: Convergence, size: float, consistent: Callable[[], bool] = lambda: True
 ) -> tuple[OrderVerdict, str]:
     """Compare an observed order with the declared one.
 
@@ -185,7 +185,7 @@ def judge_order(
     ----------
     declared : int
         Declared order of convergence.
-    found : Convergence
+    observed : Convergence
         Observed order, from errors in the units of the state.
     size : float
         Size of the motion: the largest distance of its states from the first one.
@@ -204,25 +204,25 @@ def judge_order(
     >>> judge_order(3, convergence(sizes, [1.6e-3, 4e-4, 1e-4]), 1.0)
     (<OrderVerdict.TOO_LOW: 'too low'>, 'the observed order 2.00 is below the declared order 3')
     """
-    if found.order is None:
+    if observed.order is None:
         return OrderVerdict.UNDECIDED, "fewer than three step sizes have errors above round-off"
-    h, e = np.log(found.fitted), np.log(found.errors)
+    h, e = np.log(observed.fitted), np.log(observed.errors)
     fine, coarse = np.diff(e) / np.diff(h)
-    high = found.order >= declared - SHORTFALL
+    high = observed.order >= declared - SHORTFALL
     if high and min(fine, coarse) >= declared - 2.0 * SHORTFALL:
         return OrderVerdict.AS_DECLARED, ""
     changes = f"the slope changes from {coarse:.2f} to {fine:.2f}; use other steps"
     if high:
         return OrderVerdict.UNDECIDED, changes
-    below = f"the observed order {found.order:.2f} is below the declared order {declared}"
-    if found.order < NO_ORDER and not consistent():
+    below = f"the observed order {observed.order:.2f} is below the declared order {declared}"
+    if observed.order < NO_ORDER and not consistent():
         return OrderVerdict.INCONSISTENT, f"{below}: its step is not consistent with the equations of motion"
     # an error (h/h0)^p of a self-adjoint scheme has a correction of relative size (h/h0)^2
-    if found.order < NO_ORDER or found.errors[-1] > size * CLOSE ** (0.5 * declared):
+    if observed.order < NO_ORDER or observed.errors[-1] > size * CLOSE ** (0.5 * declared):
         return OrderVerdict.UNDECIDED, f"{below}, but the errors are large; use smaller steps"
-    if found.plateau is None and found.errors[0] <= SUSPECT * size:
+    if observed.plateau is None and observed.errors[0] <= SUSPECT * size:
         return OrderVerdict.UNDECIDED, f"{below}, but the errors are close to round-off; use larger steps"
-    if abs(fine - coarse) > SETTLED * (declared - found.order):
+    if abs(fine - coarse) > SETTLED * (declared - observed.order):
         return OrderVerdict.UNDECIDED, f"{below}, but {changes}"
     return OrderVerdict.TOO_LOW, below
 

@@ -221,14 +221,14 @@ def coefficients(equations: EulerPoisson) -> Array:
     if one is not finite.
     """
     moments, gravity = equations.moments, equations.gravity
-    found: list[float] = []
+    quotients: list[float] = []
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         for hi, lo in (two_sum(moments[j], -moments[k]), (gravity[k], 0.0), (gravity[j], 0.0)):
-            found.extend(dd_div(hi, lo, moments[i]))
-    if not np.isfinite(found).all():
+            quotients.extend(dd_div(hi, lo, moments[i]))
+    if not np.isfinite(quotients).all():
         raise RunError(f"reference: the moments {moments} with gravity {gravity} are beyond double precision")
-    return np.array(found)
+    return np.array(quotients)
 
 
 def _units(coef: Array, y: Array) -> tuple[int, int]:

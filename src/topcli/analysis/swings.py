@@ -53,14 +53,14 @@ def minima_times(t: Array, values: Array) -> Array:
     edges = np.flatnonzero(low[1:] != low[:-1]) + 1
     if low[0]:
         edges = edges[1:]
-    found = []
+    times = []
     for start, end in zip(edges[::2], edges[1::2], strict=False):
         at = int(start + np.argmin(values[start:end]))
         at = min(max(at, 2), len(values) - 3)
         dt = 0.25 * (t[at + 2] - t[at - 2])
         x = (t[at - 2 : at + 3] - t[at]) / dt
-        found.append(t[at] + dt * _vertex(x, values[at - 2 : at + 3] - values[at]))
-    return np.array(found)
+        times.append(t[at] + dt * _vertex(x, values[at - 2 : at + 3] - values[at]))
+    return np.array(times)
 
 
 def swing_spacing(t: Array, values: Array) -> float | None:

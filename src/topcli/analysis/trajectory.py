@@ -269,7 +269,7 @@ class Ensemble:
             measures = {key: value for key, value in row.items() if isinstance(value, dict)}
             flat = {key: value for key, value in row.items() if key not in measures}
             rows.append(
-                flat | {f"{measure}, {name}": x for measure, found in measures.items() for name, x in found.items()}
+                flat | {f"{measure}, {name}": x for measure, levels in measures.items() for name, x in levels.items()}
             )
         return pd.DataFrame(rows).set_index("name")
 
@@ -278,7 +278,7 @@ class Ensemble:
         import pandas as pd
 
         frames: Sequence[pd.DataFrame] = [
-            pd.DataFrame({"trajectory": i, **{name: one[name] for name in column_names(one.top)}})
-            for i, one in enumerate(map(self.trajectory, range(len(self))))
+            pd.DataFrame({"trajectory": i, **{name: trajectory[name] for name in column_names(trajectory.top)}})
+            for i, trajectory in enumerate(map(self.trajectory, range(len(self))))
         ]
         return pd.concat(frames, ignore_index=True)

@@ -36,11 +36,11 @@ def _checked(place: Path) -> list[CheckedRun]:
     """Results in a folder or file; a sweep comes before its stored series."""
     if place.is_file():
         return [_study(place)]
-    found = check_run(place)
-    if found is None and is_sweep(place):
-        found = _unfinished_sweep(place)
+    checked = check_run(place)
+    if checked is None and is_sweep(place):
+        checked = _unfinished_sweep(place)
     series = sorted((place / SERIES).iterdir()) if is_sweep(place) and (place / SERIES).is_dir() else []
-    return [one for one in (found, *map(check_run, series)) if one is not None]
+    return [run for run in (checked, *map(check_run, series)) if run is not None]
 
 
 def check_all(name: str, out: Path) -> list[CheckedRun]:
@@ -51,9 +51,9 @@ def check_all(name: str, out: Path) -> list[CheckedRun]:
     try:
         place = Path(name)
         places = [place] if place.exists() else [out / name, *(part.folder for part in parts_of(out, name))]
-        found = [one for place in places for one in _checked(place)]
+        checked = [run for place in places for run in _checked(place)]
     except OSError as error:
         raise UsageError(f"{name[:400]}: cannot be read ({error.strerror})") from None
-    if not found:
+    if not checked:
         raise UsageError(f"{name[:400]}: no run folder, and no run of this name in {out}; topcli list runs names them")
-    return found
+    return checked

@@ -64,8 +64,8 @@ class Entry:
         ways = [rf",[^;]*\b{title}"]
         if year := self.fields.get("year"):
             ways += [rf" {year}\b", rf",[^;]*\({year}\)"]
-        found = re.search(rf"(?<!, )\b{re.escape(self.surnames)}(?:{'|'.join(ways)})", citation)
-        return found and found.start()
+        match = re.search(rf"(?<!, )\b{re.escape(self.surnames)}(?:{'|'.join(ways)})", citation)
+        return match and match.start()
 
 
 def _beginning(title: str) -> str:
@@ -79,7 +79,7 @@ def plain_text(latex: str) -> str:
     from unicodedata import normalize
 
     text = latex.replace(r"{\o}", "ø").replace("--", "\N{EN DASH}")
-    text = re.sub(r"\{\\([\"'`])(\w)\}", lambda found: normalize("NFC", found[2] + _ACCENTS[found[1]]), text)
+    text = re.sub(r"\{\\([\"'`])(\w)\}", lambda match: normalize("NFC", match[2] + _ACCENTS[match[1]]), text)
     return " ".join(text.replace("{", "").replace("}", "").split())
 
 
@@ -88,22 +88,22 @@ def bibliography() -> dict[str, Entry]:
     """Return all works by their keys."""
     from topcli import __version__
 
-    found = {}
+    entries = {}
     for entry in _ENTRY.finditer(BIBLIOGRAPHY.read_text(encoding="utf-8")):
         kind, key, body = entry.groups()
         bibtex = entry[0]
         if key == OWN[0]:
             body += f"  version = {{{__version__}}},\n"
             bibtex = f"@{kind}{{{key},\n{body}}}"
-        found[key] = Entry(key, kind, dict(_FIELD.findall(body)), bibtex)
-    return found
+        entries[key] = Entry(key, kind, dict(_FIELD.findall(body)), bibtex)
+    return entries
 
 
 def works_in(citation: str) -> list[Entry]:
     """Return the works that a citation names, in its order."""
-    found = [(entry.named_in(citation), entry) for entry in bibliography().values()]
-    placed = [(at, entry) for at, entry in found if at is not None]
-    return [entry for _, entry in sorted(placed, key=lambda one: one[0])]
+    places = [(entry.named_in(citation), entry) for entry in bibliography().values()]
+    placed = [(at, entry) for at, entry in places if at is not None]
+    return [entry for _, entry in sorted(placed, key=lambda pair: pair[0])]
 
 
 def own_works() -> list[Entry]:
@@ -131,11 +131,11 @@ def works_of(name: str) -> list[Entry]:
         If there is nothing of this name; the message suggests the nearest names.
     """
     citations = _citations(name.lower())
-    found: dict[str, Entry] = {}
+    works: dict[str, Entry] = {}
     for key, citation in citations:
         for entry in works_in(citation) or [_unlisted(key, citation)]:
-            found.setdefault(entry.key, entry)
-    return list(found.values())
+            works.setdefault(entry.key, entry)
+    return list(works.values())
 
 
 def _unlisted(name: str, citation: str) -> Entry:
@@ -158,8 +158,8 @@ def _citations(name: str) -> Iterable[tuple[str, str]]:
         return [(form.form, form.citation) for form in forms(name)]
     base, plus, composition = name.partition("+")
     schemes = all_schemes()
-    found = [(scheme.name, scheme.citation) for scheme in schemes if scheme.name == base]
-    if not found:
+    cited = [(scheme.name, scheme.citation) for scheme in schemes if scheme.name == base]
+    if not cited:
         known = {scheme.name for scheme in schemes} | set(top_names()) | set(COMPOSITIONS)
         raise UnknownNameError(f"unknown scheme or top {quoted(name)}; {nearest(base if plus else name, known)}")
-    return [*found, (composition, find_composition(composition).citation)] if plus else found
+    return [*cited, (composition, find_composition(composition).citation)] if plus else cited

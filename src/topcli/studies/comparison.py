@@ -126,38 +126,38 @@ def compare_schemes(
     reference_form(top, reference)
     shared = SharedReferences(sys.maxsize, MAX_STEPS)
 
-    def reference_of(one: Experiment, every: int) -> Array:
-        n = np.arange(0, one.N + 1, every)
-        return shared.states(top, reference, np.array(experiment.y0), one.h, n)
+    def reference_of(compared: Experiment, every: int) -> Array:
+        n = np.arange(0, compared.N + 1, every)
+        return shared.states(top, reference, np.array(experiment.y0), compared.h, n)
 
-    finest = max((one.experiment for one in asked), key=lambda one: one.N // one.output.every)
+    finest = max((entry.experiment for entry in asked), key=lambda each: each.N // each.output.every)
     finest_rows = reference_of(finest, finest.output.every)  # first, because it may be refused
     compared, methods, trajectories, failed = [], [], [], []
-    for one in asked:
-        with users_code(failed, one.label):
-            method, trajectory = one.experiment.method(), trajectory_of(one.experiment)
-            compared.append(one)
+    for entry in asked:
+        with users_code(failed, entry.label):
+            method, trajectory = entry.experiment.method(), trajectory_of(entry.experiment)
+            compared.append(entry)
             methods.append(method)
             trajectories.append(trajectory)
     if not compared:
         raise failed[0].error
     probes = finest_rows[probe_rows(len(finest_rows))]
     timed = nanoseconds_per_step(
-        [(top, method, experiment.y0, one.experiment.h) for one, method in zip(compared, methods, strict=True)],
+        [(top, method, experiment.y0, entry.experiment.h) for entry, method in zip(compared, methods, strict=True)],
         steps=min(max(experiment.N, 1000), 50_000),
     )
     if experiment.exact is not None:
-        timed = [1e9 * one.run_seconds / max(one.ending.step, 1) for one in trajectories]
+        timed = [1e9 * each.run_seconds / max(each.ending.step, 1) for each in trajectories]
     swing, first = top.components.index(top.swing), compared[0]
     t = np.arange(0, first.experiment.N + 1, first.stride) * first.experiment.h
     series = {"t": t, "swing:reference": reference_of(first.experiment, first.stride)[:, swing]}
     rows = []
-    for one, method, trajectory, nanoseconds in zip(compared, methods, trajectories, timed, strict=True):
-        states = trajectory.states[:: one.rows_apart]
-        error = distances(states, reference_of(one.experiment, one.stride)[: len(states)])
-        rows.append(_figures(one, method, trajectory, error, probes, nanoseconds))
-        series[f"error:{one.label}"] = _padded(error, len(t))
-        series[f"swing:{one.label}"] = _padded(states[:, swing], len(t))
+    for entry, method, trajectory, nanoseconds in zip(compared, methods, trajectories, timed, strict=True):
+        states = trajectory.states[:: entry.rows_apart]
+        error = distances(states, reference_of(entry.experiment, entry.stride)[: len(states)])
+        rows.append(_figures(entry, method, trajectory, error, probes, nanoseconds))
+        series[f"error:{entry.label}"] = _padded(error, len(t))
+        series[f"swing:{entry.label}"] = _padded(states[:, swing], len(t))
     times = np.arange(len(finest_rows)) * finest.output.every * finest.h
     return Result(
         finite(
@@ -172,7 +172,7 @@ def compare_schemes(
                 "rows": len(t),
                 "few_rows": few_rows(compared, experiment),
                 "schemes": rows,
-                "failed": [one.as_dict() for one in failed],
+                "failed": [failure.as_dict() for failure in failed],
             }
         ),
         series,
@@ -256,14 +256,14 @@ def compare_ensemble(
             "rows": first.experiment.N // first.stride + 1,
             "few_rows": few_rows(compared, experiment.first),
             "schemes": [column.figures() for column in columns],
-            "failed": [one.as_dict() for one in failed],
+            "failed": [failure.as_dict() for failure in failed],
         }
     )
 
 
 def _working(columns: Sequence[_Column], failed: Sequence[Failed]) -> list[_Column]:
     """The ``columns`` whose code has not failed."""
-    labels = {one.label for one in failed}
+    labels = {failure.label for failure in failed}
     return [column for column in columns if column.entry.label not in labels]
 
 
@@ -271,12 +271,12 @@ class _Column:
     """One entry, fed with blocks of initial states; without a ``reference`` it measures no errors."""
 
     def __init__(self, entry: Entry, top: Top, reference: str | None) -> None:
-        one = entry.experiment
-        output = one.output.model_copy(update={"every": entry.stride})
-        self.entry, self.experiment = entry, one.model_copy(update={"top": top, "output": output})
+        experiment = entry.experiment
+        output = experiment.output.model_copy(update={"every": entry.stride})
+        self.entry, self.experiment = entry, experiment.model_copy(update={"top": top, "output": output})
         self._reference = reference
         self.measures = _measures(self.experiment, ("error",) if reference is None else ())
-        self._values: dict[str, list[Array]] = {one.name: [] for one in self.measures}
+        self._values: dict[str, list[Array]] = {measure.name: [] for measure in self.measures}
         self._faults: dict[str, list[tuple[int, str]]] = defaultdict(list)
         self._endings = EndingTally(self.experiment.N)
         self._reached, self._steps, self._seconds = 0, 0, 0.0
@@ -293,8 +293,10 @@ class _Column:
         assert self._run is not None
         offset = self._endings.total
         batch = self._run.finished(initial)
-        found = evaluate(self.measures, batch, lambda i, name, reason: self._faults[name].append((offset + i, reason)))
-        for name, values in found.items():
+        values_by_name = evaluate(
+            self.measures, batch, lambda i, name, reason: self._faults[name].append((offset + i, reason))
+        )
+        for name, values in values_by_name.items():
             self._values[name].append(values)  # nan for those that failed
         self._reached += int(np.count_nonzero(batch.whole))
         self._endings.add(batch.endings)
@@ -317,12 +319,12 @@ class _Column:
                 for i, ending in self._endings.failures
             ],
             "faults": {
-                name: {"count": len(found), "trajectory": found[0][0], "reason": found[0][1]}
-                for name, found in self._faults.items()
+                name: {"count": len(missing), "trajectory": missing[0][0], "reason": missing[0][1]}
+                for name, missing in self._faults.items()
             },
             "invariants": [
-                {"name": one.name, "symbol": one.symbol}
-                for one in (*self.experiment.top.invariants(), *self.experiment.modified)
+                {"name": invariant.name, "symbol": invariant.symbol}
+                for invariant in (*self.experiment.top.invariants(), *self.experiment.modified)
             ],
             "measures": measured,
             "nanoseconds_per_step": 1e9 * self._seconds / max(self._steps, 1),

@@ -100,18 +100,20 @@ def roundoff_experiment(scheme: str, config: str | Path | None, overrides: Seque
     if not any(text.partition("=")[0].strip() == "h" for text in overrides):
         overrides = [f"h={DEFAULT_H}", *overrides]
     base = scheme.lower().partition("+")[0]
-    forms = {one.top for one in all_schemes() if one.name == base}
+    forms = {each.top for each in all_schemes() if each.name == base}
     form = next((form for form in SCENES if form in forms), "kowalevski")
-    found = under_scheme(load_experiment(SCENES[form], overrides), scheme)
-    if form == "kowalevski" and not found.scheme.conserves and not found.modified:
+    experiment = under_scheme(load_experiment(SCENES[form], overrides), scheme)
+    if form == "kowalevski" and not experiment.scheme.conserves and not experiment.modified:
         return under_scheme(load_experiment(GENERIC, overrides), scheme)
-    return found
+    return experiment
 
 
 def _watched(experiment: Experiment) -> tuple[tuple[Invariant, ...], bool]:
     """Invariants to follow; True if the scheme claims them as exact."""
     known = experiment.top.invariants()
-    claimed = tuple(one for one in known if one.name in experiment.scheme.conserves) + experiment.modified
+    claimed = (
+        tuple(invariant for invariant in known if invariant.name in experiment.scheme.conserves) + experiment.modified
+    )
     return (claimed, True) if claimed else (known, False)
 
 
@@ -233,28 +235,28 @@ def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str,
         raise UsageError(f"--copies {copies}: must be at least {least}")
     sampling = sampling_of(steps, experiment.h, exact)
     variants = forms_of(experiment)
-    methods = [one.method() for one in variants.values()]
+    methods = [variant.method() for variant in variants.values()]
     # before the runs, which heat the processor; thread time does not depend on other threads
     timed = nanoseconds_per_step(
         [(experiment.top, method, experiment.y0, experiment.h) for method in methods], clock=time.thread_time_ns
     )
-    runs = {name: copies_followed(one, watched, sampling, copies) for name, one in variants.items()}
+    runs = {name: copies_followed(variant, watched, sampling, copies) for name, variant in variants.items()}
     finest = list(runs.values())[-1]
     common = np.zeros_like(finest.means[:, 0]) if exact else finest.means.mean(axis=1)
     forms = []
-    for (name, one), nanoseconds in zip(variants.items(), timed, strict=True):
-        found = runs[name]
-        completed = found.ending.outcome is Outcome.COMPLETED
+    for (name, variant), nanoseconds in zip(variants.items(), timed, strict=True):
+        followed = runs[name]
+        completed = followed.ending.outcome is Outcome.COMPLETED
         forms.append(
             {
                 "form": name,
-                "scheme": one.scheme.name,
-                "options": one.options.model_dump(mode="json"),
-                "outcome": found.ending.outcome.value,
-                "message": found.ending.message,
+                "scheme": variant.scheme.name,
+                "options": variant.options.model_dump(mode="json"),
+                "outcome": followed.ending.outcome.value,
+                "message": followed.ending.message,
                 "nanoseconds_per_step": nanoseconds,
                 "cost": nanoseconds / timed[0],
-                "invariants": _rows(watched, exact, sampling, found, common) if completed else [],
+                "invariants": _rows(watched, exact, sampling, followed, common) if completed else [],
             }
         )
     return finite(

@@ -31,16 +31,16 @@ def _registered_by(entry: EntryPoint, entries: Sequence[EntryPoint]) -> list[str
     defines counts for all of them.
     """
     origin = entry.dist.name if entry.dist else entry.name
-    parts = [(one.name, inspect.unwrap(one.build), one.origin) for one in all_schemes()]
-    parts += [(one.name, one.evaluate, one.origin) for one in all_measures()]
+    parts = [(each.name, inspect.unwrap(each.build), each.origin) for each in all_schemes()]
+    parts += [(each.name, each.evaluate, each.origin) for each in all_measures()]
     parts += [(form, TOPS[form], top_origin(TOPS[form])) for form in TOPS]
-    modules = {one.module for one in entries if (one.dist.name if one.dist else one.name) == origin}
-    found = set()
+    modules = {each.module for each in entries if (each.dist.name if each.dist else each.name) == origin}
+    names = set()
     for name, value, where in parts:
         within = [module for module in modules if f"{value.__module__}.".startswith(f"{module}.")]
         if where == origin and (not within or max(within, key=len) == entry.module):
-            found.add(name)
-    return sorted(found)
+            names.add(name)
+    return sorted(names)
 
 
 def diagnosis() -> dict[str, Any]:

@@ -115,13 +115,13 @@ def read_entries(
         raise UsageError("output.attitude: a comparison records no attitude; add --set output.attitude=null")
     entries = [_entry(experiment, text, options or {}) for text in texts]
     for key in options or ():
-        if not any(key in one.experiment.scheme.options.model_fields for one in entries):
-            known = {key for one in entries for key in one.experiment.scheme.options.model_fields}
+        if not any(key in entry.experiment.scheme.options.model_fields for entry in entries):
+            known = {key for entry in entries for key in entry.experiment.scheme.options.model_fields}
             raise UsageError(f"--set scheme.{key}: none of the schemes has this option; {nearest(key, known)}")
     _require_different(entries)
-    if any(one.experiment.h != experiment.h for one in entries):
+    if any(entry.experiment.h != experiment.h for entry in entries):
         entries = _at_common_times(entries, max(1, experiment.N // experiment.output.every))
-    rows = max(one.experiment.N // one.experiment.output.every + 1 for one in entries)
+    rows = max(entry.experiment.N // entry.experiment.output.every + 1 for entry in entries)
     if rows > MAX_ROWS:
         raise UsageError(
             f"output.every: {rows} rows to compare in memory; "
@@ -168,17 +168,17 @@ def users_code(failed: list[Failed], label: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        found = error if isinstance(error, SchemeCodeError) else users_error(error)
-        if found is None:
+        known = error if isinstance(error, SchemeCodeError) else users_error(error)
+        if known is None:
             raise
-        failed.append(Failed(label, found))
+        failed.append(Failed(label, known))
 
 
 def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Entry:
     name, colon, settings = text.partition(":")
     with _named(text if colon else ""):
-        found = find_scheme(name, experiment.top.form)
-        own, shown = _settings(settings, found, (STEP,)) if colon else ({}, {})
+        scheme = find_scheme(name, experiment.top.form)
+        own, shown = _settings(settings, scheme, (STEP,)) if colon else ({}, {})
         if STEP in own and experiment.exact is not None:
             raise UsageError(f"entries share the step h at precision {experiment.precision}; give it with --set h=...")
         h = _step(own.pop(STEP), experiment.h) if STEP in own else experiment.h
@@ -269,34 +269,34 @@ def _step(value: Any, base: float) -> float:
 def _require_different(entries: Sequence[Entry]) -> None:
     """Raise UsageError if two entries compute the same."""
     seen: dict[tuple[str, str, float], Entry] = {}
-    for one in entries:
-        made = one.experiment
-        earlier = seen.setdefault((made.scheme.name, made.options.model_dump_json(), made.h), one)
-        if earlier is one:
+    for entry in entries:
+        made = entry.experiment
+        earlier = seen.setdefault((made.scheme.name, made.options.model_dump_json(), made.h), entry)
+        if earlier is entry:
             continue
-        if not (one.own or earlier.own):
-            raise UsageError(f"scheme {quoted(one.label)} is named twice")
-        if one.label == earlier.label:
-            raise UsageError(f"{one.label} is named twice")
-        raise UsageError(f"{one.label}: computes the same as {earlier.label}; keep one of them")
+        if not (entry.own or earlier.own):
+            raise UsageError(f"scheme {quoted(entry.label)} is named twice")
+        if entry.label == earlier.label:
+            raise UsageError(f"{entry.label} is named twice")
+        raise UsageError(f"{entry.label}: computes the same as {earlier.label}; keep one of them")
 
 
 def _at_common_times(entries: Sequence[Entry], wanted: int) -> list[Entry]:
     """Entries that record rows at common times, about ``wanted`` after time 0, and rows between if these are few."""
     least = min(FEW_ROWS, wanted)
-    divisors = _divisors(math.gcd(*(one.experiment.N for one in entries)))
+    divisors = _divisors(math.gcd(*(entry.experiment.N for entry in entries)))
     count = max(divisor for divisor in divisors if divisor <= wanted)
     if count < least:
         count = min((divisor for divisor in divisors if divisor >= least), default=count)
     made = []
-    for one in entries:
-        N = one.experiment.N
+    for entry in entries:
+        N = entry.experiment.N
         stride = every = N // count
         if count < least:
             between = [every for every in _divisors(stride) if min(least, N) <= N // every < MAX_ROWS]
             every = max(between, default=stride)
-        output = one.experiment.output.model_copy(update={"every": every})
-        made.append(replace(one, stride=stride, experiment=one.experiment.model_copy(update={"output": output})))
+        output = entry.experiment.output.model_copy(update={"every": every})
+        made.append(replace(entry, stride=stride, experiment=entry.experiment.model_copy(update={"output": output})))
     return made
 
 

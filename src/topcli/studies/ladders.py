@@ -90,7 +90,7 @@ def _default_config(names: Sequence[str], top: str | None) -> str:
             raise UnknownNameError(f"--top: no scene for the top {quoted(top)}; {nearest(top, scenes)}")
         return scenes[top.lower()]
     bases = [name.lower().partition(":")[0].partition("+")[0] for name in names]
-    fits = {base: {one.top for one in all_schemes() if one.name == base} for base in bases}
+    fits = {base: {scheme.top for scheme in all_schemes() if scheme.name == base} for base in bases}
     for form, scene in scenes.items():
         if all(form in forms for forms in fits.values()):
             return scene
@@ -151,14 +151,18 @@ def ladders(
     _require_sizes(sizes, problem.interval)
     for name in wanted:
         scheme_with(name, problem.top.form)
-    found = choose(problem, wanted)
-    adaptive = [(one.name, "its steps follow a tolerance, not h") for one in found.schemes if one.adaptive]
-    exact = [(one.name, "is a closed form: its error does not depend on h") for one in found.exact]
-    exact += [(one.name, "has no error that depends on h") for one in found.schemes if not (one.order or one.adaptive)]
-    schemes = tuple(one for one in found.schemes if one.order is not None and not one.adaptive)
-    left_out = (*found.left_out, *adaptive, *exact)
+    line_up = choose(problem, wanted)
+    adaptive = [(scheme.name, "its steps follow a tolerance, not h") for scheme in line_up.schemes if scheme.adaptive]
+    exact = [(scheme.name, "is a closed form: its error does not depend on h") for scheme in line_up.exact]
+    exact += [
+        (scheme.name, "has no error that depends on h")
+        for scheme in line_up.schemes
+        if not (scheme.order or scheme.adaptive)
+    ]
+    schemes = tuple(scheme for scheme in line_up.schemes if scheme.order is not None and not scheme.adaptive)
+    left_out = (*line_up.left_out, *adaptive, *exact)
     if not schemes:
-        raise UsageError(f"no scheme with an order to observe: {'; '.join(': '.join(one) for one in left_out)}")
+        raise UsageError(f"no scheme with an order to observe: {'; '.join(': '.join(left) for left in left_out)}")
     return Ladders(problem, schemes, left_out if names else (), tuple(sizes), steps)
 
 
@@ -169,19 +173,19 @@ def _row(ladder: _Ladder, measured: Measurements, size: float) -> dict[str, Any]
     """
     sizes = [rung.rung.value for rung in measured.rungs]
     errors = [rung.error for rung in measured.rungs]
-    found = convergence(sizes, errors)
+    observed = convergence(sizes, errors)
     verdict, why = None, ""
     if ladder.order is not None and not measured.broken:
-        verdict, why = judge_order(ladder.order, found, size, ladder.is_consistent)
+        verdict, why = judge_order(ladder.order, observed, size, ladder.is_consistent)
     return {
         "scheme": ladder.name,
         "declared_order": ladder.order,
-        "order": found.order,
+        "order": observed.order,
         "verdict": verdict,
         "why": why,
-        "fitted": list(found.fitted),
-        "plateau": found.plateau,
-        "onset": found.onset,
+        "fitted": list(observed.fitted),
+        "plateau": observed.plateau,
+        "onset": observed.onset,
         "ended": measured.ended,
         "broken": measured.broken or None,
         "failed": [{"h": value, "reason": reason} for value, reason in measured.failed],

@@ -174,7 +174,7 @@ def _form_figures(
     }
 
 
-def _drift(name: str, label: str, found: Sequence[LaxForm], states: Array) -> dict[str, Any]:
+def _drift(name: str, label: str, forms: Sequence[LaxForm], states: Array) -> dict[str, Any]:
     return {
         "scheme": name,
         "outcome": label,
@@ -184,14 +184,14 @@ def _drift(name: str, label: str, found: Sequence[LaxForm], states: Array) -> di
                 "drift": max(_each(lambda lam, form=form: spectral_drift(form, states, lam), form)),
                 "eigenvalue_shift": max(_each(lambda lam, form=form: eigenvalue_shift(form, states, lam), form)),
             }
-            for form in found
+            for form in forms
         ],
     }
 
 
-def _discrete_lax(experiment: Experiment, found: Sequence[LaxForm]) -> float | None:
+def _discrete_lax(experiment: Experiment, forms: Sequence[LaxForm]) -> float | None:
     """Largest defect of ``backlund``'s discrete Lax pair over the first steps of a run; None for another top."""
-    form = next((form for form in found if form.name == "kowalevski"), None)
+    form = next((form for form in forms if form.name == "kowalevski"), None)
     if form is None:
         return None
     N = min(experiment.N, DISCRETE_STEPS)
@@ -218,24 +218,26 @@ def lax_study(experiment: Experiment, schemes: Sequence[str]) -> dict[str, Any]:
     ``backlund`` along each run.
     """
     top = experiment.top
-    found = lax_forms(checked_equations(top, NAME))
+    forms = lax_forms(checked_equations(top, NAME))
     every = max(1, experiment.N // ROWS)
     n = np.arange(0, experiment.N + 1, every)
     reference = _body(reference_states(top, experiment.y0, n * experiment.h))
     windows, step = _windows(experiment)
-    runs = [{**_drift("exact flow", "completed", found, reference), "discrete_lax_defect": None}]
+    runs = [{**_drift("exact flow", "completed", forms, reference), "discrete_lax_defect": None}]
     for name in dict.fromkeys(schemes):
-        one = under_scheme(experiment, name)
-        trajectory = trajectory_of(one.model_copy(update={"output": one.output.model_copy(update={"every": every})}))
+        compared = under_scheme(experiment, name)
+        trajectory = trajectory_of(
+            compared.model_copy(update={"output": compared.output.model_copy(update={"every": every})})
+        )
         with np.errstate(all="ignore"):  # the run may blow up
-            runs.append(_drift(one.scheme.name, trajectory.ending.outcome.value, found, _thinned(trajectory)))
-        runs[-1]["discrete_lax_defect"] = _discrete_lax(one, found)
+            runs.append(_drift(compared.scheme.name, trajectory.ending.outcome.value, forms, _thinned(trajectory)))
+        runs[-1]["discrete_lax_defect"] = _discrete_lax(compared, forms)
         runs[-1]["message"] = trajectory.ending.message
     return finite(
         {
             "config": experiment.resolved(),
             "lambdas": [[lam.real, lam.imag] for lam in map(complex, LAMBDAS)],
-            "forms": [_form_figures(form, experiment, reference, windows, step) for form in found],
+            "forms": [_form_figures(form, experiment, reference, windows, step) for form in forms],
             "runs": runs,
         }
     )

@@ -57,14 +57,14 @@ def _traits(scheme: Scheme) -> list[tuple[str, str]]:
     kind = "adaptive" if scheme.adaptive else "explicit" if scheme.explicit else "implicit"
     fields = scheme.options.model_fields
     options = "; ".join(f"{key} = {field.default!r}: {field.description}" for key, field in fields.items())
-    found = [
+    traits = [
         ("order", "exact" if scheme.order is None else str(scheme.order)),
         ("kind", f"{kind}, {'self-adjoint' if scheme.self_adjoint else 'not self-adjoint'}"),
         ("conserves to round-off", kept or "nothing"),
         ("equations", scheme.equations),
         ("source", scheme.citation),
     ]
-    return [*found, ("options", options)] if options else found
+    return [*traits, ("options", options)] if options else traits
 
 
 def _limits(scheme: Scheme) -> list[tuple[str, str]]:

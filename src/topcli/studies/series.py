@@ -45,17 +45,17 @@ class Rows:
 def column_map(texts: Sequence[str], top: Top) -> dict[str, str]:
     """Columns of a file by the names of topcli, from texts such as ``"omega1=w_x,t=time"``. Raises UsageError."""
     known = ("n", "t", *top.components)
-    found: dict[str, str] = {}
+    columns: dict[str, str] = {}
     for pair in (part for text in texts for part in text.split(",") if part.strip()):
         name, equals, column = (part.strip() for part in pair.partition("="))
         if not (name and equals and column):
             raise UsageError(f"--columns {quoted(pair)}: write NAME=COLUMN, such as {top.components[0]}=w_x")
         if name not in known:
             raise UsageError(f"--columns {quoted(pair)}: unknown name {quoted(name)}; {nearest(name, known)}")
-        if name in found:
+        if name in columns:
             raise UsageError(f"--columns {quoted(pair)}: {name} is given twice")
-        found[name] = column
-    return found
+        columns[name] = column
+    return columns
 
 
 def _sources(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> dict[str, str]:
@@ -72,7 +72,7 @@ def _sources(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> dict[st
     columns = list(sources.values())
     for name, column in sources.items():
         if columns.count(column) > 1:
-            both = " and ".join(one for one, other in sources.items() if other == column)
+            both = " and ".join(own for own, other in sources.items() if other == column)
             raise UsageError(
                 f"{file.path}: column {quoted(column)} is taken for {both}; rename with --columns {name}=..."
             )
@@ -97,11 +97,11 @@ def unread_components(file: ForeignSeries, top: Top) -> list[str]:
 def read_rows(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> Rows:
     """Rows of a file, checked: finite values, times in one direction, unit vectors. Raises UsageError."""
     sources = _sources(file, top, given)
-    found = file.read([sources[name] for name in ("t", *top.components)])
-    t = found[sources["t"]]
+    columns = file.read([sources[name] for name in ("t", *top.components)])
+    t = columns[sources["t"]]
     if len(t) < 2:
         raise UsageError(f"{file.path}: {len(t)} row{'s' * (len(t) != 1)}; a series needs at least 2")
-    states = np.column_stack([found[sources[name]] for name in top.components])
+    states = np.column_stack([columns[sources[name]] for name in top.components])
     _check_times(file.path, sources["t"], t)
     _check_units(file.path, top, states)
     return Rows(t, states, _step_numbers(file, sources.get("n", "n"), required="n" in given))
@@ -190,7 +190,7 @@ def _reference(experiment: Experiment, rows: Rows) -> tuple[dict[str, Any], Arra
     taken for the motion, and otherwise from the first row.
     """
     initial, first = experiment.y0, tuple(rows.states[0].tolist())
-    difference = max(abs(one - other) for one, other in zip(first, initial, strict=True))
+    difference = max(abs(value - other) for value, other in zip(first, initial, strict=True))
     agrees = difference <= AGREEMENT * max(map(abs, initial))
     about = {
         "method": "Taylor series in double-double arithmetic",

@@ -144,16 +144,16 @@ class Cluster:
             except queue.Empty:
                 return
             seconds = 0.0
-            found = self._flying.pop(future.key, None)
-            if found is None:
+            flying = self._flying.pop(future.key, None)
+            if flying is None:
                 continue
-            _, batch = found
+            _, batch = flying
             if future.cancelled() or self.client.status == "closed":
                 raise self._disconnected()
             try:
                 results = future.result(timeout=COUNT_SECONDS)
             except TimeoutError:  # its worker was lost after the end: the scheduler has it computed again
-                self._flying[future.key] = found
+                self._flying[future.key] = flying
                 future.add_done_callback(self._ended.put)
                 continue
             except KilledWorker:
@@ -433,9 +433,9 @@ def _check_workers(client: Client, address: str, job: Job) -> list[str]:
     """Compare the workers with this process; return warnings. Raises UsageError that names a worker that differs."""
     from topcli.sweeps.worker import describe, difference
 
-    found = cast(dict[str, Any], answer(client, address, lambda: client.run(describe, on_error="return")))
+    answers = cast(dict[str, Any], answer(client, address, lambda: client.run(describe, on_error="return")))
     cpus: dict[str, int] = {}
-    for worker, said in sorted(found.items()):
+    for worker, said in sorted(answers.items()):
         if isinstance(said, BaseException):
             raise UsageError(
                 f"worker {worker}: topcli cannot be imported there ({reason_of(said)[:200]})",

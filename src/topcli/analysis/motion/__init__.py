@@ -77,16 +77,16 @@ class Motion:
     notes: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[str]:
-        return (one.name for one in self.quantities)
+        return (quantity.name for quantity in self.quantities)
 
     def __contains__(self, name: object) -> bool:
-        return any(one.name == name for one in self.quantities)
+        return any(quantity.name == name for quantity in self.quantities)
 
     def __getitem__(self, name: str) -> float:
         """Value of a quantity by name. Raises UnknownNameError with the nearest names."""
-        for one in self.quantities:
-            if one.name == name:
-                return one.value
+        for quantity in self.quantities:
+            if quantity.name == name:
+                return quantity.value
         raise UnknownNameError(f"this motion has no quantity {quoted(name)}; {nearest(name, list(self))}")
 
     def as_dict(self) -> dict[str, Any]:
@@ -96,9 +96,11 @@ class Motion:
             "kind": self.kind,
             "title": self.title,
             "state": list(self.state),
-            "quantities": {one.name: one.value if math.isfinite(one.value) else None for one in self.quantities},
-            "meanings": {one.name: one.meaning for one in self.quantities},
-            "neighbours": [one._asdict() for one in self.neighbours],
+            "quantities": {
+                quantity.name: quantity.value if math.isfinite(quantity.value) else None for quantity in self.quantities
+            },
+            "meanings": {quantity.name: quantity.meaning for quantity in self.quantities},
+            "neighbours": [neighbour._asdict() for neighbour in self.neighbours],
             "notes": list(self.notes),
         }
 
@@ -108,7 +110,9 @@ def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
     import numpy as np
 
     row = np.array([y], dtype=float)
-    return tuple(Quantity(one.name, float(one.value(row)[0]), one.meaning) for one in top.invariants())
+    return tuple(
+        Quantity(invariant.name, float(invariant.value(row)[0]), invariant.meaning) for invariant in top.invariants()
+    )
 
 
 def _text(value: float) -> str:

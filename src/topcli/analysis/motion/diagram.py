@@ -106,11 +106,11 @@ def _real_zeros(coefficients: Sequence[Real]) -> list[Real]:
     if not any(coefficients[:-1]):
         return [mpf(0)]
     try:
-        found = polyroots(coefficients, maxsteps=400, extraprec=4 * mp.prec, asc=True)
+        zeros = polyroots(coefficients, maxsteps=400, extraprec=4 * mp.prec, asc=True)
     except mp.NoConvergence:
         return []
-    size = max(abs(x) for x in found)
-    return [x.real for x in found if abs(x.imag) <= size * mpf(10) ** (-mp.dps // 3)]
+    size = max(abs(x) for x in zeros)
+    return [x.real for x in zeros if abs(x.imag) <= size * mpf(10) ** (-mp.dps // 3)]
 
 
 def collision(level: Level) -> str:
@@ -177,14 +177,14 @@ def _both_sides(
     here: Real, values: Iterable[Real], at: Callable[[Real], Level], passed: Sequence[str]
 ) -> list[Critical]:
     """Nearest critical value below and above, without the kinds that are ``passed``."""
-    values, found = sorted(values), []
+    values, nearest = sorted(values), []
     for side in (reversed([v for v in values if v < here]), [v for v in values if v > here]):
         for value in side:
             kind = collision(at(value + (here - value) * BESIDE))
             if kind not in passed:
-                found.append(Critical(value, value - here, kind))
+                nearest.append(Critical(value, value - here, kind))
                 break
-    return found
+    return nearest
 
 
 POINTS = 1000
@@ -218,18 +218,18 @@ def regions(E: Array, k_sq: Array, L: float, G: float) -> NDArray[np.int64]:
     pair, largest = _real_cubic(E, k_sq, L, G)
     e4, e5 = (E / 3.0 + k) / 2.0, (E / 3.0 - k) / 2.0
     outside = np.where(pair, 4, np.where(largest > e5, 3, 5))
-    found = np.where(above > k, outside, np.where(pair, 1, 2))
-    return np.where((above < -k) | (largest > e4), 0, found)
+    region = np.where(above > k, outside, np.where(pair, 1, 2))
+    return np.where((above < -k) | (largest > e4), 0, region)
 
 
 def branches(L: float, G: float, E: tuple[float, float], k_sq: tuple[float, float]) -> list[Branch]:
     """Parts of the critical curves between the given energies and k², one kind each."""
-    found = [*_parabola(L, G, E, k_sq), *_double_root_of_r(L, G, E, k_sq)]
+    parts = [*_parabola(L, G, E, k_sq), *_double_root_of_r(L, G, E, k_sq)]
     if k_sq[0] == 0.0:
         line = np.linspace(*E, POINTS)
         exists = np.where(regions(line, np.full(POINTS, 1e-9), L, G) > 0, DELONE, "")
-        found += _parts(line, np.zeros(POINTS), exists)
-    return found
+        parts += _parts(line, np.zeros(POINTS), exists)
+    return parts
 
 
 def _parts(E: Array, k_sq: Array, kinds: NDArray[np.str_]) -> Iterator[Branch]:

@@ -63,11 +63,11 @@ class Ovals:
     def of(cls, integrals: Integrals) -> Ovals | None:
         """Ovals of the given integrals; None if three roots of the curve coincide at an end of an oval."""
         with digits(2 * DIGITS):
-            found = curve(integrals)
-        if any(found.e.count(found.e[i]) > 2 for i in found.occupied()[:2]):
+            roots = curve(integrals)
+        if any(roots.e.count(roots.e[i]) > 2 for i in roots.occupied()[:2]):
             return None
         with digits(DIGITS):
-            return cls(found, *ovals_of(found))
+            return cls(roots, *ovals_of(roots))
 
     @property
     def turns(self) -> tuple[int, int]:
@@ -129,11 +129,11 @@ class Ovals:
 
     def rests(self, y: Floats, c: float) -> bool:
         """True if s1 or s2 of the state ``y`` is in the double root at an end of its oval, for ever."""
-        found = self.separated(y, c)
-        if found is None:
+        separated = self.separated(y, c)
+        if separated is None:
             return False
         with digits(DIGITS):
-            pairs = zip(self.touched, (self.first, self.second), found[1:], strict=True)
+            pairs = zip(self.touched, (self.first, self.second), separated[1:], strict=True)
             return any(touched and _is_end(oval, s) for touched, oval, s in pairs)
 
     def shrinks(self, y: Floats, c: float) -> bool:
@@ -143,10 +143,10 @@ class Ovals:
         The state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``state_of_factors``).
         """
         roots, gap = self.curve.e[:3], between(self.curve.e)
-        found = self.separated(y, c)
-        if len(gap) < 2 or found is None:
+        separated = self.separated(y, c)
+        if len(gap) < 2 or separated is None:
             return False
-        state, s1, s2 = found
+        state, s1, s2 = separated
         with digits(DIGITS):
             factors = [sqrt(s1 - e) * sqrt(s2 - e) for e in roots]
             lam = [1 / ((roots[i] - roots[i - 1]) * (roots[i] - roots[i - 2])) for i in range(3)]
@@ -209,21 +209,21 @@ def _integrals(top: Kowalevski, of: Integrals, c: float) -> tuple[Quantity, ...]
 
 
 def _frequencies(ovals: Ovals) -> list[Quantity]:
-    one, two = ovals.periods
+    period1, period2 = ovals.periods
     n1, n2 = ovals.turns
     about = {1: "once", 2: "twice"}
-    first, second = 1.0 / (n1 * one), 1.0 / (n2 * two)
-    found = [
+    first, second = 1.0 / (n1 * period1), 1.0 / (n2 * period2)
+    frequencies = [
         Quantity("frequency.1", first, f"cycles per unit time of the first angle: s1 oscillates {about[n1]}"),
         Quantity("frequency.2", second, f"cycles per unit time of the second angle: s2 oscillates {about[n2]}"),
     ]
     if second:
-        found.append(Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"))
+        frequencies.append(Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"))
     return [
-        *found,
-        Quantity("period.s1", one, "time of one oscillation of s1"),
-        Quantity("period.s2", two, "time of one oscillation of s2, from one zero of ω2 to the next"),
-        Quantity("time_between_swings", n2 * two, "mean time of a full oscillation of ω2"),
+        *frequencies,
+        Quantity("period.s1", period1, "time of one oscillation of s1"),
+        Quantity("period.s2", period2, "time of one oscillation of s2, from one zero of ω2 to the next"),
+        Quantity("time_between_swings", n2 * period2, "mean time of a full oscillation of ω2"),
     ]
 
 
@@ -267,26 +267,27 @@ def critical_neighbours(of: Integrals, shrinks: bool, unit: float) -> list[Neigh
     """Nearest critical motions along E and along k²; ``unit`` is the third moment of inertia."""
     scale = {"energy": unit, "k_sq": 1.0}
     return [
-        Neighbour(name, float(one.value) * scale[name], float(one.distance) * scale[name], one.kind)
-        for name, found in nearest_critical(of, shrinks).items()
-        for one in found
+        Neighbour(name, float(critical.value) * scale[name], float(critical.distance) * scale[name], critical.kind)
+        for name, nearest in nearest_critical(of, shrinks).items()
+        for critical in nearest
     ]
 
 
 def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> list[Quantity]:
     """Distances to the nearest separatrix in the plane of E/C and k, along either axis."""
-    found = []
-    for one in neighbours:
-        if one.kind not in (SEPARATRIX, PINCH):
+    distances = []
+    for neighbour in neighbours:
+        if neighbour.kind not in (SEPARATRIX, PINCH):
             continue
-        if one.along == "energy":
-            found.append(abs(one.distance) / unit)
+        change = neighbour.distance
+        if neighbour.along == "energy":
+            distances.append(abs(change) / unit)
         else:
             with digits(DIGITS):
                 k_sq = real(of.k_sq)
-                found.append(float(abs(mpf(one.distance) / (sqrt(k_sq + mpf(one.distance)) + sqrt(k_sq)))))
+                distances.append(float(abs(mpf(change) / (sqrt(k_sq + mpf(change)) + sqrt(k_sq)))))
     meaning = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
-    return [Quantity("separatrix.distance", min(found), meaning)] if found else []
+    return [Quantity("separatrix.distance", min(distances), meaning)] if distances else []
 
 
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
@@ -344,11 +345,11 @@ def _degenerate(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Qu
 
 def _cycle(ovals: Ovals) -> list[Quantity]:
     """Frequencies of a motion with constant s1."""
-    one, two = ovals.periods
-    cycle = HALVES * two
+    period1, period2 = ovals.periods
+    cycle = HALVES * period2
     return [
         Quantity("frequency", 1.0 / cycle, "cycles per unit time"),
-        Quantity("frequency.normal", 1.0 / (ovals.turns[0] * one), "cycles per unit time of small deviations"),
-        Quantity("period", cycle, "time of one cycle: s2 oscillates twice"),
+        Quantity("frequency.normal", 1.0 / (ovals.turns[0] * period1), "cycles per unit time of small deviations"),
+        Quantity("period", cycle, "time of period1 cycle: s2 oscillates twice"),
         Quantity("time_between_swings", cycle, "time of a full oscillation of ω2"),
     ]

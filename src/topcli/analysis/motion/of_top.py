@@ -110,10 +110,10 @@ def _free(w: Vector, J: Vector) -> Described:
         unstable = different and effective == middle
         word = "unstable" if unstable else "stable" if different or effective != middle else "neutral"
         return "steady rotation", f"{word} steady rotation about a principal axis", turning
-    found = free_motion(w, J, Decimal(1))
-    rate = found.step[0] + found.step[1]
-    assert found.precession is not None
-    if found.quarter is None:
+    motion = free_motion(w, J, Decimal(1))
+    rate = motion.step[0] + motion.step[1]
+    assert motion.precession is not None
+    if motion.quarter is None:
         period = Quantity("period", math.inf, "time from one steady rotation about the middle axis to the other")
         rate_quantity = Quantity("rate", rate, "rate at which the steady rotation is approached, e-foldings")
         return (
@@ -121,9 +121,9 @@ def _free(w: Vector, J: Vector) -> Described:
             "separatrix: asymptotic to the rotation about the middle axis",
             (place, period, rate_quantity),
         )
-    half = 2.0 * found.quarter[0] / rate
-    about = found.precession.per_step[0] + found.precession.per_half[0] / half
-    axis = found.axes[0]
+    half = 2.0 * motion.quarter[0] / rate
+    about = motion.precession.per_step[0] + motion.precession.per_half[0] / half
+    axis = motion.axes[0]
     size = "smallest" if J[axis] == low else "largest"
     quantities = [
         place,
@@ -138,7 +138,7 @@ def _free(w: Vector, J: Vector) -> Described:
         Quantity(
             "separatrix.distance", float(effective - middle), f"m²/(m·ω) - {float(middle):g}, 0 on the separatrix"
         ),
-        Quantity("separatrix.m1", found.m1, "complementary parameter 1 - k² of the elliptic functions"),
+        Quantity("separatrix.m1", motion.m1, "complementary parameter 1 - k² of the elliptic functions"),
     ]
     title = f"polhode about the axis of the {size} moment, {AXES[axis]} = {float(J[axis]):g}"
     return f"polhode about {AXES[axis]}", title, quantities

@@ -46,8 +46,8 @@ INNER_DIGITS = 80
 def actions(first: Oval, second: Oval, turns: tuple[int, int]) -> tuple[float, float]:
     """Actions J1, J2 of the cycles that pass ``turns`` half periods of s1 and of s2."""
     with digits(INNER_DIGITS):
-        one, two = _of_first(first), _of_second(second)
-        return float(turns[0] * one / pi), float(turns[1] * two / pi)
+        first_action, second_action = _of_first(first), _of_second(second)
+        return float(turns[0] * first_action / pi), float(turns[1] * second_action / pi)
 
 
 def _momentum(of: Oval, x: Real) -> Real:
@@ -144,18 +144,18 @@ class Torus:
             motion, (float(start[0][0]), float(start[1][0])), (first, 1.0), (b / (4 * D), a / (4 * D)), (B / D, -A / D)
         )
 
-    def states(self, one: Array, two: Array) -> Array:
+    def states(self, first: Array, second: Array) -> Array:
         """States at the phases (...), shape (..., 6)."""
-        one, two = np.broadcast_arrays(one - np.round(one), two - np.round(two))
+        first, second = np.broadcast_arrays(first - np.round(first), second - np.round(second))
         with np.errstate(all="ignore"):
-            found = self.motion.at_positions((one.ravel(), two.ravel()))
-        return found.reshape(*one.shape, 6)
+            states = self.motion.at_positions((first.ravel(), second.ravel()))
+        return states.reshape(*first.shape, 6)
 
     def surface(self, rows: int, columns: int) -> Array:
         """States (rows, columns, 6) at equidistant phases over one period of both."""
-        one = np.arange(rows) * (self.periods[0] / rows)
-        two = np.arange(columns) * (self.periods[1] / columns)
-        return self.states(one[:, None], two[None, :])
+        first = np.arange(rows) * (self.periods[0] / rows)
+        second = np.arange(columns) * (self.periods[1] / columns)
+        return self.states(first[:, None], second[None, :])
 
     def motion_line(self, returns: float, points: int) -> Array:
         """States (points, 6) of the motion from its start, for a number of periods of the second angle."""

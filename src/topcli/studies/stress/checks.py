@@ -207,7 +207,7 @@ def _errors(trial: Trial, motion: Trajectory) -> tuple[Array, float]:
 
 def keeps_order(trial: Trial) -> Finding:
     """Check that the error falls with the declared order when the step is halved twice."""
-    found: list[float] = []
+    worst_errors: list[float] = []
     for halvings in range(1 if trial.scheme.adaptive or trial.order is None else 3):
         factor = 2**halvings
         N = trial.N * factor
@@ -221,20 +221,20 @@ def keeps_order(trial: Trial) -> Finding:
             at = int(np.argmax(~(errors < LEFT)))
             why = f"left the motion: error {errors[at]:.1g} of its size at t = {motion.t[at]:.3g}"
             return Finding(CaseOutcome.BROKE, why, int(motion.n[at]), {"error": worst})
-        found.append(worst)
-    last = found[-1]
-    if len(found) == 1:
+        worst_errors.append(worst)
+    last = worst_errors[-1]
+    if len(worst_errors) == 1:
         allowed = EXACT_ERROR if trial.order is None else ADAPTIVE_ERROR
         result = CaseOutcome.HELD if last <= allowed else CaseOutcome.DEGRADED
         return Finding(result, f"error {last:.1e}", figures={"error": last})
     floor = 64.0 * EPS * math.sqrt(4.0 * trial.N)
-    order = observed_order([4.0, 2.0, 1.0], found, floor)
-    figures = {"error": found[0], "error_quarter_step": last}
+    order = observed_order([4.0, 2.0, 1.0], worst_errors, floor)
+    figures = {"error": worst_errors[0], "error_quarter_step": last}
     if order is None:
         return Finding(CaseOutcome.HELD, f"error {last:.1e}: round-off", figures=figures)
     assert trial.order is not None
     held = order >= trial.order - ORDER_LOST or last <= floor
-    why = f"order {order:.2f}, error {found[0]:.1e}"
+    why = f"order {order:.2f}, error {worst_errors[0]:.1e}"
     return Finding(
         CaseOutcome.HELD if held else CaseOutcome.DEGRADED,
         why if held else f"{why}: falls short of its order {trial.order}",
@@ -253,8 +253,8 @@ def false_order(trial: Trial) -> str:
             exact = trial.reference(motion.t)
             errors.append(float(np.abs(motion.states - exact).max()))
             size = float(np.abs(exact - exact[0]).max())
-        found = convergence([4.0, 2.0, 1.0], errors)
-        verdict, why = judge_order(trial.order, found, size, lambda: is_consistent(trial.top, trial.method, y0))
+        observed = convergence([4.0, 2.0, 1.0], errors)
+        verdict, why = judge_order(trial.order, observed, size, lambda: is_consistent(trial.top, trial.method, y0))
         if verdict is not OrderVerdict.UNDECIDED:
             return why
     return ""

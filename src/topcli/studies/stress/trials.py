@@ -175,9 +175,9 @@ def _forms_of(name: str, fits: Sequence[str]) -> list[Scheme]:
     """Return the schemes called ``name``, one for each form that it steps. Raises UnknownNameError or UsageError."""
     base = name.partition("+")[0]
     steps = {scheme.top for scheme in all_schemes() if scheme.name == base}
-    found = [find_scheme(name, form) for form in fits if form in steps]
+    schemes = [find_scheme(name, form) for form in fits if form in steps]
     # the error of a name that is unknown, or of a scheme for another top
-    return found or [find_scheme(name, fits[0])]
+    return schemes or [find_scheme(name, fits[0])]
 
 
 def stress(
@@ -206,13 +206,13 @@ SCHEMA_VERSION = 1
 
 def stress_data(judged: Sequence[Judged]) -> dict[str, Any]:
     """Return the study as plain data: the cases, the trials, and the number of each outcome and verdict."""
-    asked = {(one.case.name, one.case.form): one.case for one in judged}
-    outcomes = [one.finding.result.value for one in judged]
-    verdicts = [one.verdict for one in judged]
+    asked = {(trial.case.name, trial.case.form): trial.case for trial in judged}
+    outcomes = [trial.finding.result.value for trial in judged]
+    verdicts = [trial.verdict for trial in judged]
     return {
         "schema_version": SCHEMA_VERSION,
         "cases": [{"case": case.name, "top": case.form, "question": case.question} for case in asked.values()],
-        "trials": [one.as_dict() for one in judged],
+        "trials": [trial.as_dict() for trial in judged],
         "outcomes": {value: outcomes.count(value) for value in dict.fromkeys(outcomes)},
         "verdicts": {value: verdicts.count(value) for value in dict.fromkeys(verdicts)},
         "environment": environment(),
