@@ -1,11 +1,14 @@
-"""Results of all functions that return a report: tables, plots, files, notebooks."""
+"""Results of all functions that return a report: tables whose cells are the stored fields, plots, files, notebooks."""
 
 from __future__ import annotations
 
 import errno
+import functools
 import inspect
+import itertools
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,20 +16,27 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
 import topcli
 from reading_html import read_html
+from shown import distinct, named_differently
 from stored_results import BASE, START
-from topcli.errors import ConfigError, RunError, UnknownNameError, UsageError
+from topcli.errors import RunError, UnknownNameError, UsageError
 from topcli.show.report import SUFFIXES, Report, StudyReport
-from topcli.show.results import RunReport, SweepReport
+from topcli.show.results import RunReport
 from topcli.store.series import read_series
 from topcli.studies.compare import COMPARE
+from topcli.studies.order import ORDER
+from topcli.studies.stress.study import STRESS
 from topcli.studies.study import Result
 
 CONFIG = {**BASE, "name": "one", "scheme": "hk"}
+
+
+EIGHT = {"random": {"count": 8, "gamma": "sphere"}}
 STUDY = {
     "name": "steps",
     "base": {"top": "kowalevski", "initial": START, "T": 4},
@@ -35,85 +45,45 @@ STUDY = {
 }
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("results")
-
-
-@pytest.fixture(scope="module")
-def run(out: Path) -> RunReport:
-    return topcli.run(CONFIG, out)
-
-
-@pytest.fixture(scope="module")
-def ensemble(out: Path) -> RunReport:
-    return topcli.run({**CONFIG, "name": "many", "ensemble": {"random": {"count": 8, "gamma": "sphere"}}}, out)
-
-
-@pytest.fixture(scope="module")
-def compared() -> StudyReport:
-    return topcli.compare("hk", "hk:h=0.02", "hybrid", config=CONFIG)
-
-
-@pytest.fixture(scope="module")
-def swept(out: Path) -> SweepReport:
-    return topcli.sweep(STUDY, out)
-
-
-@pytest.fixture(scope="module")
-def ordered() -> StudyReport:
-    return topcli.order("hk", "rk4", config="euler_hk", duration=2.0, sizes=[0.1, 0.05, 0.025])
-
-
-@pytest.fixture(scope="module")
-def stressed() -> StudyReport:
-    return topcli.stress("hk", "dg4", cases=["delone", "pole", "racket-1e-3"])
-
-
-@pytest.fixture(scope="module")
-def claimed() -> StudyReport:
-    return topcli.claims(["matrix-m", "hk-heavy-small", "hk-heavy-equation", "hybrid-reversible"])
-
-
-@pytest.fixture(scope="module")
-def laxed() -> StudyReport:
-    return topcli.lax("euler", "hk", overrides=["N=100"])
-
-
-@pytest.fixture(scope="module")
-def rounded() -> StudyReport:
-    return topcli.roundoff("hk", "euler_hk", steps=20_000, copies=2)
-
-
-@pytest.fixture(scope="module")
-def analysed(run: RunReport) -> StudyReport:
-    return topcli.analyse(run.folder / "series.parquet", CONFIG)
-
-
-FUNCTIONS = {
-    "laxed": "lax",
-    "rounded": "roundoff",
-    "analysed": "analyse",
-    "run": "run",
-    "ensemble": "run",
-    "compared": "compare",
-    "swept": "sweep",
-    "ordered": "order",
-    "stressed": "stress",
-    "claimed": "claims",
-    "kowalevski_generic_hk": "motion",
-    "euler_hk": "motion",
-    "lagrange_hk": "motion",
-    "heavy_hk": "motion",
+REPORTS: dict[str, Callable[[Path], Report]] = {
+    "lax": lambda out: topcli.lax("euler", "hk", overrides=["N=100"]),
+    "roundoff": lambda out: topcli.roundoff("hk", "euler_hk", steps=20_000, copies=2),
+    "analyse": lambda out: topcli.analyse(
+        topcli.run({**CONFIG, "name": "other"}, out).folder / "series.parquet", CONFIG
+    ),
+    "run": lambda out: topcli.run(CONFIG, out),
+    "run of many": lambda out: topcli.run({**CONFIG, "name": "many", "ensemble": EIGHT}, out),
+    "compare": lambda out: topcli.compare("hk", "hk:h=0.02", "hybrid", config=CONFIG),
+    "sweep": lambda out: topcli.sweep(STUDY, out),
+    "order": lambda out: topcli.order("hk", "rk4", config="euler_hk", duration=2.0, sizes=[0.1, 0.05, 0.025]),
+    "stress": lambda out: topcli.stress("hk", "dg4", cases=["delone", "pole", "racket-1e-3"]),
+    "claims": lambda out: topcli.claims(["matrix-m", "hk-heavy-small", "hk-heavy-equation", "hybrid-reversible"]),
+    "motion": lambda out: topcli.motion("kowalevski_generic_hk"),
+    "motion of euler": lambda out: topcli.motion("euler_hk"),
+    "motion of lagrange": lambda out: topcli.motion("lagrange_hk"),
 }
-"""Function that makes the report of each fixture, or of each packaged scene."""
+"""A report of each kind, by the name of its function."""
 
 
-@pytest.fixture(params=FUNCTIONS)
-def report(request: pytest.FixtureRequest) -> Report:
-    """Each kind of report in turn."""
-    name = request.param
-    return topcli.motion(name) if FUNCTIONS[name] == "motion" else request.getfixturevalue(name)
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any]:
+    out = tmp_path_factory.mktemp("results")
+    return functools.cache(lambda name: REPORTS[name](out))
+
+
+@pytest.fixture
+def run(made: Callable[[str], Any]) -> RunReport:
+    return made("run")
+
+
+@pytest.fixture
+def ensemble(made: Callable[[str], Any]) -> RunReport:
+    return made("run of many")
+
+
+@pytest.fixture
+def compared(made: Callable[[str], Any]) -> StudyReport:
+    return made("compare")
 
 
 @pytest.fixture
@@ -139,12 +109,17 @@ def test_every_function_that_returns_a_report_is_tested() -> None:
     functions = {name: getattr(topcli, name) for name in topcli.__all__}
     callables = {name: value for name, value in functions.items() if callable(value) and not isinstance(value, type)}
     returned = {name: str(inspect.signature(value).return_annotation) for name, value in callables.items()}
-    assert {name for name, kind in returned.items() if str(kind).endswith("Report")} == set(FUNCTIONS.values())
-    assert {kind.__name__ for kind in Report.__subclasses__()} == {returned[name] for name in FUNCTIONS.values()}
+    tested = {name.partition(" ")[0] for name in REPORTS}
+    assert {name for name, kind in returned.items() if str(kind).endswith("Report")} == tested
+    assert {kind.__name__ for kind in Report.__subclasses__()} == {returned[name] for name in tested}
 
 
 @pytest.mark.slow
-def test_every_report_has_table_plain_data_plot_and_html(report: Report, axes: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", REPORTS)
+def test_every_report_has_table_plain_data_plot_and_html(
+    name: str, made: Callable[[str], Any], axes: Any, tmp_path: Path
+) -> None:
+    report = made(name)
     assert isinstance(report.table, pd.DataFrame)
     assert len(report.table) >= 2
     json.dumps(report.as_dict(), allow_nan=False)
@@ -162,18 +137,27 @@ def test_every_report_has_table_plain_data_plot_and_html(report: Report, axes: A
     assert len(block.all("table")) == 1
     assert len(block.all("table")[0].cells()) >= 3
     assert repr(report).startswith(f"<{type(report).__name__} of ")
-    for suffix in SUFFIXES if drawable else (".html", ".json", ".csv", ".parquet"):
+    for suffix in SUFFIXES if name == "run" else (".html", ".json", ".csv", ".parquet"):
         path = report.save(tmp_path / "new" / f"saved{suffix}")
         assert path.stat().st_size > 100
     page = read_html((tmp_path / "new" / "saved.html").read_text())
     assert not page.with_class("missing")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "new" / "saved.parquet"), report.table)
-    assert len(pd.read_csv(tmp_path / "new" / "saved.csv")) == len(report.table)
+    expected = values_of(report.table)
+    read = values_of(pd.read_csv(tmp_path / "new" / "saved.csv", keep_default_na=False, index_col=0))
+    assert [list(row) for row in read] == [list(row) for row in expected]
+    for row, other in zip(read, expected, strict=True):
+        for key, value in other.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                assert float(row[key]) == value, key
+            else:
+                assert str(row[key]) == ("" if value is None else str(value)), key
     assert json.loads((tmp_path / "new" / "saved.json").read_text()) == report.as_dict()
 
 
-def test_a_run_is_in_its_folder_and_its_table_is_that_of_the_report(run: RunReport, out: Path) -> None:
-    assert run.folder == out / "one"
+def test_a_run_is_in_its_folder_and_its_table_is_that_of_the_report(run: RunReport) -> None:
+    out = run.folder.parent
+    assert run.folder.name == "one"
     assert (run.outcome.value, run.status) == ("completed", "ran")
     stored = json.loads((out / "one" / "report.json").read_text())
     assert list(run.table.index) == [row["name"] for row in stored["invariants"]]
@@ -187,29 +171,12 @@ def test_a_run_is_in_its_folder_and_its_table_is_that_of_the_report(run: RunRepo
         run["gama2"]
 
 
-def test_simulation_and_run_have_the_same_bits(run: RunReport) -> None:
-    assert (run["omega1"] == topcli.simulate(CONFIG)["omega1"]).all()
-
-
-def test_changes_name_the_run_by_its_digest(out: Path) -> None:
-    changed = topcli.run("kowalevski_hk", out, N=50)
-    assert changed.folder.name.startswith("kowalevski_hk-")
-    assert topcli.run("kowalevski_hk", out, overrides=["N=50"]).folder == changed.folder
-    assert topcli.run("kowalevski_hk", out, N=50, name="short").folder.name == "short"
-    with pytest.raises(ConfigError, match="M: unknown key"):
-        topcli.run("kowalevski_hk", out, M=50)
-    with pytest.raises(UsageError, match="--resume works"):
-        topcli.run({**CONFIG, "ensemble": {"random": {"count": 2, "gamma": "sphere"}}}, out, resume=True)
-
-
 @pytest.mark.slow
 def test_a_failed_run_is_repeated_only_on_request(tmp_path: Path) -> None:
     fails = {**CONFIG, "name": "fails", "scheme": "rk4", "initial": {"omega": [300, 200, 100], "gamma": [1, 0, 0]}}
-    many = {**fails, "name": "many", "ensemble": {"states": [{"omega": [300, 200, 100]}]}}
-    for config in ({**fails, "h": 0.05}, {**many, "h": 0.05}):
-        assert topcli.run(config, tmp_path).outcome.value == "blew_up"
-        again = [topcli.run(config, tmp_path, retry_failed=retry).status for retry in (False, True)]
-        assert again == ["up to date", "ran"]
+    assert topcli.run({**fails, "h": 0.05}, tmp_path).outcome.value == "blew_up"
+    again = [topcli.run({**fails, "h": 0.05}, tmp_path, retry_failed=retry).status for retry in (False, True)]
+    assert again == ["up to date", "ran"]
 
 
 def test_the_interval_of_checkpoints_reaches_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -285,21 +252,6 @@ def test_plot_of_an_ensemble_is_the_distribution_of_deviations(ensemble: RunRepo
 
 
 @pytest.mark.slow
-def test_table_of_a_comparison_is_that_of_its_figures(compared: StudyReport) -> None:
-    assert list(compared.table.index) == ["hk", "hk:h=0.02", "hybrid"]
-    for figures in compared.figures["schemes"]:
-        row = compared.table.loc[figures["label"]]
-        assert row["max_error"] == figures["max_error"]
-        assert row["end_error"] == figures["end_error"]
-        assert row["reversal_defect"] == figures["reversal"]["defect"]
-        energy = next(one for one in figures["invariants"] if one["name"] == "energy")
-        assert (row["energy_max_deviation"], row["energy_drift"]) == (energy["max_deviation"], energy["drift"])
-    errors = compared.table["max_error"]
-    assert 3.8 < errors["hk:h=0.02"] / errors["hk"] < 4.2
-    assert errors["hk"] == compared.series["error:hk"].max()
-
-
-@pytest.mark.slow
 def test_plots_of_a_comparison_are_errors_or_swings(compared: StudyReport) -> None:
     lines = drawn(compared.plot(Figure().add_subplot()))
     assert list(lines) == ["hk", "hk:h=0.02", "hybrid"]
@@ -326,15 +278,8 @@ def test_comparison_of_an_ensemble(ensemble: RunReport) -> None:
 
 
 @pytest.mark.slow
-def test_a_saved_comparison_is_read_by_the_command(compared: StudyReport, tmp_path: Path) -> None:
-    from topcli.pages.page import report_page
-
-    path = compared.save(tmp_path / "compared.json")
-    assert len(read_html(report_page([str(path)]).text).all("svg")) == 2
-
-
-@pytest.mark.slow
-def test_sweep_has_its_rows_and_draws_them(swept: SweepReport) -> None:
+def test_sweep_has_its_rows_and_draws_them(made: Callable[[str], Any]) -> None:
+    swept = made("sweep")
     assert len(swept.table) == 6
     assert swept.outcomes == {"completed": 6}
     lines = drawn(swept.plot(Figure().add_subplot()))
@@ -380,18 +325,8 @@ def test_sweep_of_an_edited_file_shows_its_own_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_orders_and_errors(ordered: StudyReport, axes: Any) -> None:
-    assert ordered.table.loc["hk", "order"] == pytest.approx(2.0, abs=0.05)
-    assert ordered.table.loc["rk4", "order"] == pytest.approx(4.0, abs=0.1)
-    points = {one["h"]: one["error"] for one in ordered.study["schemes"][0]["points"]}
-    assert ordered.errors["hk"].to_dict() == points
-    assert ordered.table.loc["hk", "smallest_error"] == min(points.values())
-    (hk, _) = drawn(ordered.plot(axes)).values()
-    assert dict(zip(*map(np.ndarray.tolist, hk), strict=True)) == points
-
-
-@pytest.mark.slow
-def test_stress_table_and_grid(stressed: StudyReport, axes: Any) -> None:
+def test_stress_table_and_grid(made: Callable[[str], Any], axes: Any) -> None:
+    stressed = made("stress")
     assert stressed.tops == ["kowalevski", "euler"]
     outcomes = {(one["scheme"], one["case"]): one["outcome"] for one in stressed.study["trials"]}
     for (scheme, case), outcome in outcomes.items():
@@ -444,3 +379,141 @@ def test_an_error_of_the_user_has_no_traceback_in_a_notebook() -> None:
         topcli.compare("hkk")
     assert caught.value._render_traceback_() == ["UnknownNameError: unknown scheme 'hkk'; did you mean 'hk'?"]
     assert not hasattr(RunError("x"), "_render_traceback_"), "a failure of a run keeps its place"
+
+
+def values_of(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table with its index, as plain data; missing numbers are None."""
+    rows = table.reset_index().to_dict("records")
+    plain = [
+        {key: value.item() if isinstance(value, np.generic) else value for key, value in row.items()} for row in rows
+    ]
+    return [{k: None if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()} for row in plain]
+
+
+def point(h: float, error: float | None, end: float) -> dict[str, Any]:
+    return {"h": h, "error": error, "end_error": end}
+
+
+ORDERS = {
+    "name": "n",
+    "top": "t",
+    "config": None,
+    "duration": 7.0,
+    "schemes": [
+        {
+            "scheme": "hk", "declared_order": 2, "order": 1.98, "fitted": [0.1, 0.2], "plateau": 3e-13, "onset": 0.0123,
+            "verdict": "as declared", "ended": "why hk", "broken": None, "failed": [],
+            "points": [point(0.4, 1e-2, 7.0), point(0.2, 2e-5, 8.0), point(0.1, 3e-3, 9.0), point(0.05, None, 6.0)],
+        },
+        {
+            "scheme": "rk4", "declared_order": 4, "order": None, "fitted": [], "plateau": None, "onset": None,
+            "verdict": None, "ended": "why rk4", "broken": "cannot be compiled", "failed": [], "points": [],
+        },
+        {
+            "scheme": "bs", "declared_order": 1, "order": 1.02, "fitted": [0.3], "plateau": 5e-12, "onset": 0.5,
+            "verdict": "undecided", "ended": "why bs", "broken": None, "failed": [],
+            "points": [point(0.4, None, 1.0), point(0.2, 4e-3, 2.0), point(0.1, 6e-3, 3.0)],
+        },
+    ],
+    "left_out": [],
+}  # fmt: skip
+"""The smallest error is neither the first nor the last; one scheme has no point."""
+
+
+def test_orders_have_their_own_errors_and_steps() -> None:
+    report = StudyReport(ORDER, Result(ORDERS))
+    best = {"hk": (2e-5, 0.2), "rk4": (None, None), "bs": (4e-3, 0.2)}
+    fields = ("declared_order", "order", "verdict", "plateau", "onset", "ended", "broken")
+    assert values_of(report.table) == [
+        {"scheme": row["scheme"], **{key: row[key] for key in fields}}
+        | dict(zip(("smallest_error", "at_h"), best[row["scheme"]], strict=True))
+        for row in ORDERS["schemes"]
+    ]
+    assert report.errors.index.tolist() == [0.4, 0.2, 0.1, 0.05]
+    np.testing.assert_array_equal(report.errors["hk"], [1e-2, 2e-5, 3e-3, math.nan])
+    np.testing.assert_array_equal(report.errors["bs"], [math.nan, 4e-3, 6e-3, math.nan])
+    assert report.errors["rk4"].isna().all()
+
+
+def test_a_comparison_has_the_figures_of_each_entry() -> None:
+    found = topcli.compare("hk", "hk:h=0.02", "exact", config=CONFIG)
+    figures = named_differently(distinct(found.figures, 3, keep=("power", "N")), ("verdict", "model"))
+    rows = values_of(StudyReport(COMPARE, Result(figures)).table)
+    for row, one in zip(rows, figures["schemes"], strict=True):
+        assert row.pop("entry") == one["label"]
+        assert (row.pop("reversal_defect"), row.pop("reversal_order")) == (
+            one["reversal"]["defect"],
+            one["reversal"]["order"],
+        )
+        for invariant in (*one["invariants"], *one["modified"]):
+            for key in ("max_deviation", "drift", "drift_error", "model", "verdict"):
+                assert row.pop(f"{invariant['name']}_{key}", invariant[key]) == invariant[key]
+        assert set(row) == {
+            "scheme", "h", "N", "outcome", "message", "max_error", "end_error", "swing_spacing", "nanoseconds_per_step"
+        }  # fmt: skip
+        assert row == {key: one[key] for key in row}
+
+
+def test_trials_have_their_own_fields() -> None:
+    keys = ("scheme", "top", "case", "outcome", "step", "why", "verdict", "limit")
+    trials = [
+        dict(zip(keys, (f"{key}{i}" for key in keys), strict=True)) | {"step": i, "seconds": 0.5 + i} for i in (1, 2)
+    ]
+    table = StudyReport(STRESS, Result({"trials": trials})).table
+    assert set(table.columns) == {*keys, "seconds"}
+    assert values_of(table) == [
+        {"index": i, **{key: one[key] for key in table.columns}} for i, one in enumerate(trials)
+    ]
+
+
+@pytest.mark.parametrize("verdict", ["ok", "limit", "unexplained", "outlived limit"])
+def test_unexplained_are_breaks_without_a_limit_and_limits_without_a_break(verdict: str) -> None:
+    trial = dict.fromkeys(("scheme", "top", "case", "outcome", "step", "why", "limit", "seconds")) | {
+        "verdict": verdict
+    }
+    assert len(StudyReport(STRESS, Result({"trials": [trial]})).unexplained) == (
+        verdict in ("unexplained", "outlived limit")
+    )
+
+
+def test_a_table_of_an_ensemble_has_every_quantile(tmp_path: Path) -> None:
+    config = {**CONFIG, "name": "many", "N": 50, "ensemble": {"random": {"count": 9, "gamma": "sphere"}}}
+    found = topcli.run(config, tmp_path)
+    stored = json.loads((found.folder / "report.json").read_text())["invariants"]
+    result = replace(found.result, report={**found.result.report, "invariants": distinct(stored, 4)})
+    rows = values_of(replace(found, result=result).table)
+    for row, one in zip(rows, result.report["invariants"], strict=True):
+        quantiles = {key: value for key, value in one.items() if isinstance(value, dict)}
+        assert set(quantiles) == {"max_deviation", "rms_deviation", "final_deviation"}
+        expected = {key: value for key, value in one.items() if key not in quantiles}
+        expected |= {f"{key}, {name}": value for key, those in quantiles.items() for name, value in those.items()}
+        assert row == expected
+    table = pq.read_table(found.folder / "trajectories.parquet").to_pydict()
+    for one, name in itertools.product(stored, ("max_deviation", "rms_deviation", "final_deviation")):
+        values = sorted(map(abs, table[f"{one['name']}_{name}"]))
+        assert (one[name]["min"], one[name]["median"], one[name]["max"]) == (values[0], values[4], values[8])
+
+
+def test_a_table_of_a_sweep_is_its_file(tmp_path: Path) -> None:
+    base = {key: value for key, value in CONFIG.items() if key not in ("name", "h", "N")} | {"T": 0.4}
+    grid = {"h": [0.04, 0.02], "scheme": ["hk", "rk4"]}
+    measures = ["deviation.energy", "error.max"]
+    found = topcli.sweep({"name": "s", "base": base, "grid": grid, "measure": measures}, tmp_path)
+    rows = pq.read_table(tmp_path / "s" / "rows.parquet").to_pylist()
+    assert [row.pop("current") for row in rows] == [True] * 4
+    assert values_of(found.table) == rows
+    assert found.as_dict()["rows"] == rows
+
+
+def test_a_table_of_a_motion_has_its_quantities_and_one_of_claims_the_ledger() -> None:
+    motion = topcli.motion("kowalevski_generic_hk")
+    data = motion.as_dict()
+    found = values_of(motion.table)
+    assert {row["name"]: row["value"] for row in found} == data["quantities"]
+    assert {row["name"]: row["meaning"] for row in found} == data["meanings"]
+    claims = topcli.claims(["matrix-m", "hk-heavy-equation"])
+    listed = claims.as_dict()["claims"]
+    for row, one in zip(values_of(claims.table), listed, strict=True):
+        assert row.pop("bound") == one["bound_text"]
+        assert row == {key: one[key] for key in row}
+        assert {"statement", "source", "experiment", "figure", "verdict"} <= set(row)
