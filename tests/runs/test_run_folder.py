@@ -28,7 +28,7 @@ from topcli.runs.decision import RunOptions
 from topcli.runs.run import decision_on, run_experiment
 from topcli.store import folder as store_folder
 from topcli.store.checkpoint import CHECKPOINT
-from topcli.store.folder import RunWriter
+from topcli.store.folder import Folder, RunWriter
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.series import read_metadata, read_series
 
@@ -104,6 +104,9 @@ def test_forced_runs_in_turn_leave_one_copy_of_each(tmp_path: Path) -> None:
     names = [f"kowalevski_hk.{small(f'h={h}').digest[:8]}" for h in (1e-3, 2e-3)]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["kowalevski_hk", *names])
     assert all(not stored_run(tmp_path / name).damage() for name in names)
+    (tmp_path / names[0] / "series.parquet").write_bytes(b"junk")
+    run_experiment(small("h=0.002"), tmp_path, RunOptions(force=True))
+    assert not stored_run(tmp_path / f"{names[0]}.2").damage(), "a damaged copy is none"
 
 
 def test_result_written_meanwhile_is_set_aside(tmp_path: Path) -> None:
@@ -319,8 +322,6 @@ class ResultsMachine(RuleBasedStateMachine):
             assert tree(self.out) == before
             return
         assert tree(self.out) == before
-        if decision.source and h in self.reached:
-            assert decision.source.done == self.reached[h]
         try:
             result = run_experiment(experiment, self.out, options)
         except Killed:
@@ -329,6 +330,8 @@ class ResultsMachine(RuleBasedStateMachine):
         begun = "resumed" if decision.source else "ran"
         status = {"run": begun, "rewrite": f"rewritten as {suffix}", "leave": "up to date"}[decision.verb]
         assert result.status == status
+        kept = decision.verb != "leave" and any(path.match(f"{NAME}/notes*") for path in before)
+        assert result.set_aside is not None or not kept
         assert (tree(self.out) == before) == (decision.verb == "leave")
         if result.outcome is Outcome.COMPLETED:
             assert numbers(result.stored.folder) == self.expected(h)
@@ -360,8 +363,10 @@ class ResultsMachine(RuleBasedStateMachine):
         for h in self.done:
             assert any(numbers(run.folder) == self.expected(h) for run in found if run.manifest["config"]["h"] == h)
         assert {path.name for path in self.out.rglob("notes*")} == self.notes
-        if not self.reached and self.done:
-            assert not [part for part in self.out.glob(".*") if not (part / CHECKPOINT).exists()]
+        sources = Folder.look(self.out, NAME).sources
+        for h, step in self.reached.items():
+            assert max(source.done for source in sources if source.about["config"]["h"] == h) == step
+        assert all((part / CHECKPOINT).exists() for part in self.out.glob(".*"))
 
 
 ResultsMachine.TestCase.settings = settings(max_examples=10, stateful_step_count=15, deadline=None)

@@ -243,17 +243,31 @@ def test_a_full_disk_leaves_what_was_written_readable(tmp_path: Path, monkeypatc
     assert content(run_experiment(experiment, tmp_path / "out", RunOptions(resume=True)).stored.folder) == expected
 
 
-@pytest.mark.parametrize("every", [0.0, 1e9])
-def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: float
+def test_a_series_that_cannot_be_flushed_leaves_the_last_state_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where none was due: the last state that was remembered is written then."""
+    """No checkpoint was due yet, and none can be made of the end: the last state that was remembered becomes one."""
+    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
+    out, messages = tmp_path / "out", list[str]()
+    with (
+        flush_failing("series.parquet", monkeypatch),
+        pytest.raises(RunError, match=r"last checkpoint holds is kept.*\(up to step \d+\)"),
+    ):
+        run_experiment(small(), out, RunOptions(checkpoint_every=1e9))
+    resumed = run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append))
+    assert content(resumed.stored.folder) == expected
+    assert "continues from step" in messages[0]
+
+
+def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
     out = tmp_path / "out"
     with monkeypatch.context() as patched:
         full_after(patched, 16_000)
         with pytest.raises(RunError, match=r"no space left .* last checkpoint holds is kept.*\(up to step \d+\)"):
-            run_experiment(small(), out, RunOptions(checkpoint_every=every))
+            run_experiment(small(), out, RunOptions(checkpoint_every=0.0))
     assert stored_runs(out) == []
     assert content(run_experiment(small(), out, RunOptions(resume=True)).stored.folder) == expected
     assert [path.name for path in out.iterdir()] == [NAME]
