@@ -105,18 +105,24 @@ def test_points_of_the_map_lie_on_the_torus_and_those_of_hk_do_not(monkeypatch: 
 
 
 def test_points_are_drawn_as_they_are_seen() -> None:
-    """Far ones first, so that near ones hide them; a map that has left its energy surface says so."""
+    """Far ones first, so that near ones hide them; a map that has left its energy surface says so.
+
+    The last point is hidden by the first, 0.1 nearer to the viewer.
+    """
     points = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.5], [-0.5, 1.2, -1.0], [np.nan, 0.0, 0.0]])
+    e, a = math.radians(torus.ELEVATION), math.radians(torus.AZIMUTH)
+    towards = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+    points = np.vstack([points, points[0] - 0.05 * towards * [2.65, 3.2, 2.25]])
     data = {f"backlund:{axis}": column for axis, column in zip("xyz", points.T, strict=True)}
     data |= {"backlund:u": np.array([0.5]), "backlund:v": np.array([0.25])}
     data |= {"flow:u": np.array([1.0, -1.0]), "flow:v": np.array([0.0, 0.5])}
-    view, section = draw((TorusView("backlund", "a", 4), TorusSection("backlund", "c")), data).axes
+    view, section = draw((TorusView("backlund", "a", 5), TorusSection("backlund", "c")), data).axes
     (spots,) = view.collections
     scaled = 2.0 * (points[:3] + np.array([1.2, 1.6, 1.1])) / [2.65, 3.2, 2.25] - 1.0
     seen = sorted(seen_from(torus.ELEVATION, torus.AZIMUTH, scaled).tolist(), key=lambda point: point[2])
     np.testing.assert_allclose(np.asarray(spots.get_offsets()), np.array(seen)[:, :2], atol=1e-12)
     np.testing.assert_allclose(np.asarray(spots.get_array()), np.array(seen)[:, 2], atol=1e-12)
-    assert view.get_title(loc="left") == "a, 3 points, then lost"
+    assert view.get_title(loc="left") == "a, 4 points, then lost"
     assert [data_of(line).tolist() for line in section.lines] == [[[1.0, 0.0], [-1.0, 0.5]], [[0.5, 0.25]]]
     assert all(artist.get_rasterized() for artist in (spots, *section.lines))
 

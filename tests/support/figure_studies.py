@@ -169,7 +169,7 @@ def _period(patch: pytest.MonkeyPatch, folder: Path) -> None:
     t, sizes = np.linspace(0.0, 50.0, 1001), 10.0 ** np.arange(-7.0, 0.0)
 
     def columns(on_progress: object) -> dict[str, np.ndarray]:
-        data = {"t": t, "swings": np.array([14.0, 42.0])}
+        data = {"t": t, "swings": np.array([14.0, 42.0, np.nan])}  # of the same length in the file
         motions = (period.motion_column(name, h) for name, h in period.SHOWN)
         data |= {name: 1.0 - (2.0 - 0.01 * i) / np.cosh((t - 14.0) % 28.0) for i, name in enumerate(motions)}
         for name in (scheme.name for scheme in period.SCHEMES):

@@ -125,15 +125,16 @@ def _middles(mask: np.ndarray, free: np.ndarray) -> list[tuple[int, int, float]]
 
     The third number is its distance from them.
     """
-    from scipy.ndimage import distance_transform_edt, label
+    from scipy.ndimage import distance_transform_edt, find_objects, label
 
-    parts: Any
-    parts, count = label(mask)  # type: ignore[misc]
+    parts: Any = label(mask)[0]  # type: ignore[index]
     middles = []
-    for part in range(1, count + 1):
-        distance: Any = distance_transform_edt(np.pad((parts == part) & free, 1))
+    for part, box in enumerate(find_objects(parts), 1):
+        inside = (parts[box] == part) & free[box]
+        distance: Any = distance_transform_edt(np.pad(inside, 1))
         row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
-        middles.append((int(row) - 1, int(column) - 1, float(distance[row, column])))
+        place = box[0].start + int(row) - 1, box[1].start + int(column) - 1
+        middles.append((*place, float(distance[row, column])))
     return middles
 
 

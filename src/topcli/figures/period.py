@@ -96,7 +96,7 @@ class MotionRows:
         """Draw the rows into ``axes``, the first one at the top."""
         styles_of = {**looks(scheme.name for scheme in SCHEMES), EXACT: {"color": "black"}}
         heights = [-ROW * i for i in range(len(SHOWN))]
-        for swing in data["swings"]:
+        for swing in data["swings"][np.isfinite(data["swings"])]:  # columns have the same length
             axes.axvline(float(swing), color="0.6", linewidth=0.9, linestyle="--", zorder=1.0)
         for height, (name, h) in zip(heights, SHOWN, strict=True):
             axes.plot(data["t"], data[motion_column(name, h)] + height, **{**styles_of[name], "linestyle": "-"})

@@ -232,6 +232,8 @@ SEEN_LABELS = {"x": r"$\omega_1$", "y": r"$\omega_2$", "z": r"$\gamma_3$"}
 ELEVATION, AZIMUTH = 52.0, 18.0
 FRAME = 1.35
 """Half the width of the picture; an axis has the length 2."""
+PICTURE_CELLS = 1000
+"""Cells across a picture, somewhat smaller than its pixels in print and than a third of a point."""
 CORNER, ARROW = np.array([-1.05, -0.98]), 0.28
 
 
@@ -254,7 +256,7 @@ class TorusView:
         camera = projection(ELEVATION, AZIMUTH)
         seen = (2.0 * points - (low + high)) / (high - low) @ camera.T
         seen = seen[np.abs(seen[:, :2]).max(axis=1) <= FRAME]
-        right, up, depth = seen[np.argsort(seen[:, 2], kind="stable")].T
+        right, up, depth = _not_hidden(seen[np.argsort(seen[:, 2], kind="stable")]).T
         size = 0.35 if len(right) > 100_000 else 0.8
         axes.scatter(right, up, c=depth, s=size, lw=0.0, cmap="viridis", vmin=-1.2, vmax=1.2, rasterized=True)
         for label, tip in zip(SEEN_LABELS.values(), ARROW * camera[:2].T, strict=True):
@@ -264,6 +266,13 @@ class TorusView:
         axes.set(xlim=(-FRAME, FRAME), ylim=(-FRAME, FRAME), xticks=[], yticks=[], aspect="equal")
         end = "" if len(points) >= self.whole else ", then lost"
         axes.set_title(f"{self.title}, {len(points):,} points{end}", loc="left")
+
+
+def _not_hidden(points: np.ndarray) -> np.ndarray:
+    """The projected ``points`` (m, 3), the farthest first, without those in the same cell as a nearer one."""
+    cells = np.floor(points[::-1, :2] * (PICTURE_CELLS / (2.0 * FRAME))).astype(np.int64)
+    _, nearest = np.unique(cells @ [1, 2 * PICTURE_CELLS], return_index=True)
+    return points[len(points) - 1 - np.sort(nearest)[::-1]]
 
 
 @dataclass(frozen=True)
