@@ -161,6 +161,7 @@ FIGURES: dict[str, Figure] = {
             "Growth of round-off: biased, a random walk, compensated, and not at all",
             "lagrange_bs",
             deferred("growth:load_growth"),
+            rank=1,
         ),
         Figure(
             "compare",
@@ -174,7 +175,6 @@ FIGURES: dict[str, Figure] = {
             "Kowalevski top: why Figure 2 has another period than Figure 1",
             "kowalevski_hk",
             deferred("period:load_period"),
-            rank=1,
         ),
         Figure(
             "order",
@@ -232,6 +232,7 @@ FIGURES: dict[str, Figure] = {
             "Energy over a long time: integrable and canonical maps, exact conservation, drift",
             "euler_hk",
             deferred("growth:load_long_energy"),
+            rank=1,
         ),
         Figure(
             "error-and-cost",
