@@ -15,8 +15,10 @@ from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import MadeFigure, NothingMeasuredError, Request, make_figure
 from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes
+from topcli.store.files import stored_study, write_study
 from topcli.studies.scheme_page import schemes_page
-from topcli.studies.stress.trials import stored_stress, stress, stress_data, stress_source, write_stress
+from topcli.studies.stress.study import FILE
+from topcli.studies.stress.trials import SCHEMA_VERSION, stress, stress_data, stress_source
 
 SCHEME = '''
 import topcli
@@ -132,16 +134,17 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 def test_the_study_is_stored_whole(study: dict, tmp_path: Path) -> None:
-    assert stored_stress(tmp_path) is None
-    path = write_stress(study, tmp_path, "abc")
-    again = stored_stress(tmp_path)
+    path = tmp_path / FILE
+    assert stored_study(path, SCHEMA_VERSION, "topcli stress") is None
+    write_study(path, study, "abc")
+    again = stored_study(path, SCHEMA_VERSION, "topcli stress")
     assert again is not None
     assert again["trials"] == study["trials"]
     assert again["source"] == "abc"
     assert [entry.name for entry in path.parent.iterdir()] == ["stress.json"]
     path.write_text(path.read_text()[:-100])
     with pytest.raises(RunError, match="run topcli stress again"):
-        stored_stress(tmp_path)
+        stored_study(path, SCHEMA_VERSION, "topcli stress")
 
 
 @pytest.mark.slow
@@ -157,7 +160,7 @@ def test_the_stored_study_is_drawn_and_not_run_again(
     monkeypatch.setattr("topcli.studies.stress.trials.stress", never)
     with pytest.raises(NothingMeasuredError, match=r"no stress study in .*; topcli plot stress makes one"):
         made(stored_only=True)
-    write_stress(study, tmp_path, stress_source())
+    write_study(tmp_path / FILE, study, stress_source())
     assert made(stored_only=True).status == "drawn"
     assert made().status == "up to date"
     assert made(stored_only=True, force=True).status == "drawn"
@@ -167,7 +170,7 @@ def test_the_stored_study_is_drawn_and_not_run_again(
     names = json.loads(table.schema.metadata[b"topcli.names"])
     outcomes = [names["outcome"][int(value)] for value in table.column("outcome").to_numpy()]
     assert outcomes == [one["outcome"] for one in study["trials"]]
-    write_stress(study, tmp_path, "other code")
+    write_study(tmp_path / FILE, study, "other code")
     with pytest.raises(NothingMeasuredError, match="only a stress study of other code"):
         made(stored_only=True)
     with pytest.raises(AssertionError, match="run again"):

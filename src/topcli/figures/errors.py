@@ -20,12 +20,11 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.curves import LOG, CurvePanel, curve_column, plain
-from topcli.figures.figure import Loaded, Request
+from topcli.figures.figure import Loaded, Request, current_study
 from topcli.figures.picture import Grid, caption
 from topcli.figures.style import Styles, looks
 from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
-from topcli.store.files import stored_study, write_study
 from topcli.store.provenance import environment
 from topcli.studies import ladders
 from topcli.studies.bench.contest import Problem
@@ -94,19 +93,9 @@ def points_of(row: Mapping[str, Any], key: str) -> np.ndarray:
 def load_error_and_cost(request: Request) -> Loaded:
     """Load the study of errors and times, measured if it is missing, out of date or forced."""
     source = study_source()
-    study = stored_study(request.results / FILE, SCHEMA_VERSION, "topcli plot error-and-cost")
     measured = partial(error_and_cost, problem(), compared_schemes())
-    return loaded_study(_current(study, source, request, measured, FILE), source)
-
-
-def _current(
-    study: dict[str, Any] | None, source: str, request: Request, measured: Callable[..., dict[str, Any]], file: Path
-) -> dict[str, Any]:
-    """The stored ``study``, measured and stored in ``file`` if it is missing, out of date or forced."""
-    if study is None or study.get("source") != source or request.force:
-        study = measured(request.on_progress)
-        write_study(request.results / file, study, source)
-    return study
+    study = current_study(request, FILE, SCHEMA_VERSION, "topcli plot error-and-cost", source, measured)
+    return loaded_study(study, source)
 
 
 def loaded_study(study: Mapping[str, Any], source: str) -> Loaded:
@@ -208,6 +197,6 @@ def loaded_order(result: Result) -> Loaded:
 def load_order(request: Request) -> Loaded:
     """Load the default study of ``topcli order``, run if it is missing, out of date or forced."""
     what = ladders.ladders(())
-    source, stored = ladders.order_source(what), ladders.stored_order(request.results)
-    study = _current(stored, source, request, partial(ladders.order_study, what), ladders.FILE)
+    source, measured = ladders.order_source(what), partial(ladders.order_study, what)
+    study = current_study(request, ladders.FILE, ladders.SCHEMA_VERSION, "topcli order", source, measured)
     return loaded_order(Result(study, source=lambda: source))

@@ -23,7 +23,7 @@ from topcli.errors import RunError, TopcliError, UsageError, clipped
 from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, exact_column, save
 from topcli.figures.style import STYLE
 from topcli.runs.identity import method_fingerprint
-from topcli.store.files import io_failure, require_writable, write_whole
+from topcli.store.files import io_failure, require_writable, stored_study, write_study, write_whole
 from topcli.store.series import read_metadata, write_parquet
 from topcli.studies import imported
 
@@ -87,6 +87,31 @@ class Loaded:
     layout: Grid = field(default_factory=Grid)
     metadata: Mapping[str, str] = field(default_factory=dict)
     variant: str = ""
+
+
+def current_study(
+    request: Request,
+    file: Path,
+    version: int,
+    command: str,
+    source: str,
+    measured: Callable[..., dict[str, Any]],
+    slow: str = "",
+) -> dict[str, Any]:
+    """Study stored in ``file`` of the results, measured and stored if it is missing, out of date or forced.
+
+    ``version`` is that of its schema, ``command`` makes it, and ``source`` is the digest of what it depends on. One
+    that takes minutes is named as ``slow``. Raises NothingMeasuredError if it is missing and only stored ones count.
+    """
+    stored, only_stored = stored_study(request.results / file, version, command), slow and request.stored_only
+    if stored is not None and stored.get("source") == source and (only_stored or not request.force):
+        return stored
+    if only_stored:
+        missing = f"no {slow} study" if stored is None else f"only a {slow} study of other code"
+        raise NothingMeasuredError(f"{missing} in {request.results}; topcli plot {slow} makes one in a few minutes")
+    study = measured(request.on_progress)
+    write_study(request.results / file, study, source)
+    return study
 
 
 @dataclass(frozen=True)

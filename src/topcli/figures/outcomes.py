@@ -7,21 +7,20 @@ findings beyond it.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
-from topcli.figures.figure import Loaded, NothingMeasuredError, Request
+from topcli.figures.figure import Loaded, Request, current_study
 from topcli.figures.picture import Grid, below_panels
 from topcli.figures.style import Styles
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, category_of
 from topcli.paper.ledger import ledger
 from topcli.studies.stress import trials
-from topcli.studies.stress.study import UNEXPLAINED, known_top
+from topcli.studies.stress.study import FILE, UNEXPLAINED, known_top
 from topcli.studies.study import Result
 
 OUTCOMES = ("not tried", "held", "degraded", "broke")
@@ -154,29 +153,14 @@ class StressGrid(Grid):
         below_panels(figure, handles, [*meanings, "not tried"], 4, fontsize=7.5, handlelength=1.0)
 
 
-def _study(request: Request) -> tuple[dict[str, Any], str]:
-    """The stress study and the digest of what it depends on; run if missing, out of date or forced."""
-    stored = trials.stored_stress(request.results)
-    if request.stored_only and stored is None:
-        raise NothingMeasuredError(_missing("no stress study", request.results))
-    source = trials.stress_source()
-    current = stored is not None and stored.get("source") == source
-    if stored is not None and current and (request.stored_only or not request.force):
-        return stored, source
-    if request.stored_only:
-        raise NothingMeasuredError(_missing("only a stress study of other code", request.results))
-    study = trials.stress_data(trials.stress(on_progress=request.on_progress))
-    trials.write_stress(study, request.results, source)
-    return study, source
-
-
-def _missing(found: str, results: Path) -> str:
-    return f"{found} in {results}; topcli plot stress makes one in a few minutes"
+def _measured(on_progress: Callable[[int, int], None]) -> dict[str, Any]:
+    return trials.stress_data(trials.stress(on_progress=on_progress))
 
 
 def load_stress(request: Request) -> Loaded:
     """Load the whole stress study, stored or run. Raises UsageError and RunError."""
-    study, source = _study(request)
+    source = trials.stress_source()
+    study = current_study(request, FILE, trials.SCHEMA_VERSION, "topcli stress", source, _measured, "stress")
     data, names = figure_data(study)
     panels = [_panel(study["trials"], top, names) for column in _in_columns(names["top"]) for top in column]
     by_top = {panel.top: panel for panel in panels}

@@ -22,13 +22,12 @@ from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.identity import scheme_code
 from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
-from topcli.store.files import stored_study
 from topcli.store.provenance import environment
 from topcli.studies.bench.contest import Problem, Rung, choose
 from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor, explore
 from topcli.studies.copies import GENERIC, SCENES
 from topcli.studies.entries import scheme_with
-from topcli.studies.order import FILE, STEPS
+from topcli.studies.order import STEPS
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
 """Schemes of the study that ``topcli plot order`` draws, on the generic motion of Kowalevski's top."""
@@ -232,8 +231,3 @@ def order_source(what: Ladders) -> str:
     settings = [what.problem.duration, what.problem.intervals, what.sizes, what.steps, SECONDS]
     text = json.dumps([experiment.digest, [scheme.name for scheme in what.schemes], codes, code, settings])
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def stored_order(out: Path) -> dict[str, Any] | None:
-    """Return the default study stored in ``out``; None if there is none. Raises RunError if it is damaged."""
-    return stored_study(out / FILE, SCHEMA_VERSION, "topcli order")

@@ -1,4 +1,4 @@
-"""Trials of schemes in the hard cases, failures compared with the declared limits, and the stored results."""
+"""Trials of schemes in the hard cases, and failures compared with the declared limits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +25,9 @@ from topcli.errors import (
 from topcli.runs.identity import scheme_code
 from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.store.files import stored_study, write_study
 from topcli.store.provenance import environment
 from topcli.studies.stress.cases import CASES, case_names, cases_named
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial, false_order
-from topcli.studies.stress.study import FILE
 from topcli.tops import TOPS, forms
 
 GENERIC = "backwards"
@@ -230,16 +227,3 @@ def stress_source() -> str:
     ]
     text = json.dumps([schemes, checks, fingerprint(tried, false_order, compiled=False)])
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def write_stress(data: dict[str, Any], out: Path, source: str | None) -> Path:
-    """Write the study to ``out/stress/stress.json`` atomically and return its path.
-
-    ``source`` is the digest of the whole suite; None for a part of it. Raises UsageError and RunError.
-    """
-    return write_study(out / FILE, data, source)
-
-
-def stored_stress(out: Path) -> dict[str, Any] | None:
-    """Return the study stored in ``out/stress``; None if there is none. Raises RunError if it is damaged."""
-    return stored_study(out / FILE, SCHEMA_VERSION, "topcli stress")
