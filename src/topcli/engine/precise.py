@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import fma, is_cap, power_of
 from topcli.arithmetic.vectors import SMALL_ANGLE_SQ
-from topcli.contracts import Outcome, Scheme, Stepper, Top
+from topcli.contracts import Outcome, Scheme, StepFunction, Stepper, Top
 from topcli.engine.driver import Loop, same_state
 from topcli.engine.precise_numbers import (
     IRRATIONAL,
@@ -126,7 +126,7 @@ def precise_method(scheme: Scheme, top: Top, options: Any, precise: Top, arithme
     try:
         if built.stages is not None:
             step, weights = built.stages
-            built = replace(built, step=composition_of(built.step, step, centred(weights, rebuilder)))
+            built = replace(built, step=composition_of(step, centred(weights, rebuilder)))
         step, enter, leave = map(rebuilder.function, (built.step, built.enter, built.leave))
     except NotRationalError as error:
         raise refused(scheme, arithmetic, str(error)) from None
@@ -144,13 +144,20 @@ def centred(weights: tuple[float, ...], rebuilder: Rebuilder) -> tuple[Any, ...]
     return (*half, 1 - 2 * sum(half[1:], half[0]), *reversed(half))
 
 
-def composition_of(composed: Callable[..., Any], step: Callable[..., Any], weights: tuple[Any, ...]) -> Any:
-    """Composed step with other weights."""
-    plain = plain_function(composed)
-    assert plain is not None
-    cells = {"step": step, "weights": weights}
-    closure = tuple(types.CellType(cells[name]) for name in plain.__code__.co_freevars)
-    return types.FunctionType(plain.__code__, plain.__globals__, plain.__name__, plain.__defaults__, closure)
+def composition_of(step: StepFunction, weights: tuple[Any, ...]) -> StepFunction:
+    """Composed step with weights of another arithmetic; it ends as that of ``compose.composed_step``."""
+
+    def composed(s: Any, h: Any, p: Any) -> Any:
+        for c in weights:
+            s = step(s, c * h, p)
+            broken = 0.0
+            for x in s:
+                broken += x - x
+            if broken != 0.0:  # true for nan
+                break
+        return s
+
+    return composed
 
 
 BITS_PER_DIGIT = 3.3219280948873626
