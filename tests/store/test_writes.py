@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -140,13 +140,15 @@ def being_written(handle: int) -> tuple[str, str]:
 
 
 @contextmanager
-def flush_failing(name: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
-    """Every flush of the file ``name`` fails for a full disk; yields the names of the failures."""
-    fsync, failed = os.fsync, []
+def flush_failing(name: str, monkeypatch: pytest.MonkeyPatch, once: Sequence[str] = ()) -> Iterator[list[str]]:
+    """Every flush of the file ``name`` fails for a full disk, one for each of ``once``; yields the failures."""
+    fsync, failed, left = os.fsync, list[str](), [*once]
 
     def full(handle: int) -> None:
-        if name in being_written(handle):
-            failed.append(name)
+        written = being_written(handle)[1]
+        if written == name or written in left:
+            failed.append(written)
+            left.remove(written) if written in left else None
             raise OSError(28, "No space left on device")
         fsync(handle)
 
@@ -246,14 +248,15 @@ def test_a_full_disk_leaves_what_was_written_readable(tmp_path: Path, monkeypatc
 def test_a_series_that_cannot_be_flushed_leaves_the_last_state_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No checkpoint was due yet, and none can be made of the end: the last state that was remembered becomes one."""
+    """No checkpoint was due yet, and two more could not be written of the end: a state that was remembered is one."""
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
     out, messages = tmp_path / "out", list[str]()
     with (
-        flush_failing("series.parquet", monkeypatch),
+        flush_failing("series.parquet", monkeypatch, [".checkpoint.npz"] * 2) as failed,
         pytest.raises(RunError, match=r"last checkpoint holds is kept.*\(up to step \d+\)"),
     ):
         run_experiment(small(), out, RunOptions(checkpoint_every=1e9))
+    assert failed.count(".checkpoint.npz") == 2
     resumed = run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append))
     assert content(resumed.stored.folder) == expected
     assert "continues from step" in messages[0]
