@@ -19,7 +19,6 @@ from topcli.figures.body import BodyMotion, stored_body_motion
 from topcli.runs.decision import RunOptions
 from topcli.runs.identity import Identity
 from topcli.runs.run import run_experiment
-from topcli.schemes.registry import scheme
 from topcli.store.series import read_series
 from topcli.studies.entries import read_entries
 from turning import TURNED, stored, turned_apart
@@ -109,31 +108,6 @@ def test_other_kinds_of_runs_refuse_it_by_name(tmp_path: Path) -> None:
     sweep = load_sweep({"name": "s", "base": base, "grid": {"h": [0.1, 0.2]}})
     with pytest.raises(UsageError, match=r"output\.attitude: a sweep records no attitude"):
         list(RowReader(sweep).rows())
-
-
-def test_a_top_that_the_equations_do_not_describe_is_refused(own_registry: None) -> None:
-    from topcli.tops import TOPS
-    from topcli.tops.heavy import Heavy
-
-    class Gyrostat(Heavy):
-        """A heavy top with a flywheel."""
-
-        kind = form = "gyrostat"
-
-        def euler_poisson(self) -> object:
-            raise NotImplementedError
-
-    TOPS["gyrostat"] = Gyrostat
-    config = {"top": "gyrostat", "initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "h": 0.1, "N": 5}
-    plain = {"title": "x", "order": 1, "explicit": True, "self_adjoint": False, "citation": "x", "equations": "x"}
-
-    @scheme("still", top="gyrostat", **plain)
-    def still(top: object, options: object) -> topcli.Stepper:
-        """Stands still."""
-        return topcli.Stepper(lambda s, h, p: s, 6)
-
-    with pytest.raises(UsageError, match=r"output\.attitude: top 'gyrostat': the attitude needs"):
-        load_experiment({**config, "scheme": "still", "output": {"attitude": "quaternion"}})
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,6 @@ from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import RunResult, run_experiment
-from topcli.store.manifest import stored_run
 from topcli.store.parts import parts_of
 from topcli.store.series import read_series
 
@@ -210,18 +209,6 @@ def test_csv_holds_the_recorded_columns(tmp_path: Path) -> None:
     assert list(series) == ["trajectory", "t", "k_sq"]
     assert series["trajectory"].dtype == np.int64
     assert (stored.folder / "trajectories.csv").read_text().startswith("trajectory,initial_omega1,")
-
-
-def test_up_to_date_replaced_and_refused(tmp_path: Path) -> None:
-    assert run(tmp_path).status == "ran"
-    assert run(tmp_path).status == "up to date"
-    with pytest.raises(UsageError, match="holds a different experiment"):
-        run(tmp_path, ensemble={"random": {**RANDOM, "seed": 4}})
-    stored = stored_run(tmp_path / "some")
-    assert stored is not None
-    assert stored.manifest["kind"] == "ensemble"
-    assert len(stored.manifest["initial_states_sha256"]) == 64
-    assert stored.manifest["config"]["ensemble"]["random"]["seed"] == 3
 
 
 def test_an_interrupted_ensemble_is_kept_and_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

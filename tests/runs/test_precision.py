@@ -16,7 +16,6 @@ from topcli.analysis.roundoff import digit_growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.engine.loop import Run
-from topcli.errors import UsageError
 from topcli.runs.precise import PreciseTally, precise_run
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
@@ -156,12 +155,6 @@ def test_reversal_in_rational_numbers_is_exact(cli: Callable[..., Said]) -> None
     assert cells["reversal defect at h = 0.1"][0] == "0"
     assert 1e-6 < float(cells["reversal defect at h = 0.1"][1]) < 1e-2
     assert (order[0], float(order[1])) == ("exact", pytest.approx(4.0, abs=0.2))
-
-
-def test_refusals_write_nothing(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="scheme 'taylor' cannot compute with 50 digits"):
-        run_experiment(precise("euler_taylor", "precision=50"), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def test_long_runs_are_warned_of(cli: Callable[..., Said]) -> None:

@@ -240,14 +240,6 @@ def test_midpoint_is_a_conjugation(equations: EulerPoisson, form: LaxForm, lam: 
         assert np.log2(defects[0] / defects[1]) == pytest.approx(3.0, abs=0.3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sets", [["N=1"], ["h=-0.01", "N=50"], ["top.x0=0", "top.y0=0", "top.z0=0", "N=50"]])
-def test_study_of_unusual_experiments(sets: list[str]) -> None:
-    found = lax_study(lax_experiment("heavy", None, sets), ["midpoint"])
-    for run in found["runs"]:
-        assert all(form["drift"] < 1e-13 for form in run["forms"])
-
-
 def runs_of(name: str, y0, h: float, top: Kowalevski) -> np.ndarray:
     scheme = find_scheme(name, "kowalevski")
     return Run(top, scheme.build(top, scheme.options()), y0, h, 60).collect().states

@@ -132,19 +132,6 @@ def test_hybrid_is_a_random_walk_and_a_biased_scheme_is_not() -> None:
 
 
 @pytest.mark.slow
-def test_carried_xi_is_flat_and_the_target_is_met() -> None:
-    study = roundoff_study(roundoff_experiment("hybrid-xi", None), 400_000, 4)
-    assert [form["form"] for form in study["forms"]] == ["plain", "compensated"]
-    assert study["h"] == 0.01
-    for form in study["forms"]:
-        assert [row["name"] for row in form["invariants"]] == ["gamma_sq", "k_sq"]
-        assert {row["verdict"] for row in form["invariants"]} == {"flat"}
-        assert max(row["max_deviation"] for row in form["invariants"]) < 1e-13
-        assert form["nanoseconds_per_step"] > 0.0
-    assert study["forms"][0]["cost"] == 1.0
-
-
-@pytest.mark.slow
 def test_hk_of_kowalevski_by_long_windows() -> None:
     """No integral is exact, all oscillate by 1e-3 and more, and yet round-off is seen, and seen to be smaller."""
     experiment = roundoff_experiment("hk", None, ["h=0.08"])
@@ -266,8 +253,6 @@ def test_command_refuses_wrong_usage(cli) -> None:
         (("hybird",), "did you mean 'hybrid'"),
         (("hybrid", "--steps", "0"), "--steps 0: must be a whole number"),
         (("hybrid", "--steps", "1.5e0"), "--steps 1.5: must be a whole number"),
-        (("hk", "--steps", "1000"), "need at least"),
-        (("exact",), "closed form"),
     ]:
         said = cli("roundoff", *arguments)
         assert said.code == 2

@@ -450,35 +450,6 @@ def test_workers_with_several_kinds_of_processors_are_warned_of(dask: None, cpus
         connect._check_workers(client, "there", Job("", versions(), ()))
 
 
-def test_the_back_end_is_bounded_by_its_threads() -> None:
-    """Without workers a batch is still submitted, so that the sweep waits for them instead of ending."""
-
-    class Alone(Cluster):
-        def __init__(self) -> None:
-            super().__init__(None, "", None, 0, print)  # type: ignore[arg-type]
-            self.sent: list[int] = []
-
-        def _submit(self, batch: Any, work: Any, *, alone: bool = False) -> None:
-            self.sent.append(len(self._flying))
-            self._flying[len(self.sent)] = (None, batch)  # type: ignore[assignment]
-
-        def _arrived(self, work: Any, seconds: float = 0.0) -> Any:
-            key = next(iter(self._flying))
-            yield self._flying.pop(key)[1], None
-
-        def _count(self) -> None: ...
-
-        def _last(self) -> Any:
-            return iter(())
-
-        def _give_up(self) -> None: ...
-
-    alone = Alone()
-    batches = [[k] for k in range(10)]
-    assert [batch for batch, _ in alone(batches, Work(()), lambda: False)] == batches  # type: ignore[arg-type]
-    assert max(alone.sent) == IN_FLIGHT - 1
-
-
 class NoWorkers:
     """A client whose workers are those of ``threads``, one number for each count."""
 

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import doctest
-import inspect
-import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-import topcli
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError
-from topcli.runs import references
 from topcli.runs.references import SharedReferences, reference_kind
 from topcli.schemes import registry as schemes
 from topcli.schemes.registry import find_scheme
@@ -27,7 +20,6 @@ from topcli.sweeps.batch import bytes_per_run
 from topcli.sweeps.batch_run import BatchRun, batch_size, evaluate
 from topcli.sweeps.measures import (
     MEASURES,
-    Measure,
     MeasureMisfitError,
     measure,
     measures_of_form,
@@ -140,18 +132,6 @@ def test_names_of_a_plugin_are_checked(own_registry: None) -> None:
         resolve_measures(["odd"], Kowalevski(), HK)
 
 
-def test_the_decorator_s_example_works_and_every_parameter_is_documented(own_registry: None) -> None:
-    text = inspect.getdoc(topcli.measure) or ""
-    for parameter in {field.name for field in fields(Measure)} - {"evaluate", "origin"}:
-        assert f"\n{parameter} : " in text
-    (example,) = doctest.DocTestFinder(recurse=False).find(topcli.measure, "measure", globs={})
-    assert not doctest.DocTestRunner(optionflags=doctest.FAIL_FAST).run(example).failed
-    experiment = load_experiment("kowalevski_rk4", ["N=500", "h=0.05"])
-    measures = resolve_measures(["gamma3.min"], experiment.top, experiment.scheme)
-    found = evaluate(measures, BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0])))
-    assert found["gamma3.min"][0] == topcli.simulate(experiment.resolved())["gamma3"].min()
-
-
 FILE = """
 import topcli
 
@@ -184,15 +164,6 @@ def test_measures_from_a_file(tmp_path: Path, own_registry: None) -> None:
     assert (found["last.gamma2"][0], found["last.omega3"][0]) == (batch.last[0, 4], batch.last[0, 2])
     with pytest.raises(UnknownNameError, match="has no component 'gamma4'; did you mean 'gamma"):
         resolve_measures(["last.gamma4"], experiment.top, experiment.scheme)
-
-
-def test_a_file_that_fails_leaves_no_measure(tmp_path: Path, own_registry: None) -> None:
-    path = tmp_path / "mine.py"
-    path.write_text(FILE + "\nraise RuntimeError('too late')\n")
-    with pytest.raises(UsageError, match="too late"):
-        load(path)
-    assert "omega1.top" not in MEASURES
-    assert "seconds" in MEASURES
 
 
 def free(scheme: str, h: float, N: int, **top: float) -> Experiment:
@@ -245,47 +216,6 @@ def test_another_top_state_or_direction_has_another_reference(monkeypatch: pytes
     }
     assert len(errors) == 4
     assert found.computed == 4
-
-
-def test_threads_wait_for_a_reference_that_another_computes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first one computes until the others have come to the lock that it holds."""
-    inside: list[int] = []
-    arrived: set[int] = set()
-    all_there = threading.Event()
-
-    class Lock:
-        def __init__(self) -> None:
-            self._lock = threading.Lock()
-
-        def acquire(self, timeout: float = -1.0) -> bool:
-            arrived.add(threading.get_ident())
-            if len(arrived) == 4:
-                all_there.set()
-            return self._lock.acquire(timeout=timeout)
-
-        def release(self) -> None:
-            self._lock.release()
-
-        def __enter__(self) -> bool:
-            return self.acquire()
-
-        def __exit__(self, *exception: object) -> None:
-            self.release()
-
-    def slow(top: Any, y0: Any, t: Any, most: int) -> Any:
-        inside.append(1)
-        assert all_there.wait(60.0), "the other threads do not ask for the reference"
-        return np.zeros((len(t), 6))
-
-    monkeypatch.setattr(references, "reference_states", slow)
-    found = SharedReferences()
-    found._computing = [Lock() for _ in found._computing]  # type: ignore[misc]
-    top, y0, n = Kowalevski(), np.ones(6), np.arange(9)
-    with ThreadPoolExecutor(4) as pool:
-        states = [pool.submit(found.states, top, "taylor", y0, 0.5, n) for _ in range(4)]
-        assert all(one.result().shape == (9, 6) for one in states)
-    assert inside == [1]
-    assert found.computed == 1
 
 
 def test_the_references_that_are_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

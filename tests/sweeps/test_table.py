@@ -6,9 +6,7 @@ import csv
 import io
 import math
 import re
-import shutil
 import statistics
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,7 @@ from sweep_rows import write_rows
 from topcli.errors import RunError, UnknownNameError, UsageError
 from topcli.sweeps.rows import key_labels, read_rows
 from topcli.sweeps.table import Cell, Summary, SweepTable, summary, sweep_table
-from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, markdown, notes, significant, title
+from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, notes, significant, title
 
 H = [0.1, 0.01, 0.1, 0.01]
 
@@ -393,16 +391,6 @@ def test_csv_has_every_digit(tmp_path: Path) -> None:
         assert [float(one) for one in values] == [value_of(scheme, h, 1) for h in SIZES]
 
 
-def test_markdown_states_what_it_shows(tmp_path: Path) -> None:
-    text = markdown(table(tmp_path, spoilt={0: NAN}, where=("scheme=hk",))).splitlines()
-    assert text[0] == "error.max of mine: median [quartiles] over seed, scheme = hk:"
-    assert text[2] == "| scheme | h = 0.1 | h = 0.01 | h = 1e-7 |"
-    assert text[3] == "| --- | --- | --- | --- |"
-    assert text[4].startswith("| hk | 0.1")
-    assert text[4].split(" | ")[1].endswith(r"]\*")
-    assert text[-1].startswith(r"\* 1 of 12 values could not be computed")
-
-
 NASTY = {"scheme": ["a_b", "x&y%", "{~^\\}", "#$<|>"], "h": [0.1, 1e-7, 0.1, 0.1]}
 
 
@@ -462,17 +450,6 @@ def test_latex_states_units_notes_and_numbers(tmp_path: Path) -> None:
     assert re.search(r"& \$[\d.]+ \\times 10\^\{-\d+\} \\pm [\d.]+ \\times 10\^\{-\d+\}\$", mean)
     assert r"median [quartiles] over seed" in median
     assert r"mean $\pm$ standard error over seed" in mean
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
-def test_latex_compiles(tmp_path: Path) -> None:
-    text = "\n".join(documents(tmp_path))
-    document = rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}{text}\end{{document}}"
-    (tmp_path / "a.tex").write_text(document, encoding="utf-8")
-    command = ["pdflatex", "-draftmode", "-halt-on-error", "-interaction=nonstopmode", "a.tex"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-2000:]
 
 
 def test_plain_data_say_what_the_table_is(tmp_path: Path) -> None:
