@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from topcli.contracts import Invariant, Scheme, Top
 from topcli.schemes.registry import all_schemes
 from topcli.studies.citations import Entry, works_in
-from topcli.studies.operations import operations_of
+from topcli.studies.scheme_page import operations_of
 from topcli.tops import TOPS
 
 NOTATION = r"""

@@ -46,7 +46,7 @@ from topcli.studies.bench.measure import (
 )
 from topcli.studies.bench.peers import PEERS, NoResultError, Peer, find_peers, missing
 from topcli.studies.entries import scheme_with
-from topcli.studies.operations import operations_of
+from topcli.studies.scheme_page import operations_of
 from topcli.tops import TOPS
 
 

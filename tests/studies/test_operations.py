@@ -10,7 +10,7 @@ import pytest
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Floats, Stepper
 from topcli.schemes.registry import find_scheme
-from topcli.studies.operations import operations_of
+from topcli.studies.scheme_page import operations_of
 
 HALF = 0.5
 
