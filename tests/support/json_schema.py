@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 TYPES: dict[str, Any] = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
-ANNOTATIONS = ("$schema", "title", "description", "default", "then")
+ANNOTATIONS = ("$schema", "title", "description", "default", "examples", "then")
 
 
 def of_type(name: str, value: Any) -> bool:
@@ -45,9 +45,9 @@ def _holds(schema: Any, name: str, limit: Any, value: Any) -> bool:
             return limit is not False or value.keys() <= schema["properties"].keys()
         case "items", list():
             return all(fits(limit, item) for item in value)
-        case "minItems", list():
+        case ("minItems", list()) | ("minProperties", dict()):
             return len(value) >= limit
-        case "maxItems", list():
+        case ("maxItems", list()) | ("maxProperties", dict()):
             return len(value) <= limit
         case "uniqueItems", list():
             return len(set(map(repr, value))) == len(value)

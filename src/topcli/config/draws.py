@@ -133,7 +133,8 @@ def random_model(cls: type[Top], parameters: bool = False) -> type[Random]:
     if parameters:
         fields |= {f"top.{name}": (Interval, Field(default=None)) for name in cls.model_fields}
         fields["count"] = (Size, Field(default=1))
-    return create_model("Random", __base__=Random, **fields)
+    some: dict[str, Any] = {"json_schema_extra": {"anyOf": [{"required": [name]} for name in drawn]}}
+    return create_model("Random", __base__=Random, __cls_kwargs__=some, **fields)
 
 
 def directions(u: Array) -> Array:

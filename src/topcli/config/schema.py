@@ -1,6 +1,7 @@
 """The JSON Schema of a config, and commented configs to start a new experiment from.
 
-Both are built from the models and from the registries of tops and schemes."""
+Both are built from the models and from the registries of tops and schemes.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +13,10 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_jsonable_python
 
 from topcli.analysis.columns import ATTITUDES, spellings
-from topcli.config.draws import Random, draw_examples, energy_fault
-from topcli.config.ensemble import SOURCES, Section
+from topcli.config.draws import draw_examples
+from topcli.config.ensemble import section_model
 from topcli.config.models import Config, Output
-from topcli.config.ranges import Range
-from topcli.config.sections import AUTO
+from topcli.config.sections import initial_model
 from topcli.config.text import flow
 from topcli.contracts import Scheme, Top
 from topcli.errors import UsageError
@@ -34,7 +34,7 @@ def config_schema() -> Schema:
     The base describes each key; for each kind of top an ``if``/``then`` states the parameters, the initial
     vectors, the schemes that step it, and the columns.
     """
-    schema = Config.model_json_schema()
+    schema = _schema(Config)
     known = top_names()
     properties = schema["properties"]
     properties["top"] |= {
@@ -44,16 +44,13 @@ def config_schema() -> Schema:
         ]
     }
     properties["initial"] |= {"type": "object"}
-    properties["ensemble"] = any_ensemble_schema() | {"description": properties["ensemble"]["description"]}
+    properties["ensemble"] |= _ensemble_section(*TOPS.values())
     schema["required"].remove("initial")
     schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
     schema["oneOf"] = [{"required": ["N"]}, {"required": ["T"]}]
     properties["T"] = {"type": "number", "not": {"const": 0}, "description": properties["T"]["description"]}
     properties["scheme"] |= {"type": ["string", "object"]}
     properties["h"]["not"] = {"const": 0}
-    properties["output"].pop("$ref", None)
-    properties["output"] |= schema.pop("$defs")["Output"]
-    _drop_titles(properties)
     return {
         "$schema": DRAFT,
         **schema,
@@ -80,18 +77,14 @@ def _for_top(cls: type[Top]) -> Schema:
         *(text for integral in integrals for text in spellings(integral.name, integral.symbol)),
     ]
     items: Schema = {"anyOf": [{"enum": list(dict.fromkeys(columns))}, {"pattern": "^modified_"}]}
-    initial = {name: _vector(cls, name) for name in cls.vectors}
-    complete: Schema = {"anyOf": [{"required": ["ensemble"]}, {"properties": {"initial": {"required": list(initial)}}}]}
-    normalize = {
-        "type": "boolean",
-        "default": False,
-        "description": f"scale {', '.join(cls.unit_vectors) or 'the unit vectors'} to unit length",
-    }
+    initial = _schema(initial_model(cls))
+    vectors = initial.pop("required")
+    complete: Schema = {"anyOf": [{"required": ["ensemble"]}, {"properties": {"initial": {"required": vectors}}}]}
     condition = _is_top(kind)
-    others = {name for form in forms(cls.kind) for name in form.vectors} - set(initial)
+    others = {name for form in forms(cls.kind) for name in form.vectors} - set(vectors)
     if len(forms(cls.kind)) > 1:
         condition["required"].append("initial")
-        condition["properties"]["initial"] = {"required": list(initial)}
+        condition["properties"]["initial"] = {"required": vectors}
         if others:
             condition["properties"]["initial"]["not"] = {"anyOf": [{"required": [name]} for name in sorted(others)]}
     if cls.form != cls.kind:  # the form's own name leaves nothing for the vectors to choose
@@ -102,8 +95,8 @@ def _for_top(cls: type[Top]) -> Schema:
         "then": {
             "properties": {
                 "top": {"anyOf": [kind, _section(cls, "kind", kind | {"description": cls.title})]},
-                "initial": _closed({**initial, "normalize": normalize}),
-                "ensemble": ensemble_schema(cls, {**initial, "normalize": normalize}),
+                "initial": initial,
+                "ensemble": _ensemble_section(cls),
                 "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
                 "output": {"properties": {"columns": {"anyOf": [{"type": "array", "items": items}, {"type": "null"}]}}},
             },
@@ -135,110 +128,33 @@ def _scheme(scheme: Scheme) -> Schema:
     return {"anyOf": forms, "description": scheme.title}
 
 
-def _section(model: Any, key: str, value: Schema) -> Schema:
+def _section(model: type[BaseModel], key: str, value: Schema) -> Schema:
     """Schema of a section with the fields of ``model`` and with ``key``, which names the top or scheme."""
+    schema = _schema(model)
+    required = [key, *schema.get("required", [])]
+    return _closed({key: value, **schema.get("properties", {})}) | {"required": required}
+
+
+def _ensemble_section(*tops: type[Top]) -> Schema:
+    """Schema of the section ``ensemble`` for a top of one of these classes."""
+    return {"anyOf": [*(_schema(section_model(cls)) for cls in tops), {"type": "null"}]}
+
+
+def _schema(model: type[BaseModel]) -> Schema:
+    """Schema of a model, whole, and without the titles, which only repeat the keys."""
     schema = model.model_json_schema()
-    properties = schema.get("properties", {})
-    _drop_titles(properties)
-    section = _closed({key: value, **properties}) | {"required": [key, *schema.get("required", [])]}
-    if "$defs" in schema:
-        # "#/$defs/..." of an embedded schema resolves inside it only when it has an identity of its own
-        named = value.get("const") or value["enum"][0]
-        section |= {"$id": f"topcli:{key}:{named}", "$defs": schema["$defs"]}
-    return section
+    return _inlined(schema, schema.pop("$defs", {}))
 
 
-def _vector(cls: type[Top], name: str) -> Schema:
-    """Schema of a vector of the initial state."""
-    start, stop = cls.vectors[name]
-    unit = name in cls.unit_vectors
-    item: Schema = {"anyOf": [{"type": "number"}, {"enum": list(AUTO)}]} if unit else {"type": "number"}
-    text = f"({', '.join(cls.components[start:stop])})"
-    if unit:
-        text += "; a unit vector; one component may be auto, +auto or -auto, which completes it"
-    return {
-        "type": "array",
-        "items": item,
-        "minItems": stop - start,
-        "maxItems": stop - start,
-        "description": text,
-    }
-
-
-def _drop_titles(properties: Schema) -> None:
-    """Remove the titles, which only repeat the keys."""
-    for value in properties.values():
-        value.pop("title", None)
-        if isinstance(value.get("properties"), dict):
-            _drop_titles(value["properties"])
-
-
-def any_ensemble_schema() -> Schema:
-    """Schema of the section ``ensemble`` for an unknown top, with the vectors and parameters of all tops."""
-    classes = list(TOPS.values())
-    vectors = list(dict.fromkeys(name for cls in classes for name in cls.vectors))
-    draws: Schema = {}
-    for name in vectors:
-        ways = [way for cls in classes if name in cls.vectors for way in _draw(cls, name)["anyOf"]]
-        draws[name] = {"anyOf": [way for i, way in enumerate(ways) if way not in ways[:i]]}
-    known = [key for cls in classes for key in _axes(cls)]
-    initial: Schema = {name: {"type": "array"} for name in vectors} | {"normalize": {"type": "boolean"}}
-    return _ensemble_section(initial, draws, list(dict.fromkeys(known)))
-
-
-def ensemble_schema(cls: type[Top], initial: Schema) -> Schema:
-    """Schema of the section ``ensemble`` for tops of class ``cls``; ``initial`` are the keys of an initial state."""
-    return _ensemble_section(initial, {name: _draw(cls, name) for name in cls.vectors}, _axes(cls))
-
-
-def _axes(cls: type[Top]) -> list[str]:
-    """Keys of a grid."""
-    return [*cls.components, *(f"top.{name}" for name in cls.model_fields)]
-
-
-def _ensemble_section(initial: Schema, draws: Schema, known: list[str]) -> Schema:
-    section, random = _bare_schema(Section), _bare_schema(Random)
-    axis: Schema = {"anyOf": [{"type": "array", "items": {"type": "number"}, "minItems": 1}, _bare_schema(Range)]}
-    section["properties"]["states"] |= {
-        "type": "array",
-        "minItems": 1,
-        "items": _closed(initial),
-    }
-    section["properties"]["grid"] |= _closed(dict.fromkeys(known, axis))
-    section["properties"]["random"] |= random | {
-        "properties": random["properties"] | draws,
-        "anyOf": [{"required": [name]} for name in draws],
-    }
-    for source in SOURCES:
-        section["properties"][source].pop("default")
-    return {"anyOf": [section | {"anyOf": [{"required": [source]} for source in SOURCES]}, {"type": "null"}]}
-
-
-def _bare_schema(model: type[BaseModel]) -> Schema:
-    """Schema of ``model`` without the titles and its docstring."""
-    schema = model.model_json_schema()
-    _drop_titles(schema["properties"])
-    return {key: value for key, value in schema.items() if key not in ("title", "description")}
-
-
-def _draw(cls: type[Top], name: str) -> Schema:
-    """Schema of the ways to draw a vector."""
-    unit = name in cls.unit_vectors
-    positive: Schema = {"type": "number", "exclusiveMinimum": 0}
-    kinds: Schema = {
-        "sphere": {"const": 1.0} if unit else positive | {"description": "uniform on the sphere of this radius"},
-        "near": positive
-        | {"description": f"uniform within this {'angle' if unit else 'distance'} of the vector in initial"},
-    }
-    if not unit and not energy_fault(cls.new(), name):
-        kinds["energy"] = {
-            "type": "number",
-            "description": "a direction uniform on the sphere, scaled to this energy of the whole state",
-        }
-    sections = [_closed({kind: value}) | {"required": [kind]} for kind, value in kinds.items()]
-    if unit:
-        sections.append({"const": "sphere", "description": "uniform on the unit sphere"})
-    return {"anyOf": sections}
+def _inlined(schema: Any, definitions: Schema) -> Any:
+    """The schema with its definitions in the place of the references to them."""
+    if isinstance(schema, list):
+        return [_inlined(item, definitions) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    named = definitions[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else {}
+    whole = {key: value for key, value in (named | schema).items() if key not in ("$ref", "title")}
+    return {key: _inlined(value, definitions) for key, value in whole.items()}
 
 
 SCHEMA_FILE = "topcli.schema.json"
