@@ -60,3 +60,14 @@ def test_lines_stand_out_from_the_reference_behind_them() -> None:
     reference = REFERENCE_LOOK["color"]
     assert lightness(reference) - max(map(lightness, cycle())) > 10.0
     assert lightness(reference) < 90.0
+
+
+@pytest.mark.parametrize("markers", [False, True])
+def test_a_scheme_has_its_colour_whatever_is_drawn_beside_it(markers: bool) -> None:
+    names = ["rk4", "hybrid", "splitting", "hk", "dg4"]
+    with styled():
+        together = looks(["another", *names], markers)
+        alone = {name: looks([name], markers)[name] for name in names}
+    assert {name: look["color"] for name, look in together.items() if name in names} == {
+        name: look["color"] for name, look in alone.items()
+    }
