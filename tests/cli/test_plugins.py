@@ -95,8 +95,11 @@ def test_broken_plugins_are_named_and_stop_nothing_else(tmp_path: Path) -> None:
         "lacks": ("import nonexistent_module_xyz", "nonexistent_module_xyz"),
         "leaves": ("import sys; sys.exit(3)", "SystemExit: 3"),
         "typo": ("def (", "SyntaxError"),
+        "late": (f"{SCHEME}\nraise ValueError('too late')", "ValueError: too late"),
     }
     site = install(tmp_path, **{name: text for name, (text, _) in broken.items()})
+    listed = json.loads(topcli_process("list", "schemes", "--json", cwd=tmp_path, path=site).stdout)["schemes"]
+    assert {item["origin"] for item in listed} == {"topcli"}
     assert topcli_process("run", HK, "--set", "N=20", "--quiet", cwd=tmp_path, path=site).returncode == 0
     found = json.loads(topcli_process("doctor", "--json", cwd=tmp_path, path=site).stdout)
     states = {plugin["name"]: plugin["state"] for plugin in found["plugins"]}
