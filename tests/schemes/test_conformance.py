@@ -138,6 +138,7 @@ CONSERVING = [
     if scheme.conserves or scheme.modified
     for top in TRIALS[scheme.top]
     for options in (choices(scheme, top) if top is TRIALS[scheme.top][0] else [scheme.options()])
+    if getattr(options, "free", "auto") != "axes"  # with rotations about all axes the momentum about one is not kept
 ]
 
 
@@ -145,11 +146,11 @@ CONSERVING = [
 @pytest.mark.parametrize("subject", CONSERVING, ids=str)
 def test_declared_invariants_are_exact(subject: Subject) -> None:
     """Round-off and no more, the modified ones of the scheme too, on several tops, states and step sizes."""
-    scheme, top = subject.scheme, subject.top
-    for y0, h in zip(
-        [gen(top), *states_of(top, 3, seed=11)], (0.1, 0.5 if scheme.modified else 0.05, 1e-2, 2e-3), strict=True
-    ):
-        assert exactness(top, subject.method, y0, h, watched(subject, h)) < 1.0
+    scheme, top, method = subject.scheme, subject.top, subject.method
+    N = 500 if isinstance(method, Stepper) and method.plain else 20_000
+    sizes = (0.1, 0.5 if scheme.modified else 0.05, 0.01, 0.002)
+    for y0, h in zip([gen(top), *states_of(top, 3, seed=11)], sizes, strict=True):
+        assert exactness(top, method, y0, h, watched(subject, h), N) < 1.0
 
 
 def watched(subject: Subject, h: float) -> list[Invariant]:

@@ -137,7 +137,8 @@ def exactness(
     states = Run(top, method, y0, h, N, 10).collect().states
     unit = 50.0 * np.finfo(float).eps * np.sqrt(N * stages)
     deviations = [
-        np.abs(one.value(states) - one.value(states[:1])).max() / (unit * one.scale(states).max()) for one in invariants
+        np.abs(one.value(states) - one.value(states[:1])).max() / (unit * one.scale(states).max() or 1.0)
+        for one in invariants
     ]
     return float(max(deviations, default=0.0))
 
