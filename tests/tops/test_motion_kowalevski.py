@@ -41,9 +41,9 @@ def motion(y, c0: float = 1.0, A: float = 2.0) -> Motion:
 def constants(y, c: float = 1.0) -> tuple[float, float, float, float]:
     """E, L = l c, G = c² gamma² and k², from the definitions."""
     w1, w2, w3, g1, g2, g3 = y
-    xi = complex(w1, w2) ** 2 - c * complex(g1, g2)
-    E = w1 * w1 + w2 * w2 + 0.5 * w3 * w3 + c * g1
-    return E, 0.5 * c * (2 * (w1 * g1 + w2 * g2) + w3 * g3), c * c * (g1 * g1 + g2 * g2 + g3 * g3), abs(xi) ** 2
+    E, two_l = w1 * w1 + w2 * w2 + w3 * w3 / 2 + c * g1, 2 * (w1 * g1 + w2 * g2) + w3 * g3
+    k_sq = (w1 * w1 - w2 * w2 - c * g1) ** 2 + (2 * w1 * w2 - c * g2) ** 2
+    return E, c * two_l / 2, c * c * (g1 * g1 + g2 * g2 + g3 * g3), k_sq
 
 
 def real_roots(E: float, L: float, G: float, k_sq: float) -> list[tuple[float, str]]:
