@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from cases import cases_of
 from conftest import ROOT, Said
 from injected import topcli_process
 from topcli import __version__
@@ -21,7 +22,6 @@ from topcli.__main__ import main
 from topcli.cli import options
 from topcli.config.load import load_named
 from topcli.engine.loop import Run
-from topcli.schemes.compose import COMPOSITIONS
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 HYBRID = str(ROOT / "configs" / "kowalevski_hybrid.yaml")
@@ -202,22 +202,30 @@ def test_shell_completion(tmp_path: Path, words: str, expected: str) -> None:
     assert expected in done.stdout.split()
 
 
-@pytest.mark.parametrize(
-    ("complete", "begin", "found"),
-    [
-        (options.complete_config, "kowalevski_hyb", ["kowalevski_hybrid", "kowalevski_hybrid_sym"]),
-        (options.complete_top, "lagr", ["lagrange", "lagrange/inertial"]),
-        (options.complete_figure, "work", ["work-precision"]),
-        (options.complete_scheme, "HK+k", ["hk+kahan-li6", "hk+kahan-li8"]),
-        (options.complete_scheme, "hk+", [f"hk+{name}" for name in COMPOSITIONS]),
-        (options.complete_scheme, "hybrid+", []),
-        (options.complete_scheme, "hk-e", ["hk-exact"]),
-    ],
-)
-def test_names_are_completed(complete, begin: str, found: list[str], in_tmp: Path) -> None:
-    assert [name for name in complete(begin) if name in found] == found
-    assert all(name.startswith(begin.lower()) for name in complete(begin))
-    assert found or not complete(begin)
+COMPLETED = """
+config kowalevski_hyb
+    kowalevski_hybrid kowalevski_hybrid_sym
+top lagr
+    lagrange lagrange/inertial
+figure work
+    work-precision
+scheme HK+k
+    hk+kahan-li6 hk+kahan-li8
+scheme hk+
+    hk+kahan-li6 hk+kahan-li8 hk+suzuki4 hk+yoshida4
+scheme hybrid+
+scheme hk-e
+    hk-exact
+"""
+
+
+@pytest.mark.parametrize(("given", "names"), cases_of(COMPLETED))
+def test_names_are_completed(given: str, names: list[str], in_tmp: Path) -> None:
+    kind, begin = given.split()
+    found = getattr(options, f"complete_{kind}")(begin)
+    assert set(found) >= {name for line in names for name in line.split()}
+    assert bool(found) == bool(names)
+    assert all(name.startswith(begin.lower()) for name in found)
 
 
 def test_errors_about_files_are_not_about_stdout(

@@ -124,19 +124,11 @@ def test_a_file_that_may_not_grow_is_closed_and_readable(tmp_path: Path, suffix:
 @pytest.mark.parametrize("fails", [False, True])
 def test_a_closed_pipe_does_not_change_the_code(tmp_path: Path, unbuffered: str, fails: bool) -> None:
     """The reader is gone before anything is printed: the worst case of ``| head -1``. Both runs are finished."""
-    failing = ("--set", "scheme=rk4", "--set", "h=40", "--set", "initial.omega=[1e6, 1e6, 1e6]")
-    arguments = ("run", "kowalevski_hk", "kowalevski_hk", "--set", "N=50", *(failing if fails else ()))
+    failing = ["--set", "scheme=rk4", "--set", "h=40", "--set", "initial.omega=[1e6, 1e6, 1e6]"]
+    arguments = ["run", "kowalevski_hk", "kowalevski_hk", "--set", "N=50", *(failing if fails else ())]
     read, write = os.pipe()
     os.close(read)
-    done = subprocess.run(
-        [sys.executable, "-m", "topcli", *arguments],
-        stdout=write,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
-    )
+    done = topcli_process(*arguments, cwd=tmp_path, stdout=write, env={"PYTHONUNBUFFERED": unbuffered})
     os.close(write)
     assert done.returncode == int(fails), done.stderr
     (folder,) = (tmp_path / "results").iterdir()

@@ -146,28 +146,30 @@ def test_no_argument_reaches_the_terminal_raw_or_at_length(cli, in_tmp: Path, co
         assert max(map(len, re.findall("x+", said.err)), default=0) <= limit
 
 
-TEXTS = [
-    BASE + f"{json.dumps(EVIL)}: 1\n",
-    BASE + f"a: *{'b' * 50_000}\n",
-    BASE + "a: *\u202ebc\n",
-    BASE + f"a: &{'b' * 50_000} [*{'b' * 50_000}]\n",
-    BASE.replace("name: x", f"name: {json.dumps(EVIL)}"),
-    BASE.replace("name: x", f"name: {json.dumps(LONG)}"),
-    BASE.replace("kowalevski", json.dumps(EVIL)),
-    BASE.replace("hk", json.dumps(LONG)),
-    BASE.replace("omega", json.dumps(EVIL)),
-    BASE.replace("omega", json.dumps(LONG[:100])),
-    BASE.replace("format: csv", f"columns: [{json.dumps(LONG)}, {json.dumps(EVIL)}]"),
-    BASE.replace("hk", f"{{name: hk, compose: {json.dumps(LONG)}}}"),
-    BASE + f"ensemble: {{random: {{count: 3, omega: {json.dumps(LONG)}, gamma: {json.dumps(EVIL)}}}}}\n",
-    BASE + f'ensemble: {{grid: {{{json.dumps(LONG)[:200]}": [1]}}}}\n',
-]
+TEXTS = r"""
+format: csv -> columns: [LONG, EVIL]
+format: csv -> format: csv\nEVIL: 1
+format: csv -> format: csv\na: *LONG
+format: csv -> format: csv\na: *BIDIbc
+format: csv -> format: csv\na: &LONG [*LONG]
+format: csv -> format: csv\nensemble: {random: {count: 3, omega: LONG, gamma: EVIL}}
+format: csv -> format: csv\nensemble: {grid: {LONG: [1]}}
+name: x -> name: EVIL
+name: x -> name: LONG
+kowalevski -> EVIL
+hk -> LONG
+hk -> {name: hk, compose: LONG}
+omega -> EVIL
+omega -> LONG
+"""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
-def test_no_content_of_a_config_reaches_the_terminal_raw(tmp_path: Path, text: str) -> None:
-    message = refusal(write(tmp_path, text.encode("utf-8", "surrogatepass")))
+@pytest.mark.parametrize(("change", "_"), cases_of(TEXTS))
+def test_no_content_of_a_config_reaches_the_terminal_raw(tmp_path: Path, change: str, _: list[str]) -> None:
+    old, new = change.replace("\\n", "\n").split(" -> ")
+    new = new.replace("EVIL", json.dumps(EVIL)).replace("LONG", LONG[:50_000]).replace("BIDI", "\u202e")
+    message = refusal(write(tmp_path, BASE.replace(old, new, 1).encode("utf-8", "surrogatepass")))
     assert_safe(message)
     assert len(message) <= MESSAGE_LENGTH
 
