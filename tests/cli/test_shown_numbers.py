@@ -25,6 +25,7 @@ from topcli.runs.report import INVARIANTS, ensemble_table
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import all_schemes
 from topcli.studies import checks, find_study
+from topcli.studies.bench import measure as bench
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.stress.cases import CASES
 from topcli.studies.stress.study import FAILURES, QUESTIONS, TRIALS, grid_of, printed
@@ -326,6 +327,17 @@ at the end: end_error
 largest drift: drift
 """)
     assert_shows(POINT_TABLE, data, points, point_columns)
+
+
+def test_a_benchmark_prints_its_closed_forms_and_points(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    form = {"name": "exact", "error": 3.4e-15, "seconds_per_state": 7.8e-6, "states": 321, "setup_seconds": 0.25}
+    measured = bench.bench
+    monkeypatch.setattr(bench, "bench", lambda *given, **more: {**measured(*given, **more), "closed_forms": [form]})
+    command = "bench hk --scene lagrange --against none --budget 0.001 --repetitions 1 --points"
+    out = " ".join(cli(*command.split()).out.split())
+    words = "3.4e-15, 7.8 µs a state over 321 states, after a set-up of 0.25 s"
+    assert f"in closed form, exact: distance from the reference {words}" in out
+    assert ": every point with µs per unit time quartiles" in out
 
 
 def test_trials_in_hard_cases_are_shown_with_their_verdicts() -> None:

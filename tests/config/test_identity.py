@@ -1,16 +1,19 @@
-"""Each key of a resolved config, changed in turn, gives another digest; only the name and the format do not."""
+"""Each key of a resolved config, changed in turn, gives another digest, and a run another name."""
 
 from __future__ import annotations
 
 import copy
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from topcli.config.load import load, load_experiment
+from topcli.config.load import load, load_experiment, load_named
 from topcli.config.load import load_experiment as single_from
+from topcli.config.models import changed_name, name_fault
+from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes
 
 PLACES = tuple[str | int, ...]
@@ -127,3 +130,64 @@ def test_every_key_of_an_ensemble_enters_its_digest(override: str) -> None:
 def test_name_and_format_of_an_ensemble_do_not_enter_its_digest() -> None:
     first = load("kowalevski_ensemble")
     assert load("kowalevski_ensemble", ["name=other", "output.format=csv"]).digest == first.digest
+
+
+# names of runs: that of the config, with the first digits of the digest if an override changes what is computed
+
+SCENE = "kowalevski_hk"
+
+
+@pytest.mark.parametrize(
+    "overrides", [[], ["output.format=csv"], ["h=0.001"], ["N=50000"], ["T=50"], ["scheme={name: HK}"]]
+)
+def test_an_override_that_changes_nothing_keeps_the_name(overrides: list[str]) -> None:
+    assert load_named(SCENE, overrides).name == SCENE
+
+
+@pytest.mark.parametrize(
+    ("scene", "override"),
+    [
+        (SCENE, "h=0.01"),
+        (SCENE, "output.every=2"),
+        (SCENE, "output.columns=[t, gamma1]"),
+        (SCENE, "initial.gamma=[0, 0, 1]"),
+        (SCENE, "T=5"),
+        ("euler_ensemble", "h=0.01"),
+    ],
+)
+def test_an_override_that_changes_the_run_changes_its_name(scene: str, override: str) -> None:
+    found = load_named(scene, [override])
+    assert found.name == found.resolved()["name"] == f"{scene}-{load(scene, [override]).digest[:6]}"
+    assert found.digest == load(scene, [override]).digest
+
+
+def test_a_name_that_is_given_wins(tmp_path: Path) -> None:
+    assert load_named(SCENE, ["h=0.01"], "mine").name == "mine"
+    assert load_named(SCENE, ["h=0.01", "name=mine"]).name == "mine"
+    assert load_named(SCENE, [], "mine").name == "mine"
+    file = tmp_path / "file.yaml"
+    file.write_text(load(SCENE).to_yaml().replace(SCENE, "inside"))
+    assert load_named(file, ["h=0.01"]).name.startswith("inside-")
+
+
+def test_a_config_that_overrides_complete_has_a_name(tmp_path: Path) -> None:
+    file = tmp_path / "part.yaml"
+    file.write_text("top: euler\ninitial: {omega: [1, 1, 1]}\nh: 0.1\nN: 10\n")
+    found = load_named(file, ["scheme=hk"])
+    assert found.name == f"part-{found.digest[:6]}"
+
+
+@pytest.mark.parametrize("base", ["x", "n" * 100, "é" * 97, "ab " * 33])
+def test_a_default_name_is_a_name(base: str) -> None:
+    assert not name_fault(base.strip())
+    name = changed_name(base.strip(), "0123456789abcdef")
+    assert name_fault(name) == ""
+    assert name.endswith("-012345")
+    assert base.startswith(name.removesuffix("-012345"))
+
+
+def test_a_run_is_named_once() -> None:
+    with pytest.raises(UsageError, match="--name 'y': --set name=x names the run too; keep one of them"):
+        load_named(SCENE, ["name=x"], "y")
+    with pytest.raises(UsageError, match="--name must not hold a path separator: 'a/b'"):
+        load_named(SCENE, [], "a/b")
