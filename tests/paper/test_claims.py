@@ -101,7 +101,7 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
 
     def printed(found: Claims, details: bool = False, as_json: bool = False) -> tuple[int, str, str]:
         def measure(watch: Watch = SILENT) -> Result:
-            return decided_result(replace(found, named=details), watch)
+            return decided_result(replace(found, named=details))
 
         code = 0
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 HOLDS = "holds"
@@ -10,6 +11,17 @@ HOLDS_WITHIN = "holds within"
 FAILS = "does not hold as stated"
 MISPRINT = "misprint"
 NOT_TRIED = "not tried"
+
+
+def summary_of(claims: Mapping[str, int], findings: Mapping[str, int]) -> str:
+    """Number of claims of the paper and of findings of ours, each with the number for each verdict."""
+    parts = []
+    for counts, noun in ((claims, "claim{} of the paper"), (findings, "finding{} of ours")):
+        if counts:
+            total = sum(counts.values())
+            verdicts = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items())
+            parts.append(f"{total} {noun.format('s' if total > 1 else '')}; {verdicts}")
+    return ". ".join(parts)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from topcli.errors import RunError
-from topcli.paper.claim import FAILS, HOLDS_WITHIN, NOT_TRIED, Bound, Measurement, number_text
+from topcli.paper.claim import FAILS, HOLDS_WITHIN, NOT_TRIED, Bound, Measurement, number_text, summary_of
 from topcli.paper.ledger import Check, Claim, Ledger, ledger
 from topcli.runs.report import finite
 
@@ -133,13 +133,7 @@ class Claims:
     @property
     def summary(self) -> str:
         """Number of claims of the paper and of findings of ours, each with the number for each verdict."""
-        parts = []
-        for counts, noun in ((self.counts, "claim{} of the paper"), (self.findings, "finding{} of ours")):
-            if counts:
-                total = sum(counts.values())
-                verdicts = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items())
-                parts.append(f"{total} {noun.format('s' if total > 1 else '')}; {verdicts}")
-        return ". ".join(parts)
+        return summary_of(self.counts, self.findings)
 
     @property
     def counts(self) -> dict[str, int]:

@@ -8,7 +8,7 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Annotated
 
-from topcli.paper.claim import FAILS, HOLDS, NOT_TRIED, category_of, number_text
+from topcli.paper.claim import FAILS, HOLDS, NOT_TRIED, category_of, number_text, summary_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Data, Faults, Flag, Head, Result, Study
 from topcli.table import Column, Table
@@ -71,12 +71,11 @@ def measure(
 
     ledger().chosen((ids,) if isinstance(ids, str) else ids, fast)
     watch.begin("claims")
-    return decided_result(decide_claims(ids, fast=fast, on_progress=watch), watch)
+    return decided_result(decide_claims(ids, fast=fast, on_progress=watch))
 
 
-def decided_result(claims: Claims, watch: Watch = SILENT) -> Result:
-    """Result of decided claims, whose summary is a message."""
-    watch.message(claims.summary)
+def decided_result(claims: Claims) -> Result:
+    """Result of decided claims."""
     return Result(claims.as_dict(), of=claims)
 
 
@@ -152,7 +151,9 @@ def head(data: Data) -> Head:
 
 
 def notes(data: Data) -> Iterator[str]:
-    """Claims that were not tried."""
+    """Numbers of claims for each verdict, and claims that were not tried."""
+    if summary := summary_of(data.get("verdicts", {}), data.get("findings", {})):
+        yield summary
     yield from (f"{row['id']}: {row['note']}" for row in data["claims"] if str(row.get("note")).startswith(NOT_TRIED))
 
 
