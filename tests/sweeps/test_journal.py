@@ -298,13 +298,13 @@ def test_a_large_sweep_is_planned_in_bounded_memory_and_operations() -> None:
     calls(1000)
     few, many = calls(1000), calls(2000)
     assert (many - few) / 1000 < 110
-    found = load_sweep(data(50_000))
+    found = load_sweep(data(100_000))
     tracemalloc.start()
     try:
         surveyed = survey(found)
-        assert surveyed.count == 50_000
+        assert surveyed.count == 100_000
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert kept < 26 * 50_000
-    assert peak < 60 * 50_000
+    assert kept < 26 * 100_000
+    assert peak < 60 * 100_000
