@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 import topcli
@@ -83,21 +82,6 @@ def test_a_running_ensemble_shows_what_it_computes(tmp_path: Path) -> None:
 
     stored = run_experiment(experiment(), tmp_path, RunOptions(on_progress=progress)).stored
     assert seen == {stored.manifest["digest"]}
-
-
-def test_a_row_group_for_each_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stored = run(tmp_path).stored
-    file = pq.ParquetFile(stored.series)
-    groups = [file.metadata.row_group(i) for i in range(file.num_row_groups)]
-    assert [group.num_rows for group in groups] == [64 * 21, 6 * 21]
-    assert [group.column(0).statistics.min for group in groups] == [0, 64]  # found without reading the rest
-    whole = columns(stored.series)
-    monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
-    pieces = pq.ParquetFile(run_experiment(experiment(), tmp_path / "cut").stored.series)
-    assert pieces.num_row_groups == 6  # three stretches of time for each block
-    cut = pieces.read()
-    order = np.lexsort((cut["n"].to_numpy(), cut["trajectory"].to_numpy()))
-    assert all(np.array_equal(cut[name].to_numpy()[order], whole[name]) for name in whole)
 
 
 def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -238,7 +238,6 @@ def test_columns_are_renamed(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("omega1", "--columns 'omega1': write NAME=COLUMN, such as omega1=w_x"),
-        ("omega1=", "--columns 'omega1=': write NAME=COLUMN, such as omega1=w_x"),
         ("omga1=w", "--columns 'omga1=w': unknown name 'omga1'; did you mean 'omega1' or 'omega3'?"),
         ("t=a,t=b", "--columns 't=b': t is given twice"),
         ("omega1=w", "--columns omega1=w: {path} has no column 'w'; known: omega1, omega2, omega3, t"),
@@ -292,10 +291,8 @@ ROUNDED = ("rms_deviation", "rms_deviation_relative", "drift_error", "scatter", 
     ("scene", "sets"),
     [
         ("kowalevski_hk", ["N=20000"]),
-        ("euler_hk", ["N=3000", "h=-0.01"]),
-        ("euler_gamma", ["N=3000", "output.format=csv"]),
+        ("euler_hk", ["N=3000", "h=-0.01", "output.every=3", "output.format=csv"]),
         ("lagrange_bs", ["N=4001", "output.every=7"]),
-        ("heavy_rk4", ["N=3000", "output.format=csv", "output.every=3"]),
     ],
 )
 def test_a_stored_run_gets_its_own_report(tmp_path: Path, scene: str, sets: list[str]) -> None:
