@@ -6,6 +6,7 @@ import json
 import math
 import os
 import pickle
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +19,7 @@ import topcli
 from conftest import ROOT
 from sweeping import BASE, DATA, MANY, sweep, table, with_grid
 from topcli.config.files import scene_files
-from topcli.config.rows import RowReader
+from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import load_sweep
 from topcli.config.text import parse_yaml
 from topcli.errors import RunError, UsageError
@@ -148,8 +149,22 @@ FAILING = {**DATA, "grid": {"h": [0.01, 3.0, 0.02]}, "base": {**BASE, "scheme": 
 
 def test_a_failed_row_stays_a_row(tmp_path: Path) -> None:
     messages: list[tuple[int, str]] = []
-    result = sweep(tmp_path, FAILING, on_failure=lambda row, outcome, _: messages.append((row.number, outcome)))
+    notes: list[str] = []
+
+    def together(made: Iterable[list[Row]], work: Work, stop: object) -> Iterator[tuple[list[Row], Results]]:
+        rows = [row for batch in made for row in batch]
+        yield rows, work(rows)
+
+    options = SweepOptions(
+        on_failure=lambda row, outcome, _: messages.append((row.number, outcome)),
+        on_progress=lambda done, total, note: notes.append(f"{done} of {total} {note}"),
+    )
+    result = run_sweep(load_sweep(FAILING), tmp_path, options, together)
     assert messages == [(1, "blew_up")]
+    assert notes == ["3 of 3 1 failed"]
+    sweep(tmp_path, on_progress=lambda *counts: notes.append(counts[-1]))
+    assert set(notes[1:]) == {""}
+    sweep(tmp_path, FAILING)
     assert (result.failed, result.finished) == (1, 3)
     row = table(tmp_path)[1]
     assert row["outcome"] == "blew_up"
