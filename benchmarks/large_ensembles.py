@@ -32,14 +32,15 @@ def worker(members: int, steps: int, store: str) -> None:
     """Run one ensemble; print its figures as JSON."""
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.load import load
-    from topcli.runs.ensemble import run_ensemble
+    from topcli.runs.decision import RunOptions
+    from topcli.runs.run import run_experiment
 
     settings = {"ensemble.random.count": members, "ensemble.store": store, "N": steps, "output.every": steps}
     found = load("kowalevski_ensemble", [f"scheme={SCHEME}", *(f"{key}={value}" for key, value in settings.items())])
     assert isinstance(found, EnsembleExperiment)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        run_ensemble(found, Path(folder), threads=1)
+        run_experiment(found, Path(folder), RunOptions(threads=1))
     unit = 1 if sys.platform == "darwin" else 1024
     figures = {
         "wall_seconds": time.perf_counter() - start,
