@@ -409,7 +409,7 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, mon
         {"top": "euler", "scheme": scheme, "case": case, "outcome": outcome, "step": step, "verdict": verdict}
         for (scheme, case), (outcome, step, verdict) in outcomes.items()
     ]
-    monkeypatch.setattr("topcli.figures.outcomes._study", lambda request: ({"trials": trials}, ""))
+    monkeypatch.setattr("topcli.figures.outcomes.current_study", lambda *arguments: {"trials": trials})
     figure = drawn(FIGURES["stress"].load(Request(tmp_path)))
     (axes,) = figure.axes
     assert axes.get_xlabel() == "euler"

@@ -155,7 +155,7 @@ def _stress(patch: pytest.MonkeyPatch, folder: Path) -> None:
         for case in CASES
         if case.form == scheme.top
     ]
-    patch.setattr("topcli.figures.outcomes._study", lambda request: ({"trials": trials}, ""))
+    patch.setattr("topcli.figures.outcomes.current_study", lambda *arguments: {"trials": trials})
 
 
 def spacings(name: str, sizes: np.ndarray) -> np.ndarray:
