@@ -13,7 +13,7 @@ from topcli.errors import RunError, UsageError
 from topcli.runs.decision import Decision, RunOptions, decide
 from topcli.runs.identity import Identity
 from topcli.runs.run import run_experiment
-from topcli.store.folder import Folder, Source
+from topcli.store.folder import Folder, Resumable
 from topcli.store.manifest import REPORT, StoredRun
 from topcli.store.parts import Part
 
@@ -66,10 +66,10 @@ def part(alive: bool = False, digest: str = MINE.digest) -> Part:
     return Part(OUT / f".{NAME}.part-7-00000000", {"pid": 7, "digest": digest}, alive)
 
 
-def left(done: int, *, where: Any = None, complete: bool = False, **changes: Any) -> Source:
+def left(done: int, *, where: Any = None, complete: bool = False, **changes: Any) -> Resumable:
     """What a killed process has left at step ``done``, or an interrupted run."""
     checkpoint: Any = None if complete else object()
-    return Source(where or part(), done, checkpoint, manifest(**changes))
+    return Resumable(where or part(), done, checkpoint, manifest(**changes))
 
 
 OTHER_RUN = run(digest="b" * 64, config=config(h=0.2, name="earlier"))

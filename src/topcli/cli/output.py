@@ -17,7 +17,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, TextIO
 
 from topcli.errors import TopcliError, clipped, printable
-from topcli.show.progress import PATIENCE, Bar, Pace, percent, plain_console, spell_seconds
+from topcli.show.progress import PATIENCE, Bar, Rate, percent, plain_console, spell_seconds
 from topcli.table import Cells
 
 if TYPE_CHECKING:
@@ -175,14 +175,14 @@ class ProgressDisplay:
         self._note = ""
         self._index, self._name = 0, ""
         self._began = self._reported = clock()
-        self._pace = Pace(self._unit)
+        self._pace = Rate(self._unit)
         self._bar: Bar | None = None
 
     def begin(self, name: str) -> None:
         """Begin the next run."""
         self._index, self._name = self._index + 1, name
         self._began = self._reported = self._clock()
-        self._pace = Pace(self._unit)
+        self._pace = Rate(self._unit)
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show that ``done`` of ``total`` steps of this run are done, and a ``note`` behind it."""

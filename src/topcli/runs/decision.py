@@ -11,7 +11,7 @@ from topcli.config.models import OUTSIDE_IDENTITY, name_fault
 from topcli.contracts import Outcome
 from topcli.errors import UsageError
 from topcli.runs.identity import Identity
-from topcli.store.folder import Folder, Source, link_error
+from topcli.store.folder import Folder, Resumable, link_error
 from topcli.store.series import damaged
 
 CHECKPOINT_SECONDS = 10.0
@@ -62,7 +62,7 @@ class Decision:
 
     verb: Literal["run", "rewrite", "leave"]
     action: str
-    source: Source | None = None
+    source: Resumable | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -88,7 +88,7 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
     return decision
 
 
-def _run(identity: Identity, folder: Folder, options: RunOptions, source: Source | None) -> Decision:
+def _run(identity: Identity, folder: Folder, options: RunOptions, source: Resumable | None) -> Decision:
     """Decision to run, from the start or from ``source``, in the place of the run that is there."""
     notes = _notes(identity, folder, options, source)
     begin = f"will continue from step {source.done}" if source else "will run"
@@ -121,7 +121,7 @@ def _running(identity: Identity, folder: Folder) -> int | None:
     return next((owner["pid"] for owner in owners if owner.get("digest") == identity.digest), None)
 
 
-def _notes(identity: Identity, folder: Folder, options: RunOptions, source: Source | None) -> tuple[str, ...]:
+def _notes(identity: Identity, folder: Folder, options: RunOptions, source: Resumable | None) -> tuple[str, ...]:
     """Reports before a run starts at step 0: of what ``--resume`` would continue, and of the process that runs it."""
     if options.resume:
         return () if source else ("nothing to resume; starting from step 0",)
@@ -136,7 +136,7 @@ def _notes(identity: Identity, folder: Folder, options: RunOptions, source: Sour
     return tuple(notes)
 
 
-def _source(identity: Identity, folder: Folder) -> Source | None:
+def _source(identity: Identity, folder: Folder) -> Resumable | None:
     """Unfinished run of the same experiment and code that got furthest; None if there is none to continue.
 
     Raises UsageError if another process is running it, or if an unfinished run of that name is of a different

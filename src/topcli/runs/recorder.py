@@ -36,7 +36,7 @@ Rows = tuple[NDArray[np.int64], Array]
 """Step numbers (m,) and states (m, d)."""
 
 
-class Batch:
+class PendingRows:
     """Rows waiting to be evaluated and written."""
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class Recorder:
         self._modified = experiment.modified
         self._invariants = (*experiment.top.invariants(), *self._modified)
         self._names = experiment.recorded
-        self._batch = Batch()
+        self._batch = PendingRows()
         self.tally = self.new_tally()
         self.series = SeriesWriter(path, self.all_names(self._names), metadata, start.series if start else None)
         if start is not None:

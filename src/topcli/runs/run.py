@@ -16,7 +16,7 @@ from topcli.runs.decision import Decision, RunOptions, decide, difference
 from topcli.runs.identity import Identity, prepared
 from topcli.runs.recording import Origin, Recording, SingleRecording, config_text, table_metadata
 from topcli.store.checkpoint import Checkpoint
-from topcli.store.folder import Folder, RunWriter, Source
+from topcli.store.folder import Folder, Resumable, RunWriter
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.parts import is_result, remove_own
 from topcli.store.provenance import Commit, environment, now
@@ -110,7 +110,7 @@ def run_experiment(
     return RunResult(stored, report, "resumed" if start else "ran", writer.set_aside)
 
 
-def _checked_start(identity: Identity, writer: RunWriter, source: Source, tell: Callable[[str], None]) -> Checkpoint:
+def _checked_start(identity: Identity, writer: RunWriter, source: Resumable, tell: Callable[[str], None]) -> Checkpoint:
     """Checkpoint of a run to be resumed, now that this process holds its lock.
 
     Raises UsageError if the folder has changed since ``source`` was seen.

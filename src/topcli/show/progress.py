@@ -34,7 +34,7 @@ def percent(done: int, total: int) -> str:
     return f"{1000 * done // total / 10:.1f}%"
 
 
-class Pace:
+class Rate:
     """Rate over the last half minute, and the time left at that rate."""
 
     def __init__(self, unit: str) -> None:
@@ -111,7 +111,7 @@ class Progress(Watch):
     ) -> None:
         self._name, self._clock = printable(name), clock
         self._console = progress_console() if shown else None
-        self._pace = Pace(unit)
+        self._pace = Rate(unit)
         self._began = clock()
         self._bar: Bar | None = None
 

@@ -42,7 +42,7 @@ _KEPT = "what its last checkpoint holds is kept, and --resume continues it when 
 
 
 @dataclass(frozen=True)
-class Source:
+class Resumable:
     """A run to continue after ``done`` steps: one that was stopped before its end, or one that was killed.
 
     ``checkpoint`` is None for a complete run that only has to be renamed into its place. ``about`` is its manifest, or
@@ -71,7 +71,7 @@ class Folder:
         True if the place is a symbolic link.
     parts : tuple of Part
         Runs in progress, and what killed processes left.
-    sources : tuple of Source
+    sources : tuple of Resumable
         Runs of this name that can be continued, in the place, in parts and set aside.
     damaged_checkpoint : Path or None
         A checkpoint from which nothing can be continued, if there is no source.
@@ -84,7 +84,7 @@ class Folder:
     damage: Mapping[str, str] = field(default_factory=dict)
     linked: bool = False
     parts: tuple[Part, ...] = ()
-    sources: tuple[Source, ...] = ()
+    sources: tuple[Resumable, ...] = ()
     damaged_checkpoint: Path | None = None
 
     @property
@@ -125,24 +125,24 @@ class Folder:
         return cls(out, name, (), run, damage, target.is_symlink(), parts, sources, damaged_checkpoint)
 
 
-def _left_by_killed(parts: tuple[Part, ...]) -> Iterator[Source]:
+def _left_by_killed(parts: tuple[Part, ...]) -> Iterator[Resumable]:
     for part in parts:
         if part.alive:
             continue
         stored = stored_run(part.folder)
         if stored is not None and not stored.interrupted:
-            yield Source(part, stored.manifest.get("step", 0), None, stored.manifest)
+            yield Resumable(part, stored.manifest.get("step", 0), None, stored.manifest)
         elif checkpoint := read_checkpoint(part.folder):
-            yield Source(part, checkpoint.done, checkpoint, checkpoint.about)
+            yield Resumable(part, checkpoint.done, checkpoint, checkpoint.about)
 
 
-def _interrupted(places: list[Path], name: str) -> Iterator[Source]:
+def _interrupted(places: list[Path], name: str) -> Iterator[Resumable]:
     for place in places:
         stored = stored_run(place)
         if stored is None or not stored.interrupted or stored.manifest["name"] != name:
             continue
         if checkpoint := read_checkpoint(place):
-            yield Source(stored, checkpoint.done, checkpoint, checkpoint.about)
+            yield Resumable(stored, checkpoint.done, checkpoint, checkpoint.about)
 
 
 def link_error(target: Path) -> UsageError:
