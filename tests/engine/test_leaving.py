@@ -24,7 +24,7 @@ from topcli.runs.run import run_experiment
 from topcli.runs.simulate import simulate, simulate_ensemble
 from topcli.schemes.registry import find_scheme
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, stays_bounded
-from topcli.studies.stress.trials import tried
+from topcli.studies.stress.trials import judged_trial
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -253,7 +253,7 @@ def test_stress_counts_left_motion_as_broken() -> None:
     resolved = load_experiment("kowalevski_hk").resolved()
     config = {key: resolved[key] for key in ("top", "initial")} | {"h": 2.0, "N": 100}
     case = Case("far", "kowalevski", "?", lambda: config, stays_bounded)
-    judged = tried(case, find_scheme("hk", "kowalevski"), CaseCache())
+    judged = judged_trial(case, find_scheme("hk", "kowalevski"), CaseCache())
     assert judged.finding.result is CaseOutcome.BROKE
     assert judged.finding.figures["largest"] == pytest.approx(7.05e10, rel=0.05)
     assert (judged.finding.step, judged.finding.why) == (14, "left its energy surface at step 14 (t = 28)")

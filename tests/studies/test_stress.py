@@ -29,7 +29,7 @@ from topcli.studies.stress.cases import (
     swing_time,
 )
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial
-from topcli.studies.stress.trials import Judged, stress, verdict_of
+from topcli.studies.stress.trials import JudgedTrial, stress, verdict_of
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -272,7 +272,7 @@ def test_interpreted_schemes_take_some_four_hundred_longer_steps() -> None:
 
 
 @pytest.fixture(scope="module")
-def fast() -> list[Judged]:
+def fast() -> list[JudgedTrial]:
     """All schemes of the registry but those of the interpreter, in all cases but the slowest."""
     plain = {scheme.name for scheme in all_schemes() if scheme.adaptive}
     names = sorted({scheme.name for scheme in all_schemes()} - plain)
@@ -280,7 +280,7 @@ def fast() -> list[Judged]:
 
 
 @pytest.mark.slow
-def test_what_breaks_is_declared_and_what_is_declared_breaks(fast: list[Judged]) -> None:
+def test_what_breaks_is_declared_and_what_is_declared_breaks(fast: list[JudgedTrial]) -> None:
     wrong = [
         (one.scheme.name, one.scheme.top, one.case.name, one.verdict)
         for one in fast
@@ -290,7 +290,7 @@ def test_what_breaks_is_declared_and_what_is_declared_breaks(fast: list[Judged])
     assert sum(one.verdict == "limit" for one in fast) > 30
 
 
-def test_every_form_has_its_cases(fast: list[Judged]) -> None:
+def test_every_form_has_its_cases(fast: list[JudgedTrial]) -> None:
     for scheme in {one.scheme.name: one.scheme for one in fast}.values():
         asked = {case.name for case in CASES if case.form == scheme.top}
         assert {one.case.name for one in fast if one.scheme == scheme} == asked - set(SLOW)

@@ -60,14 +60,14 @@ def exact_method(top: Top) -> Sampler | None:
     return method if isinstance(method, Sampler) else None
 
 
-def closed_form(top: Top, scheme: Scheme) -> Sampler | None:
-    """Closed-form solution to compare runs of ``scheme`` with; None if the only one is the scheme itself."""
-    return None if top.form in LESS_ACCURATE or scheme.name == EXACT else exact_method(top)
-
-
 def reference_kind(top: Top, scheme: Scheme) -> str:
-    """Kind of the reference that sweeps compare runs of ``scheme`` with: the closed form if it is as accurate."""
-    return EXACT if closed_form(top, scheme) else TAYLOR
+    """Kind of the reference that sweeps compare runs of ``scheme`` with.
+
+    The closed form if it is as accurate as the series, and not the scheme itself.
+    """
+    if top.form in LESS_ACCURATE or scheme.name == EXACT:
+        return TAYLOR
+    return EXACT if exact_method(top) else TAYLOR
 
 
 def reference_form(top: Top, kind: str) -> Sampler | None:
@@ -86,7 +86,7 @@ def reference_form(top: Top, kind: str) -> Sampler | None:
 
 def obstacle(top: Top, scheme: Scheme) -> str:
     """Reason why there is no reference for runs of ``top`` under ``scheme``; empty if there is one."""
-    return "" if closed_form(top, scheme) else reference_obstacle(top)
+    return "" if reference_kind(top, scheme) == EXACT else reference_obstacle(top)
 
 
 def _closed_states(exact: Sampler, top: Top, y0: Array, h: float, n: NDArray[np.int64]) -> Array:

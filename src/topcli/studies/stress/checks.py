@@ -23,10 +23,10 @@ from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Sampler, Stepper, Top
+from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
 from topcli.engine.driver import Loop, loop_of
 from topcli.engine.loop import Run
-from topcli.schemes.registry import find_scheme
+from topcli.runs.references import exact_method
 
 EPS = float(np.finfo(float).eps)
 PLAIN_STEPS = 400
@@ -128,9 +128,9 @@ class Trial:
 
     def closed_form(self, n: NDArray[np.int64]) -> Array:
         """Return the states of the closed form of the top after ``n`` (m,) steps, (m, d)."""
-        method = find_scheme("exact", self.top.form).build(self.top, None)
-        assert isinstance(method, Sampler)
-        return method.states(np.array(self.y0), self.h, n, self.top.constants())
+        exact = exact_method(self.top)
+        assert exact is not None
+        return exact.states(np.array(self.y0), self.h, n, self.top.constants())
 
     def claimed(self, h: float) -> list[Invariant]:
         """Invariants that the scheme claims to conserve to round-off at the step ``h``."""

@@ -36,7 +36,7 @@ CODE_FAILED = "code failed"
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedTrial:
     """The finding of a trial and its verdict.
 
     ``verdict`` is ``"limit"`` if the scheme broke as it declares, ``"unexplained"`` if it broke without declaring it,
@@ -80,13 +80,13 @@ def verdict_of(scheme: Scheme, case: str, result: CaseOutcome) -> str:
     return "outlived limit" if declared and "+" not in scheme.name else "ok"
 
 
-def tried(
+def judged_trial(
     case: Case,
     scheme: Scheme,
     cache: CaseCache,
     options: Mapping[str, Any] | None = None,
     generic: Case | None = None,
-) -> Judged:
+) -> JudgedTrial:
     """Try one scheme in one case.
 
     An order that is lost in the ``generic`` case of the top as well, if that is given, counts as a false declaration.
@@ -118,7 +118,7 @@ def tried(
         finding, failed = Finding(CaseOutcome.BROKE, str(known_error), 0), True
     limit = scheme.limits.get(case.name, "")
     verdict = CODE_FAILED if failed else verdict_of(scheme, case.name, finding.result)
-    return Judged(case, scheme, finding, verdict, limit, counters, time.perf_counter() - start)
+    return JudgedTrial(case, scheme, finding, verdict, limit, counters, time.perf_counter() - start)
 
 
 def generic_case(form: str) -> Case:
@@ -183,7 +183,7 @@ def stress(
     top: str | None = None,
     options: Mapping[str, Any] | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Judged]:
+) -> list[JudgedTrial]:
     """Try every chosen scheme in every chosen case of its top, in the order of the registry.
 
     Each of ``options`` is set for the schemes that have it. Raises UsageError for unknown schemes, cases and tops.
@@ -191,9 +191,9 @@ def stress(
     used, wanted = chosen(schemes, cases, top)
     pairs = [(case, scheme) for scheme in used for case in wanted if case.form == scheme.top]
     cache = CaseCache()
-    done: list[Judged] = []
+    done: list[JudgedTrial] = []
     for case, scheme in pairs:
-        done.append(tried(case, scheme, cache, options, generic_case(case.form)))
+        done.append(judged_trial(case, scheme, cache, options, generic_case(case.form)))
         on_progress(len(done), len(pairs))
     return done
 
@@ -201,7 +201,7 @@ def stress(
 SCHEMA_VERSION = 1
 
 
-def stress_data(judged: Sequence[Judged]) -> dict[str, Any]:
+def stress_data(judged: Sequence[JudgedTrial]) -> dict[str, Any]:
     """Return the study as plain data: the cases, the trials, and the number of each outcome and verdict."""
     asked = {(trial.case.name, trial.case.form): trial.case for trial in judged}
     outcomes = [trial.finding.result.value for trial in judged]
@@ -225,5 +225,5 @@ def stress_source() -> str:
     checks = [
         [case.name, case.form, case.question, fingerprint(case.check, case.config, compiled=False)] for case in CASES
     ]
-    text = json.dumps([schemes, checks, fingerprint(tried, false_order, compiled=False)])
+    text = json.dumps([schemes, checks, fingerprint(judged_trial, false_order, compiled=False)])
     return hashlib.sha256(text.encode()).hexdigest()
