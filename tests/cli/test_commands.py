@@ -132,6 +132,7 @@ def test_another_experiment_of_a_name_is_told_by_the_keys_that_differ(cli) -> No
     assert "the existing different run is renamed" in cli(*words, "--set", "h=0.1", "--dry-run", "--force").out
 
 
+@pytest.mark.slow
 def test_run_and_show_name_a_changed_run_by_its_digest(cli) -> None:
     name = load_named("kowalevski_hk", ["h=0.01", "N=20"]).name
     sets = ("--set", "h=0.01", "--set", "N=20")

@@ -56,6 +56,7 @@ def sources() -> str:
     return " ".join(re.sub(r"\s+", " ", one.read_text(encoding="utf-8")) for one in files if one.name != "schemes.md")
 
 
+@pytest.mark.slow
 def test_every_work_is_cited() -> None:
     cited = {entry.key for text in (*citations(), sources()) for entry in works_in(text)}
     assert set(bibliography()) - cited == {"topcli"}

@@ -215,6 +215,7 @@ def test_every_cell_of_a_study_is_the_value_of_its_field(case: str) -> None:
         assert_shows(table, data, rows, columns)
 
 
+@pytest.mark.slow
 def test_a_command_prints_the_tables_and_the_data_of_its_study(cli: Cli) -> None:
     command = ("lax", "euler", "hk", "--set", "N=40")
     report = topcli.lax("euler", "hk", overrides=["N=40"])

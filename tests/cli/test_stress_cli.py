@@ -177,6 +177,7 @@ def test_the_stored_study_is_drawn_and_not_run_again(
         made()
 
 
+@pytest.mark.slow
 def test_the_source_of_the_study_does_not_depend_on_the_order_of_imports() -> None:
     """Schemes are imported when a config first names them; the stored study stays up to date whichever came first."""
     before = stress_source()

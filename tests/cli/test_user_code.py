@@ -177,6 +177,7 @@ measure: [%s]
 """
 
 
+@pytest.mark.slow
 def test_init_chooses_a_scheme_that_the_top_can_have(cli: Cli, in_tmp: Path) -> None:
     """dmv, the first by name, needs equations that a gyrostat does not give."""
     for name, text in read_page(ROOT / "docs" / "own-scheme.md").files().items():

@@ -130,6 +130,7 @@ def test_any_value_of_a_key_loads_or_is_refused(key: str, value: object) -> None
 # --- round trips ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(CONFIG)
 @given(text=pieces(TOML_PIECES) | spliced(GENERIC))
 def test_toml_lines_hold_their_keys(text: str) -> None:

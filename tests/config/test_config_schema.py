@@ -106,6 +106,7 @@ def test_schema_refuses_what_the_loader_refuses(text: str, _: list[str]) -> None
         load(data)
 
 
+@pytest.mark.slow
 def test_schema_accepts_what_the_loader_accepts() -> None:
     texts = [ACCEPTED.format(composition=name) for name in COMPOSITIONS]
     for text in "".join([ENSEMBLES, *texts]).split("\n"):
@@ -185,6 +186,7 @@ def test_starter_config_refuses_unknown_names_and_takes_compositions(tmp_path: P
 DOCS = (ROOT / "docs" / "ensembles.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", re.findall(r"```yaml\n(.*?)```", DOCS, re.DOTALL))
 def test_the_configs_of_the_docs_are_ensembles(tmp_path: Path, text: str) -> None:
     found = load(write(tmp_path, text))
@@ -204,6 +206,7 @@ def test_the_draws_of_the_docs_are_all_that_exist() -> None:
 # names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "name"),
     [("E", "energy"), ("2l", "two_l"), ("k²", "k_sq"), ("γ²", "gamma_sq"), ("k^2", "k_sq"), ("gamma^2", "gamma_sq")],

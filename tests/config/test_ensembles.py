@@ -41,6 +41,7 @@ def same(one: EnsembleExperiment, other: EnsembleExperiment) -> bool:
     return one.digest == other.digest and np.array_equal(states(one), states(other))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ENSEMBLES, ids=lambda path: path.name)
 def test_the_shipped_ensembles_round_trip(path: Path, tmp_path: Path) -> None:
     found = load(path)
@@ -221,6 +222,7 @@ TOPS.update({"renamed": Renamed, "rotor": Rotor, "nameless": Nameless})
 """
 
 
+@pytest.mark.slow
 def test_the_energy_of_a_top_is_the_invariant_that_it_names(tmp_path: Path) -> None:
     """For draws, their schema and the outcome left_motion alike, whatever the invariant is called."""
 

@@ -108,6 +108,7 @@ ODD_TOML = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "says", "suffix"),
     [*((*case, "yaml") for case in ODD), *((*case, "toml") for case in ODD_TOML)],

@@ -102,6 +102,7 @@ def test_the_page_of_a_study_has_its_tables(study: str, tmp_path: Path) -> None:
 VERDICTS = {"exact": GREEN, "bounded": "", "drifting": AMBER, "lost": RED, "unjudged": ""}
 
 
+@pytest.mark.slow
 def test_verdicts_on_invariants_have_their_colours(tmp_path: Path) -> None:
     folder = store_run(tmp_path, "one")
     path = folder / "report.json"
@@ -184,6 +185,7 @@ def test_verdicts_on_claims_have_their_colours() -> None:
     assert {cells[at]: colours[at] for cells, colours in rows} == verdicts
 
 
+@pytest.mark.slow
 def test_a_comparison_says_how_many_entries_failed_and_why() -> None:
     found = topcli.compare("rk4", "exact", config="euler_hk", h=10.0, N=200)
     chapter = found.chapter(None)

@@ -295,6 +295,7 @@ def _tamper(folder: Path) -> None:
 LAWS, PICTURES = "Conservation laws", "Pictures"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "missing", "left"),
     [

@@ -117,6 +117,7 @@ def test_readings_of_a_misprint() -> None:
         assert measure(name)[1] == MISPRINT
 
 
+@pytest.mark.slow
 def test_every_claimed_law_fails_with_another_term() -> None:
     """Each integral is conserved, but not plus omega_1; a function of the others does not raise the rank."""
     for integrals in (

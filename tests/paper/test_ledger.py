@@ -72,6 +72,7 @@ recorded: misprint\n -> recorded: misprinted\n
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "message"), cases_of(WRONG))
 def test_a_wrong_entry_is_named_with_its_line(change: str, message: list[str]) -> None:
     old, new = change.replace("\\n", "\n").split(" -> ")
@@ -82,6 +83,7 @@ def test_a_wrong_entry_is_named_with_its_line(change: str, message: list[str]) -
     assert -1 <= TEXT[: TEXT.index(old)].count("\n") + 1 - int(number) <= 20, "the line of the key or of its entry"
 
 
+@pytest.mark.slow
 def test_a_name_is_used_once() -> None:
     with pytest.raises(ConfigError, match="the name 'rotation' is used twice"):
         read_ledger(TEXT.replace("id: direct\n", "id: rotation\n"))
@@ -132,6 +134,7 @@ def test_only_the_comparison_reads_the_recorded_verdicts() -> None:
     assert len(readers) == 2, "the comparison and the plain data"
 
 
+@pytest.mark.slow
 def test_verdicts_do_not_depend_on_the_record() -> None:
     names = ("matrix-m", "hk-heavy-equation", "hk-euler-m-sq", "abc-complete")
     swapped = re.sub(r"recorded: .*", f"recorded: {FAILS}", TEXT)
