@@ -131,7 +131,7 @@ class Top(BaseModel):
     unit_vectors: ClassVar[tuple[str, ...]] = ()
     """Names of those ``vectors`` that must have unit length."""
     energy: ClassVar[str] = "energy"
-    """Name of the invariant that is the energy or a multiple of it (``analysis.leaving``). A run far off its energy
+    """Name of the invariant that is the energy or a multiple of it (``analysis.columns``). A run far off its energy
     surface has the outcome ``left_motion``, and ensembles draw states of a given energy; neither works for a top
     without an invariant of this name."""
     energy_factor: ClassVar[float] = 1.0

@@ -4,6 +4,10 @@ The module of a study has a function ``measure`` with a NumPy docstring, its tab
 that names them; ``STUDIES`` of this folder lists it. Its command has an option for each parameter of ``measure`` and
 takes the help from the docstring; the Python function has the same parameters; ``--json``, the chapter of a page and
 the DataFrames show the same data.
+
+The module imports what measures only within ``measure`` (``order`` from ``ladders``, ``roundoff`` from ``copies``,
+``compare`` from ``comparison``, ``analyse`` from ``series``, ``lax`` from ``lax_checks``), so that the help of the
+command is quick.
 """
 
 from __future__ import annotations
