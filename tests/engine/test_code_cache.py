@@ -116,7 +116,7 @@ def test_the_folder_is_made_for_its_owner_alone_whatever_is_above(
 COPIED = """
 import sys, shutil
 from pathlib import Path
-sys.path[:0] = ["tests", "tests/engine"]
+sys.path[:0] = ["tests", "tests/support", "tests/engine"]
 import numpy as np
 from test_code_cache import _double, _triple
 from topcli.engine.native import native

@@ -86,7 +86,7 @@ def _mp_series(A, B, C, gx, gy, gz, y, order):
 
 SCENES = {
     "gen": (Kowalevski(), GEN, np.arange(101) * 0.1),
-    "paper": (Kowalevski(), PAPER, np.arange(0, 41) * 1.25),
+    "paper": (Kowalevski(), PAPER, np.arange(0, 17) * 1.25),
     "gen, other units": (Kowalevski(c0=-0.3, A=0.7), GEN, np.arange(0, 11) * 0.5),
     "heavy": (Heavy(), GEN, np.arange(0, 21) * 0.5),
     "free": (Free(), GEN[:3], np.arange(0, 11) * 1.0),
