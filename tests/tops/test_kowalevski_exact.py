@@ -115,11 +115,6 @@ def test_degenerate_motions_of_whole_numbers(name: str) -> None:
         assert_is_the_motion(y, times=np.array([1, 2, 7]))
 
 
-def test_critical_orbits_are_refused() -> None:
-    with pytest.raises(RunError, match="no choice of the signs"):
-        states((0.0, 1.0, 2.0, 0.0, 0.0, 2.0), 0.1, [1])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NATURAL)
 def test_separatrices_at_long_times(name: str) -> None:
