@@ -66,13 +66,6 @@ def test_short_binary_fractions_mix_and_other_doubles_are_refused() -> None:
         _ = 0.1 + number
 
 
-def test_rational_numbers_work_in_arrays() -> None:
-    states = np.array([[Exact(Fraction(1, 3)), Exact(Fraction(2, 3))]], dtype=np.object_)
-    assert ((states**2).sum(axis=1) * Exact(Fraction(9)))[0] == 5
-    assert (np.abs(-states) @ np.ones(2))[0] == 1
-    assert np.abs(Exact(Fraction(-1, 2)) * states)[0, 1] == Exact(Fraction(1, 3))
-
-
 def kernel(x: float, y: float = 0.1) -> float:
     """Constant, default, global, fma and a function of math in one place."""
     return fma(x, y, 1.0 / 6.0) + LIMIT * ROUNDS + math.sqrt(x) + ROOTED
