@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
@@ -21,9 +21,6 @@ from topcli.runs.references import obstacle
 from topcli.schemes.plugins import origin_of, plugin_table
 from topcli.schemes.registry import all_schemes, plugin_failures
 from topcli.tops import TOPS
-
-if TYPE_CHECKING:
-    from topcli.sweeps.batch import Batch
 
 FAMILY = ".NAME"
 """End of the name of a family."""
@@ -39,6 +36,8 @@ TAKEN = frozenset(
 H_OF_NAMES = 2.0**-10
 """Step at which the integrals of a scheme are built when only their names are asked for."""
 
+Batch = Any
+"""Batch of finished runs: ``sweeps.batch.Batch``, whose module imports this one."""
 Evaluation = Callable[..., Any]
 Names = Callable[[Top, Scheme, BaseModel], Iterable[str]]
 Obstacle = Callable[[Top, Scheme], str]
