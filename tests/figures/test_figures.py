@@ -291,7 +291,7 @@ DRAWING: dict[str, list[Any]] = {
     "order": [errors.order_data, curves.CurvePanel._curve, analysis_of_orders.convergence, picture.draw],
     "stress": [outcomes.figure_data, outcomes._step_text, outcomes.StressGrid.annotate],
     "work-precision": [comparison._curves, comparison._shown, pareto_front],
-    "compare": [comparison._data, comparison.ErrorPanel.paint, reference.distances, HK_STEP],
+    "compare": [comparison._data, comparison.ErrorsOverTime.paint, reference.distances, HK_STEP],
     "swings": [sweep._points, table.summary, picture.Grid.annotate],
 }
 """Functions between the results of a study and its picture."""

@@ -59,7 +59,7 @@ def last_swings(t: np.ndarray, values: np.ndarray) -> tuple[float, str]:
 
 
 @dataclass(frozen=True)
-class ErrorPanel:
+class ErrorsOverTime:
     """Errors of the schemes ``labels`` over time; one curve for schemes that coincide, named as such."""
 
     labels: tuple[str, ...]
@@ -111,9 +111,9 @@ class SwingPanel:
         scale.set_yticks([low, high], [f"${end:.3g}$" for end in (low, high)], fontsize="small")
 
 
-def _panels(labels: Sequence[str], component: str) -> tuple[ErrorPanel, SwingPanel]:
+def _panels(labels: Sequence[str], component: str) -> tuple[ErrorsOverTime, SwingPanel]:
     """Errors (left) and the swinging component (right)."""
-    return ErrorPanel(tuple(labels)), SwingPanel(tuple(labels), component_symbol(component))
+    return ErrorsOverTime(tuple(labels)), SwingPanel(tuple(labels), component_symbol(component))
 
 
 def _layout(labels: Sequence[str], h: float) -> Grid:
@@ -224,7 +224,7 @@ MOST_OF_OURS = 7
 
 
 @dataclass(frozen=True)
-class Curve:
+class CompetitorCurve:
     """Curve of one competitor, a scheme of topcli if ``ours``; ``setup`` if it has a set-up, which is not counted."""
 
     name: str
@@ -243,7 +243,7 @@ class WorkPrecision:
 
     scene: str
     title: str
-    curves: tuple[Curve, ...]
+    curves: tuple[CompetitorCurve, ...]
     colours: tuple[str, ...]
     """Names of our schemes in the figure, by colour."""
     peers: tuple[str, ...] = ()
@@ -286,7 +286,7 @@ def _nearest_to_front(report: dict[str, Any]) -> dict[str, float]:
     return found
 
 
-def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[Curve, tuple[np.ndarray, np.ndarray]]:
+def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[CompetitorCurve, tuple[np.ndarray, np.ndarray]]:
     """Errors and seconds of the curves of one result: every peer, and our schemes that are ``shown``."""
     found = {}
     for competitor in report["competitors"]:
@@ -295,7 +295,7 @@ def _curves(report: dict[str, Any], shown: Sequence[str]) -> dict[Curve, tuple[n
         best = [points[i] for i in pareto_front(points) if points[i].error > 0.0]
         if best and (not ours or competitor["name"] in shown):
             errors, seconds = (np.array([getattr(point, key) for point in best]) for key in ("error", "seconds"))
-            curve = Curve(competitor["name"], ours, competitor["setup_seconds"] > SETUP)
+            curve = CompetitorCurve(competitor["name"], ours, competitor["setup_seconds"] > SETUP)
             found[curve] = errors, seconds
     return found
 

@@ -153,7 +153,7 @@ class CurvePanel:
 
 
 @dataclass(frozen=True)
-class Axis:
+class KeyAxis:
     """Key along one side: its label, scale, and the names of the values 0, 1, ... if they are not numbers."""
 
     label: str
@@ -181,8 +181,8 @@ class HeatPanel:
     without a value has a cross; where there is no row, the ground stays white. Names along y run from top to bottom.
     """
 
-    x: Axis
-    y: Axis
+    x: KeyAxis
+    y: KeyAxis
     colour: str
     scale: str = LINEAR
     threshold: float = 0.0

@@ -37,7 +37,7 @@ PAPER_STEP = 1e-3
 
 
 @dataclass(frozen=True)
-class Scheme:
+class DrawnScheme:
     """A scheme of the figure, its order, its symmetry, and the exponents k of the steps 10^k."""
 
     name: str
@@ -48,11 +48,11 @@ class Scheme:
 
 _USUAL = (-1.0, -1.5, -2.0, -2.5, -3.0, -3.5, -4.0)
 SCHEMES = (
-    Scheme("hk", 2, True, _USUAL),
-    Scheme("rk2", 2, False, _USUAL),
-    Scheme("rk4", 4, False, _USUAL),
-    Scheme("hybrid", 2, False, _USUAL),
-    Scheme("bohlin-a", 1, False, (-2.0, -2.5, -3.0, -3.5, -4.0, -4.5, -5.0, -5.5, -6.0)),
+    DrawnScheme("hk", 2, True, _USUAL),
+    DrawnScheme("rk2", 2, False, _USUAL),
+    DrawnScheme("rk4", 4, False, _USUAL),
+    DrawnScheme("hybrid", 2, False, _USUAL),
+    DrawnScheme("bohlin-a", 1, False, (-2.0, -2.5, -3.0, -3.5, -4.0, -4.5, -5.0, -5.5, -6.0)),
 )
 EXACT = "exact"
 SHOWN: tuple[tuple[str, float], ...] = (
@@ -74,7 +74,7 @@ def _power(h: float) -> str:
     return rf"$h = 10^{{{round(np.log10(h))}}}$"
 
 
-def _kind(scheme: Scheme) -> str:
+def _kind(scheme: DrawnScheme) -> str:
     return f"{ORDINALS[scheme.order]}, {'reversible' if scheme.reversible else 'not reversible'}"
 
 
@@ -166,7 +166,7 @@ def motion_column(name: str, h: float) -> str:
     return f"gamma1:{name}:{h:.0e}"
 
 
-def _steps(schemes: Sequence[Scheme], shown: Sequence[tuple[str, float]]) -> list[tuple[str, int]]:
+def _steps(schemes: Sequence[DrawnScheme], shown: Sequence[tuple[str, float]]) -> list[tuple[str, int]]:
     """Every run: name of the scheme and number of steps."""
     pairs = [(scheme.name, 10.0**k) for scheme in schemes for k in scheme.exponents]
     return list(dict.fromkeys((name, round(TIME / h)) for name, h in (*shown, *pairs)))
@@ -186,7 +186,7 @@ def _gamma1(experiment: Experiment, N: int) -> tuple[Array, Array]:
 
 def period_columns(
     on_progress: Callable[[int, int], None],
-    schemes: Sequence[Scheme] = SCHEMES,
+    schemes: Sequence[DrawnScheme] = SCHEMES,
     shown: Sequence[tuple[str, float]] = SHOWN,
 ) -> Mapping[str, Array]:
     """Columns of the figure.

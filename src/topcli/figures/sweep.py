@@ -16,7 +16,7 @@ import numpy as np
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import RunError, UsageError
-from topcli.figures.curves import LINEAR, LOG, SYMLOG, Axis, CurvePanel, HeatPanel, curve_column, plain
+from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, HeatPanel, KeyAxis, curve_column, plain
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid
 from topcli.schemes.registry import all_schemes
@@ -103,18 +103,18 @@ def scale_of(values: Array) -> tuple[str, float]:
     return LOG, 0.0
 
 
-def _axis(rows: SweepRows, key: str) -> tuple[Axis, dict[Any, float]]:
-    """Axis of a key, and the place of each of its values on it."""
+def _axis(rows: SweepRows, key: str) -> tuple[KeyAxis, dict[Any, float]]:
+    """KeyAxis of a key, and the place of each of its values on it."""
     column = rows.columns[key]
     labels = key_labels(column)
     if column.dtype.kind in "OU":
-        return Axis(plain(key), words=tuple(map(plain, labels.values()))), {
+        return KeyAxis(plain(key), words=tuple(map(plain, labels.values()))), {
             value: float(i) for i, value in enumerate(labels)
         }
     numbers = np.array([value for value in labels if value is not None], dtype=float)
     positive = bool(len(numbers)) and bool((numbers > 0.0).all())
     log = positive and (key in rows.log or _geometric(numbers) or _uneven(numbers))
-    return Axis(plain(key), log), {value: np.nan if value is None else float(value) for value in labels}
+    return KeyAxis(plain(key), log), {value: np.nan if value is None else float(value) for value in labels}
 
 
 def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], tuple[float, float, float]]:

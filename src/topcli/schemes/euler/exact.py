@@ -157,7 +157,7 @@ def _signed_root(norm_sq: Decimal, like: Decimal) -> Decimal:
 
 
 @dataclass(frozen=True)
-class Phase:
+class StartPhase:
     """u_0 with s = sn u_0, c2 = cn² u_0, d2 = dn² u_0, and the signed amplitudes."""
 
     u: Decimal
@@ -167,7 +167,7 @@ class Phase:
     amplitudes: tuple[float, float, float]
 
 
-def _phase(w: Vector, axes: tuple[int, int, int], squares: Vector, alpha: Vector) -> Phase:
+def _phase(w: Vector, axes: tuple[int, int, int], squares: Vector, alpha: Vector) -> StartPhase:
     """Initial phase for the ``squares`` of the amplitudes of D, S, C.
 
     a_D and a_C have the signs of omega_D and omega_C, so that |u_0| <= K; the sign of a_S follows from
@@ -177,7 +177,7 @@ def _phase(w: Vector, axes: tuple[int, int, int], squares: Vector, alpha: Vector
     a_D, a_C = _signed_root(squares[0], w[D]), _signed_root(squares[2], w[C])
     a_S = _signed_root(squares[1], alpha[S] * a_C * a_D)
     s, c2, d2 = w[S] / a_S, w[C] ** 2 / squares[2], w[D] ** 2 / squares[0]
-    return Phase(s * carlson_rf(c2, d2, ONE), s, c2, d2, (float(a_D), float(a_S), float(a_C)))
+    return StartPhase(s * carlson_rf(c2, d2, ONE), s, c2, d2, (float(a_D), float(a_S), float(a_C)))
 
 
 def _third_kind(u: Decimal, s: Decimal, c2: Decimal, d2: Decimal, n: Decimal) -> Decimal:

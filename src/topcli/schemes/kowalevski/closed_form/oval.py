@@ -65,7 +65,7 @@ def _gauss_legendre() -> tuple[list[Real], list[Real]]:
 
 
 @dataclass(frozen=True)
-class Panel:
+class GaussPanel:
     """Interval of offsets ``begin`` to ``end`` of theta from an anchor, in the given direction, with its integrals."""
 
     anchor: int
@@ -162,7 +162,7 @@ class Oval:
                 found += [w, conj(w)]
         return found
 
-    def _panels(self) -> list[Panel]:
+    def _panels(self) -> list[GaussPanel]:
         """Panels from theta = 0 to pi/2, short where a singularity is near."""
         singular, found = self._singularities(), []
         for j in range(len(self.anchors) - 1):
@@ -183,9 +183,9 @@ class Oval:
         """True if the anchor is an end of the oval in a double root."""
         return (anchor == 0 and self.touched[0]) or (anchor == len(self.anchors) - 1 and self.touched[1])
 
-    def _panel(self, anchor: int, direction: int, begin: float, end: Real) -> Panel:
+    def _panel(self, anchor: int, direction: int, begin: float, end: Real) -> GaussPanel:
         u, v = mpf(begin), mpf(end)
-        return Panel(anchor, direction, u, v, *self.integrals(anchor, direction, u, v))
+        return GaussPanel(anchor, direction, u, v, *self.integrals(anchor, direction, u, v))
 
     def integrals(self, anchor: int, direction: int, begin: Real, end: Real) -> tuple[Real, Real]:
         """Integrals of the densities over offsets from an anchor."""
