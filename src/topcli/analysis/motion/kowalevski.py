@@ -350,6 +350,6 @@ def _cycle(ovals: Ovals) -> list[Quantity]:
     return [
         Quantity("frequency", 1.0 / cycle, "cycles per unit time"),
         Quantity("frequency.normal", 1.0 / (ovals.turns[0] * period1), "cycles per unit time of small deviations"),
-        Quantity("period", cycle, "time of period1 cycle: s2 oscillates twice"),
+        Quantity("period", cycle, "time of one cycle: s2 oscillates twice"),
         Quantity("time_between_swings", cycle, "time of a full oscillation of ω2"),
     ]
