@@ -104,7 +104,7 @@ def scale_of(values: Array) -> tuple[str, float]:
 
 
 def _axis(rows: SweepRows, key: str) -> tuple[KeyAxis, dict[Any, float]]:
-    """KeyAxis of a key, and the place of each of its values on it."""
+    """Axis of a key, and the place of each of its values on it."""
     column = rows.columns[key]
     labels = key_labels(column)
     if column.dtype.kind in "OU":
