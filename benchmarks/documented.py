@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.columns import step_of_leaving
+from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Floats
 from topcli.engine.loop import Run

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from topcli.contracts import Invariant, Scheme, Top
 from topcli.schemes.registry import all_schemes
-from topcli.studies.citations import Entry, works_in
+from topcli.studies.citations import Publication, works_in
 from topcli.studies.scheme_page import operations_of
 from topcli.tops import TOPS
 
@@ -112,7 +112,7 @@ def grouped() -> dict[str, list[Scheme]]:
     return groups
 
 
-def citations(works: Sequence[Entry], command: str) -> Page:
+def citations(works: Sequence[Publication], command: str) -> Page:
     """References with their BibTeX."""
     lines = ["## Cite", "", *(f"- {one.text}" for one in works), ""]
     bibtex = "\n\n".join(one.bibtex for one in works)

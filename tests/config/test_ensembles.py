@@ -13,7 +13,7 @@ import pytest
 from config_texts import CONFIGS, ENSEMBLES, PLAIN, refusal, write
 from json_schema import fits
 from scheme_files import loaded_file
-from topcli.analysis.columns import step_of_leaving
+from topcli.analysis.leaving import step_of_leaving
 from topcli.config.draws import Drawn
 from topcli.config.ensemble import Combined, EnsembleExperiment
 from topcli.config.load import load, load_experiment

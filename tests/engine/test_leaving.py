@@ -15,7 +15,7 @@ import pytest
 
 from conftest import GEN, ROOT, Said
 from resuming import after, content, killed
-from topcli.analysis.columns import EnergyWatch
+from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Invariant, Outcome, Top

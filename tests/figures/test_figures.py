@@ -19,8 +19,8 @@ from conftest import ROOT
 from drawn_artists import drawn_from, table_of
 from figure_studies import PREPARE
 from sweep_rows import write_rows
-from topcli.analysis import columns, reference, roundoff
 from topcli.analysis import order as analysis_of_orders
+from topcli.analysis import reference, roundoff, swings
 from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
@@ -251,7 +251,7 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
         ],
     ),
     "integrable": (growth.energy_code, [HK_STEP, growth._energy_errors, growth.largest_by_octave]),
-    "period": (period.period_code, [HK_STEP, period._gamma1, columns.swing_spacing, columns.minima_times]),
+    "period": (period.period_code, [HK_STEP, period._gamma1, swings.swing_spacing, swings.minima_times]),
     "torus-points": (torus.torus_code, [HK_STEP, torus.orbit, torus.crossings]),
 }
 """Digest of what each study depends on, and functions whose results are in its data."""

@@ -16,7 +16,7 @@ import pytest
 import topcli
 from drawn_artists import data_of, drawn, explained, labelled, seen_from
 from sweep_rows import write_rows
-from topcli.analysis.columns import spacing_law
+from topcli.analysis.swings import spacing_law
 from topcli.errors import UsageError
 from topcli.figures import errors, growth, period, torus
 from topcli.figures.catalogue import FIGURES

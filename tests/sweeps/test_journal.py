@@ -21,7 +21,7 @@ from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
 from topcli.studies.checks import check_all
-from topcli.sweeps.journal import Block, Journal, damaged_lines
+from topcli.sweeps.journal import FinishedRows, Journal, damaged_lines
 from topcli.sweeps.plan import survey
 
 
@@ -81,8 +81,8 @@ def test_a_damaged_line_is_reported_and_its_rows_run_again(tmp_path: Path) -> No
 
 
 def test_the_later_of_two_entries_of_a_row_counts(tmp_path: Path) -> None:
-    def block(digest: str, outcome: str) -> Block:
-        return Block([digest], [outcome], ["m"], ["c"], {"h": [0.1]}, {"x": [1.0]}, "cpu")
+    def block(digest: str, outcome: str) -> FinishedRows:
+        return FinishedRows([digest], [outcome], ["m"], ["c"], {"h": [0.1]}, {"x": [1.0]}, "cpu")
 
     with Journal(tmp_path, write=True) as journal:
         journal.append(block("aa" * 32, "blew_up"))
@@ -106,7 +106,7 @@ def test_the_journal_is_flushed_every_two_seconds_and_at_its_end(
     with Journal(tmp_path, write=True, clock=lambda: times["now"]) as journal:
         for i in range(8):
             times["now"] += 0.75
-            journal.append(Block([f"{i:064x}"], ["completed"], [""], ["c"], {"h": [0.1]}, {"x": [1.0]}, "cpu"))
+            journal.append(FinishedRows([f"{i:064x}"], ["completed"], [""], ["c"], {"h": [0.1]}, {"x": [1.0]}, "cpu"))
             seen.append(flushes.count)
     assert seen == [0, 0, 1, 1, 1, 2, 2, 2], "after 2.25 s each time: the first moment that is 2 s or more later"
     assert flushes.count == 3
@@ -238,7 +238,9 @@ def test_a_sweep_without_all_of_its_series_is_not_finished(tmp_path: Path) -> No
     ],
 )
 def test_a_line_that_no_sweep_has_written_is_damaged(tmp_path: Path, change: dict[str, Any]) -> None:
-    block = Block(["aa" * 32, "bb" * 32], ["completed"] * 2, [""] * 2, ["c"] * 2, {"h": [1, 2]}, {"x": [1.0, 2.0]}, "")
+    block = FinishedRows(
+        ["aa" * 32, "bb" * 32], ["completed"] * 2, [""] * 2, ["c"] * 2, {"h": [1, 2]}, {"x": [1.0, 2.0]}, ""
+    )
     for extra, damaged in (({}, 0), (change, 1)):
         text = json.dumps({**block.__dict__, **extra}).encode()
         (tmp_path / "journal.jsonl").write_bytes(b"%08x %s\n" % (zlib.crc32(text), text))

@@ -12,7 +12,8 @@ import pytest
 from conftest import GEN
 from topcli.analysis import columns as columns_module
 from topcli.analysis import order, trajectory
-from topcli.analysis.columns import column_names, columns, minima_times, swing_spacing
+from topcli.analysis.columns import column_names, columns
+from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.errors import UsageError
 from topcli.schemes.layout import ambiguous_root, small_determinant
 from topcli.tops.kowalevski import Kowalevski

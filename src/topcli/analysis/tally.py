@@ -42,7 +42,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import energy_limits, first_beyond, invariant_values
+from topcli.analysis.columns import invariant_values
+from topcli.analysis.leaving import energy_limits, first_beyond
 from topcli.analysis.trend import Trend, hann_line, trend
 from topcli.contracts import Array, Invariant, Top
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns, step_of_leaving
+from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns
+from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
 from topcli.engine.loop import Endings, Run

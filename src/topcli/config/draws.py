@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, Field, create_model
 
-from topcli.analysis.columns import energy_of
+from topcli.analysis.leaving import energy_of
 from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.ranges import Interval
 from topcli.contracts import Array, Top

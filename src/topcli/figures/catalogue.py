@@ -5,7 +5,7 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
-from topcli.analysis.columns import spacing_law
+from topcli.analysis.swings import spacing_law
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures.figure import Figure, deferred
 from topcli.figures.picture import Grid, Line, Panel

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.columns import minima_times
 from topcli.analysis.reference import distances, reference_states
+from topcli.analysis.swings import minima_times
 from topcli.config.load import load_experiment
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.analysis.columns import energy_of
+from topcli.analysis.leaving import energy_of
 from topcli.analysis.roundoff import doubling_lags, structure
 from topcli.arithmetic.vectors import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.analysis.columns import minima_times, spacing_law, swing_spacing
+from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.engine.loop import Run

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.analysis.columns import step_of_leaving
+from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.motion.torus import Torus
 from topcli.config.load import load_experiment
 from topcli.contracts import Array

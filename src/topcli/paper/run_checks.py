@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.columns import minima_times, spacing_law, swing_spacing
 from topcli.analysis.lax import block_form, kowalevski_form, spectral_content
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
+from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Top, checked_equations
 from topcli.paper.claim import Measurement

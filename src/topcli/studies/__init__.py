@@ -32,7 +32,7 @@ class Watch:
 SILENT = Watch()
 
 
-class Place(NamedTuple):
+class StudyPlace(NamedTuple):
     """Where a study is declared, and the first line of its help, which needs no import."""
 
     place: str
@@ -40,13 +40,17 @@ class Place(NamedTuple):
 
 
 STUDIES = {
-    "compare": Place("topcli.studies.compare:COMPARE", "Compare schemes: errors, drifts, reversal, swings, speed."),
-    "analyse": Place("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
-    "lax": Place("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
-    "roundoff": Place("topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."),
-    "stress": Place("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
-    "claims": Place("topcli.paper.study:CLAIMS", "Decide the paper's claims by experiments."),
-    "order": Place("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
+    "compare": StudyPlace(
+        "topcli.studies.compare:COMPARE", "Compare schemes: errors, drifts, reversal, swings, speed."
+    ),
+    "analyse": StudyPlace("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
+    "lax": StudyPlace("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
+    "roundoff": StudyPlace(
+        "topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."
+    ),
+    "stress": StudyPlace("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
+    "claims": StudyPlace("topcli.paper.study:CLAIMS", "Decide the paper's claims by experiments."),
+    "order": StudyPlace("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }
 """All studies by name."""
 

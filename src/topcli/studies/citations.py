@@ -22,7 +22,7 @@ _ACCENTS = {'"': "\u0308", "'": "\u0301", "`": "\u0300"}
 
 
 @dataclass(frozen=True)
-class Entry:
+class Publication:
     """A work of the bibliography: its key, kind and fields, and its BibTeX."""
 
     key: str
@@ -84,7 +84,7 @@ def plain_text(latex: str) -> str:
 
 
 @cache
-def bibliography() -> dict[str, Entry]:
+def bibliography() -> dict[str, Publication]:
     """Return all works by their keys."""
     from topcli import __version__
 
@@ -95,23 +95,23 @@ def bibliography() -> dict[str, Entry]:
         if key == OWN[0]:
             body += f"  version = {{{__version__}}},\n"
             bibtex = f"@{kind}{{{key},\n{body}}}"
-        entries[key] = Entry(key, kind, dict(_FIELD.findall(body)), bibtex)
+        entries[key] = Publication(key, kind, dict(_FIELD.findall(body)), bibtex)
     return entries
 
 
-def works_in(citation: str) -> list[Entry]:
+def works_in(citation: str) -> list[Publication]:
     """Return the works that a citation names, in its order."""
     places = [(entry.named_in(citation), entry) for entry in bibliography().values()]
     placed = [(at, entry) for at, entry in places if at is not None]
     return [entry for _, entry in sorted(placed, key=lambda pair: pair[0])]
 
 
-def own_works() -> list[Entry]:
+def own_works() -> list[Publication]:
     """Return topcli itself and the paper."""
     return [bibliography()[key] for key in OWN]
 
 
-def works_of(name: str) -> list[Entry]:
+def works_of(name: str) -> list[Publication]:
     """Return the works that a scheme, a composition or a top cites.
 
     Parameters
@@ -121,7 +121,7 @@ def works_of(name: str) -> list[Entry]:
 
     Returns
     -------
-    list of Entry
+    list of Publication
         In the order of the citation, each once. A citation of a plugin that names no work of the bibliography becomes
         an entry of its own, with the citation as its note.
 
@@ -131,18 +131,18 @@ def works_of(name: str) -> list[Entry]:
         If there is nothing of this name; the message suggests the nearest names.
     """
     citations = _citations(name.lower())
-    works: dict[str, Entry] = {}
+    works: dict[str, Publication] = {}
     for key, citation in citations:
         for entry in works_in(citation) or [_unlisted(key, citation)]:
             works.setdefault(entry.key, entry)
     return list(works.values())
 
 
-def _unlisted(name: str, citation: str) -> Entry:
-    """Entry of a citation that names no work of the bibliography."""
+def _unlisted(name: str, citation: str) -> Publication:
+    """Publication of a citation that names no work of the bibliography."""
     key = re.sub(r"[^\w-]+", "-", name)
     note = re.sub(r"[{}\\]", "", citation)
-    return Entry(key, "misc", {"note": note}, f"@misc{{{key},\n  note = {{{note}}},\n}}")
+    return Publication(key, "misc", {"note": note}, f"@misc{{{key},\n  note = {{{note}}},\n}}")
 
 
 def _citations(name: str) -> Iterable[tuple[str, str]]:

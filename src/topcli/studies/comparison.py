@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.analysis.columns import minima_times, swing_spacing
 from topcli.analysis.order import probe_rows, reversal
 from topcli.analysis.reference import MAX_STEPS, distances, reference_obstacle
+from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.tally import quantiles
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.ensemble import EnsembleExperiment, Group

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.columns import EnergyWatch
+from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.roundoff import MIN_BLOCKS, BlockMeans, growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment

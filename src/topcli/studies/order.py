@@ -159,9 +159,7 @@ ORDERS = Table(
         Column("order", "declared_order"),
         Column("observed", "order", "{:.2f}".format),
         Column("verdict", "verdict"),
-        Column(
-            "fitted over h", lambda row: row["fitted"] or None, lambda h: f"{two_digits(h[0])} to {two_digits(h[-1])}"
-        ),
+        Column("fitted over h", lambda row: row["fitted"] or None, _span),
         Column("round-off", "plateau", two_digits),
         Column("from h", "onset", two_digits),
         Column("", "ended"),

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import minima_times, swing_spacing
 from topcli.analysis.reference import reference_states
+from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.tally import InvariantRow, InvariantTally, uneven_report
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import energy_of
+from topcli.analysis.leaving import energy_of
 from topcli.analysis.order import PROBES as PROBE_STATES
 from topcli.analysis.order import probe_rows
 from topcli.analysis.reference import distances

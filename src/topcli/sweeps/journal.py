@@ -42,7 +42,7 @@ def short_digest(digest: str) -> bytes:
 
 
 @dataclass(frozen=True)
-class Block:
+class FinishedRows:
     """Finished rows by columns.
 
     ``digest``, ``outcome``, ``message`` and ``code`` have an entry for each row; so have the entries of ``keys``, the
@@ -100,7 +100,7 @@ class Journal:
         self._entries: list[NDArray[np.void]] = []
         self._codes: dict[str, int] = {}
         self._measured: dict[frozenset[str], int] = {}
-        self._parsed: dict[int, Block] = {}
+        self._parsed: dict[int, FinishedRows] = {}
         self._synced = clock()
         self._end = self.damaged = 0
         self._handle = -1
@@ -141,7 +141,7 @@ class Journal:
                     yield offset, line
                 offset += len(line)
 
-    def _note(self, offset: int, length: int, block: Block) -> None:
+    def _note(self, offset: int, length: int, block: FinishedRows) -> None:
         entries = np.empty(len(block.digest), dtype=ENTRY)
         entries["digest"] = [short_digest(digest) for digest in block.digest]
         entries["completed"] = [outcome == COMPLETED for outcome in block.outcome]
@@ -151,7 +151,7 @@ class Journal:
         self._offsets.append((offset, length))
         self._entries.append(entries)
 
-    def append(self, block: Block) -> None:
+    def append(self, block: FinishedRows) -> None:
         """Append a block of rows. Raises RunError if it cannot be written."""
         text = block.text().encode()
         line = b"%08x %s\n" % (zlib.crc32(text), text)
@@ -175,8 +175,8 @@ class Journal:
         latest = np.append(rows["digest"][1:] != rows["digest"][:-1], True)[: len(rows)]
         return Index(rows[latest], list(self._codes), list(self._measured))
 
-    def block(self, number: int) -> Block:
-        """Block ``number``, read back. Raises RunError if the file has changed."""
+    def block(self, number: int) -> FinishedRows:
+        """Rows of the line ``number``, read back. Raises RunError if the file has changed."""
         block = self._parsed.pop(number, None)
         if block is None:
             offset, length = self._offsets[number]
@@ -189,12 +189,12 @@ class Journal:
         return block
 
 
-def _parse(line: bytes) -> Block | None:
-    """Block of a line; None if the line is damaged or holds no rows by columns."""
+def _parse(line: bytes) -> FinishedRows | None:
+    """Rows of a line; None if the line is damaged or holds no rows by columns."""
     try:
         if line[:9] != b"%08x " % zlib.crc32(line[9:-1]):
             return None
-        block = Block(**json.loads(line[9:-1]))
+        block = FinishedRows(**json.loads(line[9:-1]))
         columns = (block.outcome, block.message, block.code, *block.keys.values(), *block.values.values())
         whole = all(len(column) == len(block.digest) for column in columns) and all(map(_TEXT, block.digest))
         texts = (*block.outcome, *block.message, *block.code, block.cpu, *block.keys, *block.values)

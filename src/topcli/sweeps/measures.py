@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from topcli.analysis.columns import minima_times
-from topcli.analysis.columns import swing_spacing as spacing_of_first
+from topcli.analysis.swings import minima_times
+from topcli.analysis.swings import swing_spacing as spacing_of_first
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.references import obstacle

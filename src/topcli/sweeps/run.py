@@ -29,7 +29,7 @@ from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
 from topcli.sweeps.evaluate import Results, Work, batches, unfinished
-from topcli.sweeps.journal import COMPLETED, JOURNAL, Block, Journal
+from topcli.sweeps.journal import COMPLETED, JOURNAL, FinishedRows, Journal
 from topcli.sweeps.plan import REASONS, Plan, Survey, changes, manifest_text, plan_sweep, survey, write_rows
 from topcli.sweeps.rows import ROWS
 
@@ -277,7 +277,7 @@ class _Runner:
             return
         names = self.survey.code_names
         self.journal.append(
-            Block(
+            FinishedRows(
                 digest=[batch[i].digest for i in which],
                 outcome=[results.outcome[i] for i in which],
                 message=[results.message[i] for i in which],

@@ -43,7 +43,6 @@ from topcli.schemes.layout import (
     is_compensated,
     small_determinant,
     stepper,
-    summed,
     with_counter,
 )
 from topcli.schemes.registry import scheme
@@ -129,12 +128,8 @@ def hk_lagrange_change(state: Floats, h: float, p: Floats) -> Floats:
     )
 
 
-hk_lagrange = summed(hk_lagrange_change, 6)
-"""HK step of (omega, gamma)."""
-
-
 def lagrange_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """Divisor of ``hk_lagrange`` in the equation for the change of gamma3, and the size of its terms."""
+    """Divisor of the step in the equation for the change of gamma3, and the size of its terms."""
     shared = pivot((state[0], state[1], state[2], state[3], state[4], state[5]), h, p)
     value, DD = shared[0], shared[1]
     return (value, DD + abs(DD - value))

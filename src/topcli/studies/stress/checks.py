@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import minima_times
 from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order, observed_order
 from topcli.analysis.reference import reference_states
+from topcli.analysis.swings import minima_times
 from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
