@@ -365,7 +365,8 @@ class ResultsMachine(RuleBasedStateMachine):
         assert {path.name for path in self.out.rglob("notes*")} == self.notes
         sources = Folder.look(self.out, NAME).sources
         for h, step in self.reached.items():
-            assert max(source.done for source in sources if source.about["config"]["h"] == h) == step
+            # more if a stopped run, which a complete one once outdid, was set aside with the user's notes
+            assert max(source.done for source in sources if source.about["config"]["h"] == h) >= step
         assert all((part / CHECKPOINT).exists() for part in self.out.glob(".*"))
 
 
