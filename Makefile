@@ -36,8 +36,8 @@ quick: $(VENV)/.installed-dev
 
 # in parts, each with processes of its own: what numba has compiled stays in memory as long as its process
 test: $(VENV)/.installed-dev
-	@failed=0; for part in 1 2 3 4; do \
-		$(BIN)/python -m pytest -n auto --part $$part/4 || failed=1; done; exit $$failed
+	@failed=0; for part in 1 2 3 4 5 6; do \
+		$(BIN)/python -m pytest -n auto --part $$part/6 || failed=1; done; exit $$failed
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -28,7 +28,6 @@ from topcli.schemes.registry import find_scheme
 from topcli.studies.ladders import DEFAULT, ladders, order_source, order_study
 from topcli.studies.order import FALSE
 from topcli.studies.scheme_page import operations_of
-from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
 
@@ -276,7 +275,7 @@ def errors_of(said: Said) -> dict[str, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", TOPS)
+@pytest.mark.parametrize("form", ["kowalevski", "lagrange", "heavy"])
 def test_no_scheme_of_topcli_is_suspected(form: str) -> None:
     """On its whole ladder each has its order; no part of a ladder refutes it, but the whole refutes the next order."""
     study = order_study(ladders((), top=form, steps=20_000))

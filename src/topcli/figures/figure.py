@@ -339,6 +339,7 @@ class _Processes:
 
 def _make_apart(pipe: Connection, figure: Figure, request: Request, out: Path, formats: Sequence[str]) -> None:
     """Make a figure in this process, and send messages, progress and the result, or the error, through ``pipe``."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background of a shell ignores it
     parent = mp.parent_process()
     assert parent is not None
     sentinel = parent.sentinel
