@@ -34,7 +34,7 @@ STOPS = [signal.SIGINT, signal.SIGTERM]
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [*STOPS, signal.SIGKILL])
 def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> None:
-    """What a signal at the third checkpoint leaves is continued to the end of a run that was never stopped."""
+    """Remains of a signal at the third checkpoint are continued to the end of a run that was never stopped."""
     steps = ["--set", "N=12000000", "--set", "output.every=50000", "--checkpoint-every", "0"]
     arguments = ["run", HK, "--name", "long", *steps]
     at_a_checkpoint = Operations(tmp_path, 3, signal_to_self(number), names=["replace"], only="checkpoint")

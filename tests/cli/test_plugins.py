@@ -111,7 +111,7 @@ def test_broken_plugins_are_named_and_stop_nothing_else(tmp_path: Path) -> None:
 
 
 def test_the_entry_points_of_a_package_have_their_own_schemes(tmp_path: Path) -> None:
-    """What they import from elsewhere counts for all of them, and topcli's measures for none."""
+    """Their imports from elsewhere count for all of them, and topcli's measures for none."""
     modules = {"first": MEASURE, "second": SCHEME, "third": TOP, "fourth": "import several.first\n"}
     site = install(tmp_path, **modules)
     found = json.loads(topcli_process("doctor", "--json", cwd=tmp_path, path=site).stdout)

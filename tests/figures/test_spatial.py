@@ -168,7 +168,7 @@ def test_curves_are_polhodes_in_the_sense_of_the_motion(moments: tuple[float, fl
 
 
 def test_polhodes_have_the_moments_of_the_run(tmp_path: Path) -> None:
-    """Which must be different, and those of the data."""
+    """They must be different, and those of the data."""
     (axes,) = drawn_from("polhodes", tmp_path, ["N=200", "top={kind: euler, A: 1.5, B: 2.5, C: 1.2}"]).axes
     tips = seen_from(*EYE, np.diag(1.0 / np.sqrt([1.5, 2.5, 1.2])))[:, :2]
     dots = [data_of(line)[0] for line in axes.lines if line.get_marker() == "o"]

@@ -376,7 +376,7 @@ def study() -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_the_figure_of_orders_is_drawn_from_the_stored_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which is run again for other code or by force; errors that cannot be drawn are marked at the edges."""
+    """It is run again for other code or by force; errors that cannot be drawn are marked at the edges."""
     runs, code = [], ["code"]
 
     def measured(what: object, on_progress: object) -> dict[str, Any]:

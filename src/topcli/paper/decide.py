@@ -16,7 +16,7 @@ from topcli.runs.report import finite
 
 @dataclass(frozen=True, kw_only=True)
 class CheckResult:
-    """What a check measured; without a ``measurement``, ``reason`` says why, and ``failed`` is True if a run failed."""
+    """Measurement of a check; without one, ``reason`` says why, and ``failed`` is True if a run failed."""
 
     check: Check
     measurement: Measurement | None = None

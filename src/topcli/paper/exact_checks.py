@@ -296,8 +296,8 @@ SIGN = {"name": "bohlin-a", "branch": "sign"}
 def roots(orbits: dict[str, Any], crossing: int = 0, beside_axis: float | None = None) -> Measurement:
     """Number of orbits of Bohlin's method with a wrong root.
 
-    With ``crossing`` the orbits begin at so many states whose omega_1 + i omega_2 crosses the negative real axis, where
-    the argument jumps. The note adds the number at states beside that axis, in one step of ``beside_axis``.
+    If ``crossing`` is given, the orbits begin at as many states whose omega_1 + i omega_2 crosses the negative real
+    axis, where the argument jumps. The note adds the number at states beside that axis, in one step of ``beside_axis``.
     """
     if crossing:
         states = [{"omega": [-0.8, 1e-3 * k, 0.5], "gamma": [0.6, -0.48, -0.64]} for k in range(crossing)]

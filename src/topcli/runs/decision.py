@@ -55,7 +55,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class Decision:
-    """What to do about a run, with ``action`` describing it in words and ``notes`` to be shown before it begins.
+    """Action on a run, ``action`` in words, and the ``notes`` to show before it begins.
 
     ``source`` is the run to be continued, None to start from step 0.
     """

@@ -1,4 +1,4 @@
-"""What schemes share: declarations (limits, formulas in LaTeX, invariants of low degree), working states and counters.
+"""Shared parts of schemes: declarations (limits, formulas in LaTeX, low-degree invariants), working states, counters.
 
 Conventions of the formulas are those of ``contracts.Scheme``. Every Runge-Kutta method conserves linear invariants; the
 implicit midpoint rule also conserves quadratic ones (Cooper 1987).

@@ -33,7 +33,7 @@ SILENT = Watch()
 
 
 class StudyPlace(NamedTuple):
-    """Where a study is declared, and the first line of its help, which needs no import."""
+    """Place where a study is declared, and the first line of its help, which needs no import."""
 
     place: str
     help: str

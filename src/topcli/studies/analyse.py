@@ -114,7 +114,7 @@ def head(data: Data) -> Head:
 
 
 def notes(data: Data) -> Iterator[str]:
-    """What the tables leave out: a missing reference, a motion that was left, components that were not read."""
+    """Facts that the tables leave out: a missing reference, a motion that was left, components that were not read."""
     if data["reference"]["message"]:
         yield f"warning: no error: {data['reference']['message']}"
     if left := data["left_motion"]:

@@ -134,7 +134,7 @@ def head(data: Data) -> Head:
 
 
 def notes(data: Data) -> Iterator[str]:
-    """What the discrete Lax pair is, and why a form is no Lax pair."""
+    """Meaning of the discrete Lax pair, and the reason why a form is no Lax pair."""
     if _discrete(data):
         yield "L'U - UL: defect of the discrete Lax pair of backlund, over the first steps of a run"
     for form in data["forms"]:

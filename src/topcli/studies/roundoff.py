@@ -135,7 +135,7 @@ def head(data: Data) -> Head:
 
 
 def notes(data: Data) -> Iterator[str]:
-    """What the drifts are of a scheme without an exact invariant."""
+    """Meaning of the drifts of a scheme without an exact invariant."""
     if not data["claimed"]:
         yield (
             f"{data['forms'][0]['scheme']} claims no invariant exactly; the drifts are of means over long windows, "

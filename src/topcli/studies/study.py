@@ -27,7 +27,7 @@ Data = dict[str, Any]
 
 @dataclass(frozen=True)
 class Flag:
-    """How a parameter of a study is given on the command line.
+    """Form in which a parameter of a study is given on the command line.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ KEPT_RUNS = 16
 
 
 class Pace(NamedTuple):
-    """How rows that differ only in the initial state are stepped; it changes no value."""
+    """Way to step rows that differ only in the initial state; it changes no value."""
 
     lane_steps: int = 1 << 17
     """Steps, all together, from which on it pays to step the rows side by side, with machine code of its own."""

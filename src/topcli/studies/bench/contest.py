@@ -1,4 +1,4 @@
-"""What a benchmark measures: problems, the schemes that take part, and the settings of each from coarse to fine."""
+"""Subjects of a benchmark: problems, the schemes that take part, and the settings of each from coarse to fine."""
 
 from __future__ import annotations
 
