@@ -122,7 +122,8 @@ def test_schema_accepts_what_the_loader_accepts() -> None:
 
 def test_the_schema_types_an_ensemble_of_any_top() -> None:
     """Also where no branch for a top applies, as in a config whose top is not written yet."""
-    schema = config_schema()["properties"]["ensemble"]
+    whole = config_schema()
+    schema = whole["properties"]["ensemble"] | {"$defs": whole["$defs"]}
     good, bad = (
         [parse_yaml(line, "x")[0]["ensemble"] for line in text.split("\n") if line.startswith("ensemble")]
         for text in (ENSEMBLES, REFUSED)

@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 TYPES: dict[str, Any] = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
-ANNOTATIONS = ("$schema", "title", "description", "default", "examples", "then")
+ANNOTATIONS = ("$schema", "$defs", "title", "description", "default", "examples", "then")
 
 
 def of_type(name: str, value: Any) -> bool:
@@ -18,12 +18,23 @@ def of_type(name: str, value: Any) -> bool:
 
 def fits(schema: Any, value: Any) -> bool:
     """True if ``value`` satisfies ``schema``."""
-    return all(name in ANNOTATIONS or _holds(schema, name, limit, value) for name, limit in schema.items())
+    return _fits(schema, value, schema.get("$defs", {}))
 
 
-def _holds(schema: Any, name: str, limit: Any, value: Any) -> bool:
+def _fits(schema: Any, value: Any, definitions: Any) -> bool:
+    """True if ``value`` satisfies a part of a schema with these ``definitions``."""
+    return all(name in ANNOTATIONS or _holds(schema, name, limit, value, definitions) for name, limit in schema.items())
+
+
+def _holds(schema: Any, name: str, limit: Any, value: Any, definitions: Any) -> bool:
     """True if one keyword of the schema holds, which may say nothing of values of this type."""
+
+    def fits(part: Any, item: Any) -> bool:
+        return _fits(part, item, definitions)
+
     match name, value:
+        case "$ref", _:
+            return fits(definitions[limit.removeprefix("#/$defs/")], value)
         case "type", _:
             return any(of_type(kind, value) for kind in ([limit] if isinstance(limit, str) else limit))
         case "const", _:

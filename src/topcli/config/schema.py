@@ -56,6 +56,7 @@ def config_schema() -> Schema:
         **schema,
         "title": "topcli config",
         "allOf": [_for_top(cls) for cls in TOPS.values()],
+        "$defs": {_ensemble_name(cls): _schema(section_model(cls)) for cls in TOPS.values()},
     }
 
 
@@ -135,9 +136,14 @@ def _section(model: type[BaseModel], key: str, value: Schema) -> Schema:
     return _closed({key: value, **schema.get("properties", {})}) | {"required": required}
 
 
+def _ensemble_name(cls: type[Top]) -> str:
+    """Name under ``$defs`` of the section ``ensemble`` for tops of class ``cls``."""
+    return f"ensemble_{cls.form}".replace("/", "_")
+
+
 def _ensemble_section(*tops: type[Top]) -> Schema:
     """Schema of the section ``ensemble`` for a top of one of these classes."""
-    return {"anyOf": [*(_schema(section_model(cls)) for cls in tops), {"type": "null"}]}
+    return {"anyOf": [*({"$ref": f"#/$defs/{_ensemble_name(cls)}"} for cls in tops), {"type": "null"}]}
 
 
 def _schema(model: type[BaseModel]) -> Schema:
