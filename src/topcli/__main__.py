@@ -8,6 +8,8 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
+from topcli.errors import ExitCode
+
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer as Buffer
 
@@ -55,7 +57,7 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _unexpected(error: Exception) -> int:
+def _unexpected(error: Exception) -> ExitCode:
     """Report an unexpected error, of a user's scheme or top or a bug, and return the exit code."""
     import traceback
 
@@ -69,22 +71,22 @@ def _unexpected(error: Exception) -> int:
         print_message(
             f"error: a package cannot be loaded: {error}; is it installed, and is there enough memory (ulimit -v)?"
         )
-        return 1
+        return ExitCode.FAILED
     print_message_text("".join(traceback.format_exception(error)))
     print_message("error: internal error; this is a bug in topcli, please report it with the lines above")
-    return 70
+    return ExitCode.BUG
 
 
 def main() -> None:
     """Run the command line and exit with its code; errors of the user are reported without a traceback."""
     if os.name == "nt":
         print("error: topcli does not run on Windows; use WSL, the Windows Subsystem for Linux", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(ExitCode.WRONG_USAGE)
     gc.set_threshold(100_000, 50, 50)  # start-up creates many objects and no garbage
     # no plugins of other packages take part in reading a config; a search for them reads all installed metadata
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     _prepare_streams()
-    code: int | str | None = 0
+    code: int | str | None = ExitCode.SUCCESS
     try:
         from topcli.cli.app import call
 
@@ -95,7 +97,7 @@ def main() -> None:
         sys.stdout.flush()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        code = 130
+        code = ExitCode.INTERRUPTED
     except OSError as error:
         if error.filename is None:  # files have names
             _drop_output()
@@ -104,10 +106,10 @@ def main() -> None:
             from topcli.cli.output import print_message
 
             print_message(f"error: {error.filename}: {(error.strerror or '').lower()}")
-        code = 1
+        code = ExitCode.FAILED
     except MemoryError:
         print("error: not enough memory", file=sys.stderr)
-        code = 1
+        code = ExitCode.FAILED
     except Exception as error:
         code = _unexpected(error)
     sys.exit(code)

@@ -1,28 +1,14 @@
 """Errors of a user and failures of a run: messages without tracebacks, safe to print.
 
 Every error has a message of one to three lines: what is wrong, where, and what would be right. The command line prints
-the message and exits with the error's code:
-
-====  =========================================================
-code  meaning
-====  =========================================================
-0     success
-1     a run failed (blew up, left its motion, not written)
-2     wrong usage or wrong configuration
-3     part of a sweep failed
-4     a stated tolerance or claim was violated
-70    an internal error: a bug in topcli, printed with a traceback
-130   interrupted
-====  =========================================================
-
-A closed pipe (``topcli ... | head -1``) changes none of these: the command continues without printing. On Windows,
-which topcli does not support, every command exits with 2.
+the message and exits with the error's ``ExitCode``.
 """
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from enum import IntEnum
 
 NAME_LENGTH = 60
 """Longest name or value that a message repeats."""
@@ -30,6 +16,30 @@ LIST_LENGTH = 300
 """Longest list of names in a message that could name the command that lists them."""
 MESSAGE_LENGTH = 900
 """Longest message; with the prefix of a command it has less than 1,000 characters."""
+
+
+class ExitCode(IntEnum):
+    """Exit codes of the commands, with their ``meaning`` as the help of ``topcli`` lists it.
+
+    A closed pipe (``topcli ... | head -1``) changes none of these: the command continues without printing. On Windows,
+    which topcli does not support, every command exits with 2.
+    """
+
+    meaning: str
+
+    def __new__(cls, code: int, meaning: str) -> ExitCode:
+        """Exit code that is equal to the integer ``code``."""
+        member = int.__new__(cls, code)
+        member._value_, member.meaning = code, meaning
+        return member
+
+    SUCCESS = 0, "success"
+    FAILED = 1, "a run failed"
+    WRONG_USAGE = 2, "wrong usage or config"
+    PARTLY_FAILED = 3, "part of several runs failed"
+    VIOLATED = 4, "a stated tolerance or claim was violated"
+    BUG = 70, "an internal error"
+    INTERRUPTED = 130, "interrupted"
 
 
 def printable(text: str) -> str:
@@ -64,7 +74,7 @@ def clipped(text: str, length: int = MESSAGE_LENGTH) -> str:
 class TopcliError(Exception):
     """Failure reported in a few printable ``lines`` of bounded length; ``exit_code`` is that of the process."""
 
-    exit_code = 1
+    exit_code = ExitCode.FAILED
 
     def __init__(self, *lines: str) -> None:
         super().__init__(*lines)
@@ -79,7 +89,7 @@ class TopcliError(Exception):
 class UsageError(TopcliError):
     """Wrong argument, file or value (exit code 2)."""
 
-    exit_code = 2
+    exit_code = ExitCode.WRONG_USAGE
 
     def _render_traceback_(self) -> list[str]:
         """Lines that IPython and notebooks show in place of a traceback through topcli."""

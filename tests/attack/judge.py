@@ -12,15 +12,11 @@ from typing import Any
 import numpy as np
 
 from attack.command import LIMIT, Said
-from topcli import errors
-from topcli.errors import TopcliError
+from topcli.errors import ExitCode, TopcliError
 from topcli.store.series import read_series
 
 LONGEST = 1000
 """Characters that a message may have."""
-BUG = 70
-CODES = {int(code) for code in re.findall(r"^(\d+)  ", errors.__doc__ or "", re.MULTILINE)} - {BUG}
-"""The exit codes that the table in errors.py allows, except the one of a bug."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _BEGINS = re.compile(r"^(?=(?:error|warning|usage|interrupted)\b)", re.IGNORECASE | re.MULTILINE)
 _TELLTALES = ("Traceback (most recent call last)", "this is a bug", "Fatal Python error")
@@ -56,14 +52,14 @@ def judged(said: Said) -> Faults:
     elif said.code < 0:
         stack = [line.strip() for line in said.err.splitlines() if line.startswith("  File")][:1]
         found.append(("signal", f"{call}: {signal.Signals(-said.code).name} {' '.join(stack)}"))
-    elif said.code not in CODES and said.code != BUG:
+    elif said.code not in list(ExitCode):
         found.append(("exit code", f"{call}: exited with {said.code}: {_last_line(said.err)}"))
     if said.slow:
         found.append(("slow", f"{call}: not ended after {LIMIT:g} s, but by SIGTERM"))
     everything = said.out + said.err
     if said.code is not None and said.code < 0:
         pass  # what is printed then is the system's
-    elif said.code == BUG or any(words in everything for words in _TELLTALES):
+    elif said.code == ExitCode.BUG or any(words in everything for words in _TELLTALES):
         found.append(("traceback", f"{call}: {_last_line(said.err)}"))
     else:
         messages = [*_BEGINS.split(said.err), *([] if _is_data(said) else said.out.splitlines())]

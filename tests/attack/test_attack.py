@@ -22,7 +22,7 @@ from attack.command import Said, fork
 from attack.damage import Case, Sandbox, foreign_kept, meet, plot, verify
 from attack.faults import Disk
 from attack.fuzz import misread, read_back, wrong_run
-from attack.judge import CODES, Finding, content, judged, rows_apart, wrong_content
+from attack.judge import Finding, content, judged, rows_apart, wrong_content
 from attack.kills import Start
 from attack.mutations import CORPUS, MUTATIONS, Mutant, draw_for, mutant
 from attack.pages import Reader
@@ -86,10 +86,8 @@ def test_every_planted_fault_is_seen_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_the_codes_are_those_of_the_table() -> None:
-    assert {0, 1, 2, 3, 4, 130} == CODES
-    assert [kind for code in range(-1, 140) for kind, _ in judged(Said(("run",), code, "", ""))].count("exit code") == (
-        140 - len(CODES) - 1
-    )
+    unknown = {code for code in range(140) if "exit code" in dict(judged(Said(("run",), code, "", "")))}
+    assert sorted({*range(140)} - unknown) == [0, 1, 2, 3, 4, 70, 130]
 
 
 def test_a_finding_is_one_line_without_control_characters() -> None:

@@ -12,7 +12,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from topcli.cli.output import emit, print_error, print_message, print_message_text
-from topcli.errors import TopcliError, clipped
+from topcli.errors import ExitCode, TopcliError, clipped
 from topcli.studies import STUDIES, find_study
 
 STUDY = "study"
@@ -138,8 +138,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Numerical experiments on discrete spinning tops: run, measure, compare, draw.",
     epilog="First steps: topcli init, topcli run experiment.yaml, topcli report results/NAME --out NAME.html.\n\n"
-    "Exit codes: 0 success, 1 a run failed, 2 wrong usage or config, 3 part of several runs failed, "
-    "4 a stated tolerance or claim was violated, 70 an internal error, 130 interrupted.",
+    f"Exit codes: {', '.join(f'{code} {code.meaning}' for code in ExitCode)}.",
 )
 
 

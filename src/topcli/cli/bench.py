@@ -11,6 +11,7 @@ import typer
 
 from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, config_option, load_scheme_files
 from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
+from topcli.errors import ExitCode
 
 if TYPE_CHECKING:
     from topcli.studies.bench.contest import LineUp, Problem
@@ -163,4 +164,4 @@ def bench(
     if as_json:
         print_json("bench", {"scenes": results})
     if any(result["failed_peers"] or any(row["broken"] for row in result["competitors"]) for result in results):
-        raise typer.Exit(3)
+        raise typer.Exit(ExitCode.PARTLY_FAILED)

@@ -175,7 +175,7 @@ def plot(
     the changed experiment in its name.
     """
     from topcli.engine.ensemble import default_threads
-    from topcli.errors import TopcliError, UsageError, shortened
+    from topcli.errors import ExitCode, TopcliError, UsageError, shortened
     from topcli.figures.catalogue import FIGURES
     from topcli.figures.figure import NothingMeasuredError, Request, make_figures
     from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
@@ -236,4 +236,4 @@ def plot(
         print_json("plot", {"figures": items})
     if failed:
         print_message(f"{len(failed)} of {len(figures)} figures failed")
-        raise typer.Exit(3 if made else failed[0].exit_code)
+        raise typer.Exit(ExitCode.PARTLY_FAILED if made else failed[0].exit_code)

@@ -9,6 +9,7 @@ import typer
 
 from topcli.cli.options import Json, Out, Overwrite, SchemeFiles, load_scheme_files, require_new, write_text
 from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table, table_lines
+from topcli.errors import ExitCode
 
 if TYPE_CHECKING:
     from topcli.sweeps.table import SweepTable
@@ -40,7 +41,7 @@ def verify(
             notes = "".join(f"; {file.name}: {file.reason}" for file in result.files if file.reason)
             emit(f"{result.folder}: {kind}, {len(result.files)} files intact{notes}")
     if any(result.damaged for result in checked):
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.FAILED)
 
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR/NAME", help="Folder of a sweep.")]

@@ -12,7 +12,7 @@ import typer
 
 from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
 from topcli.cli.output import ProgressDisplay, emit, print_error, print_json, print_message, print_table, print_warnings
-from topcli.errors import TopcliError, UsageError, quoted
+from topcli.errors import ExitCode, TopcliError, UsageError, quoted
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -105,25 +105,27 @@ def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: 
     }
 
 
-def _code(result: RunResult) -> int:
-    """Exit code of one run; 3 for an ensemble in which some trajectories failed and some completed."""
-    if result.outcome.value in ("completed", "interrupted"):
-        return 0 if result.outcome.value == "completed" else 130
-    return 3 if result.report.get("outcomes", {}).get("completed") else 1
+def _code(result: RunResult) -> ExitCode:
+    """Exit code of one run; an ensemble in which some trajectories completed failed in part."""
+    if result.outcome.value == "completed":
+        return ExitCode.SUCCESS
+    if result.outcome.value == "interrupted":
+        return ExitCode.INTERRUPTED
+    return ExitCode.PARTLY_FAILED if result.report.get("outcomes", {}).get("completed") else ExitCode.FAILED
 
 
-def _exit_code(codes: list[int]) -> int:
-    """Exit code of the command: 130 if interrupted, 3 if only a part failed, else the largest of all."""
-    if 130 in codes:
-        return 130
-    return 3 if 0 in codes and any(codes) else max(codes)
+def _exit_code(codes: list[ExitCode]) -> ExitCode:
+    """Exit code of the command from those of its runs: the largest of all, unless only a part failed."""
+    if ExitCode.INTERRUPTED not in codes and ExitCode.SUCCESS in codes and any(codes):
+        return ExitCode.PARTLY_FAILED
+    return max(codes)
 
 
-def _say_failure(name: str, result: RunResult, code: int) -> None:
+def _say_failure(name: str, result: RunResult, code: ExitCode) -> None:
     """Print how a run failed and what is kept of it."""
-    failure = "some trajectories failed" if code == 3 else result.outcome.value
+    failure = "some trajectories failed" if code is ExitCode.PARTLY_FAILED else result.outcome.value
     kept = "all rows" if result.outcome.value == "left_motion" else "the rows before"
-    more = "; --resume continues it" if code == 130 and "kind" not in result.report else ""
+    more = "; --resume continues it" if code is ExitCode.INTERRUPTED and "kind" not in result.report else ""
     print_message(f"error: {name}: {failure}; {kept} are kept{more}")
 
 
@@ -143,7 +145,7 @@ def _experiment(config: str, request: _Request, resume: bool) -> Experiment | En
 
 def _run_config(
     config: str, request: _Request, options: RunOptions, display: ProgressDisplay
-) -> tuple[int, dict[str, Any]]:
+) -> tuple[ExitCode, dict[str, Any]]:
     """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
     from topcli.runs.run import run_experiment
 
@@ -155,7 +157,7 @@ def _run_config(
             plan = _plan_data(experiment, request.out, options)
             if not (request.as_json or request.quiet):
                 emit(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
-            return 0, plan
+            return ExitCode.SUCCESS, plan
         display.begin(experiment.name)
         try:
             result = run_experiment(experiment, request.out, options)
@@ -246,7 +248,7 @@ def run(
     request = _Request(out, overrides, name, dry_run, quiet, as_json, len(configs) > 1)
     load_scheme_files(scheme_files)
     reports: list[dict[str, Any]] = []
-    codes: list[int] = []
+    codes: list[ExitCode] = []
     display = ProgressDisplay(len(configs), quiet)
     on_message = (lambda line: None) if quiet else print_message
     with Interruption() as interruption:
@@ -255,12 +257,12 @@ def run(
             code, report = _run_config(config, request, options, display)
             codes.append(code)
             reports.append(report)
-            if code == 130 or (code and fail_fast):
+            if code is ExitCode.INTERRUPTED or (code and fail_fast):
                 break
     if as_json:
         print_json("run", {"runs": reports})
     elif len(configs) > 1 and not quiet:
-        succeeded, skipped = codes.count(0), len(configs) - len(codes)
+        succeeded, skipped = codes.count(ExitCode.SUCCESS), len(configs) - len(codes)
         more = f"; {skipped} not run" if skipped else ""
         print_message(f"{succeeded} of {len(configs)} runs succeeded; {len(codes) - succeeded} failed{more}")
     if code := _exit_code(codes):

@@ -12,7 +12,7 @@ import typer
 from topcli.cli.options import Json, Out, SchemeFiles, load_scheme_files
 from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table
 from topcli.cli.run import Interruption
-from topcli.errors import UsageError, shortened
+from topcli.errors import ExitCode, UsageError, shortened
 
 if TYPE_CHECKING:
     from topcli.config.rows import Row
@@ -121,13 +121,13 @@ def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> N
         emit(f"{plan.survey.count} rows: the run needs --yes")
 
 
-def exit_code(result: SweepResult) -> int:
-    """Exit code: 130 if interrupted, 1 if all rows failed, 3 if a part did, else 0."""
+def exit_code(result: SweepResult) -> ExitCode:
+    """Exit code of a sweep, by how many of its finished rows failed."""
     if result.interrupted:
-        return 130
+        return ExitCode.INTERRUPTED
     if not result.failed:
-        return 0
-    return 1 if result.failed == result.finished else 3
+        return ExitCode.SUCCESS
+    return ExitCode.FAILED if result.failed == result.finished else ExitCode.PARTLY_FAILED
 
 
 def _report(sweep: Sweep, result: SweepResult) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
-from topcli.errors import RunError, TopcliError, UsageError, clipped
+from topcli.errors import ExitCode, RunError, TopcliError, UsageError, clipped
 from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, exact_column, save
 from topcli.figures.style import STYLE
 from topcli.runs.identity import method_fingerprint
@@ -343,7 +343,7 @@ def _make_apart(pipe: Connection, figure: Figure, request: Request, out: Path, f
     parent = mp.parent_process()
     assert parent is not None
     sentinel = parent.sentinel
-    threading.Thread(target=lambda: (wait([sentinel]), os._exit(1)), daemon=True).start()
+    threading.Thread(target=lambda: (wait([sentinel]), os._exit(ExitCode.FAILED)), daemon=True).start()
     sent = time.monotonic()
 
     def progress(done: int, total: int) -> None:
@@ -357,4 +357,4 @@ def _make_apart(pipe: Connection, figure: Figure, request: Request, out: Path, f
     except TopcliError as error:
         pipe.send(error)
     except KeyboardInterrupt:
-        os._exit(130)
+        os._exit(ExitCode.INTERRUPTED)

@@ -8,6 +8,7 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Annotated
 
+from topcli.errors import ExitCode
 from topcli.paper.claim import FAILS, HOLDS, NOT_TRIED, category_of, number_text, summary_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Data, Faults, Flag, Head, Result, Study
@@ -171,7 +172,8 @@ def faults(data: Data) -> Faults:
         for name, control in data["controls"].items()
         if control["verdict"] != FAILS and not control["verdict"].startswith(NOT_TRIED)
     ]
-    return Faults(4 if changed else 1 if failed else 0, [*failed, *changed])
+    code = ExitCode.VIOLATED if changed else ExitCode.FAILED if failed else ExitCode.SUCCESS
+    return Faults(code, [*failed, *changed])
 
 
 CLAIMS = Study(

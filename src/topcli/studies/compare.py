@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from topcli.errors import UnknownNameError, UsageError, quoted
+from topcli.errors import ExitCode, UnknownNameError, UsageError, quoted
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import PYTHON_ONLY, Data, Faults, Flag, Head, Overrides, Result, Study, cited_parts, top_title
 from topcli.table import Column, Table, number
@@ -286,7 +286,9 @@ def faults(data: Data) -> Faults:
     lines = [f"{row['label']}: {row['message']}" for row in bad]
     lines += [f"{row['label']}: {row['reason']}" for row in failed]
     partly = any("completed" in scheme.get("outcomes", ()) for scheme in data["schemes"])
-    return Faults(3 if failed or (bad and partly) else 1 if bad else 0, lines)
+    if failed or (bad and partly):
+        return Faults(ExitCode.PARTLY_FAILED, lines)
+    return Faults(ExitCode.FAILED if bad else ExitCode.SUCCESS, lines)
 
 
 def _frame_of_series(result: Result) -> Any:

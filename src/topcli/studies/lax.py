@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated
 
+from topcli.errors import ExitCode
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import (
     ConfigFile,
@@ -145,7 +146,7 @@ def notes(data: Data) -> Iterator[str]:
 def faults(data: Data) -> Faults:
     """Runs that did not complete."""
     lines = [f"{run['scheme']}: {run['message']}" for run in data["runs"] if run["outcome"] != "completed"]
-    return Faults(bool(lines), lines)
+    return Faults(ExitCode.FAILED if lines else ExitCode.SUCCESS, lines)
 
 
 LAX = Study(

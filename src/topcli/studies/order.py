@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from topcli.errors import UsageError, quoted, shortened
+from topcli.errors import ExitCode, UsageError, quoted, shortened
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import (
     ConfigSource,
@@ -207,8 +207,12 @@ def faults(data: Data) -> Faults:
     broken = [f"{row['scheme']}: {row['broken']}" for row in rows if row["broken"]]
     false = [f"{row['scheme']}: {row['why']}" for row in rows if not row["broken"] and row["verdict"] in FALSE]
     if broken:
-        return Faults(3 if len(broken) < len(rows) else 2, [*broken, *false])
-    return Faults(1 if not all(row["points"] for row in rows) else 4 if false else 0, false)
+        code = ExitCode.PARTLY_FAILED if len(broken) < len(rows) else ExitCode.WRONG_USAGE
+    elif not all(row["points"] for row in rows):
+        code = ExitCode.FAILED
+    else:
+        code = ExitCode.VIOLATED if false else ExitCode.SUCCESS
+    return Faults(code, [*broken, *false])
 
 
 ORDER = Study(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Annotated
 
-from topcli.errors import UsageError
+from topcli.errors import ExitCode, UsageError
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import ConfigFile, Data, Faults, Flag, Head, Overrides, Result, Study, parts_of
 from topcli.table import Column, Table, two_digits
@@ -147,7 +147,8 @@ def faults(data: Data) -> Faults:
     """Forms that did not complete, and tolerances exceeded."""
     failed = [form for form in data["forms"] if form["outcome"] != "completed"]
     lines = [f"{form['scheme']} with {form['form']} sums: {form['message']}" for form in failed]
-    return Faults(1 if failed else 4 if data["violations"] else 0, [*lines, *data["violations"]])
+    code = ExitCode.FAILED if failed else ExitCode.VIOLATED if data["violations"] else ExitCode.SUCCESS
+    return Faults(code, [*lines, *data["violations"]])
 
 
 ROUNDOFF = Study(

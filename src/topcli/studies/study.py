@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from topcli.errors import ExitCode
 from topcli.table import Table
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class Head(NamedTuple):
 class Faults(NamedTuple):
     """Messages about what went wrong, and the exit code of the command."""
 
-    code: int = 0
+    code: ExitCode = ExitCode.SUCCESS
     lines: Sequence[str] = ()
 
 

@@ -8,6 +8,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any
 
 from topcli.errors import (
+    ExitCode,
     UnknownNameError,
     UsageError,
     nearest,
@@ -259,7 +260,10 @@ def faults(data: Data) -> Faults:
         for trial in trials
         if trial["verdict"] in UNEXPLAINED
     ]
-    code = (3 if len(failed) < len(trials) else 2) if failed else 4 if wrong else 0
+    if failed:
+        code = ExitCode.PARTLY_FAILED if len(failed) < len(trials) else ExitCode.WRONG_USAGE
+    else:
+        code = ExitCode.VIOLATED if wrong else ExitCode.SUCCESS
     return Faults(code, [*lines, *wrong])
 
 
