@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Floats, Outcome
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.kowalevski import backlund_parameters
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski

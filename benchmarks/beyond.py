@@ -26,7 +26,7 @@ sys.path[:0] = [str(ROOT / "src")]
 
 from topcli.analysis.reference import reference_states  # noqa: E402
 from topcli.analysis.tally import InvariantTally  # noqa: E402
-from topcli.engine.loop import Run, nanoseconds_per_step  # noqa: E402
+from topcli.engine.run import Run, nanoseconds_per_step  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402
 

@@ -27,7 +27,7 @@ sys.path[:0] = [str(ROOT / "benchmarks"), str(ROOT / "src")]
 from ratios import quartiles  # noqa: E402
 
 from topcli.contracts import Scheme  # noqa: E402
-from topcli.engine.driver import loop_of  # noqa: E402
+from topcli.engine.loop import loop_of  # noqa: E402
 from topcli.schemes.compose import COMPOSITIONS, compose  # noqa: E402
 from topcli.schemes.registry import composable_names, find_scheme  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402

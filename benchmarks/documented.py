@@ -19,7 +19,7 @@ import numpy as np
 from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Floats
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 

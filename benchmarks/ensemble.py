@@ -38,8 +38,8 @@ from plain_steps import hk_block  # noqa: E402
 from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine import native as compiler  # noqa: E402
-from topcli.engine.driver import loop_of  # noqa: E402
 from topcli.engine.ensemble import GROUP, TILE, EnsembleRun, Execution  # noqa: E402
+from topcli.engine.loop import loop_of  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.engine.tile import SIGNATURE, plain_lanes, stages_of  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from topcli.config.load import load_experiment
-from topcli.engine.driver import loop_of
+from topcli.engine.loop import loop_of
 from topcli.runs.run import run_experiment
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/support", "src")]
 
 from topcli.contracts import Stepper  # noqa: E402
-from topcli.engine.driver import loop_of  # noqa: E402
+from topcli.engine.loop import loop_of  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402

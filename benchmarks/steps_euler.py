@@ -24,7 +24,7 @@ from ratios import ratio_rows, show_rows
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
 
-from topcli.engine.driver import loop_of  # noqa: E402
+from topcli.engine.loop import loop_of  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops.euler import Euler  # noqa: E402
 

@@ -28,7 +28,7 @@ sys.path[:0] = [str(ROOT / "src")]
 
 from topcli.analysis.reference import reference_states  # noqa: E402
 from topcli.contracts import Top  # noqa: E402
-from topcli.engine.driver import loop_of  # noqa: E402
+from topcli.engine.loop import loop_of  # noqa: E402
 from topcli.schemes.any_top.taylor import Tolerance, build  # noqa: E402
 from topcli.tops.heavy import Heavy  # noqa: E402
 from topcli.tops.kowalevski import Kowalevski  # noqa: E402

@@ -148,6 +148,6 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     from topcli.store import series
 
     for name, value in (("CHUNK_STEPS", 23), ("PLAIN_STEPS", 23), ("CHUNK_ROWS", 16)):
-        monkeypatch.setattr(f"topcli.engine.loop.{name}", value)
+        monkeypatch.setattr(f"topcli.engine.run.{name}", value)
     monkeypatch.setattr(series, "ROW_GROUP", 40)
     monkeypatch.setattr("topcli.runs.recorder.BATCH", 20)

@@ -33,7 +33,7 @@ from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_named
 from topcli.config.models import Experiment
 from topcli.contracts import Stepper
-from topcli.engine.driver import plain_loop
+from topcli.engine.loop import plain_loop
 from topcli.runs import ensemble, run  # noqa: F401 (imported here like those above)
 from topcli.store.manifest import stored_run
 from topcli.store.series import read_series

@@ -21,7 +21,7 @@ from attack.studies import SweepScene, sweep_scenes
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.text import to_yaml
-from topcli.engine import loop
+from topcli.engine import run
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import series
@@ -51,8 +51,8 @@ PRECISE: dict[str, dict[str, object]] = {
 
 def small_pieces() -> None:
     """Make chunks and row groups of this process, and of its forks, small."""
-    loop.CHUNK_STEPS = 100
-    loop.PRECISE_STEPS = 10
+    run.CHUNK_STEPS = 100
+    run.PRECISE_STEPS = 10
     series.ROW_GROUP = 350
     evaluate.PER_WORKER = 12
     sweep_run.TABLE_SECONDS = 0.0

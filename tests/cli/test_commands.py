@@ -21,7 +21,7 @@ from topcli import __version__
 from topcli.__main__ import main
 from topcli.cli import options
 from topcli.config.load import load_named
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 HYBRID = str(ROOT / "configs" / "kowalevski_hybrid.yaml")

@@ -22,7 +22,7 @@ import topcli
 from conftest import PAPER, ROOT
 from documentation import Block, Page, difference, prepare, read_page, run, sessions, without_progress
 from topcli.analysis.reference import reference_states
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 

@@ -16,9 +16,9 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Stepper, StopAsked, check_stop, stop_asked
 from topcli.engine.attitude import HEAD, carry, constants_of, start_attitude, with_attitude
-from topcli.engine.driver import loop_of
-from topcli.engine.loop import Run
+from topcli.engine.loop import loop_of
 from topcli.engine.native import native
+from topcli.engine.run import Run
 from topcli.runs.recorder import run_of
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski

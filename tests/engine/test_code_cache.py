@@ -16,8 +16,8 @@ import pytest
 from conftest import GEN, ROOT, Said
 from steppers import EXPLODE
 from topcli.engine import code_cache, native
-from topcli.engine.loop import Run
 from topcli.engine.native import native as compiled
+from topcli.engine.run import Run
 from topcli.tops.kowalevski import Kowalevski
 
 
@@ -240,7 +240,7 @@ PROBE = """
 import json, sys
 from itertools import chain
 from pathlib import Path
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme, load_scheme_file
 from topcli.tops.kowalevski import Kowalevski
 load_scheme_file(Path(sys.argv[1]))

@@ -11,8 +11,8 @@ import pytest
 from conftest import GEN, PAPER
 from steppers import EXPLODE, RK2
 from topcli.contracts import Outcome, Stepper
-from topcli.engine import loop, native
-from topcli.engine.loop import Run
+from topcli.engine import native
+from topcli.engine.run import Run
 from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
@@ -31,8 +31,8 @@ def test_chunked_equals_whole(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
     method, y0 = scheme.build(top, scheme.options()), GEN[: len(top.components)]
     n, whole = rows(Run(top, method, y0, 0.01, N))
     assert n.tolist() == list(range(N + 1))
-    monkeypatch.setattr(loop, "CHUNK_STEPS", 23)
-    monkeypatch.setattr(loop, "CHUNK_ROWS", 5)
+    monkeypatch.setattr("topcli.engine.run.CHUNK_STEPS", 23)
+    monkeypatch.setattr("topcli.engine.run.CHUNK_ROWS", 5)
     for every in (1, 7):
         n, cut = rows(Run(top, method, y0, 0.01, N, every))
         assert n.tolist() == list(range(0, N + 1, every))
@@ -74,7 +74,7 @@ def test_blow_up_is_found_at_its_step_and_what_came_before_is_kept() -> None:
 
 
 def test_stop_between_chunks_ends_as_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loop, "CHUNK_STEPS", 100)
+    monkeypatch.setattr("topcli.engine.run.CHUNK_STEPS", 100)
     asked = iter([False, False, True])
     run = Run(Kowalevski(), RK2, GEN, 0.01, 1000, stop=lambda: next(asked))
     n, _ = rows(run)

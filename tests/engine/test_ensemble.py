@@ -13,7 +13,7 @@ from steppers import EXPLODE
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import ensemble
 from topcli.engine.ensemble import TILE, EnsembleRun, Execution, Piece
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
@@ -74,8 +74,8 @@ def assert_same(
 
 @pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
 def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ensemble, "CHUNK_ROWS", 37)
-    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 61)
+    monkeypatch.setattr(ensemble, "PIECE_ROWS", 37)
+    monkeypatch.setattr(ensemble, "PIECE_STEPS", 61)
     top = TOPS[scheme.top]()
     method = scheme.build(top, scheme.options())
     count, N = (3, 20) if slow(method) else (COUNT, 150)
@@ -109,7 +109,7 @@ def test_ensembles_of_every_size_have_the_bits_of_single_runs(count: int, N: int
 
 def test_blow_up_leaves_other_trajectories_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     """x**(2**n) overflows at a step that depends on x; those with |x| <= 1 never do."""
-    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 4)
+    monkeypatch.setattr(ensemble, "PIECE_STEPS", 4)
     y0 = random_states(COUNT, 3)
     y0[:, 0] = np.where(np.arange(COUNT) % 3 == 0, 2.0 ** (1.0 + np.arange(COUNT) % 5), 0.5)
     rows, run = together(Kowalevski(), EXPLODE, y0, 0.5, 100)
@@ -143,7 +143,7 @@ def test_an_infinity_that_passes_is_seen() -> None:
 def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The pieces come in the same order with the same bits."""
     monkeypatch.setattr(ensemble, "GROUP", 2)
-    monkeypatch.setattr(ensemble, "CHUNK_ROWS", 20)
+    monkeypatch.setattr(ensemble, "PIECE_ROWS", 20)
     method = find_scheme("hybrid", "kowalevski").build(Kowalevski(), find_scheme("hybrid", "kowalevski").options())
     y0 = random_states(3 * TILE + 5, 6)
 
@@ -163,7 +163,7 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("threads", [1, 2])
 def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also around a tile that is left out because all of it failed."""
-    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 20)
+    monkeypatch.setattr(ensemble, "PIECE_STEPS", 20)
     scheme = find_scheme("rk2", "kowalevski")
     y0 = random_states(6 * TILE + 5, 6)
     y0[2 * TILE : 3 * TILE, :3] = 1e200
@@ -189,7 +189,7 @@ def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeyp
 def test_error_in_one_piece_is_raised_once_and_stops_the_others(
     threads: int, broken: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 10)
+    monkeypatch.setattr(ensemble, "PIECE_STEPS", 10)
     begun: list[int] = []
 
     def made(piece: Piece) -> int:
@@ -209,8 +209,8 @@ def test_error_in_one_piece_is_raised_once_and_stops_the_others(
 @pytest.mark.parametrize("name", ["hk", "dop853"])
 def test_interruption_keeps_recorded_rows(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble, "GROUP", 1)
-    monkeypatch.setattr(ensemble, "CHUNK_STEPS", 10)
-    monkeypatch.setattr("topcli.engine.loop.PLAIN_STEPS", 10)
+    monkeypatch.setattr(ensemble, "PIECE_STEPS", 10)
+    monkeypatch.setattr("topcli.engine.run.PLAIN_STEPS", 10)
     scheme = find_scheme(name, "kowalevski")
     count, asked = (TILE + 6, 7) if name == "hk" else (3, 5)  # within the second tile, within the second trajectory
     answers = iter([False] * asked + [True] * 10)

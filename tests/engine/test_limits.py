@@ -21,10 +21,10 @@ from topcli.analysis.tally import InvariantTally
 from topcli.arithmetic.elliptic import landen
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, check_stop, stopping_when
-from topcli.engine import ensemble, loop, setups, tile
+from topcli.engine import ensemble, setups, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
-from topcli.engine.loop import Run, nanoseconds_per_step
 from topcli.engine.precise_numbers import LONG, Exact
+from topcli.engine.run import Run, nanoseconds_per_step
 from topcli.engine.setups import Setups
 from topcli.errors import RunError
 from topcli.runs.decision import RunOptions
@@ -57,7 +57,7 @@ def method(name: str, form: str = "kowalevski", **options: Any) -> Any:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every call of compiled code is followed by the question whether to stop."""
-    monkeypatch.setattr(loop, "CALL_SECONDS", 0.0)
+    monkeypatch.setattr("topcli.engine.run.CALL_SECONDS", 0.0)
 
 
 def test_requests_of_all_levels_are_heeded_and_forgotten() -> None:
@@ -209,9 +209,9 @@ def test_a_trajectory_that_goes_on_by_itself_stops_when_asked(impatient: None) -
     assert sum(calls) == 2000
     calls.clear()
     cut, pieces = run(lambda: len(calls) > 0)
-    assert calls == [tile.FIRST_CALL] * 2
-    assert [(one.outcome, one.step) for one in cut.endings] == [(Outcome.INTERRUPTED, tile.FIRST_CALL)] * 2
-    assert pieces == [[1 + tile.FIRST_CALL // 10] * 2]
+    assert calls == [tile.LONE_FIRST_CALL] * 2
+    assert [(one.outcome, one.step) for one in cut.endings] == [(Outcome.INTERRUPTED, tile.LONE_FIRST_CALL)] * 2
+    assert pieces == [[1 + tile.LONE_FIRST_CALL // 10] * 2]
 
 
 def test_an_operation_on_long_rational_numbers_heeds_a_stop() -> None:
@@ -346,9 +346,9 @@ def test_calls_of_any_length_give_the_same_bits(monkeypatch: pytest.MonkeyPatch)
         return np.concatenate(pieces, axis=1)
 
     whole, whole_many = rows(), many()
-    monkeypatch.setattr(loop, "FIRST_CALL", 64)
-    monkeypatch.setattr(ensemble, "FIRST_CALL", 4)
-    monkeypatch.setattr(loop, "CALL_SECONDS", 0.0)
+    monkeypatch.setattr("topcli.engine.run.FIRST_CALL", 64)
+    monkeypatch.setattr(ensemble, "TILE_FIRST_CALL", 4)
+    monkeypatch.setattr("topcli.engine.run.CALL_SECONDS", 0.0)
     assert (rows() == whole).all()
     assert (many() == whole_many).all()
 
@@ -369,8 +369,8 @@ def test_a_run_stopped_within_a_chunk_resumes_to_the_same_bytes(
     whole = run_experiment(experiment, tmp_path / "whole")
     expected, sizes = sizes, []
     with monkeypatch.context() as cut:
-        cut.setattr(loop, "CALL_SECONDS", 0.0)
-        cut.setattr(loop, "FIRST_CALL", 700)
+        cut.setattr("topcli.engine.run.CALL_SECONDS", 0.0)
+        cut.setattr("topcli.engine.run.FIRST_CALL", 700)
         asked = iter([False, False])
         stopped = run_experiment(experiment, tmp_path / "cut", RunOptions(stop=lambda: next(asked, True)))
     assert stopped.report["step"] == 701

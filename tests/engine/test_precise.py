@@ -11,7 +11,6 @@ import pytest
 
 from topcli.arithmetic.fused import fma, follow_precision
 from topcli.contracts import Outcome, Scheme, Stepper
-from topcli.engine.loop import Recorded, Run
 from topcli.engine.precise import PreciseRun, Rebuilder, longest, obstacle, precise_loop, prepared
 from topcli.engine.precise_numbers import (
     RATIONAL,
@@ -28,6 +27,7 @@ from topcli.engine.precise_numbers import (
     integer_text,
     meaning,
 )
+from topcli.engine.run import Recorded, Run
 from topcli.errors import UsageError
 from topcli.runs.report import ORDINARY
 from topcli.schemes.registry import all_schemes, composed, find_scheme

@@ -16,7 +16,7 @@ from topcli.contracts import Accuracy, Sampler
 from topcli.engine import setups
 from topcli.engine.code_cache import cache_state
 from topcli.engine.ensemble import EnsembleRun, Execution, Piece
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.engine.setups import SetupTime, prepare, setup_processes
 from topcli.errors import RunError
 from topcli.schemes.kowalevski import exact

@@ -14,7 +14,7 @@ from test_ensemble_run import RANDOM, columns, experiment, failing
 from topcli.analysis.tally import MEASURES, InvariantTally
 from topcli.contracts import Ending, Invariant, Outcome
 from topcli.engine import ensemble as engine
-from topcli.engine.loop import CODES, Endings
+from topcli.engine.run import CODES, Endings
 from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
 from topcli.runs.identity import prepared

@@ -86,7 +86,7 @@ def test_a_running_ensemble_shows_what_it_computes(tmp_path: Path) -> None:
 
 def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In pieces and without rows, against each single trajectory's own report."""
-    monkeypatch.setattr(engine, "CHUNK_ROWS", 8)
+    monkeypatch.setattr(engine, "PIECE_ROWS", 8)
     found = experiment()
     stored = run_experiment(found, tmp_path / "rows").stored
     without = run(tmp_path / "none", ensemble={"random": RANDOM, "store": "statistics"})
@@ -125,7 +125,7 @@ def test_a_drift_needs_all_rows_and_eight_of_them(tmp_path: Path, monkeypatch: p
         found = columns(short.stored.folder / "trajectories.parquet")["energy_drift"]
         assert np.isfinite(found).all() == known
         assert np.isnan(found).all() != known
-    monkeypatch.setattr(engine, "CHUNK_ROWS", 2)
+    monkeypatch.setattr(engine, "PIECE_ROWS", 2)
     stopped = run_experiment(experiment(N=400, output={"every": 10}), tmp_path / "stopped", RunOptions(stop=after(12)))
     table = columns(stopped.stored.folder / "trajectories.parquet")
     assert 80 < table["n"].min() <= table["n"].max() < 400, "more than eight rows"
@@ -197,7 +197,7 @@ def test_csv_holds_the_recorded_columns(tmp_path: Path) -> None:
 
 def test_an_interrupted_ensemble_is_kept_and_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "GROUP", 1)
-    monkeypatch.setattr(engine, "CHUNK_STEPS", 100)
+    monkeypatch.setattr(engine, "PIECE_STEPS", 100)
     answers = iter([False, False, False, True, True])
     result = run_experiment(experiment(), tmp_path, RunOptions(stop=lambda: next(answers)))
     assert result.outcome is Outcome.INTERRUPTED

@@ -15,7 +15,7 @@ from topcli import simulate
 from topcli.analysis.roundoff import digit_growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.runs.precise import PreciseTally, precise_run
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series

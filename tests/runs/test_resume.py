@@ -21,7 +21,7 @@ from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Scheme
-from topcli.engine.loop import Position, Run
+from topcli.engine.run import Position, Run
 from topcli.errors import UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.recorder import COST, Checkpoints

@@ -22,7 +22,7 @@ from resuming import FILES, NAME, after, small
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Outcome
 from topcli.engine.ensemble import EnsembleRun
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import RunError, UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import decision_on, run_experiment

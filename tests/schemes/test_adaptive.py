@@ -13,8 +13,8 @@ from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Block, Outcome, Scheme, Stepper, Top
 from topcli.engine import native
-from topcli.engine.driver import Loop, loop_of
-from topcli.engine.loop import Run
+from topcli.engine.loop import Loop, loop_of
+from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.schemes.any_top import taylor as loop_text
 from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, extended_precision, order_for, quotients

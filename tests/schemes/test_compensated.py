@@ -15,7 +15,7 @@ from declared import TRIALS, gen
 from stepping import root_mean_square
 from topcli.arithmetic.fused import compensated_sum
 from topcli.contracts import Scheme, Stepper, Top
-from topcli.engine.driver import loop_of
+from topcli.engine.loop import loop_of
 from topcli.engine.precise_numbers import Floating
 from topcli.schemes.compose import COMPOSITIONS, compose
 from topcli.schemes.kowalevski.hk import hk_kowalevski_change, hk_kowalevski_compensated

@@ -13,7 +13,7 @@ from conformance import compositions_of
 from conftest import GEN
 from kick_turn import KICK_TURN, SPLIT
 from topcli.contracts import Outcome, Sampler, Scheme, Stepper
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle, palindrome
 from topcli.schemes.registry import all_schemes, composed, find_scheme

@@ -29,7 +29,7 @@ from steppers import EULER, RK2, rk2
 from stepping import states_of
 from topcli.analysis.order import reversal
 from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.compose import COMPOSITIONS, compose, composed_step
 from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.layout import polynomial_invariants

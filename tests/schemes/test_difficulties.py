@@ -13,8 +13,8 @@ import topcli
 from conftest import GEN, PAPER, Said
 from steppers import RK2
 from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
-from topcli.engine.driver import plain_loop
-from topcli.engine.loop import Run
+from topcli.engine.loop import plain_loop
+from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.runs.report import warning_of
 from topcli.schemes.any_top.hk_midpoint import heavy_determinant, midpoint

@@ -20,9 +20,9 @@ from declared import SCHEMES, TRIALS
 from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from stepping import gradients, states_of
 from topcli.contracts import Top
-from topcli.engine.loop import Run
 from topcli.engine.precise import prepared
 from topcli.engine.precise_numbers import RATIONAL, Exact
+from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy

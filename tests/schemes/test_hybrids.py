@@ -11,7 +11,7 @@ from conftest import GEN, PAPER, random_states
 from stepping import deviations, error_at, ran, stepper
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.contracts import Floats, Outcome
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.kowalevski.bohlin import SWITCH_BELOW, method_b_single, method_b_switch
 from topcli.schemes.kowalevski.hybrid import enter_carried
 from topcli.tops.kowalevski import Kowalevski

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from resuming import NAME, after, content, killed, small
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import RunError, UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment

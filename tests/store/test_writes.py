@@ -21,7 +21,7 @@ from resuming import HK, NAME, content, killed, small
 from stored_results import store_comparison, store_ensemble, store_sweep
 from sweeping import sweep, with_grid
 from topcli.contracts import Outcome
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment

@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Scheme, Stepper
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import all_schemes, composable_names, find_scheme
 from topcli.studies.bench import measure

@@ -29,7 +29,7 @@ from topcli.analysis.lax import (
 )
 from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.schemes.any_top.hk_midpoint import midpoint
 from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, longest_step

@@ -21,7 +21,7 @@ from topcli.analysis.order import convergence, judge_order
 from topcli.analysis.reference import reference_states
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Floats, Stepper
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.schemes import registry
 from topcli.schemes.registry import find_scheme

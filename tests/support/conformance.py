@@ -20,10 +20,10 @@ from stepping import states_of
 from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.driver import loop_of, plain_loop
-from topcli.engine.loop import Run
+from topcli.engine.loop import loop_of, plain_loop
 from topcli.engine.precise import Rebuilder, precise_top
 from topcli.engine.precise_numbers import Arithmetic, Rationals
+from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle
 

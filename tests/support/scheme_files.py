@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from topcli.contracts import Outcome
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.runs.identity import method_fingerprint
 from topcli.schemes import registry
 from topcli.tops.kowalevski import Kowalevski

@@ -7,8 +7,8 @@ import numpy as np
 from conftest import random_states
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Ending, Outcome, Stepper, Top
-from topcli.engine.driver import loop_of
-from topcli.engine.loop import Run
+from topcli.engine.loop import loop_of
+from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 

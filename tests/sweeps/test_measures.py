@@ -15,7 +15,7 @@ from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, Stepper
-from topcli.engine.loop import Endings
+from topcli.engine.run import Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError
 from topcli.runs.references import REFERENCES

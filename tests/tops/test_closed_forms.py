@@ -16,7 +16,7 @@ from test_euler import random_tops
 from topcli.analysis.reference import reference_states
 from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rc, carlson_rf, carlson_rj, jacobi, landen, to_dd
 from topcli.contracts import Sampler, Top
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.schemes.registry import find_scheme
 from topcli.tops.euler import Euler, EulerGamma

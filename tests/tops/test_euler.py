@@ -9,7 +9,7 @@ import pytest
 
 from steppers import physical
 from topcli.contracts import Invariant, Method, Outcome, Top
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
 from topcli.tops.euler import Euler, EulerGamma
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Method, Sampler, Top
-from topcli.engine.driver import Loop, interpreted, single_step
+from topcli.engine.loop import Loop, interpreted, single_step
 
 if TYPE_CHECKING:
     from topcli.engine.precise import PreciseRun

@@ -14,7 +14,7 @@ from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, c
 from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
-from topcli.engine.loop import Endings, Run
+from topcli.engine.run import Endings, Run
 
 if TYPE_CHECKING:
     import pandas as pd

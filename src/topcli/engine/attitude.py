@@ -45,8 +45,8 @@ from topcli.arithmetic.quaternions import (
     upright,
 )
 from topcli.contracts import Array, Floats, Method, Sampler, Scheme, StopAsked, Top, checked_equations
-from topcli.engine.driver import Loop, loop_of
 from topcli.engine.fingerprint import fingerprint
+from topcli.engine.loop import Loop, loop_of
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native

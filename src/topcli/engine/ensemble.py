@@ -5,8 +5,7 @@ the compiler vectorises it. The step is the function that single runs compile, a
 reordered, hence a trajectory has the same bits in an ensemble as in a single run. A step with loops or branches that
 cannot become selections is not vectorised, but its results are the same.
 
-That loop checks nothing: it adds up the working state, and an infinity or a nan anywhere makes the sum infinite or nan.
-``engine/tile.py`` deals with such trajectories.
+``engine/tile.py`` describes the compiled loop of a tile and what happens to trajectories that fail in it.
 
 Two threads are nearly twice as fast as one because each thread gets one task instead of one per tile, rows are recorded
 in place without a copy by the interpreter, and each thread has one buffer for them, which stays in its cache.
@@ -31,9 +30,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, StopAsked, Top, stopping_when
-from topcli.engine.driver import Loop, loop_of, step_refused
-from topcli.engine.loop import Endings, Run
+from topcli.engine.loop import Loop, loop_of, step_refused
 from topcli.engine.native import CompileError, native
+from topcli.engine.run import Endings, Run
 from topcli.engine.setups import Setups, SetupTime
 from topcli.engine.tile import (
     SIGNATURE,
@@ -54,13 +53,14 @@ SMALL_TILE = 8
 GROUP = 16
 """Tiles that advance together, a chunk at a time, shared out among the threads. A constant, because the order of the
 pieces depends on it and must not depend on the machine."""
-CHUNK_ROWS = 512
+PIECE_ROWS = 512
 """Recorded rows of a trajectory in a piece; a thread holds TILE times as many in memory."""
-CHUNK_STEPS = 1 << 14
+PIECE_STEPS = 1 << 14
+"""Most steps of a piece."""
 BLOCK = 1 << 14
 """Trajectories of a large ensemble that are drawn, run, tallied and written before the next ones, to bound the memory.
 A multiple of GROUP * TILE, so that tiles are those of one large block."""
-FIRST_CALL = 1
+TILE_FIRST_CALL = 1
 """Steps of the first call of compiled code for a tile; later calls take more while they are short."""
 
 Made = TypeVar("Made")
@@ -222,7 +222,7 @@ class EnsembleRun(TileContext, Generic[Made]):
         if lanes is None:
             yield from self._one_by_one()
             return
-        self.call_steps = FIRST_CALL
+        self.call_steps = TILE_FIRST_CALL
         m, size = len(self.y0), GROUP * self.tile
         with ThreadPoolExecutor(max(1, self.threads - 1)) as pool:
             for start in range(0, m, size):
@@ -238,7 +238,7 @@ class EnsembleRun(TileContext, Generic[Made]):
         living = list(group)
         while living and done < N and not self.stop():
             until_record = every - done % every
-            steps = min(N - done, CHUNK_STEPS, until_record + (CHUNK_ROWS - 1) * every)
+            steps = min(N - done, PIECE_STEPS, until_record + (PIECE_ROWS - 1) * every)
 
             def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Made:
                 return self.made(advance_together(tiles, steps, until_record))
@@ -263,7 +263,7 @@ class EnsembleRun(TileContext, Generic[Made]):
 
         A piece of few ``rows`` costs its consumer as much as one of a few hundred.
         """
-        most = min(len(tiles) // self.threads, CHUNK_ROWS // rows) if self.wide else 1
+        most = min(len(tiles) // self.threads, PIECE_ROWS // rows) if self.wide else 1
         made: list[list[Tile]] = []
         for tile in tiles:
             last = made[-1] if made else []

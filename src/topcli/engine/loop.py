@@ -1,378 +1,211 @@
-"""Run a scheme in chunks, with constant memory at any N and with progress and interruption between chunks.
+"""The one time loop: iterate a step, record every k-th state, stop at the first state that is not finite.
 
-Times are t = n*h, never accumulated. The first row recorded is the initial state itself. The endings of many
-trajectories are arrays of a few bytes each; an ``Ending`` is made on access.
+numba needs tuples of known length, so the loop is a template for the lengths of the working state, the recorded state
+and the constants.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, overload
+from functools import cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, stopping_when
-from topcli.engine.driver import Loop, loop_of
-from topcli.engine.setups import SetupTime
+from topcli.arithmetic.fused import unlikely
+from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
+from topcli.engine.native import CompileError, native, native_text
+from topcli.engine.setups import SetupTime, prepare
+from topcli.engine.source import place_of, plain_function
 from topcli.errors import SchemeCodeError
 
-OUTCOMES = tuple(Outcome)
-"""Outcomes in the order of their codes in ``Endings.outcome``."""
-CODES = {outcome: code for code, outcome in enumerate(OUTCOMES)}
-ARRAYS = ("outcome", "step", "counts", "begun", "left")
-"""Arrays of ``Endings`` with a row for each trajectory."""
-NO_FAILURE = (Outcome.COMPLETED, Outcome.INTERRUPTED)
+SIGNATURE = "pppdqqq"
+
+_TEMPLATE = """
+def make(step, enter, leave):
+    def enter_state(y, work, params, h):
+        {set_p}
+        s = enter(({y_items}), h, p)
+        {store_s}
+        return 0
+
+    def drive(work, out, params, h, steps, every, until_record):
+        # returns the number of steps done, or minus the number of the first step whose result is not finite;
+        # that result is left in work
+        {set_p}
+        s = ({work_items})
+        k = 0
+        left = until_record
+        for i in range(steps):
+            s = step(s, h, p)
+            if unlikely(not (({sum}) * 0.0 == 0.0)):  # so for all that is not finite and for some that is huge
+                if not ({finite} == 0.0):
+                    {store_failed}
+                    return -(i + 1)
+            left -= 1
+            if left == 0:
+                y = leave(s, h, p)
+                {record}
+                k += {d}
+                left = every
+        {store_s}
+        return steps
+
+    return enter_state, drive
+"""
 
 
-class Endings(Sequence[Ending]):
-    """Endings of ``count`` trajectories of step ``h``, each interrupted at step 0 until ``put`` replaces it.
-
-    ``outcome`` (m,) holds codes, ``step`` (m,) step numbers, ``counts`` (m, counters) the events named in
-    ``counters``; a trajectory that is not ``begun`` (m,) counted none. ``left`` (m,) are the first recorded steps at
-    which the states were far off their energy surface, -1 for never.
-    """
-
-    def __init__(self, count: int, h: float, counters: Sequence[str] = ()) -> None:
-        self.h, self.counters = h, tuple(counters)
-        self.outcome: NDArray[np.int8] = np.full(count, CODES[Outcome.INTERRUPTED], dtype=np.int8)
-        self.step: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
-        self.counts: NDArray[np.int64] = np.zeros((count, len(self.counters)), dtype=np.int64)
-        self.begun: NDArray[np.bool_] = np.zeros(count, dtype=bool)
-        self.left: NDArray[np.int64] = np.full(count, -1, dtype=np.int64)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Endings]) -> Endings:
-        """Endings of ``parts`` in their order; all have the same step and counters."""
-        made = cls(0, parts[0].h, parts[0].counters)
-        for name in ARRAYS:
-            setattr(made, name, np.concatenate([getattr(part, name) for part in parts]))
-        return made
-
-    def put(self, where: Any, outcome: Outcome, step: int, counts: Any) -> None:
-        """Store the ending of the trajectories at ``where`` (an index or several), with ``counts`` (m, counters)."""
-        self.outcome[where], self.step[where] = CODES[outcome], step
-        self.counts[where], self.begun[where] = counts, True
-
-    def mark_left(self, left: NDArray[np.int64]) -> None:
-        """Store ``left`` (m,); completed trajectories that left their motion get the outcome ``left_motion``."""
-        self.left[:] = left
-        completed = self.outcome == CODES[Outcome.COMPLETED]
-        self.outcome[completed & (left >= 0)] = CODES[Outcome.LEFT_MOTION]
-
-    def of(self, which: NDArray[np.int64]) -> Endings:
-        """Endings of the trajectories numbered ``which`` (k,) alone."""
-        made = Endings(0, self.h, self.counters)
-        for name in ARRAYS:
-            setattr(made, name, getattr(self, name)[which])
-        return made
-
-    @property
-    def failed(self) -> NDArray[np.int64]:
-        """Numbers of the trajectories that ended neither completed nor interrupted."""
-        return np.flatnonzero(~np.isin(self.outcome, [CODES[outcome] for outcome in NO_FAILURE]))
-
-    @property
-    def outcomes(self) -> dict[Outcome, int]:
-        """Number of trajectories by outcome, for the outcomes that occur."""
-        counts = np.bincount(self.outcome, minlength=len(OUTCOMES)).tolist()
-        return {outcome: count for outcome, count in zip(OUTCOMES, counts, strict=True) if count}
-
-    @property
-    def totals(self) -> dict[str, int]:
-        """Events counted over all trajectories; empty if none was begun."""
-        if not self.begun.any():
-            return {}
-        return dict(zip(self.counters, self.counts.sum(axis=0).tolist(), strict=True))
-
-    def __len__(self) -> int:
-        return len(self.outcome)
-
-    @overload
-    def __getitem__(self, index: int) -> Ending: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Ending, ...]: ...
-
-    def __getitem__(self, index: int | slice) -> Ending | tuple[Ending, ...]:
-        if isinstance(index, slice):
-            return tuple(self[i] for i in range(*index.indices(len(self))))
-        step = int(self.step[index])
-        counted = self.counts[index].tolist() if self.begun[index] else []
-        counters = dict(zip(self.counters, counted, strict=False))
-        ending = Ending(OUTCOMES[self.outcome[index]], step, step * self.h, counters)
-        left = int(self.left[index])
-        return ending if left < 0 else replace(ending, left=left, left_t=left * self.h)
+def same_state(state: Any, h: float, p: Any) -> Any:
+    """``enter`` or ``leave`` of a scheme that works on the physical state itself."""
+    return state
 
 
-CHUNK_ROWS = 8192
-CHUNK_STEPS = 1 << 19
-"""Steps between two checks of clock and keyboard: some tens of milliseconds."""
-PLAIN_STEPS = 1 << 9
-"""The same for steps that run in the interpreter."""
-PLAIN_NANOSECONDS = 1e8
-"""Time for which they are timed at once."""
-PRECISE_STEPS = 1 << 4
-"""The same for steps in another arithmetic."""
-CALL_SECONDS = 0.25
-"""Approximate longest time between two calls of ``stop``."""
-SAMPLED_STATES = 5000
-"""States of a closed form that are timed together."""
-FIRST_CALL = 1
-"""Steps of the first call of compiled code; later calls take up to eight times those of the one before."""
+@cache
+def _template(width: int, d: int, constants: int, checked: int) -> Callable[..., tuple[Any, Any]]:
+    newline = "\n        "
+    text = _TEMPLATE.format(
+        set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
+        y_items="".join(f"y[{i}], " for i in range(d)),
+        work_items="".join(f"work[{i}], " for i in range(width)),
+        store_s=newline.join(f"work[{i}] = s[{i}]" for i in range(width)),
+        store_failed=(newline + " " * 12).join(f"work[{i}] = s[{i}]" for i in range(width)),
+        sum=" + ".join(f"s[{i}]" for i in range(checked)),
+        finite=" + ".join(f"(s[{i}] - s[{i}])" for i in range(checked)),
+        record=(newline + " " * 8).join(f"out[k + {i}] = y[{i}]" for i in range(d)),
+        d=d,
+    )
+    scope: dict[str, Any] = {"unlikely": unlikely}
+    exec(compile(text, f"<time loop {width}/{d}/{constants}>", "exec"), scope)
+    return scope["make"]
+
+
+def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Callable[..., int]]:
+    """``(enter, drive)`` as plain Python functions over indexable buffers, to be compiled or run as they are."""
+    make = _template(stepper.width, d, constants, stepper.checked or stepper.width)
+    return make(stepper.step, stepper.enter or same_state, stepper.leave or same_state)
+
+
+def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callable[..., int]]:
+    """``(enter, drive)`` for a closed form: the working state is the initial state and the number of steps done."""
+
+    def enter(y: Array, work: Array, params: Array, h: float) -> int:
+        work[:d] = y
+        work[d] = 0.0
+        return 0
+
+    def drive(work: Array, out: Array, params: Array, h: float, steps: int, every: int, until_record: int) -> int:
+        done = int(work[d])
+        n = np.arange(done + until_record, done + steps + 1, every, dtype=np.int64)
+        states = sampler.states(work[:d], h, n, tuple(params))
+        good = np.isfinite(states).all(axis=1)
+        kept = len(n) if good.all() else int(np.argmin(good))
+        out[: kept * d] = states[:kept].ravel()
+        if kept < len(n):
+            return done - int(n[kept])
+        work[d] = done + steps
+        return steps
+
+    return enter, drive
 
 
 @dataclass(frozen=True)
-class Chunk:
-    """Consecutive recorded rows after ``done`` steps: step numbers ``n`` (m,) and ``states`` (m, d).
+class Loop:
+    """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
 
-    A chunk that is not ``whole`` was cut short by an interruption; a resumed run begins with the rest of it.
-    The arrays are views into buffers that the next chunk overwrites.
+    ``work`` has ``width`` slots, the last ones counting the events named in ``counters``; with ``iterative`` the one
+    before them is nan after a step that did not converge. ``seconds`` is the time to compile or load; ``cached`` is
+    true if the machine code came from disk, ``compiled`` if there is machine code at all. A call of any length may be
+    interrupted if it ``returns_early``.
     """
 
-    n: NDArray[np.int64]
-    states: Array
-    done: int
-    whole: bool = True
+    enter: Callable[..., int]
+    drive: Callable[..., int]
+    width: int
+    counters: tuple[str, ...] = ()
+    seconds: float = 0.0
+    cached: bool = True
+    iterative: bool = False
+    compiled: bool = True
+    returns_early: bool = False
+    advice: Callable[[Sequence[float], float], str] | None = None
+    prepare: Callable[[Array, Array], SetupTime] | None = None
+    """``prepare(y0, p)`` loads or computes the set-up of a closed form."""
+    sampled: bool = False
+    """True for a closed form: the time of a call is that of the states that it records."""
+
+    def failure(self, work: Array) -> Outcome:
+        """Outcome of a run whose failed step left ``work``."""
+        status = work[len(work) - len(self.counters) - 1]
+        return Outcome.NO_CONVERGENCE if self.iterative and status != status else Outcome.BLEW_UP  # nan
 
 
-def recorded_rows(steps: int, until_record: int, every: int) -> int:
-    """Number of rows recorded in ``steps`` steps: after ``until_record`` of them, then after every ``every``."""
-    return max(0, (steps - until_record) // every + 1)
+def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
+    """Error for a step that the compiler refuses, with its file and line."""
+    step = plain_function(method.step)
+    where = place_of(step) if step else repr(method.step)
+    return SchemeCodeError(
+        f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
+    )
 
 
-def next_call_steps(size: int, seconds: float) -> int:
-    """Steps of the next call of compiled code, after a call of ``size`` steps that took ``seconds``."""
-    return int(max(1, min(8 * size, size * CALL_SECONDS / max(seconds, 1e-9))))
+def _checked_length(method: Stepper) -> Stepper:
+    """Copy of a plain method whose step must return as many numbers as it takes."""
+    inner = method.step
+
+    def step(s: Any, h: float, p: Any) -> Any:
+        new = inner(s, h, p)
+        if len(new) != len(s):
+            known = plain_function(inner)
+            where = place_of(known) if known else repr(inner)
+            raise SchemeCodeError(f"{where}: the step returns {len(new)} numbers; expected {len(s)}")
+        return new
+
+    return replace(method, step=step)
 
 
-def in_calls(
-    call: Callable[[int, int, int, int], int],
-    steps: int,
-    every: int,
-    until_record: int,
-    size: int,
-    began: float,
-    stop: Callable[[], bool],
-) -> tuple[int, bool, int]:
-    """Take up to ``steps`` steps in calls that grow while they are short, the first of ``size`` steps.
+def loop_of(method: Method, d: int, constants: int) -> Loop:
+    """Time loop of a method for states of length ``d``, as machine code unless the method is a plain one.
 
-    ``call(taken, rows, size, until_record)`` takes ``size`` steps, after ``taken`` steps and ``rows`` recorded rows,
-    and returns the number of steps taken or minus the number of the failed one. Return the same for all calls, True if
-    ``stop()`` ended them, and the size of the next call. ``began`` is a clock reading before the first of them.
+    ``enter`` runs once and remains plain Python. Raises SchemeCodeError for a step that cannot be compiled.
     """
-    taken = 0
+    if isinstance(method, Sampler):
+        enter, sample = _sampled_loop(method, d)
+        setup = method.setup
+        ready = None if setup is None else lambda y0, p: prepare(setup, y0, tuple(p.tolist()))
+        return Loop(enter, sample, d + 1, returns_early=True, prepare=ready, sampled=True)  # it takes no steps
+    traits: dict[str, Any] = {
+        "width": method.width,
+        "counters": method.counters,
+        "iterative": method.iterative,
+        "advice": method.advice,
+    }
+    if isinstance(method, Block):
+        code = native_text(method.text(), "advance", SIGNATURE)
+        return Loop(method.enter, code, seconds=code.seconds, cached=code.cached, returns_early=True, **traits)
+    enter, drive = plain_loop(_checked_length(method) if method.plain else method, d, constants)
+    if method.plain:
+        return Loop(enter, drive, compiled=False, **traits)
     try:
-        while True:
-            rows, count = recorded_rows(taken, until_record, every), min(steps - taken, size)
-            start = time.perf_counter()
-            went = call(taken, rows, count, until_record + rows * every - taken)
-            now = time.perf_counter()
-            if went < 0:
-                return went - taken, False, size
-            taken += went
-            if went < count or taken == steps:
-                return taken, False, size
-            if now - began > CALL_SECONDS and stop():
-                return taken, True, size
-            size = next_call_steps(count, now - start)
-    except StopAsked:
-        return taken, True, size
+        code = native(drive, SIGNATURE)
+    except CompileError as error:
+        raise step_refused(method, d, error) from None
+    return Loop(enter, code, seconds=code.seconds, cached=code.cached, **traits)
 
 
-class Recorded(NamedTuple):
-    """All recorded rows of a run, step numbers ``n`` (m,) and ``states`` (m, d), and its ``ending``."""
-
-    n: NDArray[np.int64]
-    states: Array
-    ending: Ending
-
-
-@dataclass(frozen=True)
-class Position:
-    """State from which a run can continue: the number of steps ``done`` and the whole working state.
-
-    Later chunks are cut as they would have been without the stop, because sums over rows depend in their last bits on
-    the cut: ``into`` steps of the current chunk are done.
-    """
-
-    done: int
-    work: Array
-    chunk_rows: int
-    chunk_steps: int
-    into: int = 0
+def interpreted(method: Method, d: int, constants: int) -> Loop:
+    """Time loop of a method without compiling, which is quicker for single steps."""
+    if isinstance(method, Stepper):
+        return Loop(*plain_loop(method, d, constants), method.width)
+    return loop_of(method, d, constants)
 
 
-class Run:
-    """One run of a compiled scheme: iterate it for chunks, then read ``ending`` and the seconds.
-
-    ``y0`` is the physical initial state in the order of ``top.components``; N steps of size ``h``, every
-    ``every``-th recorded. ``stop()`` is called between chunks, and within chunks that take long; once it returns true,
-    the run ends as ``interrupted``. With ``start``, the ``position()`` of an earlier equal run, the run continues from
-    there, bit for bit. ``method`` may be its time loop, if the caller has that already. Numbers of another arithmetic
-    (``engine.precise``) are kept as objects: ``y0``, ``h`` and the constants of ``top`` are then of this arithmetic.
-    """
-
-    def __init__(
-        self,
-        top: Top,
-        method: Method | Loop,
-        y0: Sequence[float] | NDArray[Any],
-        h: float,
-        N: int,
-        every: int = 1,
-        stop: Callable[[], bool] = lambda: False,
-        start: Position | None = None,
-    ) -> None:
-        self.top, self.h, self.N, self.every = top, float(h), N, every
-        self._stop = stop
-        self._step: Any = self.h if isinstance(h, int | float) else h
-        self._type: Any = np.float64 if isinstance(h, int | float) else np.object_
-        self._y0 = np.array(y0, dtype=self._type)
-        self._p = np.array(top.constants(), dtype=self._type)
-        self._loop = method if isinstance(method, Loop) else loop_of(method, len(self._y0), len(self._p))
-        self.compile_seconds = self._loop.seconds
-        self.cached = self._loop.cached
-        self.run_seconds = 0.0
-        self.setup: SetupTime | None = None
-        """Time to load or compute the set-up of a closed form; None for a method that has none."""
-        self.ending: Ending | None = None
-        chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
-        if self._type is np.object_:
-            chunk_steps = PRECISE_STEPS
-        nothing: Any = np.zeros(self._loop.width, dtype=self._type)
-        self._position = start or Position(-1, nothing, CHUNK_ROWS, chunk_steps)
-        if len(self._position.work) != self._loop.width:
-            raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
-        self._failed = False
-        self._call_steps = N if self._loop.returns_early else FIRST_CALL if self._loop.compiled else 1
-
-    def position(self) -> Position | None:
-        """Copy of the current position; None after a failure and before the first row, where a run cannot continue."""
-        if self._failed or self._position.done < 0:
-            return None
-        return replace(self._position, work=self._position.work.copy())
-
-    def _end(self, outcome: Outcome, step: int, work: Array) -> None:
-        names = self._loop.counters
-        counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
-        advise = self._loop.advice if outcome is Outcome.NO_CONVERGENCE else None
-        advice = advise(work.tolist(), self.h) if advise else ""
-        self.ending = Ending(outcome, step, step * self.h, counts, advice=advice)
-
-    def __iter__(self) -> Iterator[Chunk]:
-        """Chunks of recorded rows; the last one is followed by ``ending`` being set."""
-        d, every, N = len(self._y0), self.every, self.N
-        work, chunk_rows, chunk_steps = (
-            self._position.work.copy(),
-            self._position.chunk_rows,
-            self._position.chunk_steps,
-        )
-        out = np.empty(chunk_rows * d, dtype=self._type)
-        if self._loop.prepare is not None:
-            with suppress(StopAsked), stopping_when(self._stop):
-                self.setup = self._loop.prepare(self._y0, self._p)
-        if self._position.done < 0:
-            self._loop.enter(self._y0, work, self._p, self._step)
-            self._position = Position(0, work, chunk_rows, chunk_steps)
-            yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
-        done, into = self._position.done, self._position.into
-        outcome = Outcome.COMPLETED
-        while done < N and outcome is Outcome.COMPLETED:
-            if self._stop():
-                outcome = Outcome.INTERRUPTED
-                break
-            began = done - into
-            end = began + min(N - began, chunk_steps, every - began % every + (chunk_rows - 1) * every)
-            to_record = every - done % every
-            taken, stopped = self._advance(work, out, end - done, to_record)
-            before = done
-            if taken < 0:
-                outcome, done = self._loop.failure(work), done - taken
-                last_good = done - 1
-                self._failed = True
-            else:
-                done = last_good = done + taken
-                outcome = Outcome.INTERRUPTED if stopped else outcome
-                into = done - began if stopped else 0
-                self._position = Position(done, work, chunk_rows, chunk_steps, into)
-            n = np.arange(before + to_record, last_good + 1, every, dtype=np.int64)
-            yield Chunk(n, out[: len(n) * d].reshape(len(n), d), last_good, not stopped)
-        self._end(outcome, done, work)
-
-    def collect(self) -> Recorded:
-        """Run to the end and return the recorded rows, copied, with the ending."""
-        n: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
-        states: list[Array] = [np.empty((0, len(self._y0)))]
-        for chunk in self:
-            n.append(chunk.n.copy())
-            states.append(chunk.states.copy())
-        assert self.ending is not None
-        return Recorded(np.concatenate(n), np.concatenate(states), self.ending)
-
-    def _advance(self, work: Array, out: Array, steps: int, to_record: int) -> tuple[int, bool]:
-        """Take up to ``steps`` steps of a chunk, in calls that grow while they are short.
-
-        Return (the steps taken or minus the number of the failed one, True if the run was stopped).
-        """
-        loop, d = self._loop, len(self._y0)
-
-        def call(taken: int, rows: int, size: int, until: int) -> int:
-            went = loop.drive(work, out[rows * d :], self._p, self._step, size, self.every, until)
-            if went == 0 and loop.compiled and not loop.returns_early:
-                raise SchemeCodeError(
-                    f"the compiled step raised the exception printed above, within {size} steps of step "
-                    f"{self._position.done + taken}; return nan from a step that fails"
-                )
-            return went
-
-        begin = time.perf_counter()
-        try:
-            with stopping_when(lambda: time.perf_counter() - begin > CALL_SECONDS and self._stop()):
-                taken, stopped, self._call_steps = in_calls(
-                    call, steps, self.every, to_record, self._call_steps, begin, self._stop
-                )
-            return taken, stopped
-        finally:
-            self.run_seconds += time.perf_counter() - begin
-
-
-def nanoseconds_per_step(
-    runs: Sequence[tuple[Top, Method, Sequence[float], float]],
-    steps: int = 50_000,
-    repetitions: int = 9,
-    clock: Callable[[], int] = time.perf_counter_ns,
-) -> list[float]:
-    """Median warm time of one step, in nanoseconds, for each (top, method, y0, h), measured in turn.
-
-    Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the machine's
-    speed affects all of them. A trajectory that blows up is timed up to that point; a step that runs in the interpreter
-    is timed over as many as take a tenth of a second. Of a closed form the time of one state is returned.
-    """
-    prepared = []
-    for top, method, y0, h in runs:
-        p = np.array(top.constants(), dtype=np.float64)
-        loop = loop_of(method, len(y0), len(p))
-        prepared.append((loop, np.array(y0, dtype=np.float64), p, h, np.zeros(loop.width)))
-    sampled = np.empty(SAMPLED_STATES * max((len(y0) for _, y0, *_ in prepared), default=0))
-    times: list[list[float]] = [[] for _ in prepared]
-    interpreted = [1] * len(prepared)
-    for repetition in range(repetitions + 1):
-        for i, (loop, y0, p, h, work) in enumerate(prepared):
-            loop.enter(y0, work, p, h)
-            start = clock()
-            count = steps if loop.compiled else min(steps, interpreted[i])
-            if loop.sampled:
-                count = min(steps, SAMPLED_STATES)
-                taken = loop.drive(work, sampled[: count * len(y0)], p, h, count, 1, 1)
-            else:
-                taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
-            elapsed = clock() - start
-            if not repetition:
-                interpreted[i] = min(PLAIN_STEPS, 1 + int(PLAIN_NANOSECONDS / max(elapsed, 1)))
-            else:
-                times[i].append(elapsed / max(1, abs(taken)))
-    return [float(np.median(of_run)) for of_run in times]
+def single_step(loop: Loop, y: Array, p: Array | None, h: Any) -> Array | None:
+    """State after one step of ``h`` from ``y`` (d,), in the numbers of ``y``; None if the step fails."""
+    work, end = np.zeros(loop.width, dtype=y.dtype), np.empty_like(y)
+    try:
+        with np.errstate(all="ignore"):
+            loop.enter(y, work, p, h)
+            return end if loop.drive(work, end, p, h, 1, 1, 1) >= 0 else None
+    except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
+        return None

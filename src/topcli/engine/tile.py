@@ -1,13 +1,16 @@
 """A tile of an ensemble: the trajectories that one call of the compiled loop advances side by side.
 
-A trajectory whose sum in that loop is not finite is set back to the start of its chunk and goes through the time loop
-of single runs, which returns the step that failed. It then keeps its state, and its lane repeats a neighbour.
+The compiled loop of a tile goes over the steps and, within each, over the trajectories (the lanes of the tile); the
+compiler turns this inner loop into vector instructions. It cannot stop for one lane, so it checks nothing: it adds all
+numbers of the working state of each lane to a sum, which an infinity or a nan in any step makes infinite or nan.
 
-The loop over steps with an inner loop over trajectories, which the compiler turns into vector instructions.
+After the call ``Tile.advance`` looks at the sums. A lane whose sum is not finite goes back to the start of the chunk
+and repeats its steps alone in the time loop of single runs (``engine/loop.py``), with one of two results:
 
-The loop checks nothing: it adds up the working state, and an infinity or a nan anywhere makes the sum infinite or nan.
-A rare branch of single runs, such as calling libm for a large angle, yields nan here, because vector code computes both
-sides of a branch; the caller repeats such trajectories in the loop of single runs.
+- A step fails. The ending of this trajectory is stored, and from then on its lane copies a living neighbour, so that
+  the vector instructions meet no extreme numbers.
+- No step fails. Vector code computes both sides of every branch; where single runs take a rare branch, such as a call
+  of libm for a large angle, it gives nan instead. The lane takes the state of the single run and continues.
 
 The bits are those of single runs: additions and multiplications are not contracted, and remaining calls of libm are
 made for one trajectory after the other. Intel's vector library SVML would change last bits; numba uses it only where
@@ -28,13 +31,13 @@ from numpy.typing import NDArray
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.vectors import VECTOR_VARIANTS
 from topcli.contracts import Array, Outcome, StepFunction, Stepper
-from topcli.engine.driver import Loop, same_state
-from topcli.engine.loop import Endings, in_calls, recorded_rows
+from topcli.engine.loop import Loop, same_state
 from topcli.engine.native import Native
+from topcli.engine.run import Endings, in_calls, recorded_rows
 from topcli.engine.source import compilable_copy
 
-FIRST_CALL = 64
-"""Steps of the first call for a trajectory that goes on by itself."""
+LONE_FIRST_CALL = 64
+"""Steps of the first call of the single loop for a lane that repeats its steps alone."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +189,9 @@ class Tile:
         def call(taken: int, reached: int, size: int, until: int) -> int:
             return loop.drive(work, out[reached * d :], context.p, context.h, size, context.every, until)
 
-        went, _, _ = in_calls(call, steps, context.every, until_record, FIRST_CALL, context.chunk_began, context.stop)
+        went, _, _ = in_calls(
+            call, steps, context.every, until_record, LONE_FIRST_CALL, context.chunk_began, context.stop
+        )
         good = went if went >= 0 else -went - 1
         reached = recorded_rows(good, until_record, context.every)
         rows[:reached] = out[: reached * d].reshape(reached, d)

@@ -22,7 +22,7 @@ from topcli.analysis.roundoff import doubling_lags, structure
 from topcli.arithmetic.vectors import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Floats, Stepper
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.figures.figure import Loaded, Request, code_of
 from topcli.figures.picture import Grid, Line, Panel, caption, halo
 from topcli.figures.style import MARKERS, Styles

@@ -17,7 +17,7 @@ import numpy as np
 from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.figures.figure import Loaded, Request, code_of
 from topcli.figures.picture import Grid, caption
 from topcli.figures.style import Styles, looks

@@ -18,7 +18,7 @@ from topcli.analysis.motion.torus import Torus
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
-from topcli.engine.loop import Run
+from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.figures.figure import Loaded, Request, code_of
 from topcli.figures.picture import Grid, caption, halo

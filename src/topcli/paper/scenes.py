@@ -16,8 +16,8 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
-from topcli.engine.loop import Run
 from topcli.engine.precise import PreciseRun
+from topcli.engine.run import Run
 from topcli.errors import RunError, nearest
 from topcli.paper.algebra import Draws
 from topcli.runs.precise import precise_run

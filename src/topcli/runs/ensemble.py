@@ -15,7 +15,7 @@ from topcli.analysis.tally import EnsembleSummary, InvariantTally, measure_colum
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
-from topcli.engine.loop import OUTCOMES
+from topcli.engine.run import OUTCOMES
 from topcli.runs.decision import RunOptions
 from topcli.runs.recording import Recording
 from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report, setup_message

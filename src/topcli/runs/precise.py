@@ -17,9 +17,9 @@ from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
-from topcli.engine.loop import Run
 from topcli.engine.precise import PreciseRun, longest, prepared
 from topcli.engine.precise_numbers import RATIONAL, decimal_text
+from topcli.engine.run import Run
 from topcli.runs.recorder import Recorder, Rows
 from topcli.store.checkpoint import Checkpoint
 from topcli.store.series import DECIMAL, SeriesMark

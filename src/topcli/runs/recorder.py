@@ -16,7 +16,7 @@ from topcli.analysis.columns import attitude_columns, columns, invariant_values
 from topcli.analysis.tally import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Method
-from topcli.engine.loop import Chunk, Position, Run
+from topcli.engine.run import Chunk, Position, Run
 from topcli.runs.report import left_motion
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.parts import release_reserve, reserve

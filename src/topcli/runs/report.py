@@ -12,7 +12,7 @@ import numpy as np
 
 from topcli.analysis.tally import LOST, QUANTILES, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 from topcli.contracts import Ending, Method, Outcome, Sampler
-from topcli.engine.loop import NO_FAILURE, Endings
+from topcli.engine.run import NO_FAILURE, Endings
 from topcli.table import Column, Table, exact_number, markdown_table, number, two_digits
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from topcli.config.models import Experiment
 from topcli.config.sections import UNIT_TOLERANCE
 from topcli.contracts import Array, Top
 from topcli.engine.ensemble import Piece
-from topcli.engine.loop import Endings
+from topcli.engine.run import Endings
 from topcli.errors import UsageError
 from topcli.runs.ensemble import GroupRun, varied_parameters
 from topcli.runs.recorder import run_of

@@ -17,8 +17,8 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome, Sampler, Top
-from topcli.engine.loop import nanoseconds_per_step
 from topcli.engine.precise_numbers import MAX_DIGITS
+from topcli.engine.run import nanoseconds_per_step
 from topcli.runs.references import METHODS, TAYLOR, SharedReferences, reference_form
 from topcli.runs.report import EndingTally, finite, left_motion
 from topcli.runs.simulate import trajectory_of

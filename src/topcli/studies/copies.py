@@ -23,7 +23,7 @@ from topcli.analysis.roundoff import MIN_BLOCKS, BlockMeans, growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Invariant, Outcome, Sampler
-from topcli.engine.loop import Run, nanoseconds_per_step
+from topcli.engine.run import Run, nanoseconds_per_step
 from topcli.errors import ConfigError, UsageError
 from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes

@@ -22,7 +22,7 @@ from topcli.analysis.reference import distances
 from topcli.analysis.tally import BLOCKS, InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome
-from topcli.engine.loop import CODES, Endings
+from topcli.engine.run import CODES, Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError, UsageError
 from topcli.runs.references import REFERENCES, reference_kind

@@ -25,7 +25,7 @@ from pydantic import BaseModel
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Invariant, Sampler, Scheme
-from topcli.engine.driver import Loop, loop_of
+from topcli.engine.loop import Loop, loop_of
 from topcli.errors import UsageError
 from topcli.runs.identity import scheme_code
 from topcli.runs.report import finite

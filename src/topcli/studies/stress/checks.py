@@ -24,8 +24,8 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
-from topcli.engine.driver import Loop, loop_of
-from topcli.engine.loop import Run
+from topcli.engine.loop import Loop, loop_of
+from topcli.engine.run import Run
 from topcli.runs.references import exact_method
 
 EPS = float(np.finfo(float).eps)
