@@ -218,6 +218,27 @@ def test_slow_checkpoints_are_written_less_often(cost: float, pause: float | Non
         assert len(written) == count
 
 
+def test_the_last_two_states_may_still_be_written_to_a_full_disk(tmp_path: Path) -> None:
+    """The furthest first, and none that lies before the checkpoint on the disk."""
+    done = [0]
+    run: Any = SimpleNamespace(position=lambda: Position(done[0], np.zeros(1), 1, 1), run_seconds=0.5)
+    series = SimpleNamespace(length=0)
+    recorder: Any = SimpleNamespace(
+        series=series, stored=lambda numbers: numbers,
+        state=lambda flush: ({}, SeriesMark(done[0], {}, ""), (np.empty(0, dtype=np.int64), np.empty((0, 1)))),
+    )  # fmt: skip
+    about = {"digest": "", "code": "", "started": "", "resumed": [], "config": {}, "environment": {}}
+    kept = Checkpoints(tmp_path, about, 10.0, lambda: 0.0)
+
+    def steps_after(step: int, save: bool = False) -> list[int]:
+        done[0] = series.length = step
+        kept.save(run, recorder) if save else kept.consider(run, recorder)
+        return [state.done for state in kept.to_save()]
+
+    assert [steps_after(3), steps_after(5), steps_after(7)] == [[3], [5, 3], [7, 5]]
+    assert [steps_after(9, save=True), steps_after(11)] == [[9], [11, 9]]
+
+
 @pytest.mark.slow
 def test_living_process_excludes_others(tmp_path: Path) -> None:
     """The lock is the system's: held by a living process, free the moment it is killed."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import re
 import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -44,7 +45,7 @@ from topcli.studies.bench.measure import (
     explore,
     time_all,
 )
-from topcli.studies.bench.peers import PEERS, NoResultError, Peer, find_peers, missing
+from topcli.studies.bench.peers import PEERS, NoResultError, Peer, PeerProblem, checked, find_peers, missing
 from topcli.studies.entries import scheme_with
 from topcli.studies.scheme_page import operations_of
 from topcli.tops import TOPS
@@ -394,6 +395,18 @@ def test_a_peer_that_fails_is_named(short: Problem, peer_file: Callable[[str], P
     assert failed["reason"].endswith(reason)
     assert "mine failed" in talk[0]
     assert [row["name"] for row in result["competitors"]] == ["hk"]
+
+
+def test_states_of_a_peer_are_complete_and_finite() -> None:
+    problem = PeerProblem(TOPS["kowalevski"].new(), np.zeros(6), np.arange(3.0))
+    assert checked(np.zeros((3, 6)), problem).shape == (3, 6)
+    for shape, value, reason in (
+        ((2, 6), 0, "shape (2, 6)"),
+        ((3, 5), 0, "expected (3, 6)"),
+        ((3, 6), np.inf, "finite"),
+    ):
+        with pytest.raises(NoResultError, match=re.escape(reason)):
+            checked(np.full(shape, value), problem)
 
 
 def test_wrong_names_of_peers_are_refused() -> None:

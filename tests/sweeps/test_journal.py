@@ -53,6 +53,7 @@ def test_a_full_disk_ends_the_sweep_and_keeps_finished_rows(tmp_path: Path, monk
         patch.setattr(os, "pwrite", full)
         with pytest.raises(RunError, match="no space left on the device; the rows finished before are kept"):
             sweep(tmp_path, data, threads=1)
+    assert damaged_lines(tmp_path / "study" / "journal.jsonl") == 0, "what was written of the line is cut off"
     kept = len(finished_digests(tmp_path / "study"))
     assert kept > 0
     assert sweep(tmp_path, data).ran == 20 - kept
