@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from cases import table_of
 from conftest import ROOT
 from injected import Operations, command_in_fork, signal_to_self, topcli_process
 from topcli.cli.output import ProgressDisplay, spell_seconds
@@ -219,7 +220,14 @@ def test_progress_survives_a_terminal_that_is_gone(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.2, "0 s"), (99, "99 s"), (185, "3:05 min"), (3600, "1:00:00 h"), (90_000, "25:00:00 h"), (300_000, "3 d 11 h")],
+    table_of("""
+0.2      0 s
+99       99 s
+185      3:05 min
+3600     1:00:00 h
+90_000   25:00:00 h
+300_000  3 d 11 h
+"""),
 )
 def test_durations_are_spelled_out(seconds: float, words: str) -> None:
     assert spell_seconds(seconds) == words

@@ -11,6 +11,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from cases import table_of
 from conftest import Said
 from topcli.cli.sweep import exit_code
 
@@ -181,7 +182,14 @@ def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
 
 @pytest.mark.parametrize(
     ("finished", "failed", "interrupted", "code"),
-    [(4, 0, False, 0), (4, 1, False, 3), (4, 4, False, 1), (1, 1, False, 1), (1, 1, True, 130), (0, 0, False, 0)],
+    table_of("""
+4  0  False  0
+4  1  False  3
+4  4  False  1
+1  1  False  1
+1  1  True   130
+0  0  False  0
+"""),
 )
 def test_exit_codes_count_the_rows_that_finished(finished: int, failed: int, interrupted: bool, code: int) -> None:
     """Of four rows; with --fail-fast the only one that finished may have failed."""

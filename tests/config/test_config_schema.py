@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cases import cases_of
+from cases import cases_of, table_of
 from config_texts import CONFIGS, FILES, PLAIN, write
 from conftest import ROOT
 from json_schema import fits
@@ -210,7 +210,14 @@ def test_the_draws_of_the_docs_are_all_that_exist() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "name"),
-    [("E", "energy"), ("2l", "two_l"), ("k²", "k_sq"), ("γ²", "gamma_sq"), ("k^2", "k_sq"), ("gamma^2", "gamma_sq")],
+    table_of("""
+E        energy
+2l       two_l
+k²       k_sq
+γ²       gamma_sq
+k^2      k_sq
+gamma^2  gamma_sq
+"""),
 )
 def test_columns_are_named_as_printed(given: str, name: str) -> None:
     data = load_experiment("kowalevski_hk").resolved()

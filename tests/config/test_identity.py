@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from cases import table_of
 from topcli.config.load import load, load_experiment, load_named
 from topcli.config.load import load_experiment as single_from
 from topcli.config.models import changed_name, name_fault
@@ -138,7 +139,15 @@ SCENE = "kowalevski_hk"
 
 
 @pytest.mark.parametrize(
-    "overrides", [[], ["output.format=csv"], ["h=0.001"], ["N=50000"], ["T=50"], ["scheme={name: HK}"]]
+    "overrides",
+    table_of("""
+[]
+['output.format=csv']
+['h=0.001']
+['N=50000']
+['T=50']
+['scheme={name: HK}']
+"""),
 )
 def test_an_override_that_changes_nothing_keeps_the_name(overrides: list[str]) -> None:
     assert load_named(SCENE, overrides).name == SCENE

@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from cases import table_of
 from conftest import GEN
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
@@ -70,20 +71,20 @@ def error(top: str, scheme: str, h: float) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("top", "scheme", "order"),
-    [
-        ("kowalevski", "hk", 2),
-        ("kowalevski", "bohlin-a", 1),
-        ("kowalevski", "rk4", 4),
-        ("kowalevski", "hk+yoshida4", 4),
-        ("kowalevski", "hk+kahan-li6", 6),
-        ("heavy", "midpoint", 2),
-        ("lagrange", "hk", 2),
-        ("lagrange/inertial", "bs", 1),
-        ("euler", "hk", 2),
-        ("euler", "rk4", 4),
-        ("euler+gamma", "hk", 2),
-        ("euler", "hk-exact", 2),
-    ],
+    table_of("""
+kowalevski         hk            2
+kowalevski         bohlin-a      1
+kowalevski         rk4           4
+kowalevski         hk+yoshida4   4
+kowalevski         hk+kahan-li6  6
+heavy              midpoint      2
+lagrange           hk            2
+lagrange/inertial  bs            1
+euler              hk            2
+euler              rk4           4
+euler+gamma        hk            2
+euler              hk-exact      2
+"""),
 )
 def test_order_is_that_of_the_scheme(top: str, scheme: str, order: int) -> None:
     coarse, fine = error(top, scheme, 0.05), error(top, scheme, 0.025)
@@ -116,17 +117,17 @@ def test_closed_forms_take_no_steps(top: str) -> None:
 
 @pytest.mark.parametrize(
     ("top", "scheme"),
-    [
-        ("kowalevski", "hk"),
-        ("kowalevski", "bohlin-a"),
-        ("kowalevski", "rk2"),
-        ("kowalevski", "exact"),
-        ("heavy", "taylor"),
-        ("lagrange", "exact"),
-        ("lagrange/inertial", "bs"),
-        ("euler", "hk"),
-        ("euler+gamma", "exact"),
-    ],
+    table_of("""
+kowalevski         hk
+kowalevski         bohlin-a
+kowalevski         rk2
+kowalevski         exact
+heavy              taylor
+lagrange           exact
+lagrange/inertial  bs
+euler              hk
+euler+gamma        exact
+"""),
 )
 def test_the_fixed_direction_stays_upright(top: str, scheme: str) -> None:
     """gamma, the axis's vertical or the angular momentum, at every row, also of schemes that do not keep its length."""
@@ -144,7 +145,13 @@ def test_the_fixed_direction_stays_upright(top: str, scheme: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("top", "scheme"), [("kowalevski", "hk"), ("kowalevski", "taylor"), ("euler", "exact"), ("kowalevski", "dop853")]
+    ("top", "scheme"),
+    table_of("""
+kowalevski  hk
+kowalevski  taylor
+euler       exact
+kowalevski  dop853
+"""),
 )
 def test_states_have_the_bits_of_a_run_without_attitude(top: str, scheme: str) -> None:
     one = experiment(top, scheme, 0.02, 5000, every=9)

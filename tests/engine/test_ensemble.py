@@ -8,6 +8,7 @@ import os
 import numpy as np
 import pytest
 
+from cases import table_of
 from conftest import random_states
 from steppers import EXPLODE
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
@@ -101,7 +102,15 @@ def test_large_steps_have_the_bits_of_a_single_run(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, ensemble.SMALL_TILE, TILE // 2 + 1, TILE, TILE + 1])
-@pytest.mark.parametrize(("N", "every"), [(1, 1), (10, 3), (10, 10), (10, 11)])
+@pytest.mark.parametrize(
+    ("N", "every"),
+    table_of("""
+1   1
+10  3
+10  10
+10  11
+"""),
+)
 def test_ensembles_of_every_size_have_the_bits_of_single_runs(count: int, N: int, every: int) -> None:
     method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
     assert_same(Kowalevski(), method, random_states(count, 2), 0.01, N, every)

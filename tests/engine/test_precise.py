@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cases import table_of
 from topcli.arithmetic.fused import fma, follow_precision
 from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.precise import PreciseRun, Rebuilder, longest, obstacle, precise_loop, prepared
@@ -249,7 +250,13 @@ def test_compositions_conserve_at_50_digits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("top", "name"), [("euler", "hk"), ("lagrange/inertial", "bs"), ("euler+gamma", "hk"), ("lagrange", "hk")]
+    ("top", "name"),
+    table_of("""
+euler              hk
+lagrange/inertial  bs
+euler+gamma        hk
+lagrange           hk
+"""),
 )
 def test_rational_orbits_keep_declared_invariants_equal(top: str, name: str) -> None:
     scheme = find_scheme(name, top)

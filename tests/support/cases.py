@@ -1,8 +1,12 @@
-"""Cases of a test written as text: what is given, and indented below it what is expected."""
+"""Cases of a test written as text: a table, or what is given and indented below it what is expected."""
 
 from __future__ import annotations
 
+import ast
+import math
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from _pytest.mark.structures import ParameterSet
@@ -23,3 +27,16 @@ def parts_of(path: Path) -> dict[str, str]:
     """Parts of a file of cases by their names, which follow ``==``; the text above the first explains the file."""
     parts = [part.partition("\n") for part in path.read_text(encoding="utf-8").split("\n== ")]
     return {name: text for name, _, text in parts[1:]}
+
+
+def table_of(text: str) -> list[ParameterSet]:
+    """Parameters of a test, which a line names: cells with two or more spaces between them, Python literals or text."""
+    lines = [re.split(" {2,}", line) for line in text.strip("\n").split("\n")]
+    return [pytest.param(*map(_value, cells), id=" ".join(cells)) for cells in lines]
+
+
+def _value(cell: str) -> Any:
+    try:
+        return ast.literal_eval(cell)
+    except (SyntaxError, ValueError):
+        return math.nan if cell == "nan" else cell

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 import topcli
+from cases import table_of
 from dask_processes import SECONDS, Processes, once, processes, wait_until
 from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.rows import RowReader
@@ -120,7 +121,13 @@ def _unload() -> None:
 
 
 @pytest.mark.parametrize(
-    ("address", "count"), [("local:1", 1), ("local:12", 12), ("tcp://host:8786", 0), ("host:8786", 0)]
+    ("address", "count"),
+    table_of("""
+local:1          1
+local:12         12
+tcp://host:8786  0
+host:8786        0
+"""),
 )
 def test_an_address_is_a_number_of_local_workers_or_a_scheduler(address: str, count: int) -> None:
     assert local_workers(address) == count
@@ -430,12 +437,12 @@ class Answering:
 
 @pytest.mark.parametrize(
     ("cpus", "warned"),
-    [
-        (["one"], ""),
-        (["one", "one"], ""),
-        (["one", "two", "one"], "2 with one, 1 with two"),
-        (["a", "b", "c"], "1 with a, 1 with b, 1 with c"),
-    ],
+    table_of("""
+['one']                ''
+['one', 'one']         ''
+['one', 'two', 'one']  2 with one, 1 with two
+['a', 'b', 'c']        1 with a, 1 with b, 1 with c
+"""),
 )
 def test_workers_with_several_kinds_of_processors_are_warned_of(dask: None, cpus: list[str], warned: str) -> None:
     from topcli.sweeps.worker import Job, versions

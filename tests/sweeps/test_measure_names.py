@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from cases import table_of
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
@@ -49,17 +50,17 @@ def test_names_become_measures_in_their_order() -> None:
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [
-        ("swing_spacin", "did you mean 'swing_spacing'"),
-        ("drift.enrgy", "no invariant 'enrgy'; did you mean 'energy'"),
-        ("error.mx", "did you mean 'error.max'"),
-        ("eror.max", "did you mean 'error.max'"),
-        ("drift.NAME", "give one of drift.gamma_sq, drift.two_l, drift.energy, drift.k_sq"),
-        ("drift", "measure 'drift': give one of drift.gamma_sq, "),
-        ("drift.m_omega", "top 'kowalevski' under scheme 'hk' has no invariant 'm_omega'"),
-        ("drift.modified_energy", "has no invariant 'modified_energy'"),
-        ("", "unknown measure ''"),
-    ],
+    table_of("""
+swing_spacin           did you mean 'swing_spacing'
+drift.enrgy            no invariant 'enrgy'; did you mean 'energy'
+error.mx               did you mean 'error.max'
+eror.max               did you mean 'error.max'
+drift.NAME             give one of drift.gamma_sq, drift.two_l, drift.energy, drift.k_sq
+drift                  "measure 'drift': give one of drift.gamma_sq, "
+drift.m_omega          top 'kowalevski' under scheme 'hk' has no invariant 'm_omega'
+drift.modified_energy  has no invariant 'modified_energy'
+''                     unknown measure ''
+"""),
 )
 def test_unknown_names_are_answered_with_the_nearest(name: str, words: str) -> None:
     with pytest.raises(UnknownNameError) as caught:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import topcli
+from cases import table_of
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
@@ -335,12 +336,12 @@ def nearby(y0: Sequence[float], count: int, top: Any) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "overrides"),
-    [
-        ("kowalevski_hybrid", ["h=0.02", "output.every=7"]),
-        ("kowalevski_midpoint", ["h=-0.05"]),
-        ("euler_exact", ["h=0.1"]),
-        ("lagrange_bs", ["h=0.03"]),
-    ],
+    table_of("""
+kowalevski_hybrid    ['h=0.02', 'output.every=7']
+kowalevski_midpoint  ['h=-0.05']
+euler_exact          ['h=0.1']
+lagrange_bs          ['h=0.03']
+"""),
 )
 def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str]) -> None:
     experiment = load_experiment(scene, [*overrides, "N=1000"])

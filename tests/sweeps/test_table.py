@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import RunError, UnknownNameError, UsageError
 from topcli.sweeps.rows import key_labels, read_rows
@@ -47,20 +48,20 @@ def test_only_current_rows_are_read_in_the_order_of_the_plan(stored: Path) -> No
 
 @pytest.mark.parametrize(
     ("conditions", "kept"),
-    [
-        ((), [0, 2, 3]),
-        (("h=0.1",), [0, 2]),
-        (("h=1e-1",), [0, 2]),
-        (("h=0.1000000000001",), [0, 2]),
-        (("h=0.10000000009",), [0, 2]),
-        (("h=0.09999999991",), [0, 2]),
-        (("h = 0.01",), [3]),
-        (("h=0.1", "h=0.01"), [0, 2, 3]),
-        (("h=0.1", "scheme=rk4"), [2]),
-        (("N=10",), [0, 2]),
-        (("initial.omega=[1,2]", "N=20"), [3]),
-        (("outcome=completed",), [0, 2, 3]),
-    ],
+    table_of("""
+()                               [0, 2, 3]
+('h=0.1',)                       [0, 2]
+('h=1e-1',)                      [0, 2]
+('h=0.1000000000001',)           [0, 2]
+('h=0.10000000009',)             [0, 2]
+('h=0.09999999991',)             [0, 2]
+('h = 0.01',)                    [3]
+('h=0.1', 'h=0.01')              [0, 2, 3]
+('h=0.1', 'scheme=rk4')          [2]
+('N=10',)                        [0, 2]
+('initial.omega=[1,2]', 'N=20')  [3]
+('outcome=completed',)           [0, 2, 3]
+"""),
 )
 def test_conditions_select_rows(stored: Path, conditions: tuple[str, ...], kept: list[int]) -> None:
     rows = read_rows(stored).where(conditions)
@@ -70,18 +71,18 @@ def test_conditions_select_rows(stored: Path, conditions: tuple[str, ...], kept:
 
 @pytest.mark.parametrize(
     ("conditions", "message"),
-    [
-        (("h",), "expected key=value"),
-        (("h=",), "expected key=value"),
-        (("hh=0.1",), "--where: unknown key 'hh'; did you mean 'h'"),
-        (("error.max=1",), "unknown key 'error.max'"),
-        (("h=0.10000000011",), r"no row has this value; h is one of: 0.1, 0.01"),
-        (("h=0.09999999989",), r"no row has this value"),
-        (("h=0.1001",), r"no row has this value; h is one of: 0.1, 0.01"),
-        (("h=abc",), "no row has this value"),
-        (("scheme=bs",), "scheme is one of: hk, rk4"),
-        (("scheme=hk", "N=20"), "no row satisfies all conditions"),
-    ],
+    table_of("""
+('h',)                 expected key=value
+('h=',)                expected key=value
+('hh=0.1',)            --where: unknown key 'hh'; did you mean 'h'
+('error.max=1',)       unknown key 'error.max'
+('h=0.10000000011',)   no row has this value; h is one of: 0.1, 0.01
+('h=0.09999999989',)   no row has this value
+('h=0.1001',)          no row has this value; h is one of: 0.1, 0.01
+('h=abc',)             no row has this value
+('scheme=bs',)         scheme is one of: hk, rk4
+('scheme=hk', 'N=20')  no row satisfies all conditions
+"""),
 )
 def test_wrong_conditions_are_named(stored: Path, conditions: tuple[str, ...], message: str) -> None:
     with pytest.raises(UsageError, match=message):
@@ -221,14 +222,14 @@ def test_several_values_in_a_cell_are_refused_by_the_keys_that_vary(tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        ((["shceme"], "h", ["error.max"]), "--rows: unknown key 'shceme'; did you mean 'scheme'"),
-        ((["scheme"], "H", ["error.max"]), "--columns: unknown key 'H'; did you mean 'h'"),
-        ((["scheme"], "h", ["error"]), r"--value: unknown measure 'error'; did you mean 'error.max'"),
-        ((["scheme"], "h", ["error.max", "seconds"]), "one --value fills the columns; 2 are given"),
-        ((["h"], "h", ["seconds"]), "key 'h' is named twice"),
-        ((["h"], None, ["seconds", "seconds"]), "a measure is named twice"),
-    ],
+    table_of("""
+(['shceme'], 'h', ['error.max'])             --rows: unknown key 'shceme'; did you mean 'scheme'
+(['scheme'], 'H', ['error.max'])             --columns: unknown key 'H'; did you mean 'h'
+(['scheme'], 'h', ['error'])                 --value: unknown measure 'error'; did you mean 'error.max'
+(['scheme'], 'h', ['error.max', 'seconds'])  one --value fills the columns; 2 are given
+(['h'], 'h', ['seconds'])                    key 'h' is named twice
+(['h'], None, ['seconds', 'seconds'])        a measure is named twice
+"""),
 )
 def test_wrong_names_are_refused(tmp_path: Path, arguments: Any, message: str) -> None:
     with pytest.raises(UsageError, match=message):
@@ -290,19 +291,19 @@ def test_a_combination_without_rows_is_a_dash(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
-    [
-        (28.1724, 3, "28.2"),
-        (0.0012345, 3, "0.00123"),
-        (0.00099949, 3, "9.99e-04"),
-        (0.00099951, 3, "0.00100"),
-        (99940.0, 3, "99940"),
-        (99999.0, 3, "1.00e+05"),
-        (100001.0, 3, "1.00e+05"),
-        (-3.14159e-9, 2, "-3.1e-09"),
-        (1234.56, 5, "1234.6"),
-        (0.0, 3, "0"),
-        (math.inf, 3, "inf"),
-    ],
+    table_of("""
+28.1724      3  '28.2'
+0.0012345    3  '0.00123'
+0.00099949   3  '9.99e-04'
+0.00099951   3  '0.00100'
+99940.0      3  '99940'
+99999.0      3  '1.00e+05'
+100001.0     3  '1.00e+05'
+-3.14159e-9  2  '-3.1e-09'
+1234.56      5  '1234.6'
+0.0          3  '0'
+1e999        3  inf
+"""),
 )
 def test_significant_digits(value: float, digits: int, text: str) -> None:
     assert significant(value, digits) == text
@@ -314,18 +315,18 @@ def cell(*numbers: float) -> Cell:
 
 @pytest.mark.parametrize(
     ("mean", "error", "text"),
-    [
-        (28.172345, 0.00123, "28.1723 ± 0.0012"),
-        (28.172345, 0.0996, "28.17 ± 0.10"),
-        (1.23456e-5, 1.23e-8, "1.2346e-05 ± 1.2e-08"),
-        (-1.23456e-5, 9.96e-8, "-1.235e-05 ± 1.0e-07"),
-        (3.0e-9, 1.2e-7, "0.0e-07 ± 1.2e-07"),
-        (-3.0e-9, 1.2e-7, "0.0e-07 ± 1.2e-07"),
-        (12345.6, 230.0, "12350 ± 230"),
-        (123456.0, 230.0, "1.2346e+05 ± 2.3e+02"),
-        (0.0, 0.5, "0.00 ± 0.50"),
-        (2.0, 0.0, "2 ± 0"),
-    ],
+    table_of("""
+28.172345    0.00123  28.1723 ± 0.0012
+28.172345    0.0996   28.17 ± 0.10
+1.23456e-5   1.23e-8  1.2346e-05 ± 1.2e-08
+-1.23456e-5  9.96e-8  -1.235e-05 ± 1.0e-07
+3.0e-9       1.2e-7   0.0e-07 ± 1.2e-07
+-3.0e-9      1.2e-7   0.0e-07 ± 1.2e-07
+12345.6      230.0    12350 ± 230
+123456.0     230.0    1.2346e+05 ± 2.3e+02
+0.0          0.5      0.00 ± 0.50
+2.0          0.0      2 ± 0
+"""),
 )
 def test_a_mean_is_rounded_to_its_error(mean: float, error: float, text: str) -> None:
     assert cell_text(cell(mean, mean - error, mean + error), "mean") == text
@@ -333,12 +334,12 @@ def test_a_mean_is_rounded_to_its_error(mean: float, error: float, text: str) ->
 
 @pytest.mark.parametrize(
     ("numbers", "text"),
-    [
-        ((28.172345, 28.1711, 28.1741), "28.1723 [28.1711, 28.1741]"),
-        ((1.5e-6, 1.0e-8, 2.0e-3), "1.5e-06 [1.0e-08, 0.0020]"),
-        ((5.0, 5.0, 5.0), "5 [5, 5]"),
-        ((2.0e-5,), "2.00e-05"),
-    ],
+    table_of("""
+(28.172345, 28.1711, 28.1741)  28.1723 [28.1711, 28.1741]
+(1.5e-6, 1.0e-8, 2.0e-3)       1.5e-06 [1.0e-08, 0.0020]
+(5.0, 5.0, 5.0)                5 [5, 5]
+(2.0e-5,)                      '2.00e-05'
+"""),
 )
 def test_a_median_is_rounded_to_its_quartiles(numbers: tuple[float, ...], text: str) -> None:
     assert cell_text(cell(*numbers), "median") == text
@@ -349,14 +350,14 @@ INF = math.inf
 
 @pytest.mark.parametrize(
     ("numbers", "median", "quartiles"),
-    [
-        ((1.0, INF, 2.0, INF, INF), INF, (2.0, INF)),
-        ((1.0, INF, 2.0, 3.0), 2.5, (1.75, INF)),
-        ((1.0, INF), INF, (INF, INF)),
-        ((INF, INF, INF), INF, (INF, INF)),
-        ((1.0, 2.0, 3.0, 4.0, INF), 3.0, (2.0, 4.0)),
-        ((-INF, 1.0, 2.0), 1.0, (-INF, 1.5)),
-    ],
+    table_of("""
+(1.0, 1e999, 2.0, 1e999, 1e999)  1e999  (2.0, 1e999)
+(1.0, 1e999, 2.0, 3.0)           2.5    (1.75, 1e999)
+(1.0, 1e999)                     1e999  (1e999, 1e999)
+(1e999, 1e999, 1e999)            1e999  (1e999, 1e999)
+(1.0, 2.0, 3.0, 4.0, 1e999)      3.0    (2.0, 4.0)
+(-1e999, 1.0, 2.0)               1.0    (-1e999, 1.5)
+"""),
 )
 def test_infinite_values_count_as_the_largest(
     numbers: tuple[float, ...], median: float, quartiles: tuple[float, float]

@@ -11,6 +11,7 @@ import mpmath as _mpmath
 import numpy as np
 import pytest
 
+from cases import table_of
 from conftest import GEN, random_states
 from test_euler import random_tops
 from topcli.analysis.reference import reference_states
@@ -122,7 +123,13 @@ def test_hk_exact_says_when_the_step_is_too_long() -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("0.3", "1.7", "0.01"), ("0", "1e-30", "1"), ("2", "2", "2"), ("1e-20", "0", "5")]
+    "arguments",
+    table_of("""
+('0.3', '1.7', '0.01')
+('0', '1e-30', '1')
+('2', '2', '2')
+('1e-20', '0', '5')
+"""),
 )
 def test_carlsons_integrals_to_thirty_five_digits(arguments: tuple[str, str, str]) -> None:
     with localcontext(prec=DIGITS), mp.workdps(60):

@@ -14,6 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from cases import table_of
 from conftest import random_states
 from topcli.analysis import reference as taylor
 from topcli.analysis.columns import attitude_columns, quaternions_of
@@ -181,7 +182,16 @@ def test_root_squares_back_and_is_the_nearest(x: float, y: float, p1: float, p2:
 
 
 @pytest.mark.parametrize(
-    "z", [(-4.0, 0.0), (-4.0, -0.0), (0.0, 2.0), (0.0, -2.0), (9.0, 0.0), (-1.0, 1e-14), (-1.0, -1e-14)]
+    "z",
+    table_of("""
+(-4.0, 0.0)
+(-4.0, -0.0)
+(0.0, 2.0)
+(0.0, -2.0)
+(9.0, 0.0)
+(-1.0, 1e-14)
+(-1.0, -1e-14)
+"""),
 )
 def test_root_on_and_about_the_axes(z: tuple[float, float]) -> None:
     root = cmath.sqrt(complex(*z))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cases import table_of
 from topcli.analysis.order import Convergence, OrderVerdict, convergence, is_consistent, judge_order, observed_order
 from topcli.analysis.roundoff import growth
 from topcli.contracts import Stepper
@@ -50,13 +51,13 @@ def test_convergence_finds_order_and_plateau(order: float) -> None:
 
 @pytest.mark.parametrize(
     ("tail", "plateau"),
-    [
-        ([1e-9, 0.51e-9, 0.52e-9], 0.52e-9),
-        ([1e-9, 0.49e-9, 0.26e-9], None),
-        ([0.9e-6, 0.8e-6, 0.7e-6], 0.8e-6),
-        ([1.1e-6, 1.1e-6, 1.2e-6], None),
-        ([1e-9, 1e-9], None),
-    ],
+    table_of("""
+[1e-9, 0.51e-9, 0.52e-9]  0.52e-9
+[1e-9, 0.49e-9, 0.26e-9]  None
+[0.9e-6, 0.8e-6, 0.7e-6]  0.8e-6
+[1.1e-6, 1.1e-6, 1.2e-6]  None
+[1e-9, 1e-9]              None
+"""),
 )
 def test_a_plateau_is_small_and_gains_less_than_a_factor_of_two(tail: list[float], plateau: float | None) -> None:
     sizes = [1.0, 0.1, 0.01, 0.001, 1e-4, 1e-5, 1e-6]
@@ -165,7 +166,15 @@ def test_two_sizes_decide_nothing() -> None:
     assert (found, why) == ("undecided", "fewer than three step sizes have errors above round-off")
 
 
-@pytest.mark.parametrize(("factor", "consistent"), [(1.0, True), (1.01, False), (0.99, False), (-1.0, False)])
+@pytest.mark.parametrize(
+    ("factor", "consistent"),
+    table_of("""
+1.0   True
+1.01  False
+0.99  False
+-1.0  False
+"""),
+)
 def test_a_step_is_consistent_if_its_error_falls_faster_than_h(factor: float, consistent: bool) -> None:
     def euler(y, h, p):
         return tuple(a + factor * h * b for a, b in zip(y, field(y, p), strict=True))

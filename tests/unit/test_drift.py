@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 
+from cases import table_of
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trend import Trend, sizes_in_all, trend
 from topcli.contracts import Invariant
@@ -208,12 +209,12 @@ def noises(kind: str, count: int, m: int) -> list[np.ndarray]:
 @pytest.mark.parametrize("m", [64])
 @pytest.mark.parametrize(
     ("kind", "walks", "least"),
-    [
-        ("white", (0.0, 0.01), 0.4),
-        ("correlated", (0.4, 0.9), 0.1),
-        ("walk", (0.92, 1.0), 0.4),
-        ("means of a walk", (0.92, 1.0), 0.4),
-    ],
+    table_of("""
+white            (0.0, 0.01)  0.4
+correlated       (0.4, 0.9)   0.1
+walk             (0.92, 1.0)  0.4
+means of a walk  (0.92, 1.0)  0.4
+"""),
 )
 def test_slope_errors_are_honest(kind: str, walks: tuple[float, float], least: float, m: int) -> None:
     """Without a trend the slope rarely reaches the 5 standard errors of the verdict, whatever the noise.
@@ -229,7 +230,16 @@ def test_slope_errors_are_honest(kind: str, walks: tuple[float, float], least: f
     assert least < np.median(ratios) < 1.2
 
 
-@pytest.mark.parametrize(("phi", "part"), [(-0.5, 1.08), (0.0, 1.0), (0.3, 0.95), (0.5, 0.86), (0.7, 0.75)])
+@pytest.mark.parametrize(
+    ("phi", "part"),
+    table_of("""
+-0.5  1.08
+0.0   1.0
+0.3   0.95
+0.5   0.86
+0.7   0.75
+"""),
+)
 def test_the_error_of_a_slope_allows_for_correlated_noise(phi: float, part: float) -> None:
     """Noise x_i = phi x_(i-1) + e_i: errors of linear trends over that of the slope, from its covariance written out.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cases import table_of
 from topcli.studies.bench.result import (
     DECADES,
     MAX_GAP,
@@ -149,7 +150,13 @@ def test_a_set_up_is_named_from_a_millisecond_on_and_settings_are_no_other_progr
 
 @pytest.mark.parametrize(
     ("value", "expected"),
-    [(0.0418, "h=0.042"), (2.5, "h=2.5"), (1e-9, "h=1e-9"), (3.2e-10, "h=3.2e-10"), (1.5e-5, "h=1.5e-5")],
+    table_of("""
+0.0418   h=0.042
+2.5      h=2.5
+1e-9     h=1e-9
+3.2e-10  h=3.2e-10
+1.5e-5   h=1.5e-5
+"""),
 )
 def test_settings_are_formatted(value: float, expected: str) -> None:
     assert setting("h", value) == expected
