@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
+from ruamel.yaml import YAML
 
 import resuming
 from topcli.errors import RunError, UsageError
@@ -18,231 +19,60 @@ from topcli.store.manifest import REPORT, StoredRun
 from topcli.store.parts import Part
 
 OUT, NAME = Path("out"), "wobble"
+CASES: dict[str, dict[str, Any]] = YAML(typ="safe").load(Path(__file__).with_name("decisions.yaml"))
 
 
-CONFIG: dict[str, Any] = {
-    "name": NAME,
-    "scheme": {"name": "hk"},
-    "h": 0.1,
-    "N": 100,
-    "output": {"every": 1, "format": "parquet"},
-}
+def config(suffix: str = "parquet", **changes: Any) -> dict[str, Any]:
+    output = {"every": 1, "format": suffix}
+    return {"name": NAME, "scheme": {"name": "hk"}, "h": 0.1, "N": 100, "output": output, **changes}
 
 
-MINE = Identity(CONFIG, "a" * 64, "code")
+def manifest(digest: str = "a", suffix: str = "parquet", **changes: Any) -> dict[str, Any]:
+    known = {"name": NAME, "digest": 64 * digest, "code": "code", "outcome": "completed", "files": {REPORT: {}}}
+    return {**known, "series": f"series.{suffix}", **changes, "config": config(**changes.get("config", {}))}
 
 
-FORCE, RESUME, RETRY = RunOptions(force=True), RunOptions(resume=True), RunOptions(retry_failed=True)
+def stored(folder: str = NAME, **changes: Any) -> StoredRun:
+    return StoredRun(OUT / folder, manifest(**changes))
 
 
-PLAIN = RunOptions()
+def part(alive: bool = False, digest: str = "a") -> Part:
+    return Part(OUT / f".{NAME}.part-7-00000000", {"pid": 7, "digest": 64 * digest}, alive)
 
 
-FLIPPED = {"report.md": "its SHA-256 differs"}
+def source(one: Mapping[str, Any]) -> Resumable:
+    """What a killed process has left, an interrupted run, or one that was set aside."""
+    changes = dict(one)
+    done, checkpoint = changes.pop("done"), None if changes.pop("complete", False) else object()
+    where: Any = stored() if changes.pop("stopped", False) else part()
+    where = stored(f"{NAME}.aaaaaaaa") if changes.pop("set aside", False) else where
+    return Resumable(where, done, checkpoint, manifest(**changes))  # type: ignore[arg-type]
 
 
-def config(**changes: Any) -> dict[str, Any]:
-    return {**CONFIG, **changes}
-
-
-def manifest(outcome: str = "completed", suffix: str = "parquet", **changes: Any) -> dict[str, Any]:
-    return {
-        "name": NAME,
-        "digest": MINE.digest,
-        "code": MINE.code,
-        "outcome": outcome,
-        "config": CONFIG,
-        "series": f"series.{suffix}",
-        "files": {REPORT: {}},
-        **changes,
-    }
-
-
-def run(outcome: str = "completed", suffix: str = "parquet", **changes: Any) -> StoredRun:
-    return StoredRun(OUT / NAME, manifest(outcome, suffix, **changes))
-
-
-def part(alive: bool = False, digest: str = MINE.digest) -> Part:
-    return Part(OUT / f".{NAME}.part-7-00000000", {"pid": 7, "digest": digest}, alive)
-
-
-def left(done: int, *, where: Any = None, complete: bool = False, **changes: Any) -> Resumable:
-    """What a killed process has left at step ``done``, or an interrupted run."""
-    checkpoint: Any = None if complete else object()
-    return Resumable(where or part(), done, checkpoint, manifest(**changes))
-
-
-OTHER_RUN = run(digest="b" * 64, config=config(h=0.2, name="earlier"))
-
-
-OTHER_CODE = run(digest="b" * 64, top_origin="mine.py")
-
-
-@dataclass(frozen=True)
-class Case:
-    """A look at the folder and options; the decision, or a part of its error."""
-
-    look: dict[str, Any]
-    options: RunOptions
-    expected: str = "run"
-    action: str = ""
-    notes: tuple[str, ...] = ()
-    step: int | None = None
-    identity: Identity = field(default=MINE)
-
-
-CSV = replace(MINE, config=config(output={"every": 1, "format": "csv"}))
-
-
-HINT = "starting from step 0; --resume would continue an unfinished run at step 40 of 100"
-
-
-NOTHING = "nothing to resume; starting from step 0"
-
-
-BUSY = "process 7 is running this experiment too"
-
-
-DAMAGED = "will run again; report.md is damaged: its SHA-256 differs"
-
-
-LINK = "out/wobble: is a symbolic link, which no run can replace; nothing was written"
-
-
-CASES = {
-    "an empty place": Case({}, PLAIN, action="will run"),
-    "nothing to resume": Case({}, RESUME, action="will run", notes=(NOTHING,)),
-    "a place that cannot be used": Case({"fault": ("out: is not a folder",)}, FORCE, "out: is not a folder"),
-    "a link to nothing": Case({"linked": True}, PLAIN, LINK),
-    "a link to a different run": Case({"linked": True, "run": OTHER_RUN}, FORCE, LINK),
-    "a link to a run in another format": Case({"linked": True, "run": run(suffix="csv")}, PLAIN, LINK),
-    "a link to this run": Case({"linked": True, "run": run()}, PLAIN, "leave", "up to date"),
-    "a link to this run, by force": Case({"linked": True, "run": run()}, FORCE, LINK),
-    "up to date": Case({"run": run()}, PLAIN, "leave", "up to date"),
-    "up to date, to be resumed": Case({"run": run()}, RESUME, "leave", "up to date"),
-    "up to date, beside a killed run": Case({"run": run(), "sources": (left(40),)}, RESUME, "leave", "up to date"),
-    "up to date, beside a killed run of other code": Case(
-        {"run": run(), "sources": (left(40, code="other"),)}, RESUME, "leave", "up to date"
-    ),
-    "up to date, by force": Case({"run": run()}, FORCE, action="will run again"),
-    "not failed, to be retried": Case({"run": run()}, RETRY, "leave", "up to date"),
-    "failed": Case(
-        {"run": run("blew_up")},
-        PLAIN,
-        "leave",
-        "up to date; the existing run ended as blew_up; --retry-failed runs it again",
-    ),
-    "failed, to be retried": Case({"run": run("blew_up")}, RETRY, action="will run again"),
-    "in another format": Case({"run": run(suffix="csv")}, PLAIN, "rewrite", "will be rewritten as parquet"),
-    "failed, in another format": Case(
-        {"run": run("blew_up")}, PLAIN, "rewrite", "will be rewritten as csv", identity=CSV
-    ),
-    "damaged": Case({"run": run(), "damage": FLIPPED}, PLAIN, action=DAMAGED, notes=(DAMAGED,)),
-    "damaged, in another format": Case(
-        {"run": run(suffix="csv"), "damage": FLIPPED}, PLAIN, action=DAMAGED, notes=(DAMAGED,)
-    ),
-    "damaged, to be resumed": Case({"run": run(), "damage": FLIPPED}, RESUME, action=DAMAGED, notes=(DAMAGED, NOTHING)),
-    "without its report": Case({"run": run(files={})}, PLAIN, action="will run again"),
-    "of other code": Case({"run": run(code="other")}, PLAIN, action="will run again"),
-    "interrupted": Case(
-        {"run": run("interrupted"), "sources": (left(40, where=run("interrupted")),)},
-        PLAIN,
-        action="will run again",
-        notes=(HINT,),
-    ),
-    "interrupted, to be resumed": Case(
-        {"run": run("interrupted"), "sources": (left(40, where=run("interrupted")),)},
-        RESUME,
-        action="will continue from step 40",
-        step=40,
-    ),
-    "a different run": Case(
-        {"run": OTHER_RUN}, PLAIN, "holds a different experiment (h: 0.2 there, 0.1 here); nothing"
-    ),
-    "the same run by a user's top": Case(
-        {"run": OTHER_CODE}, PLAIN, "as computed by other code of mine.py (digest bbbbbbbb, this one aaaaaaaa)"
-    ),
-    "a very different run": Case(
-        {"run": run(digest="b" * 64, config=config(scheme={"name": "rk4"}, h=0.2, N=7, output={"every": 2}))},
-        PLAIN,
-        "(scheme.name: rk4 there, hk here; h: 0.2 there, 0.1 here; N: 7 there, 100 here; ...); nothing",
-    ),
-    "this run of another version": Case(
-        {"run": run(digest="b" * 64)}, PLAIN, "holds this experiment as identified by another version of topcli"
-    ),
-    "a different run, by force": Case(
-        {"run": OTHER_RUN}, FORCE, action="will run; the existing different run is renamed, not overwritten"
-    ),
-    "a different run, beside a killed one": Case(
-        {"run": OTHER_RUN, "parts": (part(),), "sources": (left(40),)},
-        RESUME,
-        action="will continue from step 40; the existing different run is renamed, not overwritten",
-        step=40,
-    ),
-    "killed": Case({"parts": (part(),), "sources": (left(30), left(40))}, PLAIN, action="will run", notes=(HINT,)),
-    "killed, to be resumed": Case(
-        {"parts": (part(),), "sources": (left(40), left(60), left(50))},
-        RESUME,
-        action="will continue from step 60",
-        step=60,
-    ),
-    "complete before it was killed": Case(
-        {"parts": (part(),), "sources": (left(60), left(0, complete=True))},
-        RESUME,
-        action="will continue from step 0",
-        step=0,
-    ),
-    "set aside": Case(
-        {"sources": (left(40, where=StoredRun(OUT / f"{NAME}.aaaaaaaa", {})),)}, PLAIN, action="will run"
-    ),
-    "killed in another format": Case(
-        {"sources": (left(40, config=config(output={"format": "csv"})),)},
-        RESUME,
-        "the unfinished run, at step 40, is written as csv, not parquet",
-    ),
-    "killed, of a different experiment": Case(
-        {"sources": (left(40, digest="b" * 64, config=config(N=7)),)},
-        RESUME,
-        "at step 40, is of a different experiment (N: 7 there, 100 here); nothing was written and it is kept",
-    ),
-    "killed, of other code": Case(
-        {"sources": (left(40, code="other"), left(80, digest="b" * 64))},
-        RESUME,
-        "at step 40, was made by other code of the scheme hk",
-    ),
-    "killed, of another version": Case(
-        {"sources": (left(40, digest="b" * 64),)}, RESUME, "at step 40, was begun by another version of topcli"
-    ),
-    "a damaged checkpoint": Case(
-        {"damaged_checkpoint": OUT / ".wobble.part-7-00000000" / "checkpoint.npz"},
-        RESUME,
-        "checkpoint.npz: damaged (or written by another version of topcli); nothing was deleted",
-    ),
-    "a damaged checkpoint, not to be resumed": Case(
-        {"damaged_checkpoint": OUT / "checkpoint.npz"}, PLAIN, action="will run"
-    ),
-    "running": Case({"parts": (part(True),)}, PLAIN, action="will run", notes=(BUSY,)),
-    "running, to be resumed": Case(
-        {"parts": (part(True),), "sources": (left(40),)},
-        RESUME,
-        "out/wobble: process 7 is running this experiment now; there is nothing to resume",
-    ),
-    "another one running": Case({"parts": (part(True, "b" * 64),)}, RESUME, action="will run", notes=(NOTHING,)),
-}
+def looked_at(there: Mapping[str, Any]) -> Folder:
+    found = dict(there)
+    if "run" in found:
+        found["run"] = stored(**found["run"])
+    if "damaged_checkpoint" in found:
+        found["damaged_checkpoint"] = Path(found["damaged_checkpoint"])
+    for key, make in (("fault", str), ("parts", lambda one: part(**one)), ("sources", source)):
+        found[key] = tuple(map(make, found.get(key, ())))
+    return Folder(OUT, NAME, **found)
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_decision(case: Case) -> None:
-    folder = Folder(OUT, NAME, **case.look)
-    if case.action:
-        decision = decide(case.identity, folder, case.options)
-        source = next((left for left in folder.sources if left.done == case.step), None)
-        assert decision == Decision(case.expected, case.action, source, case.notes)  # type: ignore[arg-type]
+def test_decision(case: dict[str, Any]) -> None:
+    folder, options = looked_at(case.get("there", {})), RunOptions(**dict.fromkeys(case.get("options", ()), True))
+    mine = Identity(config(case.get("format", "parquet")), 64 * "a", "code")
+    for verb in {"run", "leave", "rewrite"} & case.keys():
+        start = next((left for left in folder.sources if left.done == case.get("step")), None)
+        notes = tuple(case.get("notes", ()))
+        assert decide(mine, folder, options) == Decision(verb, case[verb], start, notes)  # type: ignore[arg-type]
         return
     with pytest.raises((UsageError, RunError)) as caught:
-        decide(case.identity, folder, case.options)
-    assert case.expected in str(caught.value)
-    assert isinstance(caught.value, RunError) == ("damaged (" in case.expected)
+        decide(mine, folder, options)
+    assert case["refused"] in str(caught.value)
+    assert isinstance(caught.value, RunError) == ("damaged (" in case["refused"])
 
 
 def test_a_look_changes_nothing(tmp_path: Path) -> None:
