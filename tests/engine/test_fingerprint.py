@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cases import parts_of
 from scheme_files import run_scheme, write_scheme
 from topcli.contracts import Stepper
 from topcli.engine.fingerprint import fingerprint, same_method
@@ -17,46 +18,9 @@ from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 
 REST = "s[1], s[2], s[3], s[4], s[5])"
-STEP = "def step(s, h, p):\n    return (s[0] * {value}, " + REST
-
-COMPILED = {
-    "global": "K = 2.0\n" + STEP.format(value="K"),
-    "tuple": "K = (1.0, (2.0, 3.0))\n" + STEP.format(value="K[1][0]"),
-    "array": "import numpy as np\nK = np.array([0.5, 2.0])\n" + STEP.format(value="K[1]"),
-    "strided array": "import numpy as np\nK = np.array([0.5, 9.0, 2.0, 9.0])[::2]\n" + STEP.format(value="K[1]"),
-    "large array": "import numpy as np\nK = np.full(200_000, 2.0)\n" + STEP.format(value="K[7]"),
-    "numpy scalar": "import numpy as np\nK = np.float64(2.0)\n" + STEP.format(value="K"),
-    "complex": "K = 2.0 + 1.0j\n" + STEP.format(value="K.real"),
-    "namedtuple": (
-        "from collections import namedtuple\nParameters = namedtuple('Parameters', 'g k')\n"
-        "K = Parameters(1.0, 2.0)\n" + STEP.format(value="K.k")
-    ),
-    "builtin's name": "sum = 2.0\n" + STEP.format(value="sum"),
-    "default": "def step(s, h, p, k=2.0):\n    return (s[0] * k, " + REST,
-    "default of a helper": "def helper(x, k=2.0):\n    return k * x\n"
-    + STEP.format(value="1.0").replace("s[0] * 1.0", "helper(s[0])"),
-    "default that is a function": (
-        "def twice(x):\n    return 2.0 * x\ndef step(s, h, p, f=twice):\n    return (f(s[0]), " + REST
-    ),
-    "closure": (
-        "def make(k):\n    def step(s, h, p):\n        return (s[0] * k, "
-        + REST
-        + "\n    return step\nstep = make(2.0)"
-    ),
-    "dispatcher": (
-        "from numba import njit\nK = 2.0\n@njit\ndef helper(x):\n    return K * x\n"
-        "def step(s, h, p):\n    return (helper(s[0]), " + REST
-    ),
-    "lambda in a tuple of code": "K = 2.0\nhelper = lambda x: K * x\ndef step(s, h, p):\n    return (helper(s[0]), "
-    + REST,
-    "getattr": "import consts\n" + STEP.format(value="getattr(consts, 'G')"),
-    "module attribute": "import consts\n" + STEP.format(value="consts.G"),
-    "module of a package": "import parts.consts\n" + STEP.format(value="parts.consts.G"),
-    "imported name": "from consts import G\n" + STEP.format(value="G"),
-    "module's function": "import consts\ndef step(s, h, p):\n    return (consts.times(s[0]), " + REST,
-    "module's module": "import consts\ndef step(s, h, p):\n    return (consts.inner.times(s[0]), " + REST,
-    "module's array": "import consts\n" + STEP.format(value="consts.A[1]"),
-}
+STEPS = {name: text.replace("REST)", REST) for name, text in parts_of(Path(__file__).with_name("edits.txt")).items()}
+"""Bodies of scheme files."""
+REFUSED = [name for name in STEPS if name.startswith("refused")]
 CONSTS = (
     "import numpy as np\nimport inner\nG = 2.0\nA = np.array([1.0, 2.0])\ndef times(x):\n    return inner.times(x)\n"
 )
@@ -91,9 +55,9 @@ EDITED = ("large array", "strided array", "dispatcher", "default of a helper", "
 @pytest.mark.parametrize("kind", EDITED)
 def test_an_edit_gives_the_new_numbers(folder: Path, kind: str) -> None:
     """Same size, same second: 2.0 becomes 4.0 and back."""
-    first = run_scheme(write_files(folder, COMPILED[kind], "2.0"))
-    edited = run_scheme(write_files(folder, COMPILED[kind], "4.0"))
-    back = run_scheme(write_files(folder, COMPILED[kind], "2.0"))
+    first = run_scheme(write_files(folder, STEPS[f"compiled: {kind}"], "2.0"))
+    edited = run_scheme(write_files(folder, STEPS[f"compiled: {kind}"], "4.0"))
+    back = run_scheme(write_files(folder, STEPS[f"compiled: {kind}"], "2.0"))
     assert (first.value, edited.value, back.value) == (4.0, 16.0, 4.0)
     assert first.code == back.code != edited.code
     assert not first.cached
@@ -101,72 +65,20 @@ def test_an_edit_gives_the_new_numbers(folder: Path, kind: str) -> None:
     assert back.cached is (kind not in ("large array", "strided array"))
 
 
-PLAIN = {
-    "partial": "from functools import partial\ndef times(k, x):\n    return k * x\nf = partial(times, 2.0)\n"
-    "def step(s, h, p):\n    return (f(s[0]), " + REST,
-    "keyword default": "def f(x, *, k=2.0):\n    return k * x\ndef step(s, h, p):\n    return (f(s[0]), " + REST,
-    "instance": "class Gain:\n    def __init__(self, k):\n        self.k = k\ngain = Gain(2.0)\n"
-    + STEP.format(value="gain.k"),
-    "class": "class Gain:\n    k = 2.0\n" + STEP.format(value="Gain.k"),
-    "base class": "class Base:\n    k = 2.0\nclass Gain(Base):\n    pass\n" + STEP.format(value="Gain.k"),
-    "method": "class Gain:\n    def times(self, x):\n        return 2.0 * x\ntimes = Gain().times\n"
-    "def step(s, h, p):\n    return (times(s[0]), " + REST,
-    "slots": "class Gain:\n    __slots__ = ('k',)\ngain = Gain()\ngain.k = 2.0\n" + STEP.format(value="gain.k"),
-    "dataclass": "from dataclasses import dataclass\n@dataclass\nclass Gain:\n    k: float = 2.0\ngain = Gain()\n"
-    + STEP.format(value="gain.k"),
-    "dictionary": "K = {'k': [1.0, 2.0]}\n" + STEP.format(value="K['k'][1]"),
-    "frozenset": "K = frozenset(('a', 'b', 2.0))\n" + STEP.format(value="(2.0 if 2.0 in K else 0.0)"),
-    "enum": "from enum import Enum\nclass Gain(Enum):\n    K = 2.0\n" + STEP.format(value="Gain.K.value"),
-    "fraction": "from fractions import Fraction\nK = Fraction(2.0)\n" + STEP.format(value="float(K)"),
-    "cached function": "from functools import lru_cache\n@lru_cache\ndef f():\n    return 2.0\n"
-    + STEP.format(value="f()"),
-    "wrapped function": "from functools import wraps\ndef twice(f):\n    @wraps(f)\n    def g():\n        return f()\n"
-    "    return g\n@twice\ndef f():\n    return 2.0\n" + STEP.format(value="f()"),
-    "SciPy and numpy": "import numpy as np\nfrom scipy.special import cbrt\nfrom numpy import roll\n"
-    + STEP.format(value="float(np.sum(roll(np.array([2.0]), 1)) + cbrt(0.0))"),
-    "random numbers": "import numpy as np\nK = np.random.default_rng(2)\nk = 2.0\n"
-    + STEP.format(value="(k + 0.0 * K.random())"),
-    "inner function": "def step(s, h, p):\n    def f(x):\n        return 2.0 * x\n    return (f(s[0]), " + REST,
-}
-
-
-@pytest.mark.parametrize("kind", PLAIN | COMPILED)
+@pytest.mark.parametrize("kind", [name for name in STEPS if name not in REFUSED])
 def test_an_edit_gives_another_code(folder: Path, kind: str) -> None:
     """In all that a step can depend on; one in the interpreter has the code key of its machine code."""
-    body = (PLAIN | COMPILED)[kind]
-    runs = [run_scheme(write_files(folder, body, k, ", plain=True")) for k in ("2.0", "4.0", "2.0")]
+    runs = [run_scheme(write_files(folder, STEPS[kind], k, ", plain=True")) for k in ("2.0", "4.0", "2.0")]
     assert [run.value for run in runs] == [4.0, 16.0, 4.0]
     assert runs[0].code == runs[2].code != runs[1].code
-
-
-REFUSED = {
-    "lock": ("import threading\nK = threading.Lock()\n" + STEP.format(value="(K is None)"), "'K'", "lock"),
-    "view": ("K = memoryview(b'2.0')\n" + STEP.format(value="len(K)"), "'K'", "memoryview"),
-    "pointer": (
-        "import ctypes\nK = ctypes.CFUNCTYPE(ctypes.c_double)(lambda: 2.0)\n" + STEP.format(value="K()"),
-        "'K'",
-        "an address in this process",
-    ),
-    "module's lock": (
-        "import consts, threading\nconsts.lock = threading.Lock()\n" + STEP.format(value="(consts.lock is None)"),
-        "'consts'",
-        "consts.lock",
-    ),
-    "default": (
-        "import threading\ndef step(s, h, p, k=threading.Lock()):\n    return (s[0], " + REST,
-        "default",
-        "lock",
-    ),
-    "generator": ("K = (x for x in (2.0,))\n" + STEP.format(value="(K is None)"), "'K'", "generator"),
-}
 
 
 @pytest.mark.parametrize("kind", REFUSED)
 @pytest.mark.parametrize("options", ["", ", plain=True"])
 def test_what_cannot_be_hashed_is_refused_by_name(folder: Path, kind: str, options: str) -> None:
-    body, name, what = REFUSED[kind]
+    _, _, name, what = kind.split(": ")
     with pytest.raises(SchemeCodeError) as refusal:
-        run_scheme(write_files(folder, body, "2.0", options))
+        run_scheme(write_files(folder, STEPS[kind], "2.0", options))
     message = str(refusal.value)
     assert name in message
     assert what in message
@@ -176,19 +88,19 @@ def test_what_cannot_be_hashed_is_refused_by_name(folder: Path, kind: str, optio
 
 @pytest.mark.slow
 def test_a_global_that_only_shares_the_name_of_an_attribute_is_not_refused(folder: Path) -> None:
-    body = "import threading\nreal = threading.Lock()\nK = 2.0 + 1.0j\n" + STEP.format(value="K.real")
+    body = STEPS["compiled: global with the name of an attribute"]
     assert run_scheme(write_files(folder, body, "2.0")).value == 4.0
 
 
 def test_a_step_that_calls_itself_is_refused(folder: Path) -> None:
-    body = "def f(x):\n    return f(x - 1.0) if x > 0.0 else 2.0\n" + STEP.format(value="f(s[0])")
+    body = "def f(x):\n    return f(x - 1.0) if x > 0.0 else 2.0\ndef step(s, h, p):\n    return (f(s[0]), " + REST
     with pytest.raises(SchemeCodeError, match=r"mine.py:4: f calls itself"):
         run_scheme(write_files(folder, body, "2.0"))
 
 
 @pytest.mark.slow
 def test_modules_of_one_name_beside_two_files_stay_apart(folder: Path, tmp_path: Path) -> None:
-    body = COMPILED["module attribute"]
+    body = STEPS["compiled: module attribute"]
     (tmp_path / "other" / "parts").mkdir(parents=True)
     here, there = write_files(folder, body, "2.0"), write_files(tmp_path / "other", body, "4.0")
     assert [run_scheme(path).value for path in (here, there, here)] == [4.0, 16.0, 4.0]
