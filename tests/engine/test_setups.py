@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cases import numbers_of
 from conftest import GEN, Said, random_states
 from topcli.contracts import Accuracy, Sampler
 from topcli.engine import setups
@@ -81,16 +82,16 @@ def test_a_set_up_is_computed_once(counted: Counted, folder: Path) -> None:
 @pytest.mark.slow
 def test_states_are_those_of_a_fresh_set_up(counted: Counted) -> None:
     """Motions of every kind, by the bits of their states."""
-    starts = [
-        GEN,
-        (0.0, 0.0, 1.5, 0.0, 0.0, 1.0),  # a triple root with k = 0
-        (1.0, 0.0, 1.0, 0.0, 0.0, -1.0),  # another one
-        (0.0, 0.0, 1.0, 0.6, 0.8, 0.0),  # a pendulum
-        (0.0, 0.0, np.sqrt(2.0), 0.0, 1.0, 0.0),  # next to its separatrix
-        (0.0, 0.0, 2.0, -1.0, 0.0, 0.0),  # and on it
-        (0.5, 0.25, 0.0, 0.0, 0.0, 1.0),  # s1 and s2 meet
-    ]
-    for y in starts:
+    starts = numbers_of("""
+generic: 0.7 -0.4 1.3 0.6 0.48 0.64
+a triple root with k = 0: 0 0 1.5 0 0 1
+another one: 1 0 1 0 0 -1
+a pendulum: 0 0 1 0.6 0.8 0
+next to its separatrix: 0 0 1.4142135623730951 0 1 0
+on its separatrix: 0 0 2 -1 0 0
+s1 and s2 meet: 0.5 0.25 0 0 0 1
+""")
+    for y in starts.values():
         exact._kept().clear()
         fresh = method().states(np.array(y), 0.1, N, P)
         assert again(counted, np.array(y))[0] is False

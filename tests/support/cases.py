@@ -35,6 +35,12 @@ def table_of(text: str) -> list[ParameterSet]:
     return [pytest.param(*map(_value, cells), id=" ".join(cells)) for cells in lines]
 
 
+def numbers_of(text: str) -> dict[str, tuple[float, ...]]:
+    """Numbers by name, a line each: the name, a colon, the numbers; a remark may follow ``#``."""
+    lines = (line.partition("#")[0].partition(":") for line in text.strip("\n").split("\n"))
+    return {name: tuple(map(float, numbers.split())) for name, _, numbers in lines if numbers}
+
+
 def _value(cell: str) -> Any:
     try:
         return ast.literal_eval(cell)

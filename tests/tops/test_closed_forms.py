@@ -11,7 +11,7 @@ import mpmath as _mpmath
 import numpy as np
 import pytest
 
-from cases import table_of
+from cases import numbers_of, table_of
 from conftest import GEN, random_states
 from test_euler import random_tops
 from topcli.analysis.reference import reference_states
@@ -52,24 +52,25 @@ def test_exact_beside_the_separatrix(offset: float) -> None:
     assert error[3:].max() < 1e-11
 
 
-SPECIAL = {
-    "on the separatrix": ((3.0, 2.0, 1.5), (0.5, 0.1, 1.0)),
-    "spherical": ((2.0, 2.0, 2.0), (0.5, 0.1, 1.0)),
-    "oblate": ((1.0, 1.0, 1.5), (0.5, 0.1, 1.0)),
-    "prolate": ((1.0, 2.0, 2.0), (0.5, 0.1, 1.0)),
-    "equatorial": ((1.0, 2.0, 2.0), (0.0, 0.1, 1.0)),
-    "nearly symmetric": ((1.0, 1.0 + 1e-12, 2.0), (1.0, 1.0, 1.0)),
-    "principal axis": ((3.0, 2.0, 1.0), (0.0, 0.7, 0.0)),
-    "at rest": ((3.0, 2.0, 1.0), (0.0, 0.0, 0.0)),
-    "no middle component": ((3.0, 2.0, 1.0), (0.5, 0.0, 0.1)),
-    "no third component": ((3.0, 2.0, 1.0), (0.5, 0.1, 0.0)),
-    "no first component": ((3.0, 2.0, 1.0), (0.0, 0.1, 0.5)),
-    "tennis racket": ((3.0, 2.0, 1.0), (1e-9, 0.7, 0.0)),
-    "wobble of 1e-12": ((1.0, 3.0, 2.0), (1.0, 1e-12, 1e-10)),
-    "impossible body": ((9.0, 2.0, 1.0), (0.5, -0.3, 0.8)),
-    "slow": ((3.0, 2.0, 1.0), (7e-8, -4e-8, 1.3e-7)),
-    "denormal": ((3.0, 2.0, 1.0), (7e-311, -4e-311, 1.3e-310)),
-}
+SPECIAL = numbers_of("""
+on the separatrix: 3 2 1.5  0.5 0.1 1
+spherical: 2 2 2  0.5 0.1 1
+oblate: 1 1 1.5  0.5 0.1 1
+prolate: 1 2 2  0.5 0.1 1
+equatorial: 1 2 2  0 0.1 1
+nearly symmetric: 1 1.000000000001 2  1 1 1
+principal axis: 3 2 1  0 0.7 0
+at rest: 3 2 1  0 0 0
+no middle component: 3 2 1  0.5 0 0.1
+no third component: 3 2 1  0.5 0.1 0
+no first component: 3 2 1  0 0.1 0.5
+tennis racket: 3 2 1  1e-09 0.7 0
+wobble of 1e-12: 1 3 2  1 1e-12 1e-10
+impossible body: 9 2 1  0.5 -0.3 0.8
+slow: 3 2 1  7e-08 -4e-08 1.3e-07
+denormal: 3 2 1  7e-311 -4e-311 1.3e-310
+""")
+"""Moments, then omega."""
 
 
 @pytest.mark.slow
@@ -77,7 +78,7 @@ SPECIAL = {
 @pytest.mark.parametrize("scene", SPECIAL)
 def test_exact_in_special_cases(scene: str, signs: tuple[int, int, int]) -> None:
     """Every degenerate case, in every octant up to rotation, forwards and backwards, with and without gamma."""
-    (A, B, C), omega = SPECIAL[scene]
+    A, B, C, *omega = SPECIAL[scene]
     y0 = (*(s * w for s, w in zip(signs, omega, strict=True)), *GEN[3:])
     top, n = EulerGamma(A=A, B=B, C=C), np.arange(1, 201)
     for h in (0.25, -0.25):
@@ -109,7 +110,7 @@ def test_exact_after_a_very_long_time() -> None:
 @pytest.mark.parametrize("scene", SPECIAL)
 @pytest.mark.parametrize("h", [0.1, -0.1])
 def test_hk_exact_in_special_cases(scene: str, h: float) -> None:
-    (A, B, C), omega = SPECIAL[scene]
+    A, B, C, *omega = SPECIAL[scene]
     top = Euler(A=A, B=B, C=C)
     states = Run(top, find_scheme("hk", "euler").build(top, None), omega, h, 100).collect().states
     got = sampled("hk-exact", top, omega, h, np.arange(101))
@@ -181,22 +182,22 @@ def test_lagrange_motions_are_the_reference() -> None:
                 assert np.abs(error).max() < 1e-12
 
 
-@pytest.mark.parametrize(
-    "y0",
-    [
-        (0.0, 0.0, 0.0, 0.6, 0.0, 0.8),  # a plane pendulum let go
-        (0.0, 0.3, 0.0, 0.6, 0.0, 0.8),  # pushed
-        (0.0, 3.0, 0.0, 0.6, 0.0, 0.8),  # going over the top
-        (0.0, 0.0, 2.5, 0.0, 0.0, 1.0),  # asleep
-        (1e-5, 0.0, 1.9, 0.0, 0.0, 1.0),  # waking
-        (0.0, 0.0, 0.5, 1e-10, 0.0, 1.0),  # falling from next to the vertical
-        (0.0, 0.0, 0.0, 0.0, 0.0, -1.0),  # hanging at rest
-        (3.0, 4.0, 0.0, 0.0, 0.0, 1.0),  # thrown off the vertical
-        (0.0, 0.0, 20.0, 0.6, 0.0, 0.8),  # fast
-        (0.4, 0.7, 1.3, 0.6, 0.8, 0.0),  # level
-        (0.0, 0.0, 1.99, 0.1, 0.0, 0.99498743710662),  # close to a sleeping top's separatrix
-    ],
-)
+LAGRANGE = numbers_of("""
+a plane pendulum let go: 0 0 0 0.6 0 0.8
+pushed: 0 0.3 0 0.6 0 0.8
+going over the top: 0 3 0 0.6 0 0.8
+asleep: 0 0 2.5 0 0 1
+waking: 1e-05 0 1.9 0 0 1
+falling from next to the vertical: 0 0 0.5 1e-10 0 1
+hanging at rest: 0 0 0 0 0 -1
+thrown off the vertical: 3 4 0 0 0 1
+fast: 0 0 20 0.6 0 0.8
+level: 0.4 0.7 1.3 0.6 0.8 0
+close to a sleeping top's separatrix: 0 0 1.99 0.1 0 0.99498743710662
+""")
+
+
+@pytest.mark.parametrize("y0", LAGRANGE.values(), ids=LAGRANGE)
 @pytest.mark.parametrize("mu", [1.0, 0.0, -1.3])
 def test_lagrange_motions_of_special_kinds(y0: tuple[float, ...], mu: float) -> None:
     top, n = Lagrange(C=1.0, mu=mu), np.arange(0, 1001, 10)

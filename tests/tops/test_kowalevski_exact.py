@@ -16,6 +16,7 @@ import mpmath
 import numpy as np
 import pytest
 
+from cases import numbers_of
 from conftest import GEN
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
@@ -88,21 +89,21 @@ def test_degenerate_motions_and_their_neighbours(family: str) -> None:
         assert_is_the_motion(FAMILIES[family](distance))
 
 
-NATURAL = {
-    # three roots of the curve coincide, elsewhere than k = 0
-    "root of the cubic three times": (1.0, 0.0, 2.0, 0.0, 2.0, -2.0),
-    "cubic and e5": (1.0, 0.0, 1.0, 0.0, 0.0, -1.0),
-    "cubic and e5, thirds": (0.0, 3.0, 1.0, 0.0, 0.0, -3.0),
-    "cubic and e5, rest of gamma1": (0.0, 1.0, 2.0, -1.0, -1.0, 0.0),
-    # s1 and s2 are in the double root together at t = 0, next to a conjugate pair
-    "pendulum at the passage": (0.0, 1.0, 0.0, 0.0, 0.0, -2.0),
-    "pinch at the passage": (0.0, 1.0, 2.0, -1.0, 2.0, -2.0),
-    "pinch at the passage, sideways": (1.0, 1.0, 0.0, 1.0, 2.0, 2.0),
-    # next to a turning point, where the wrong direction is a shift of time that shows at t = 97
-    "next to a turning point": (0.0, 0.6, 0.0, 0.5, 1e-12, 1e-9),
-    # homoclinic to the upright position at rest, on none of its invariant planes
-    "homoclinic in space": (3.0, 2.0, 8.0, -20.0, 12.0, 9.0),
-}
+NATURAL = numbers_of("""
+# three roots of the curve coincide, elsewhere than k = 0
+root of the cubic three times: 1 0 2 0 2 -2
+cubic and e5: 1 0 1 0 0 -1
+cubic and e5, thirds: 0 3 1 0 0 -3
+cubic and e5, rest of gamma1: 0 1 2 -1 -1 0
+# s1 and s2 are in the double root together at t = 0, next to a conjugate pair
+pendulum at the passage: 0 1 0 0 0 -2
+pinch at the passage: 0 1 2 -1 2 -2
+pinch at the passage, sideways: 1 1 0 1 2 2
+# next to a turning point, where the wrong direction is a shift of time that shows at t = 97
+next to a turning point: 0 0.6 0 0.5 1e-12 1e-09
+# homoclinic to the upright position at rest, on none of its invariant planes
+homoclinic in space: 3 2 8 -20 12 9
+""")
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import mpmath as _mpmath
 import numpy as np
 import pytest
 
+from cases import numbers_of
 from conftest import GEN, PAPER
 from topcli.analysis.motion import Motion
 from topcli.analysis.motion.kowalevski import Ovals
@@ -24,13 +25,13 @@ from topcli.schemes.kowalevski.closed_form.motion import SeparatedMotion
 from topcli.tops.kowalevski import Kowalevski
 
 mpmath: Any = _mpmath  # its annotations make every root complex
-STATES = {
-    "I": (-1.3, 0.2, 1.5, -0.6, 0.48, 0.64),
-    "II": (-1.6, 0.2, -1.3, 0.6, -0.7, 0.5),
-    "III": GEN,
-    "IV": (0.5, 0.0, 0.0, 0.6, 0.0, 0.8),
-    "V": (0.8, 0.1, -1.0, 0.7, 0.1, -0.7),
-}
+STATES = numbers_of("""
+I: -1.3 0.2 1.5 -0.6 0.48 0.64
+II: -1.6 0.2 -1.3 0.6 -0.7 0.5
+III: 0.7 -0.4 1.3 0.6 0.48 0.64
+IV: 0.5 0 0 0.6 0 0.8
+V: 0.8 0.1 -1 0.7 0.1 -0.7
+""")
 """A state of each region."""
 
 
@@ -291,19 +292,20 @@ def test_neighbours_of_a_perturbed_pendulum() -> None:
         assert min(abs(one.distance) for one in near.neighbours) < 1e-5
 
 
-PERIODIC = {
-    "pendulum that rotates about the third axis": ((0.0, 0.0, 1.0, 0.6, 0.8, 0.0), "pendulum"),
-    "pendulum that oscillates about the third axis": ((0.75, 0.0, 0.5, 0.0, 0.75, 0.375), "pendulum"),
-    "released from rest, about the second axis": ((0.0, 0.0, 0.0, 0.6, 0.0, 0.8), "unstable"),
-    "pendulum that rotates about the second axis": ((0.0, 2.0, 0.0, -1.0, 0.0, 0.0), "unstable"),
-    "Delone": ((0.5, 0.5, 1.75, 0.0, 0.5, 0.75), "delone"),
-}
+PERIODIC = numbers_of("""
+pendulum, pendulum that rotates about the third axis: 0 0 1 0.6 0.8 0
+pendulum, pendulum that oscillates about the third axis: 0.75 0 0.5 0 0.75 0.375
+unstable, released from rest, about the second axis: 0 0 0 0.6 0 0.8
+unstable, pendulum that rotates about the second axis: 0 2 0 -1 0 0
+delone, Delone: 0.5 0.5 1.75 0 0.5 0.75
+""")
+"""The kind of motion comes first."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PERIODIC)
 def test_periodic_motions_return_after_their_period(name: str) -> None:
-    y, kind = PERIODIC[name]
+    y, kind = PERIODIC[name], name.partition(",")[0]
     found = motion(y)
     assert found.kind == kind
     states = reference_states(Kowalevski(), list(y), np.array([0.5, 1.0]) * found["period"])
