@@ -21,7 +21,7 @@ from shown import STRESS_TRIALS, cells_of, cells_under, distinct, field, named_d
 from stored_results import BASE
 from topcli.config.files import scene_files, sweep_files
 from topcli.figures.catalogue import FIGURES
-from topcli.runs.report import INVARIANTS, ensemble_table
+from topcli.runs.report import INVARIANTS, ensemble_table, report_markdown
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import all_schemes
 from topcli.studies import checks, find_study
@@ -248,6 +248,11 @@ verdict: verdict
 def test_runs_and_ensembles_show_the_report_that_they_stored(tmp_path: Path) -> None:
     run = distinct_data(topcli.run(BASE, tmp_path, scheme="hk", name="one", progress=False).result.report)
     assert_shows(INVARIANTS, run, run["invariants"], INVARIANT_COLUMNS)
+    header, ruler, *marked = (line for line in report_markdown(run).splitlines() if line.startswith("|"))
+    assert set(ruler) <= set("| -")
+    texts = INVARIANTS.cells(run)
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (header, *marked)]
+    assert cells == [list(texts.header), *map(list, texts.lines)]
     many = {"ensemble": {"random": {"count": 9, "gamma": "sphere"}}, "N": 50}
     ensemble = topcli.run({**BASE, **many}, tmp_path, scheme="hk", name="many", progress=False)
     invariants = distinct_data(ensemble.result.report["invariants"])

@@ -18,7 +18,7 @@ from topcli.engine.run import CODES, Endings
 from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
 from topcli.runs.identity import prepared
-from topcli.runs.report import SHOWN, EndingTally
+from topcli.runs.report import EndingTally
 from topcli.runs.run import run_experiment
 from topcli.tops.kowalevski import Kowalevski
 
@@ -92,7 +92,7 @@ def test_a_block_of_the_engine_begins_with_a_tile() -> None:
     [
         {},
         {"top": "lagrange", "scheme": "hk", "initial": {"omega": [0.1, 0.2, 1.0]}},
-        {"ensemble": {"grid": GRID}, "initial": {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}},
+        {"ensemble": {"grid": GRID}, "initial": START},
         failing(),
         {"scheme": "dop853", "N": 20, "ensemble": {"random": {**RANDOM, "count": 20}}},
     ],
@@ -119,32 +119,23 @@ def test_blocks_change_no_number(
 
 
 def test_indices_are_unique_over_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each member's number leads to its own parameters and initial state, in every table."""
+    """Each member's number leads to its own parameters, initial state and state at step N, which is no recorded one."""
     monkeypatch.setattr(study, "BLOCK", 64)
-    found = experiment(
-        initial={"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}, ensemble={"grid": GRID, "store": "final"}
-    )
+    found = experiment(N=205, initial=START, ensemble={"grid": GRID, "store": "final"})
     stored = run_experiment(found, tmp_path).stored
     table, last = columns(stored.folder / "trajectories.parquet"), columns(stored.series)
     for rows in (table, last):
         assert rows["trajectory"].tolist() == list(range(270))
+        assert set(rows["n"]) == {205}
     assert table["top.c0"].tolist() == [c0 for c0 in (0.5, 1.0, 2.0) for _ in range(90)]
     for i in (0, 89, 90, 269):
         member = found.member(i)
         assert member.top.model_dump()["c0"] == table["top.c0"][i]
         assert list(member.y0) == [table[f"initial_{name}"][i] for name in found.top.components]
-        single = topcli.simulate(member.resolved())
+        single = topcli.simulate({**member.resolved(), "output": {"every": 205}})
         assert [last[name][i] for name in found.top.components] == single.states[-1].tolist()
     with pytest.raises(IndexError, match="there are 270"):
         found.member(270)
-
-
-def test_numbers_of_failures_count_over_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "GROUP", 1)
-    monkeypatch.setattr(study, "BLOCK", 64)
-    report = run_experiment(experiment(**failing(200)), tmp_path).report
-    assert report["outcomes"] == {"completed": 150, "blew_up": 50}
-    assert [failure["trajectory"] for failure in report["failures"]] == list(range(1, 4 * SHOWN, 4))
 
 
 def test_every_outcome_is_counted() -> None:

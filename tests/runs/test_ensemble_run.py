@@ -19,7 +19,9 @@ from topcli.config.load import load
 from topcli.contracts import Outcome
 from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
+from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
+from topcli.runs.report import SHOWN
 from topcli.runs.run import RunResult, run_experiment
 from topcli.store.parts import parts_of
 from topcli.store.series import read_series
@@ -48,7 +50,7 @@ def run(tmp_path: Path, **changes: Any) -> RunResult:
     return run_experiment(experiment(**changes), tmp_path)
 
 
-def failing(count: int = 40) -> dict[str, Any]:
+def failing(count: int = 200) -> dict[str, Any]:
     """Initial states of which those with a huge omega blow up at once under rk2."""
     return {
         "scheme": "rk2",
@@ -119,7 +121,7 @@ def test_a_drift_needs_all_rows_and_eight_of_them(tmp_path: Path, monkeypatch: p
     """A trajectory that blew up has none, and its neighbours have theirs; nor has one of seven rows, or one stopped."""
     table = columns(run(tmp_path / "failing", **failing()).stored.folder / "trajectories.parquet")
     assert np.isnan(table["energy_drift"][1::4]).all()
-    assert np.isfinite(np.delete(table["energy_drift"], range(1, 40, 4))).all()
+    assert np.isfinite(np.delete(table["energy_drift"], range(1, 200, 4))).all()
     for rows, known in ((7, False), (8, True)):
         short = run(tmp_path / str(rows), N=10 * (rows - 1))
         found = columns(short.stored.folder / "trajectories.parquet")["energy_drift"]
@@ -155,32 +157,25 @@ def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool
     assert list(table) == wanted
 
 
-def test_only_the_last_states(tmp_path: Path) -> None:
-    """Also where N is no multiple of every: the state at step N."""
-    found = experiment(N=205, ensemble={"random": RANDOM, "store": "final"})
-    last = columns(run_experiment(found, tmp_path).stored.series)
-    assert len(last["n"]) == 70
-    assert set(last["n"]) == {205}
-    single = topcli.simulate({**found.member(66).resolved(), "output": {"every": 205}})
-    assert [last[name][66] for name in found.top.components] == single.states[-1].tolist()
-
-
-def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
+def test_failures_are_reported_and_stay_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counted over all blocks, of which there are four, and named up to the twentieth."""
+    monkeypatch.setattr(engine, "GROUP", 1)
+    monkeypatch.setattr(study, "BLOCK", 64)
     result = run(tmp_path, **failing())
     report = result.report
     assert report["outcome"] == "blew_up"
-    assert report["outcomes"] == {"completed": 30, "blew_up": 10}
+    assert report["outcomes"] == {"completed": 150, "blew_up": 50}
     assert (
-        "of 40 trajectories 30 completed, 10 blew up; the first of them, trajectory 1, blew up at step"
+        "of 200 trajectories 150 completed, 50 blew up; the first of them, trajectory 1, blew up at step"
         in report["message"]
     )
-    assert [failure["trajectory"] for failure in report["failures"]] == list(range(1, 40, 4))
+    assert [failure["trajectory"] for failure in report["failures"]] == list(range(1, 4 * SHOWN, 4))
     series = columns(result.stored.series)
-    rows = np.bincount(series["trajectory"], minlength=40)
-    assert (np.delete(rows, range(1, 40, 4)) == 21).all()
+    rows = np.bincount(series["trajectory"], minlength=200)
+    assert (np.delete(rows, range(1, 200, 4)) == 21).all()
     assert (rows[1::4] == 1).all()
     table = columns(result.stored.folder / "trajectories.parquet")
-    assert list(table["outcome"]) == [("blew_up" if i % 4 == 1 else "completed") for i in range(40)]
+    assert list(table["outcome"]) == [("blew_up" if i % 4 == 1 else "completed") for i in range(200)]
     assert (table["n"][1::4] < 5).all()
     text = (result.stored.folder / "report.md").read_text()
     assert "- trajectory 1: blew_up at step" in text

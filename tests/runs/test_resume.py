@@ -107,23 +107,6 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, kind: 
     assert [one["step"] for one in result.stored.manifest["resumed"]] == steps
 
 
-def test_a_killed_run_is_resumed_and_nothing_of_it_is_left(tmp_path: Path) -> None:
-    experiment = small("output.every=2")
-    expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
-    out = tmp_path / "out"
-    left = killed(out, experiment, 9)
-    assert stored_runs(out) == []
-    checkpoint = read_checkpoint(left)
-    assert checkpoint is not None
-    assert checkpoint.done >= 9 * 23
-    (left / ".checkpoint.npz").write_bytes(b"half a checkpoint")
-    with (left / "series.parquet").open("ab") as file:
-        file.write(b"half a row group")
-    result = run_experiment(experiment, out, RunOptions(resume=True))
-    assert content(result.stored.folder) == expected
-    assert [path.name for path in out.iterdir()] == [NAME]
-
-
 def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(tmp_path: Path) -> None:
     """Parts of the same name belong to another experiment, to other code, or to this run; some got further."""
     out = tmp_path / "out"
@@ -332,7 +315,11 @@ def test_unfinished_runs_are_listed_beside_finished_ones(cli: Callable[..., Any]
 def test_a_run_continues_by_its_name(cli: Callable[..., Any], in_tmp: Path, how: str, given: str) -> None:
     out = in_tmp / "results"
     if how == "killed":
-        killed(out, small("name=mine"), 5)
+        left = killed(out, small("name=mine"), 5)
+        assert stored_runs(out) == []
+        (left / ".checkpoint.npz").write_bytes(b"half a checkpoint")
+        with (left / "series.parquet").open("ab") as file:
+            file.write(b"half a row group")
     else:
         run_experiment(small("name=mine"), out, RunOptions(stop=after(4)))
     said = cli("run", given, "--resume")
@@ -340,6 +327,7 @@ def test_a_run_continues_by_its_name(cli: Callable[..., Any], in_tmp: Path, how:
     assert "mine: continues from step" in said.err
     whole = run_experiment(small("name=mine"), in_tmp / "whole").stored.folder
     assert content(out / "mine") == content(whole)
+    assert [path.name for path in out.iterdir()] == ["mine"]
     assert "(up to date)" in cli("run", given, "--resume").err
 
 
