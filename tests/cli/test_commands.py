@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ import pytest
 
 from cases import cases_of
 from conftest import ROOT, Said
-from injected import topcli_process
+from injected import python_process, topcli_process
 from topcli import __version__
 from topcli.__main__ import main
 from topcli.cli import options
@@ -38,8 +36,7 @@ def imported_by(tmp_path: Path, *arguments: str, after: str = "") -> list[str]:
         f"def report(): {after or 'pass'}; print(*sys.modules, sep='\\n')\n"
         "atexit.register(report); main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
-    return done.stdout.splitlines()
+    return python_process(code, cwd=tmp_path).stdout.splitlines()
 
 
 HEAVY = {"numba", "scipy", "pandas", "matplotlib", "numpy.polynomial", "rich"}
@@ -182,24 +179,11 @@ def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_options_reach_every_scheme_that_has_them(cli) -> None:
-    said = cli("compare", "hk", "hybrid", "bohlin-a", "--set", "scheme.branch=sign", "--set", "N=100", "--json")
-    changed = {scheme["scheme"]: scheme["changed"] for scheme in said.json()["schemes"]}
-    assert changed == {"hk": {}, "hybrid": {"branch": "sign"}, "bohlin-a": {"branch": "sign"}}
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("words", "expected"), [("compare hy", "hybrid"), ("list schemes --top ko", "kowalevski")])
 def test_shell_completion(tmp_path: Path, words: str, expected: str) -> None:
     asked = {"_TOPCLI_COMPLETE": "complete_bash", "COMP_WORDS": f"topcli {words}"}
-    done = subprocess.run(
-        [sys.executable, "-c", "from topcli.__main__ import main; main()"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env={**os.environ, **asked, "COMP_CWORD": str(len(words.split()))},
-        check=False,
-    )
+    asked["COMP_CWORD"] = str(len(words.split()))
+    done = python_process("from topcli.__main__ import main; main()", cwd=tmp_path, **asked)
     assert expected in done.stdout.split()
 
 
@@ -227,19 +211,6 @@ def test_names_are_completed(given: str, names: list[str], in_tmp: Path) -> None
     assert set(found) >= {name for line in names for name in line.split()}
     assert bool(found) == bool(names)
     assert all(name.startswith(begin.lower()) for name in found)
-
-
-def test_errors_about_files_are_not_about_stdout(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fails(**options: object) -> None:
-        raise OSError(13, "Permission denied", "some/folder")
-
-    monkeypatch.setattr("topcli.cli.app.app", fails)
-    with pytest.raises(SystemExit) as leaving:
-        main()
-    assert leaving.value.code == 1
-    assert capsys.readouterr().err == "error: some/folder: permission denied\n"
 
 
 @pytest.mark.parametrize("out", ["x" * 300, "/".join(["y" * 200] * 30), "locked/r"], ids=["name", "path", "permission"])

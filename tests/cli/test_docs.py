@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tempfile
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import pytest
 import topcli
 from conftest import PAPER, ROOT
 from documentation import Block, Page, difference, prepare, read_page, run, sessions, without_progress
+from injected import python_process
 from topcli.analysis.reference import reference_states
 from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
@@ -87,7 +87,7 @@ def test_commands_are_in_console_blocks_only(page: Page) -> None:
     ),
 )
 def test_python_examples_run(block: Block, tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", block.text], capture_output=True, text=True, cwd=tmp_path, check=False)
+    done = python_process(block.text, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
 
 
@@ -244,17 +244,6 @@ def test_difference_finds_each_kind() -> None:
 def test_progress_of_a_slow_machine_is_left_out() -> None:
     slow = ["stress: 75.0%, 3 of 4 steps, 0.13 steps/s, 8 s left", "coarse: completed 5000 steps (t = 50)"]
     assert without_progress(slow) == slow[1:]
-
-
-def test_pages_are_read_with_their_marks() -> None:
-    console = "<!-- not executed: it is long -->\n```console\n$ topcli a\nb\n```\n"
-    page = read_page(ROOT / "README.md", f"{console}\n<!-- file: c.yaml -->\n```yaml\nh: 1\n```\n")
-    one, other = page.blocks
-    assert (one.mark("not executed"), one.mark("file"), one.line) == ("it is long", None, 2)
-    assert sessions(one) == [("topcli a", ["b"])]
-    assert page.files() == {"c.yaml": "h: 1\n"}
-    assert other.name == "README.md:8"
-    assert all(a.line < b.line for a, b in pairwise(page.blocks))
 
 
 BEYOND = re.findall(

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +16,7 @@ import pytest
 
 from cases import table_of
 from conftest import ROOT
-from injected import Operations, command_in_fork, signal_to_self, topcli_process
+from injected import Operations, command_in_fork, python_process, signal_to_self, topcli_process
 from topcli.cli.output import ProgressDisplay, spell_seconds
 from topcli.store.manifest import stored_runs
 from topcli.store.series import read_series
@@ -109,7 +108,7 @@ def test_a_file_that_may_not_grow_is_closed_and_readable(tmp_path: Path, suffix:
         f"sys.argv = ['topcli', 'run', {HK!r}, '--out', {str(tmp_path)!r}, '--format', {suffix!r}, '--quiet',"
         "'--name', 'x', '--set', 'N=300000']; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = python_process(code, cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert f"x/series.{suffix}: the file would exceed the size limit; the run up to step" in done.stderr
     assert len(done.stderr.splitlines()) == 1

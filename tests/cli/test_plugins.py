@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from conftest import ROOT
-from injected import topcli_process
+from injected import python_process, topcli_process
 
 pytestmark = pytest.mark.slow
 
@@ -132,6 +132,6 @@ def test_the_entry_points_of_a_package_have_their_own_schemes(tmp_path: Path) ->
 def test_example_of_the_decorator_runs(tmp_path: Path) -> None:
     """In a process of its own, because the example registers a scheme."""
     code = "import doctest; from topcli.schemes import registry; print(*doctest.testmod(registry))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    done = python_process(code, cwd=tmp_path)
     failed, attempted = map(int, done.stdout.split()[-2:])
     assert (failed, attempted) == (0, 6), done.stdout

@@ -183,6 +183,9 @@ show FIG1
     is a figure; draw it with: topcli plot fig1
 show kowalevski
     is a top; see `topcli list schemes --top kowalevski`
+run lagrange_hk --set scheme=bs
+    scheme 'bs' does not fit top 'lagrange'
+    lagrange/inertial
 show hkk
     did you mean 'hk'?
 show kowalevski_hkk

@@ -11,7 +11,8 @@ import pytest
 
 from conftest import Said
 from reading_html import read_html, section_of
-from stored_results import store_run, store_sweep
+from resuming import killed
+from stored_results import experiment, store_run, store_sweep
 from topcli.pages.page import all_chapters
 
 Cli = Callable[..., Said]
@@ -84,24 +85,7 @@ def test_a_page_is_written_whole_or_not_at_all(cli: Cli, stored: Path, monkeypat
 
 def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
     """A killed process leaves a part folder with a checkpoint."""
-    from stored_results import experiment
-    from topcli.runs.decision import RunOptions
-    from topcli.runs.run import run_experiment
-
-    class Killed(BaseException):
-        pass
-
-    calls = 0
-
-    def stop() -> bool:
-        nonlocal calls
-        calls += 1
-        if calls > 3:
-            raise Killed
-        return False
-
-    with pytest.raises(Killed):
-        run_experiment(experiment("long", N=5000), in_tmp / "results", RunOptions(checkpoint_every=0.0, stop=stop))
+    part = killed(in_tmp / "results", experiment("long", N=5000), 3)
     said = cli("report", "long", "--out", "page.html")
     assert said.code == 0
     page = read_html((in_tmp / "page.html").read_text())
@@ -109,7 +93,6 @@ def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_c
     (box,) = page.with_class("missing")
     assert "of 5000, its last checkpoint; topcli run with --resume continues from there" in box.text
     assert "name: long" in section_of(page, "Resolved config").text
-    (part,) = (in_tmp / "results").glob(".long.part-*")
     assert cli("report", str(part), "--out", "part.html").code == 0
     assert "unfinished" in (in_tmp / "part.html").read_text()
 

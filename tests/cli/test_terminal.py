@@ -277,19 +277,30 @@ def test_help_is_readable(cli, monkeypatch: pytest.MonkeyPatch) -> None:
         assert "`" not in out
 
 
-def test_an_internal_error_is_printed_safely(cli, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+FAULTS = [
+    (ZeroDivisionError(EVIL), 70, "bug in topcli"),
+    (OSError(13, "Permission denied", "some/folder"), 1, "error: some/folder: permission denied\n"),
+    (ImportError("libarrow.so: failed to map segment", name="pyarrow.lib"), 1, "enough memory"),
+]
+
+
+@pytest.mark.parametrize(("fault", "code", "said"), FAULTS, ids=["bug", "file", "package"])
+def test_an_exception_is_printed_safely_and_blamed_on_whose_it_is(
+    fault: Exception, code: int, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     from topcli.__main__ import main
 
-    scope: dict = {"EVIL": EVIL}  # the file decides whose bug it is
+    scope: dict = {"fault": fault}  # the file decides whose bug it is
     ours = ROOT / "src" / "topcli" / "cli" / "app.py"
-    exec(compile("def broken():\n    raise ZeroDivisionError(EVIL)", str(ours), "exec"), scope)
+    exec(compile("def broken():\n    raise fault", str(ours), "exec"), scope)
     monkeypatch.setattr("topcli.cli.app.call", scope["broken"])
     with pytest.raises(SystemExit) as leaving:
         main()
     err = capsys.readouterr().err
-    assert leaving.value.code == 70
+    assert leaving.value.code == code
     assert_safe(err)
-    assert "bug in topcli" in err
+    assert said in err
+    assert ("Traceback" in err) == (code == 70)
 
 
 # what a new user sees

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +14,7 @@ import pytest
 import topcli
 from conftest import ROOT, Said
 from documentation import read_page
+from injected import topcli_process
 from topcli.engine import native
 from topcli.errors import UsageError
 
@@ -216,34 +215,12 @@ def test_order_takes_the_content_of_a_config() -> None:
 def test_settings_of_the_environment_are_not_blamed_on_the_scheme(
     tmp_path: Path, settings: dict[str, str], words: str, code: int
 ) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "topcli", "run", "kowalevski_hk", "--set", "N=20", "--quiet"],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), **settings},
-        cwd=tmp_path,
-        check=False,
-    )
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), **settings}
+    done = topcli_process("run", "kowalevski_hk", "--set", "N=20", "--quiet", cwd=tmp_path, env=environment)
     assert done.returncode == code, done.stderr
     assert words in done.stderr
     assert "hk.py" not in done.stderr
     assert len(done.stderr.splitlines()) <= 3
-
-
-def test_package_that_cannot_be_loaded_is_not_reported_as_a_bug(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path
-) -> None:
-    from topcli.__main__ import main
-
-    scope: dict = {"broken": ImportError("libarrow.so: failed to map segment", name="pyarrow.lib")}
-    ours = ROOT / "src" / "topcli" / "cli" / "app.py"  # the file decides whose bug it is
-    exec(compile("def call():\n    raise broken", str(ours), "exec"), scope)
-    monkeypatch.setattr("topcli.cli.app.call", scope["call"])
-    with pytest.raises(SystemExit) as leaving:
-        main()
-    assert leaving.value.code == 1
-    assert "enough memory" in (err := capsys.readouterr().err)
-    assert "Traceback" not in err
 
 
 def test_a_compiler_that_cannot_be_loaded_is_not_a_folder_that_cannot_be_written(

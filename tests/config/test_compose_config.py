@@ -21,7 +21,6 @@ from topcli.studies.comparison import compare_schemes
 from topcli.studies.entries import under_scheme
 
 HK = CONFIGS / "kowalevski_hk.yaml"
-GENERIC = str(CONFIGS / "kowalevski_generic_hk.toml")
 
 
 class PaceOptions(BaseModel):
@@ -118,6 +117,9 @@ def test_the_plus_and_the_key_are_taken(word: str) -> None:
             return KICK_TURN
 
 
+GENERIC = "kowalevski_generic_hk"
+
+
 @pytest.mark.slow
 def test_a_composition_from_python() -> None:
     trajectory = topcli.simulate(GENERIC, scheme={"name": "hk", "compose": "kahan-li8"}, h=0.1, N=100)
@@ -128,17 +130,3 @@ def test_a_composition_from_python() -> None:
     hk, suzuki = compared.data["schemes"]
     assert [(one["scheme"], one["declared_order"]) for one in (hk, suzuki)] == [("hk", 2), ("hk+suzuki4", 4)]
     assert hk["max_error"] > 30 * suzuki["max_error"] > 0.0
-
-
-@pytest.mark.slow
-def test_command_line(cli, in_tmp: Path) -> None:
-    said = cli("compare", "hk", "HK+Suzuki4", "--config", GENERIC, "--set", "h=0.05", "--set", "N=200", "--json").json()
-    hk, composed = said["schemes"]
-    assert composed["scheme"] == "hk+suzuki4"
-    assert composed["max_error"] < 1e-2 * hk["max_error"]
-    assert composed["reversal"]["order"] is None
-    cli("run", GENERIC, "--set", "scheme=hk+suzuki4", "--set", "N=20", "--set", "name=x")
-    assert [row["scheme"] for row in cli("list", "runs", "--json").json()["runs"]] == ["hk+suzuki4"]
-    rows = cli("list", "compositions", "--json").json()["compositions"]
-    known = {"yoshida4": (4, 3), "suzuki4": (4, 5), "kahan-li6": (6, 9), "kahan-li8": (8, 17)}
-    assert {row["name"]: (row["order"], len(row["weights"])) for row in rows} == known

@@ -167,13 +167,6 @@ def test_several_mistakes_are_reported_at_once(tmp_path: Path) -> None:
     assert {line.split(": ")[1] for line in messages} == {"h", "N", "top.c_0"}
 
 
-def test_wrong_type_names_the_expected_type(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError):
-        load_experiment(write(tmp_path, BASE.replace("hk", "hkk")))
-    with pytest.raises(ConfigError):
-        load_experiment(write(tmp_path, BASE.replace("hk", "hkk").replace("100", "0")))
-
-
 def test_unreadable_config_files_are_refused(tmp_path: Path) -> None:
     write(tmp_path, BASE, "wobble.yaml")
     (tmp_path / "folder.yaml").mkdir()

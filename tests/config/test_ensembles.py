@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from config_texts import CONFIGS, ENSEMBLES, PLAIN, refusal, write
+from config_texts import ENSEMBLES, PLAIN, refusal, write
 from json_schema import fits
 from scheme_files import loaded_file
 from topcli.analysis.leaving import step_of_leaving
@@ -87,14 +87,6 @@ def test_a_grid_over_a_whole_vector_needs_no_initial_one() -> None:
     axes = {f"omega{i}": [0.1, 0.2] for i in (1, 2, 3)}
     found = loaded({**PLAIN, "top": "euler", "initial": {}, "ensemble": {"grid": axes}})
     assert states(found).tolist() == [list(x) for x in itertools.product((0.1, 0.2), repeat=3)]
-
-
-def test_overrides_reach_the_section() -> None:
-    path = CONFIGS / "kowalevski_ensemble.yaml"
-    found = load(path, ["ensemble.random.seed=9", "ensemble.store=final", "ensemble.random.count=4"])
-    assert isinstance(found, EnsembleExperiment)
-    assert (found.count, found.rows) == (4, 4)
-    assert found.resolved()["ensemble"]["random"]["seed"] == 9
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from conftest import GEN, ROOT, Said
+from injected import python_process
 from steppers import EXPLODE
 from topcli.engine import code_cache, native
 from topcli.engine.native import native as compiled
@@ -135,14 +134,7 @@ print(x[0])
 @pytest.mark.slow
 def test_code_of_another_signature_in_its_place_is_not_run(tmp_path: Path) -> None:
     """In a process of its own: it was a segmentation fault."""
-    done = subprocess.run(
-        [sys.executable, "-c", COPIED, str(tmp_path / "topcli")],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-        cwd=ROOT,
-        check=False,
-    )
+    done = python_process(COPIED, str(tmp_path / "topcli"), cwd=ROOT, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.returncode, done.stdout) == (0, "3.0\n"), done.stderr
 
 
@@ -180,14 +172,7 @@ app(prog_name="topcli")
 @pytest.mark.slow
 def test_a_series_is_the_first_code_of_a_process_where_libm_is_not_loaded_by_name(tmp_path: Path) -> None:
     """As on macOS: symbols of the process are found only once there is an engine."""
-    done = subprocess.run(
-        [sys.executable, "-c", FRESH, str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-        cwd=tmp_path,
-        check=False,
-    )
+    done = python_process(FRESH, str(tmp_path / "out"), cwd=tmp_path, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.returncode, done.stderr) == (0, "")
     assert list((tmp_path / "topcli").glob("*.o"))
 
@@ -254,14 +239,7 @@ print(json.dumps({"last": last, "cached": run.cached, "numba": "numba" in sys.mo
 def probe(tmp_path: Path, cache: Path, factor: float) -> dict:
     file = tmp_path / "mine.py"
     file.write_text(SCHEME_FILE.format(factor=factor))
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE, str(file)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
-        cwd=ROOT,
-        check=False,
-    )
+    done = python_process(PROBE, str(file), cwd=ROOT, NUMBA_CACHE_DIR=str(cache))
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -315,16 +293,7 @@ print(states.tobytes().hex(), "numba" in sys.modules)
 @pytest.mark.slow
 def test_code_with_functions_of_its_own_survives_the_cache(tmp_path: Path) -> None:
     """The reference is compiled without forced inlining and mentions numba's own symbols."""
-    printed = []
-    for _ in range(2):
-        done = subprocess.run(
-            [sys.executable, "-c", REFERENCE_PROBE],
-            capture_output=True,
-            text=True,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-            cwd=ROOT,
-            check=True,
-        )
-        printed.append(done.stdout.split())
+    both = [python_process(REFERENCE_PROBE, cwd=ROOT, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)]
+    printed = [done.stdout.split() for done in both]
     assert printed[0][0] == printed[1][0]
     assert [numba for _, numba in printed] == ["True", "False"]

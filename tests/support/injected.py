@@ -101,6 +101,13 @@ def signal_to_self(number: signal.Signals) -> Callable[[], None]:
     return lambda: os.kill(os.getpid(), number)
 
 
+def python_process(code: str, *arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python code in a process of its own, with these variables of the environment changed."""
+    command = [sys.executable, "-c", code, *arguments]
+    env = {**os.environ, **environment}
+    return subprocess.run(command, capture_output=True, text=True, env=env, cwd=cwd, check=False)
+
+
 def topcli_process(
     *arguments: str, cwd: Path, path: Path | None = None, **options: Any
 ) -> subprocess.CompletedProcess[str]:

@@ -19,6 +19,7 @@ import pytest
 import topcli
 from cases import table_of
 from dask_processes import SECONDS, Processes, once, processes, wait_until
+from injected import python_process
 from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.rows import RowReader
 from topcli.config.sweep import load_sweep
@@ -402,11 +403,7 @@ def test_another_source_of_the_same_version_is_another_version(dask: None, tmp_p
         (copy / "schemes" / "added.py").write_text("")
     elif change == "a missing file":
         max((copy / "figures").glob("*.py")).unlink()
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", DESCRIBE], env=environment, capture_output=True, text=True, check=True, timeout=SECONDS
-    )
-    found = json.loads(done.stdout)
+    found = json.loads(python_process(DESCRIBE, cwd=tmp_path, PYTHONPATH=str(tmp_path)).stdout)
     assert list(found) == ["topcli", "python", "numba", "llvmlite", "numpy", "the source of topcli"]
     fault = difference(versions(), found)
     here, there = versions()["the source of topcli"], found["the source of topcli"]

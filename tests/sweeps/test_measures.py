@@ -114,16 +114,6 @@ def wavy(rows: int, h: float) -> Array:
     return np.sqrt((1.0 + SLOPE * t + 1e-3 * np.sin(40.0 * t)) / A)[None]
 
 
-@pytest.mark.parametrize("rows", [7, 8, 127, 129, 20_001])
-def test_a_drift_is_the_slope_per_unit_time(rows: int) -> None:
-    """Without the oscillation to round-off, whatever the number of blocks; seven rows are too few."""
-    t = 0.1 * np.arange(rows)
-    values = np.sqrt((1.0 + SLOPE * t) / A)[None]
-    found = recorded(symmetric("rk4", 0.1, rows - 1), ["drift.m_omega", "deviation.m_omega"], values, "omega1")
-    assert found["drift.m_omega"][0] == pytest.approx(SLOPE if rows > 7 else math.nan, rel=1e-9, nan_ok=True)
-    assert found["deviation.m_omega"][0] == pytest.approx(SLOPE * t[-1], rel=1e-9)
-
-
 def test_a_drift_averages_oscillations_out_and_knows_the_recorded_interval() -> None:
     values = wavy(20_001, 0.1)
     found = recorded(symmetric("rk4", 0.1, 20_000), ["drift.m_omega"], values, "omega1")

@@ -8,7 +8,6 @@ import os
 import pickle
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -360,28 +359,6 @@ def test_rows_name_the_processor_that_computed_them(tmp_path: Path, monkeypatch:
         (0.01, "Abacus 9"),
         (0.02, "Abacus 10"),
     ]
-
-
-@pytest.mark.parametrize("count", [1, 3, 40])
-def test_rows_side_by_side_share_their_time_limit(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three seconds for each row: a piece of ``count`` rows is stopped after three times as many."""
-    clock, stopped = [50.0], []
-
-    class Ready:
-        measures, size, side_by_side = (), 64, True
-        limit: Any = None
-
-        def finished(self, states: Any) -> Any:
-            while not self.limit.stop():
-                clock[0] += 0.5
-            stopped.append((len(states), clock[0]))
-            raise RunError("stopped")
-
-    monkeypatch.setattr(seam.time, "perf_counter", lambda: clock[0])
-    rows = list(RowReader(load_sweep({**MANY, "grid": {"scheme": ["hk"], "h": [0.01]}})).rows())[:count]
-    kept: Any = SimpleNamespace(ready=lambda *arguments: Ready())
-    evaluate_batch(rows, (), time_limit=3.0, kept=kept)
-    assert stopped[0] == (count, 50.0 + 3.0 * count + 0.5)
 
 
 READY = sorted((ROOT / "configs" / "sweeps").iterdir())
