@@ -39,9 +39,9 @@ from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine import native as compiler  # noqa: E402
 from topcli.engine.ensemble import GROUP, TILE, EnsembleRun, Execution  # noqa: E402
-from topcli.engine.loop import loop_of  # noqa: E402
+from topcli.engine.loop import loop_of, stage_parameters  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
-from topcli.engine.tile import SIGNATURE, plain_lanes, stages_of  # noqa: E402
+from topcli.engine.tile import SIGNATURE, plain_lanes  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
 
@@ -127,11 +127,11 @@ class Case:
         method = scheme.build(self.top, scheme.options())
         assert isinstance(method, Stepper)
         self.method, d, p = method, len(self.top.components), self.top.constants()
-        self.p = np.array([*p, *stages_of(method)[1]])
+        self.p = np.array([*p, *stage_parameters(method)])
         self.loop = loop_of(method, d, len(p))
         plain = plain_lanes(method, d, len(p), TILE)
         self.lanes, self.code = native(plain, SIGNATURE), code_of(plain, method.width + 1)
-        self.products = self.code.products * len(stages_of(method)[1])
+        self.products = self.code.products * (len(method.stages[1]) if method.stages else 1)
         self.out = np.empty(d * TILE)
         self.y0 = random_states(2 * GROUP * TILE, 3)[:, :d]
         self.work = np.zeros((method.width + 1, TILE))

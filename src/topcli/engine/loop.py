@@ -38,7 +38,7 @@ def make(step, enter, leave):
         k = 0
         left = until_record
         for i in range(steps):
-            s = step(s, h, p)
+            {advance}
             if unlikely(not (({sum}) * 0.0 == 0.0)):  # so for all that is not finite and for some that is huge
                 if not ({finite} == 0.0):
                     {store_failed}
@@ -61,10 +61,18 @@ def same_state(state: Any, h: float, p: Any) -> Any:
     return state
 
 
+_STAGES = """for stage in range(int(params[{constants}])):
+                s = step(s, params[{constants} + 1 + stage] * h, p)
+                if unlikely(not ({finite} == 0.0)):
+                    break"""
+
+
 @cache
-def _template(width: int, d: int, constants: int, checked: int) -> Callable[..., tuple[Any, Any]]:
+def _template(width: int, d: int, constants: int, checked: int, staged: bool) -> Callable[..., tuple[Any, Any]]:
     newline = "\n        "
+    all_finite = " + ".join(f"(s[{i}] - s[{i}])" for i in range(width))
     text = _TEMPLATE.format(
+        advance=_STAGES.format(constants=constants, finite=all_finite) if staged else "s = step(s, h, p)",
         set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
         y_items="".join(f"y[{i}], " for i in range(d)),
         work_items="".join(f"work[{i}], " for i in range(width)),
@@ -76,14 +84,28 @@ def _template(width: int, d: int, constants: int, checked: int) -> Callable[...,
         d=d,
     )
     scope: dict[str, Any] = {"unlikely": unlikely}
-    exec(compile(text, f"<time loop {width}/{d}/{constants}>", "exec"), scope)
+    exec(compile(text, f"<time loop {width}/{d}/{constants}{' in stages' if staged else ''}>", "exec"), scope)
     return scope["make"]
 
 
-def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Callable[..., int]]:
-    """``(enter, drive)`` as plain Python functions over indexable buffers, to be compiled or run as they are."""
-    make = _template(stepper.width, d, constants, stepper.checked or stepper.width)
-    return make(stepper.step, stepper.enter or same_state, stepper.leave or same_state)
+def plain_loop(
+    stepper: Stepper, d: int, constants: int, staged: bool = False
+) -> tuple[Callable[..., int], Callable[..., int]]:
+    """``(enter, drive)`` as plain Python functions over indexable buffers, to be compiled or run as they are.
+
+    If ``staged``, ``drive`` takes the stages of a composition itself and reads their ``stage_parameters``.
+    """
+    make = _template(stepper.width, d, constants, stepper.checked or stepper.width, staged)
+    step = stepper.stages[0] if staged and stepper.stages else stepper.step
+    return make(step, stepper.enter or same_state, stepper.leave or same_state)
+
+
+def stage_parameters(stepper: Stepper) -> tuple[float, ...]:
+    """Number of stages of a composition and their fractions of h; () for other methods.
+
+    Compiled loops read them after the constants of the top, so that the compositions of a scheme share their code.
+    """
+    return (float(len(stepper.stages[1])), *stepper.stages[1]) if stepper.stages else ()
 
 
 def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callable[..., int]]:
@@ -183,14 +205,19 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     if isinstance(method, Block):
         code = native_text(method.text(), "advance", SIGNATURE)
         return Loop(method.enter, code, seconds=code.seconds, cached=code.cached, returns_early=True, **traits)
-    enter, drive = plain_loop(_checked_length(method) if method.plain else method, d, constants)
     if method.plain:
-        return Loop(enter, drive, compiled=False, **traits)
+        return Loop(*plain_loop(_checked_length(method), d, constants), compiled=False, **traits)
+    stages = stage_parameters(method)
+    enter, drive = plain_loop(method, d, constants, bool(stages))
     try:
         code = native(drive, SIGNATURE)
     except CompileError as error:
         raise step_refused(method, d, error) from None
-    return Loop(enter, code, seconds=code.seconds, cached=code.cached, **traits)
+
+    def composed(work: Array, out: Array, params: Array, *rest: Any) -> int:
+        return code(work, out, np.concatenate([params, stages]), *rest)
+
+    return Loop(enter, composed if stages else code, seconds=code.seconds, cached=code.cached, **traits)
 
 
 def interpreted(method: Method, d: int, constants: int) -> Loop:

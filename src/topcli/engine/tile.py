@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.vectors import VECTOR_VARIANTS
-from topcli.contracts import Array, Outcome, StepFunction, Stepper
+from topcli.contracts import Array, Outcome, Stepper
 from topcli.engine.loop import Loop, same_state
 from topcli.engine.native import Native
 from topcli.engine.run import Endings, in_calls, recorded_rows
@@ -73,7 +73,7 @@ class RowBuffer(threading.local):
 class Lanes:
     """Compiled loop over a tile of ``width`` lanes: ``code`` for the ``stepper``.
 
-    ``params`` holds the constants of the top and the fractions of h.
+    ``params`` holds the constants of the top and the ``stage_parameters``.
     """
 
     stepper: Stepper
@@ -240,9 +240,9 @@ def make(step, leave):
         {set_p}
         k = 0
         left = until_record
-        {set_part}
+        part = h
         for i in range(steps):
-            for stage in range({stages}):
+            for stage in range({count}):
                 {each_part}
                 for j in range({tile}):
                     s = step(({work_items}), part, p)
@@ -262,16 +262,14 @@ def make(step, leave):
 
 
 @cache
-def _template(width: int, checked: int, d: int, constants: int, tile: int, stages: int) -> Callable[..., Any]:
+def _template(width: int, checked: int, d: int, constants: int, tile: int, staged: bool) -> Callable[..., Any]:
     newline = "\n" + " " * 20
     text = _TEMPLATE.format(
         set_p=f"p = ({''.join(f'params[{i}], ' for i in range(constants))})",
-        constants=constants,
         tile=tile,
-        stages=stages,
-        # with one stage, terms of h alone are computed before the loop; otherwise every step would wait for them
-        set_part=f"part = params[{constants}] * h" if stages == 1 else "",
-        each_part="" if stages == 1 else f"part = params[{constants} + stage] * h",
+        count=f"int(params[{constants}])" if staged else "1",
+        # without stages, terms of h alone are computed before the loop; otherwise every step would wait for them
+        each_part=f"part = params[{constants} + 1 + stage] * h" if staged else "",
         work_items="".join(f"work[{i * tile} + j], " for i in range(width)),
         store_s=newline.join(f"work[{i * tile} + j] = s[{i}]" for i in range(width)),
         check=width * tile,
@@ -280,7 +278,10 @@ def _template(width: int, checked: int, d: int, constants: int, tile: int, stage
         row=d,
     )
     scope: dict[str, Any] = {}
-    exec(compile(text, f"<lanes {width}/{checked}/{d}/{constants}/{tile}/{stages}>", "exec"), scope)
+    exec(
+        compile(text, f"<lanes {width}/{checked}/{d}/{constants}/{tile}{' in stages' if staged else ''}>", "exec"),
+        scope,
+    )
     return scope["make"]
 
 
@@ -289,16 +290,11 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
 
     ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
     ``d`` numbers for every recorded step of a trajectory, whose rows follow each other and begin ``stride`` numbers
-    after those of the trajectory before. ``params`` holds the constants, then the fractions of h.
+    after those of the trajectory before. ``params`` holds the constants, then the ``stage_parameters``.
     """
     inlined = {id(kernel): stand_in for kernel, stand_in in VECTOR_VARIANTS.items()} | {id(fma): fma}
-    stage, fractions = stages_of(stepper)
-    step = compilable_copy(stage, lambda kernel: kernel, inlined)
+    step = compilable_copy(stepper.stages[0] if stepper.stages else stepper.step, lambda kernel: kernel, inlined)
     # all but the counters, which are always finite: the nan of a rare branch may be in any other slot
     checked = stepper.width - len(stepper.counters)
-    return _template(stepper.width, checked, d, constants, tile, len(fractions))(step, stepper.leave or same_state)
-
-
-def stages_of(stepper: Stepper) -> tuple[StepFunction, tuple[float, ...]]:
-    """Step function and fractions of h of the stages that make up a step."""
-    return stepper.stages or (stepper.step, (1.0,))
+    make = _template(stepper.width, checked, d, constants, tile, bool(stepper.stages))
+    return make(step, stepper.leave or same_state)
