@@ -15,6 +15,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/cache
 export NUMBA_CACHE_DIR
+# pytest rewrites each test module at every start where this is set, as in many containers: ten seconds a process
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: venv figures quick test check attack docs docs-images claims bench bench-steps clean
 
@@ -32,12 +34,14 @@ figures: $(VENV)/.installed
 	@$(BIN)/topcli plot --all
 
 quick: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n auto -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 # in parts, each with processes of its own: what numba has compiled stays in memory as long as its process
 test: $(VENV)/.installed-dev
 	@failed=0; for part in 1 2 3 4 5 6; do \
-		$(BIN)/python -m pytest -n auto --part $$part/6 || failed=1; done; exit $$failed
+		$(BIN)/python -m pytest -n auto --dist worksteal --part $$part/6 || failed=1; done; \
+	if [ $$failed = 1 ]; then \
+		echo "what failed, once more and alone:"; $(BIN)/python -m pytest --last-failed; exit 1; fi
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
