@@ -207,7 +207,7 @@ def test_a_top_that_the_series_cannot_follow_has_no_errors_in_an_ensemble(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its closed form is not used instead; the rest is measured."""
-    monkeypatch.setattr("topcli.studies.comparison.reference_obstacle", lambda top: "other equations")
+    monkeypatch.setattr("topcli.runs.references.reference_obstacle", lambda top: "other equations")
     found = topcli.compare("hk", config=ENSEMBLE, progress=False).figures
     assert found["reference"] is None
     measures = found["schemes"][0]["measures"]

@@ -302,10 +302,10 @@ def test_a_value_that_is_missing_is_explained(cli: Any, monkeypatch: pytest.Monk
 
     original = SharedReferences.states
 
-    def fails(self: Any, top: Any, kind: str, y0: np.ndarray, h: float, n: np.ndarray) -> np.ndarray:
+    def fails(self: Any, reference: Any, y0: np.ndarray, h: float, n: np.ndarray) -> np.ndarray:
         if y0[0] == 0.5:
             raise RunError("the motion cannot be followed")
-        return original(self, top, kind, y0, h, n)
+        return original(self, reference, y0, h, n)
 
     monkeypatch.setattr(SharedReferences, "states", fails)
     (scheme,) = compare_ensemble(ensemble(ONE_FAILS[0], "N=40"), ["hk"], most=1)["schemes"]

@@ -14,7 +14,7 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError
-from topcli.runs.references import SharedReferences, reference_kind
+from topcli.runs.references import SharedReferences, reference_of
 from topcli.schemes import registry as schemes
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps.batch import bytes_per_run
@@ -279,8 +279,8 @@ def test_the_size_of_a_batch_follows_from_its_memory() -> None:
 
 
 def test_a_closed_form_serves_only_its_own_tops() -> None:
-    assert reference_kind(Kowalevski(), HK) == "taylor"
-    assert reference_kind(Euler(A=3.0, B=2.0, C=1.0), EULER_HK) == "exact"
+    assert reference_of(Kowalevski(), judged=HK).closed_form is None
+    assert reference_of(Euler(A=3.0, B=2.0, C=1.0), judged=EULER_HK).closed_form is not None
     exact: Scheme = find_scheme("exact", "euler")
-    assert reference_kind(Euler(A=3.0, B=2.0, C=1.0), exact) == "taylor"
+    assert reference_of(Euler(A=3.0, B=2.0, C=1.0), judged=exact).closed_form is None
     assert 0.0 < max_error(free("exact", 0.1, 100)) < 1e-13

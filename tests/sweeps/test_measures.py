@@ -414,10 +414,10 @@ def test_an_error_without_a_reference_is_no_number(monkeypatch: pytest.MonkeyPat
     """Also for measures of users, which see the batch: not the zero with which the largest error begins."""
     real = REFERENCES.states
 
-    def states(top: Any, scheme: Any, y0: Array, h: float, n: Any) -> Array:
+    def states(reference: Any, y0: Array, h: float, n: Any) -> Array:
         if y0[0] == 0.25:
             raise RunError("cannot be followed")
-        return real(top, scheme, y0, h, n)
+        return real(reference, y0, h, n)
 
     monkeypatch.setattr(REFERENCES, "states", states)
     experiment = symmetric("rk4", 0.1, 20)

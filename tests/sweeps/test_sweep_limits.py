@@ -18,7 +18,7 @@ from topcli.config.sweep import load_sweep
 from topcli.contracts import StopAsked, check_stop, stopping_when
 from topcli.errors import RunError
 from topcli.runs import references
-from topcli.runs.references import SharedReferences
+from topcli.runs.references import SharedReferences, reference_of
 from topcli.sweeps import batch as recording
 from topcli.sweeps import evaluate as seam
 from topcli.sweeps.batch_run import BatchRun
@@ -142,7 +142,7 @@ def test_a_reference_that_another_row_computes_is_waited_for_until_a_stop(monkey
 
     def first() -> None:
         try:
-            shared.states(Kowalevski(), "taylor", np.array(GEN), 0.1, n)
+            shared.states(reference_of(Kowalevski()), np.array(GEN), 0.1, n)
         except RunError as error:
             said.append(str(error))
 
@@ -151,7 +151,7 @@ def test_a_reference_that_another_row_computes_is_waited_for_until_a_stop(monkey
     assert begun.wait(60.0)
     asked = iter([False, False, True])
     with stopping_when(lambda: next(asked)), pytest.raises(StopAsked):
-        shared.states(Kowalevski(), "taylor", np.array(GEN), 0.1, n)
+        shared.states(reference_of(Kowalevski()), np.array(GEN), 0.1, n)
     end.set()
     other.join(60.0)
     assert said == ["never"]
@@ -168,7 +168,7 @@ def test_a_refused_reference_is_refused_to_all_rows_at_once(monkeypatch: pytest.
     shared = SharedReferences()
     for n, said in ((3, "no 1"), (3, "no 1"), (4, "no 2")):
         with pytest.raises(RunError, match=said):
-            shared.states(Kowalevski(), "taylor", np.array(GEN), 0.1, np.arange(n))
+            shared.states(reference_of(Kowalevski()), np.array(GEN), 0.1, np.arange(n))
     assert calls == [1_000_000] * 2
 
 
@@ -176,14 +176,14 @@ def test_a_long_closed_form_stops_when_asked(monkeypatch: pytest.MonkeyPatch) ->
     from topcli.tops.euler import Euler
 
     monkeypatch.setattr(references, "CLOSED_STATES", 10)
-    top, y0, n = Euler(), np.array([0.3, 0.2, 1.0]), np.arange(95)
-    whole = SharedReferences().states(top, "exact", y0, 0.1, n)
+    euler, y0, n = reference_of(Euler()), np.array([0.3, 0.2, 1.0]), np.arange(95)
+    whole = SharedReferences().states(euler, y0, 0.1, n)
     monkeypatch.setattr(references, "CLOSED_STATES", 1 << 16)
-    assert np.array_equal(SharedReferences().states(top, "exact", y0, 0.1, n), whole)
+    assert np.array_equal(SharedReferences().states(euler, y0, 0.1, n), whole)
     monkeypatch.setattr(references, "CLOSED_STATES", 10)
     asked = iter([False] * 4 + [True])
     with stopping_when(lambda: next(asked)), pytest.raises(StopAsked):
-        SharedReferences().states(top, "exact", y0, 0.1, n)
+        SharedReferences().states(euler, y0, 0.1, n)
 
 
 def test_hopeless_scales_are_outcomes_and_missing_values(tmp_path: Path) -> None:

@@ -203,7 +203,7 @@ BODY = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
 
 BUDGET = 2000
 """Steps between two possible interruptions: 0.1 s, and 0.3 s where numbers are denormal."""
-MAX_STEPS = 20_000_000
+MAX_TAYLOR_STEPS = 20_000_000
 """Longest reference that is computed, some fifteen minutes. Times are exact up to 2^25 of the longest steps."""
 
 
@@ -288,7 +288,7 @@ def distances(states: Array, reference: Array) -> Array:
         return np.sqrt(square)
 
 
-def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int = MAX_STEPS) -> Array:
+def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int = MAX_TAYLOR_STEPS) -> Array:
     """Reference solution at given times; it heeds a request to stop (``contracts.check_stop``).
 
     Each state is within an ulp of its own size of the solution, as long as the motion's sensitivity has not amplified

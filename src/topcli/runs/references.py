@@ -1,7 +1,7 @@
 """The reference behind errors, computed once for each top, initial state and time grid, and shared by all runs.
 
 It is a Taylor series (``analysis.reference``) or the closed form of the top (its scheme ``exact``). Comparisons name
-one of them; for sweeps ``reference_kind`` chooses. A state of the reference at a time does not depend on the other
+one of them, for sweeps ``reference_of`` chooses. A state of the reference at a time does not depend on the other
 times that are asked for, so that sharing changes no bit.
 """
 
@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.reference import reference_obstacle, reference_states
+from topcli.analysis.reference import MAX_TAYLOR_STEPS, reference_obstacle, reference_states
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
 from topcli.engine.setups import prepare
@@ -33,8 +34,8 @@ MAX_BYTES = 1 << 28
 """Memory of the references that are kept."""
 STRIPES = 64
 """Number of references that may be computed at the same time."""
-MAX_STEPS = 1_000_000
-"""Taylor steps of the reference of one run: about a minute."""
+SHARED_TAYLOR_STEPS = 1_000_000
+"""Taylor steps that a shared reference takes at most, by default: about a minute."""
 CLOSED_STATES = 1 << 16
 """States of a closed form between two questions whether to stop."""
 POLL_SECONDS = 0.1
@@ -53,53 +54,63 @@ def _exact_scheme(form: str) -> Scheme | None:
     return scheme if scheme.order is None and not scheme.options.model_fields else None
 
 
-def exact_method(top: Top) -> Sampler | None:
+def closed_form_of(top: Top) -> Sampler | None:
     """Closed-form solution of a top; None if it has none."""
     scheme = _exact_scheme(top.form)
     method = scheme.build(top, scheme.options()) if scheme else None
     return method if isinstance(method, Sampler) else None
 
 
-def reference_kind(top: Top, scheme: Scheme) -> str:
-    """Kind of the reference that sweeps compare runs of ``scheme`` with.
+@dataclass(frozen=True)
+class Reference:
+    """The reference of the motions of ``top``: its ``closed_form``, or the Taylor series if that is None."""
 
-    The closed form if it is as accurate as the series, and not the scheme itself.
+    top: Top
+    closed_form: Sampler | None = None
+
+    @property
+    def obstacle(self) -> str:
+        """Reason why there is no such reference; empty if there is one."""
+        return "" if self.closed_form else reference_obstacle(self.top)
+
+    def states(self, y0: Array, h: float, n: NDArray[np.int64], max_steps: int = MAX_TAYLOR_STEPS) -> Array:
+        """States (m, d) after ``n`` (m,) steps of ``h``, by at most ``max_steps`` Taylor steps.
+
+        Raises RunError if the motion cannot be followed.
+        """
+        if self.closed_form is None:
+            return reference_states(self.top, y0.tolist(), n * h, max_steps)
+        p = self.top.constants()
+        if self.closed_form.setup is not None:
+            prepare(self.closed_form.setup, y0, p)
+        states = np.empty((len(n), len(y0)))
+        for start in range(0, len(n), CLOSED_STATES):
+            check_stop()
+            part = slice(start, start + CLOSED_STATES)
+            states[part] = self.closed_form.states(y0, h, n[part], p)
+        return states
+
+
+def reference_of(top: Top, kind: str | None = None, judged: Scheme | None = None) -> Reference:
+    """Reference of the motions of ``top``, of the ``kind`` in ``METHODS`` that is asked for, or else the best one.
+
+    That is the closed form, unless the top has none, or a less accurate one than the series, or runs of this scheme
+    are ``judged`` by the reference. Raises UsageError for an unknown kind, and for a closed form that the top lacks.
     """
-    if top.form in LESS_ACCURATE or scheme.name == EXACT:
-        return TAYLOR
-    return EXACT if exact_method(top) else TAYLOR
-
-
-def reference_form(top: Top, kind: str) -> Sampler | None:
-    """Closed form behind a kind of reference; None for the series.
-
-    Raises UsageError for an unknown kind, and for a closed form that the top does not have.
-    """
-    if kind not in METHODS:
+    if kind is not None and kind not in METHODS:
         raise UsageError(f"unknown reference {quoted(kind)}; use {' or '.join(METHODS)}")
-    if kind == TAYLOR:
-        return None
-    if exact := exact_method(top):
-        return exact
-    raise UsageError(f"the top {top.form} has no scheme exact to compare with; use the reference {TAYLOR}")
+    itself = judged is not None and judged.name == EXACT
+    if kind == TAYLOR or (kind is None and (itself or top.form in LESS_ACCURATE)):
+        return Reference(top)
+    closed = closed_form_of(top)
+    if closed is None and kind == EXACT:
+        raise UsageError(f"the top {top.form} has no scheme exact to compare with; use the reference {TAYLOR}")
+    return Reference(top, closed)
 
 
 def obstacle(top: Top, scheme: Scheme) -> str:
     """Reason why there is no reference for runs of ``top`` under ``scheme``; empty if there is one."""
-    return "" if reference_kind(top, scheme) == EXACT else reference_obstacle(top)
-
-
-def _closed_states(exact: Sampler, top: Top, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
-    """States (m, d) of a closed form after ``n`` (m,) steps; it is set up first if need be."""
-    p = top.constants()
-    if exact.setup is not None:
-        prepare(exact.setup, y0, p)
-    states = np.empty((len(n), len(y0)))
-    for start in range(0, len(n), CLOSED_STATES):
-        check_stop()
-        part = slice(start, start + CLOSED_STATES)
-        states[part] = exact.states(y0, h, n[part], p)
-    return states
+    return reference_of(top, judged=scheme).obstacle
 
 
 class SharedReferences:
@@ -108,7 +119,7 @@ class SharedReferences:
     One takes at most ``max_steps`` Taylor steps. They heed a request to stop.
     """
 
-    def __init__(self, max_bytes: int = MAX_BYTES, max_steps: int = MAX_STEPS) -> None:
+    def __init__(self, max_bytes: int = MAX_BYTES, max_steps: int = SHARED_TAYLOR_STEPS) -> None:
         self._max_bytes, self._bytes, self._max_steps = max_bytes, 0, max_steps
         self._lock = threading.Lock()
         self._computing = [threading.Lock() for _ in range(STRIPES)]
@@ -117,36 +128,34 @@ class SharedReferences:
         self.computed = 0
         """Number of references that were computed."""
 
-    def states(self, top: Top, kind: str, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
-        """States (m, d) after ``n`` (m,) steps of ``h`` of the motion of ``top`` from ``y0`` (d,).
+    def states(self, reference: Reference, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
+        """States (m, d) of ``reference`` after ``n`` (m,) steps of ``h`` from ``y0`` (d,).
 
-        ``kind`` is one of ``METHODS``. Raises RunError if the motion cannot be followed or takes too many Taylor steps,
-        and UsageError as ``reference_form``.
+        Raises RunError if the motion cannot be followed or takes too many Taylor steps.
         """
-        exact = reference_form(top, kind)
-        t = n * h
-        # a closed form is computed at the exact products n h, other references at their rounded values
-        motion = (top.form, top.model_dump_json(), h if exact else 0.0, np.ascontiguousarray(y0).tobytes())
+        t, top = n * h, reference.top
+        # a closed form is computed at the exact products n h, the series at their rounded values
+        step = h if reference.closed_form else 0.0
+        motion = (top.form, top.model_dump_json(), step, np.ascontiguousarray(y0).tobytes())
         computing = self._computing[hash(motion) % STRIPES]
         while not computing.acquire(timeout=POLL_SECONDS):  # others that need it wait instead of computing it too
             check_stop()
         try:
             states = self._known(motion, t)
             if states is None:
-                start = np.asarray(y0, dtype=np.float64)
-                states = _closed_states(exact, top, start, h, n) if exact else self._followed(motion, top, start, t)
+                states = self._computed(motion, reference, np.asarray(y0, dtype=np.float64), h, n)
                 self._keep(motion, t, states)
             return states
         finally:
             computing.release()
 
-    def _followed(self, motion: Motion, top: Top, start: Array, t: Array) -> Array:
-        """States at the times ``t`` by Taylor series; a refusal is remembered. Raises RunError."""
-        key = (motion, sha256(t.tobytes()).digest())
+    def _computed(self, motion: Motion, reference: Reference, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
+        """States of a reference that is not kept; a refusal is remembered. Raises RunError."""
+        key = (motion, sha256((n * h).tobytes()).digest())
         if key in self._refused:
             raise RunError(self._refused[key])
         try:
-            return reference_states(top, start.tolist(), t, self._max_steps)
+            return reference.states(y0, h, n, self._max_steps)
         except RunError as error:
             if len(self._refused) < KEPT_REFUSALS:
                 self._refused[key] = str(error)
@@ -193,12 +202,10 @@ def exact_columns(experiment: Experiment) -> dict[str, Array]:
     Raises UsageError if the motion is not known exactly.
     """
     top, y0, n = experiment.top, np.array(experiment.y0), np.arange(0, experiment.N + 1, experiment.output.every)
-    exact = exact_method(top)
-    if not (why := reference_obstacle(top)):
-        states = reference_states(top, experiment.y0, n * experiment.h)
-    elif exact is None:
-        raise UsageError(f"{experiment.name}: no exact motion: {why}, and there is no closed form")
-    else:
-        states = _closed_states(exact, top, y0, experiment.h, n)
-    columns = dict(zip(top.components, states.T, strict=True))
+    reference = Reference(top)
+    if why := reference.obstacle:
+        reference = Reference(top, closed_form_of(top))
+        if reference.closed_form is None:
+            raise UsageError(f"{experiment.name}: no exact motion: {why}, and there is no closed form")
+    columns = dict(zip(top.components, reference.states(y0, experiment.h, n).T, strict=True))
     return columns | {kept.name: np.full(len(n), float(kept.value(y0[None, :])[0])) for kept in top.invariants()}

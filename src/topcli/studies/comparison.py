@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.analysis.order import probe_rows, reversal
-from topcli.analysis.reference import MAX_STEPS, distances, reference_obstacle
+from topcli.analysis.reference import MAX_TAYLOR_STEPS, distances
 from topcli.analysis.swings import minima_times, swing_spacing
 from topcli.analysis.tally import quantiles
 from topcli.analysis.trajectory import Trajectory
@@ -19,7 +19,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome, Sampler, Top
 from topcli.engine.precise_numbers import MAX_DIGITS
 from topcli.engine.run import nanoseconds_per_step
-from topcli.runs.references import METHODS, TAYLOR, SharedReferences, reference_form
+from topcli.runs.references import METHODS, TAYLOR, SharedReferences, reference_of
 from topcli.runs.report import EndingTally, finite, left_motion
 from topcli.runs.simulate import trajectory_of
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
@@ -123,15 +123,15 @@ def compare_schemes(
     """
     asked = read_entries(experiment, entries, options)
     top = experiment.top
-    reference_form(top, reference)
-    shared = SharedReferences(sys.maxsize, MAX_STEPS)
+    exact_motion = reference_of(top, reference)
+    shared = SharedReferences(sys.maxsize, MAX_TAYLOR_STEPS)
 
-    def reference_of(compared: Experiment, every: int) -> Array:
+    def reference_rows(compared: Experiment, every: int) -> Array:
         n = np.arange(0, compared.N + 1, every)
-        return shared.states(top, reference, np.array(experiment.y0), compared.h, n)
+        return shared.states(exact_motion, np.array(experiment.y0), compared.h, n)
 
     finest = max((entry.experiment for entry in asked), key=lambda each: each.N // each.output.every)
-    finest_rows = reference_of(finest, finest.output.every)  # first, because it may be refused
+    finest_rows = reference_rows(finest, finest.output.every)  # first, because it may be refused
     compared, methods, trajectories, failed = [], [], [], []
     for entry in asked:
         with users_code(failed, entry.label):
@@ -150,11 +150,11 @@ def compare_schemes(
         timed = [1e9 * each.run_seconds / max(each.ending.step, 1) for each in trajectories]
     swing, first = top.components.index(top.swing), compared[0]
     t = np.arange(0, first.experiment.N + 1, first.stride) * first.experiment.h
-    series = {"t": t, "swing:reference": reference_of(first.experiment, first.stride)[:, swing]}
+    series = {"t": t, "swing:reference": reference_rows(first.experiment, first.stride)[:, swing]}
     rows = []
     for entry, method, trajectory, nanoseconds in zip(compared, methods, trajectories, timed, strict=True):
         states = trajectory.states[:: entry.rows_apart]
-        error = distances(states, reference_of(entry.experiment, entry.stride)[: len(states)])
+        error = distances(states, reference_rows(entry.experiment, entry.stride)[: len(states)])
         rows.append(_figures(entry, method, trajectory, error, probes, nanoseconds))
         series[f"error:{entry.label}"] = _padded(error, len(t))
         series[f"swing:{entry.label}"] = _padded(states[:, swing], len(t))
@@ -223,7 +223,7 @@ def compare_ensemble(
         code of all entries fails.
     """
     compared = read_entries(experiment.first, entries, options)
-    known = reference_form(experiment.top, reference) is not None or not reference_obstacle(experiment.top)
+    known = not reference_of(experiment.top, reference).obstacle
     columns: list[_Column] = []
     failed: list[Failed] = []
     for entry in compared:

@@ -27,13 +27,12 @@ from topcli.studies.bench.contest import Problem, Rung, choose
 from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor, explore
 from topcli.studies.copies import GENERIC, SCENES
 from topcli.studies.entries import scheme_with
+from topcli.studies.order import STEPS
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
 """Schemes of the study that ``topcli plot order`` draws, on the generic motion of Kowalevski's top."""
 DURATION = 10.0
 """Length of a run in time, unless a config gives it."""
-STEPS = 4_000_000
-"""Largest number of steps of one run; the command has the same default."""
 INTERVALS = 20
 """Number of intervals between the evenly spaced times at which errors are measured."""
 SECONDS = 5.0

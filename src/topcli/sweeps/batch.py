@@ -25,7 +25,7 @@ from topcli.contracts import Array, Outcome
 from topcli.engine.run import CODES, Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError, UsageError
-from topcli.runs.references import REFERENCES, reference_kind
+from topcli.runs.references import REFERENCES, reference_of
 from topcli.sweeps.measures import DEVIATION, DRIFT, END_ERROR, ERROR, PROBES, RECORDED, STATES, Measure, integrals_of
 
 WHOLE = (CODES[Outcome.COMPLETED], CODES[Outcome.LEFT_MOTION])
@@ -142,7 +142,7 @@ class BatchRecorder:
     """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
 
     Pieces of different runs may be added from different threads, those of a run in the order of time. Errors are
-    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_kind`` chooses. It is
+    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_of`` chooses. It is
     computed for each run within a context ``limited()``, which may end it by a RunError.
     """
 
@@ -157,7 +157,7 @@ class BatchRecorder:
         if fault := rows_fault(experiment, measures):
             raise UsageError(fault)
         self.experiment, self.initial, self._limited = experiment, initial, limited
-        self._kind = reference or reference_kind(experiment.top, experiment.scheme)
+        self._reference = reference_of(experiment.top, reference, judged=experiment.scheme)
         top, every = experiment.top, experiment.output.every
         needs = {need for measure in measures for need in measure.needs}
         self._n = np.arange(0, experiment.N + 1, every, dtype=np.int64)
@@ -180,18 +180,18 @@ class BatchRecorder:
         self._needs = needs & {ERROR, END_ERROR}
         self.max_error, self.end_error = np.full(count, np.nan), np.full(count, np.nan)
         self._faults = {need: [""] * count for need in self._needs}
-        self._references: list[Array | None] = [self._reference(ERROR, i, self._n) for i in range(count)]
+        self._references: list[Array | None] = [self._reference_states(ERROR, i, self._n) for i in range(count)]
         if ERROR in needs:
             self.max_error[:] = 0.0
 
-    def _reference(self, need: str, i: int, n: NDArray[np.int64]) -> Array | None:
+    def _reference_states(self, need: str, i: int, n: NDArray[np.int64]) -> Array | None:
         """Reference of run ``i`` at the steps ``n``; None if it is not needed or, with the fault noted, not known."""
         if need not in self._needs:
             return None
         experiment = self.experiment
         try:
             with self._limited():
-                return REFERENCES.states(experiment.top, self._kind, self.initial[i], experiment.h, n)
+                return REFERENCES.states(self._reference, self.initial[i], experiment.h, n)
         except RunError as error:
             self._faults[need][i] = str(error)
             return None
@@ -238,7 +238,7 @@ class BatchRecorder:
         experiment = self.experiment
         for i in range(len(self.initial)):
             whole = endings.outcome[i] in WHOLE
-            end = self._reference(END_ERROR, i, np.array([experiment.N])) if whole else None
+            end = self._reference_states(END_ERROR, i, np.array([experiment.N])) if whole else None
             if end is not None:
                 self.end_error[i] = distances(last[i], end[0])
             if whole and ERROR in self._needs and self._references[i] is None:

@@ -284,7 +284,7 @@ def heyoka_variants(problem: PeerProblem) -> list[Variant]:
     ]
 
 
-MAX_STEPS = 1_000_000
+DIFFRAX_STEPS = 1_000_000
 
 
 def _diffrax_solver(problem: PeerProblem, method: str) -> Any:
@@ -308,7 +308,7 @@ def _diffrax_solver(problem: PeerProblem, method: str) -> Any:
             saveat=diffrax.SaveAt(ts=times),
             stepsize_controller=diffrax.PIDController(rtol=rtol, atol=1e-2 * rtol),
             adjoint=diffrax.ForwardMode(),  # an early-exit loop without checkpoints: no gradient is asked for
-            max_steps=MAX_STEPS,
+            max_steps=DIFFRAX_STEPS,
             throw=False,
         )
         return solution.ys, solution.result == diffrax.RESULTS.successful

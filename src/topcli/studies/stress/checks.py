@@ -26,7 +26,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
 from topcli.engine.loop import Loop, loop_of
 from topcli.engine.run import Run
-from topcli.runs.references import exact_method
+from topcli.runs.references import closed_form_of
 
 EPS = float(np.finfo(float).eps)
 PLAIN_STEPS = 400
@@ -128,7 +128,7 @@ class Trial:
 
     def closed_form(self, n: NDArray[np.int64]) -> Array:
         """Return the states of the closed form of the top after ``n`` (m,) steps, (m, d)."""
-        exact = exact_method(self.top)
+        exact = closed_form_of(self.top)
         assert exact is not None
         return exact.states(np.array(self.y0), self.h, n, self.top.constants())
 
