@@ -11,7 +11,7 @@ import pytest
 
 import topcli
 from test_ensemble_run import RANDOM, columns, experiment, failing
-from topcli.analysis.tally import MEASURES, InvariantTally
+from topcli.analysis.tally import DEVIATIONS, InvariantTally
 from topcli.contracts import Ending, Invariant, Outcome
 from topcli.engine import ensemble as engine
 from topcli.engine.run import CODES, Endings
@@ -201,7 +201,7 @@ def test_members_never_begun_are_not_zeros(scheme: str, begun: int, tmp_path: Pa
     assert report["outcomes"] == {"interrupted": 70}
     assert not table["n"].any()
     for invariant in ("gamma_sq", "two_l", "energy", "k_sq"):
-        for name in ("first", *MEASURES):
+        for name in ("first", *DEVIATIONS):
             values = table[f"{invariant}_{name}"]
             assert np.isfinite(values[:begun]).all(), name
             assert np.isnan(values[begun:]).all(), name

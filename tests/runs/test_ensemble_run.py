@@ -13,7 +13,7 @@ import pytest
 import topcli
 from conftest import ROOT, random_states
 from resuming import after
-from topcli.analysis.tally import MEASURES, invariant_report, quantiles
+from topcli.analysis.tally import DEVIATIONS, invariant_report, quantiles
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load
 from topcli.contracts import Outcome
@@ -110,7 +110,7 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeyp
             assert table[f"{one.name}_final_deviation"][i] == last
             assert table[f"{one.name}_drift"][i] == pytest.approx(one.drift, rel=1e-9, abs=0.0)
     for row in without.report["invariants"]:
-        for measure in MEASURES:
+        for measure in DEVIATIONS:
             values = np.sort(np.abs(table[f"{row['name']}_{measure}"]))
             assert row[measure] == {
                 "min": values[0], "5 %": values[3], "median": values[34], "95 %": values[66], "max": values[-1]

@@ -2,9 +2,9 @@
 
 The energy of a top is the invariant that ``Top.energy`` names, or a multiple of it; a top without one is not judged.
 A trajectory has left the motion as soon as a recorded state's energy differs from the first one's by more than
-``LEFT`` times its scale there, the sum of the magnitudes of its terms. Where these vanish or nearly do (at rest
-with the centre of gravity level), the limit uses the largest scale that vectors of the
-same lengths can have along the axes.
+``LEAVING_FACTOR`` times its scale there, the sum of the magnitudes of its terms. Where these vanish or nearly do (at
+rest with the centre of gravity level), the limit uses the largest scale that vectors of the same lengths can have along
+the axes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Invariant, Top
 
-LEFT = 100.0
+LEAVING_FACTOR = 100.0
 
 
 def energy_of(top: Top) -> Invariant | None:
@@ -50,7 +50,7 @@ def energy_limits(top: Top, states: Array) -> Array:
         turned = np.where(_along_axes(vectors, states.shape[1])[:, None], lengths, rest)
         tried = np.concatenate([states[None], turned])
         scales = energy.scale(tried.reshape(-1, states.shape[1])).reshape(tried.shape[:2])
-        limits = np.maximum(LEFT * scales[0], scales[1:].max(axis=0))
+        limits = np.maximum(LEAVING_FACTOR * scales[0], scales[1:].max(axis=0))
         judged = np.isfinite(limits) & (limits > 0.0) & np.isfinite(energy.value(states))
     return np.where(judged, limits, math.inf)
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 PROBES = 16
 """States along a run from which its reversal is tried."""
-ROUND_OFF_ULPS = 64.0
-ROUND_OFF = ROUND_OFF_ULPS * float(np.finfo(np.float64).eps)
+FLOOR_ULPS = 64.0
+FLOOR = FLOOR_ULPS * float(np.finfo(np.float64).eps)
 PLATEAU = 1e-6
 """Errors above this one are not taken for round-off."""
 ABOVE = 32.0
@@ -152,7 +152,7 @@ def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
     floor = SUSPECT if level is None else ABOVE * level
     order = observed_order(above_sizes, above_errors, floor)
     if order is None and level is None:
-        floor = ROUND_OFF
+        floor = FLOOR
         order = observed_order(above_sizes, above_errors, floor)
     used = _asymptotic(above_sizes, above_errors, floor)
     return Convergence(
@@ -317,7 +317,7 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
     sizes = [factor * abs(h) for factor in factors]
     defects = [max(defect(y, factor) for y in states) for factor in factors]
     eps = precise.arithmetic.eps if precise else float(np.finfo(np.float64).eps)
-    floor = ROUND_OFF_ULPS * eps * max(1.0, float(np.abs(states).max()))
+    floor = FLOOR_ULPS * eps * max(1.0, float(np.abs(states).max()))
     return Reversal(
         h=abs(h),
         defect=defects[factors.index(1.0)],

@@ -53,7 +53,7 @@ LOST = 0.25
 TERMS = 0.1
 BLOCKS = 64
 QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
-MEASURES = ("max_deviation", "rms_deviation", "final_deviation")
+DEVIATIONS = ("max_deviation", "rms_deviation", "final_deviation")
 
 ULP = float(np.finfo(np.float64).eps)
 _SUMS = ("first", "low", "high", "scale", "squares", "limit", "left", "rows", "steps", "width", "sums")
@@ -350,7 +350,7 @@ def measure_columns(tally: InvariantTally, N: int, every: int) -> dict[str, Arra
 
     A whole trajectory has ``N`` steps and a row for every ``every``-th. One that lacks some has no drift, but nan.
     """
-    figures = {name: getattr(tally, name) for name in ("first", *MEASURES)}
+    figures = {name: getattr(tally, name) for name in ("first", *DEVIATIONS)}
     figures["drift"] = tally.slopes(N // every + 1, N // every * every)
     return {
         f"{invariant.name}_{name}": values[i]
@@ -378,7 +378,7 @@ class EnsembleSummary:
         self._within = self._within + tally.within_round_off.sum(axis=1)
         self._judged += int((tally.steps > 0).sum())
         self._counts.append(len(tally.steps))
-        self._spool.write(np.stack([getattr(tally, name) for name in MEASURES]).tobytes())
+        self._spool.write(np.stack([getattr(tally, name) for name in DEVIATIONS]).tobytes())
 
     def _quantiles(self, measure: int, invariant: int) -> dict[str, float | None]:
         """Quantiles of the magnitudes of a measure of an invariant over all trajectories."""
@@ -389,7 +389,7 @@ class EnsembleSummary:
             if self._spool.readinto(values[filled : filled + count].data) < 8 * count:
                 raise OSError(errno.EIO, "the stored deviations cannot be read back")
             filled += count
-            start += 8 * count * len(MEASURES) * rows
+            start += 8 * count * len(DEVIATIONS) * rows
         return quantiles(np.abs(values, out=values), QUANTILES)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -400,7 +400,7 @@ class EnsembleSummary:
                 "symbol": invariant.symbol,
                 "judged": self._judged,
                 "within_round_off": int(self._within[i]),
-                **{measure: self._quantiles(k, i) for k, measure in enumerate(MEASURES)},
+                **{measure: self._quantiles(k, i) for k, measure in enumerate(DEVIATIONS)},
             }
             for i, invariant in enumerate(self._invariants)
         ]

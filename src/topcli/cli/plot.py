@@ -16,7 +16,7 @@ from topcli.cli.results import Aggregate, Where
 if TYPE_CHECKING:
     from topcli.figures.figure import Figure
 
-EXACT = "exact"
+OVERLAY = "exact"
 SWEEP = "sweep"
 """First argument of ``topcli plot sweep DIR/NAME``, whose figure is described by options."""
 
@@ -106,7 +106,7 @@ def _require(figures: list[Figure], sets: bool, overlay: bool) -> None:
 
     for given, name, able in (
         (sets, "--set", lambda figure: figure.takes_overrides),
-        (overlay, f"--overlay {EXACT}", lambda figure: figure.takes_overlay),
+        (overlay, f"--overlay {OVERLAY}", lambda figure: figure.takes_overlay),
     ):
         unable = [figure.name for figure in figures if not able(figure)]
         if given and unable:
@@ -186,8 +186,8 @@ def plot(
     wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
     if wrong:
         raise UsageError(f"--format {shortened(wrong[0])}: unknown format; use png, pdf or svg")
-    if overlay not in (None, EXACT):
-        raise UsageError(f"--overlay {shortened(overlay)}: unknown overlay; use {EXACT}")
+    if overlay not in (None, OVERLAY):
+        raise UsageError(f"--overlay {shortened(overlay)}: unknown overlay; use {OVERLAY}")
     if configs is not None and not os.path.isdir(configs):
         raise UsageError(f"--configs {configs}: no such folder")
     chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))

@@ -25,7 +25,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 STRICT = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
 """Models of sections: no other keys, no conversions between types, finite numbers."""
-SHOWN = 3
+SHOWN_PROBLEMS = 3
 """Mistakes that one message shows."""
 
 MAX_NODES = 5_000
@@ -212,9 +212,9 @@ class Problems:
         """Raise the first three: UnknownNameError if all are unknown names, otherwise ConfigError."""
         if not self.messages:
             return
-        lines = self.messages[:SHOWN]
-        if len(self.messages) > SHOWN:
-            lines[-1] += f" (and {len(self.messages) - SHOWN} more)"
+        lines = self.messages[:SHOWN_PROBLEMS]
+        if len(self.messages) > SHOWN_PROBLEMS:
+            lines[-1] += f" (and {len(self.messages) - SHOWN_PROBLEMS} more)"
         raise UnknownNameError(*lines) if self.unknown_names == len(self.messages) else ConfigError(*lines)
 
 

@@ -30,7 +30,7 @@ from topcli.contracts import Array, Top
 from topcli.errors import quoted
 
 MAX_TRAJECTORIES = 10**6
-BATCH = 1024
+CANDIDATES = 1024
 """Candidates drawn at a time."""
 PATIENCE = 64
 """Batches without a single state of the wanted energy after which the search ends."""
@@ -219,7 +219,7 @@ class Drawn:
         accepted: list[Array] = []
         left, have, batches = self.count, 0, 0
         while left:
-            accepted.append(_candidates(self.top, self.centre, self.draws, generator.random((BATCH, total))))
+            accepted.append(_candidates(self.top, self.centre, self.draws, generator.random((CANDIDATES, total))))
             have += len(accepted[-1])
             batches += 1
             if not have and left == self.count and batches == PATIENCE:
@@ -241,9 +241,9 @@ def first_drawn(top: Top, centre: Array, draws: tuple[Draw, ...], seed: int) -> 
     generator = np.random.Generator(np.random.PCG64(seed))
     total = sum(NUMBERS[draw.kind] for draw in draws)
     tried, size = 0, 1
-    while tried < PATIENCE * BATCH:
+    while tried < PATIENCE * CANDIDATES:
         states = _candidates(top, centre, draws, generator.random((size, total)))
         if len(states):
             return states[0]
-        tried, size = tried + size, min(8 * size, BATCH)
+        tried, size = tried + size, min(8 * size, CANDIDATES)
     return None

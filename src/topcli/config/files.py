@@ -15,7 +15,7 @@ from topcli.config.document import Document, KeyPath, describe, key_text, plain
 from topcli.config.text import parse_toml, parse_yaml
 from topcli.errors import ConfigError, UnknownNameError, nearest, quoted, shortened
 
-MAX_BYTES = 1_000_000
+MAX_CONFIG_BYTES = 1_000_000
 SUFFIXES = (".yaml", ".yml", ".toml")
 
 
@@ -85,8 +85,8 @@ def read_text(path: Path) -> str:
             raise ConfigError(f"{path}: is a folder; give a config file (.yaml, .yml or .toml)")
         if not stat.S_ISREG(status.st_mode):
             raise ConfigError(f"{path}: is not a regular file; give a config file (.yaml, .yml or .toml)")
-        if status.st_size > MAX_BYTES:
-            raise ConfigError(f"{path}: {status.st_size} bytes; a config is at most {MAX_BYTES}")
+        if status.st_size > MAX_CONFIG_BYTES:
+            raise ConfigError(f"{path}: {status.st_size} bytes; a config is at most {MAX_CONFIG_BYTES}")
         content = path.read_bytes()
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file{_files_nearby(path)}") from None

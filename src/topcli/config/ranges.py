@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, Field, PlainValidator, model_va
 from topcli.config.document import STRICT, as_integer, describe, number_of, read_model
 from topcli.errors import UsageError
 
-MAX_ROWS = 10**7
+MAX_SWEEP_ROWS = 10**7
 EARLIER = {"start": "from", "stop": "to"}
 """Words for the ends of a range that are not read, each with the one that is."""
 EXAMPLE = "[0.1, 0.2] or {from: 0.1, to: 1, count: 10}"
@@ -50,7 +50,7 @@ class Interval(BaseModel):
 class Range(Interval):
     """Evenly spaced values, both ends included."""
 
-    count: Annotated[int, Field(ge=1, le=MAX_ROWS), BeforeValidator(as_integer)] = Field(
+    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_ROWS), BeforeValidator(as_integer)] = Field(
         description="the number of values"
     )
 
@@ -104,7 +104,7 @@ Numbers = Annotated[Any, PlainValidator(read_numbers, json_schema_input_type=_Li
 
 
 MAX_STEPS = 10**12
-ROUND_OFF = 4.0 * 2.0**-52
+WHOLE_NUMBER = 4.0 * 2.0**-52
 """Relative deviation of T/h from a whole number that is accepted, for the rounding of T, h and their quotient."""
 
 
@@ -153,7 +153,7 @@ def _whole(T: float, h: float) -> int | None:
     if not 0.5 <= ratio <= MAX_STEPS + 0.5:
         return None
     N = round(ratio)
-    return N if 1 <= N <= MAX_STEPS and abs(ratio - N) <= ROUND_OFF * N else None
+    return N if 1 <= N <= MAX_STEPS and abs(ratio - N) <= WHOLE_NUMBER * N else None
 
 
 def _shortest(value: float, fits: Callable[[float], bool]) -> str:

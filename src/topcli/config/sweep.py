@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field
 from topcli.config.document import STRICT, Document, KeyPath, Problems, describe, plain, unknown_key, validate
 from topcli.config.files import apply_overrides, find_config, read_document
 from topcli.config.models import Name, canonical, name_fault
-from topcli.config.ranges import MAX_ROWS, Range, is_range, read_axis
+from topcli.config.ranges import MAX_SWEEP_ROWS, Range, is_range, read_axis
 from topcli.config.text import to_yaml
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError, quoted
@@ -252,8 +252,8 @@ def _sweep(document: Document, default_name: str) -> Sweep:
     sweep = Sweep(name, document, tuple(axes.axes), include, exclude, keys, axes.ranges)
     if not keys:
         problems.add((), "varies nothing: give grid, zip, include or random; for example grid: {h: [0.1, 0.2]}")
-    elif sweep.count > MAX_ROWS:
-        problems.add((), f"{sweep.count} rows; a sweep has at most {MAX_ROWS}")
+    elif sweep.count > MAX_SWEEP_ROWS:
+        problems.add((), f"{sweep.count} rows; a sweep has at most {MAX_SWEEP_ROWS}")
     elif next(sweep.assignments(), None) is None:
         problems.add(("exclude",), "excludes every row, so the sweep would have none")
     problems.raise_any()
@@ -290,7 +290,7 @@ class Axes:
                 self.axes.append(Axis((key,), (values,)))
         random = data.get("random")
         count = random.get("count", 1) if isinstance(random, dict) and "sample" not in self.values else None
-        if isinstance(count, int) and 1 <= count <= MAX_ROWS:
+        if isinstance(count, int) and 1 <= count <= MAX_SWEEP_ROWS:
             self.values["sample"] = range(1, count + 1)
             self.axes.append(Axis(("sample",), (self.values["sample"],)))
         zipped = data.get("zip")

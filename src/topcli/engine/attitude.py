@@ -194,7 +194,7 @@ NUMBERS = 4
 """Numbers of a recorded attitude, a unit quaternion."""
 HEAD = 14
 """Slots of the working state before those of the method: the last state, the quaternion, its rounding errors."""
-BLOCK = 2048
+BLOCK_STEPS = 2048
 """Steps between two passes over the rows."""
 
 
@@ -265,7 +265,7 @@ def with_attitude(loop: Loop, d: int, constants: Array) -> Loop:
 
     The first state passed to ``enter`` holds the attitude too.
     """
-    code, rows = _compiled(), np.empty(BLOCK * d)
+    code, rows = _compiled(), np.empty(BLOCK_STEPS * d)
     sign, in_space = constants[8], bool(constants[9])
 
     def enter(y: Array, work: Array, p: Array, h: float) -> int:
@@ -280,7 +280,7 @@ def with_attitude(loop: Loop, d: int, constants: Array) -> Loop:
         begun = work.copy()
         try:
             while taken < steps:
-                size = min(BLOCK, steps - taken)
+                size = min(BLOCK_STEPS, steps - taken)
                 went = loop.drive(work[HEAD:], rows, p, h, size, 1, 1)
                 good = went if went >= 0 else -went - 1
                 left, rest = until + written * every - taken, out[written * (d + NUMBERS) :]

@@ -23,7 +23,7 @@ from topcli.studies.stress import trials
 from topcli.studies.stress.study import FILE, UNEXPLAINED, known_top
 from topcli.studies.study import Result
 
-OUTCOMES = ("not tried", "held", "degraded", "broke")
+STRESS_OUTCOMES = ("not tried", "held", "degraded", "broke")
 SHADES = ("#ffffff", "#dcebf5", "#f2a541", "#7b1e2b")
 """In grey: 1.00, 0.90, 0.70 and 0.23. Cells of trials that were not made are hatched too."""
 HATCH = {"facecolor": SHADES[0], "edgecolor": "0.55", "hatch": "//////", "linewidth": 0.0}
@@ -42,7 +42,7 @@ def figure_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict[s
     """Plotted numbers, one row a trial, and the names that the numbers stand for."""
     trials = study["trials"]
     names = {key: list(dict.fromkeys(trial[key] for trial in trials)) for key in ("top", "scheme", "case")}
-    names["outcome"] = list(OUTCOMES)
+    names["outcome"] = list(STRESS_OUTCOMES)
     data = {key: np.array([float(known.index(trial[key])) for trial in trials]) for key, known in names.items()}
     data["step"] = np.array([np.nan if trial["step"] is None else float(trial["step"]) for trial in trials])
     data["unexplained"] = np.array([float(trial["verdict"] in UNEXPLAINED) for trial in trials])
@@ -86,7 +86,7 @@ class StressPanel:
         from matplotlib.patches import Rectangle
 
         values = np.zeros((len(self.rows), len(self.schemes)))
-        values[len(self.cases) :] = OUTCOMES.index("held")
+        values[len(self.cases) :] = STRESS_OUTCOMES.index("held")
         for trial in np.flatnonzero(data["top"] == self.names["top"].index(self.top)):
             case = self.names["case"][int(data["case"][trial])]
             if case not in self.cases:
@@ -97,7 +97,7 @@ class StressPanel:
             if self.names["outcome"][int(values[row, column])] == "broke":
                 text = "!" if data["unexplained"][trial] else _step_text(data["step"][trial])
                 axes.text(column, row, text, ha="center", va="center", color="white", fontsize=6)
-        for row, column in np.argwhere(values == OUTCOMES.index("not tried")):
+        for row, column in np.argwhere(values == STRESS_OUTCOMES.index("not tried")):
             axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **HATCH))
         axes.imshow(values, cmap=ListedColormap(SHADES), vmin=-0.5, vmax=3.5, aspect="auto", interpolation="nearest")
         axes.set_xticks(range(len(self.schemes)), self.schemes, rotation=90, fontsize=7)

@@ -20,7 +20,7 @@ from topcli.store.parts import is_part, linked_file, parts_of
 from topcli.store.provenance import now
 from topcli.studies import STUDIES, find_study
 from topcli.studies.study import stored_result
-from topcli.sweeps.rows import ROWS
+from topcli.sweeps.rows import ROWS_FILE
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
 
 FOLDER = Path(__file__).parent
@@ -140,7 +140,7 @@ def _names(results: Path) -> list[str]:
 
 def _link_in(folder: Path) -> Path | None:
     """A link, or anything but a regular file, in the place of a file of a result; None if there is none."""
-    others = (folder / name for name in (ROWS, SWEEP_FILE, *STUDY_FILES))
+    others = (folder / name for name in (ROWS_FILE, SWEEP_FILE, *STUDY_FILES))
     return linked_file(folder) or next((path for path in others if path.is_symlink()), None)
 
 
@@ -152,7 +152,7 @@ def _of_folder(folder: Path, name: str) -> Chapter:
     run = read_run(folder)
     if isinstance(run, StoredRun):
         return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
-    if is_sweep(folder) or (folder / ROWS).exists():
+    if is_sweep(folder) or (folder / ROWS_FILE).exists():
         return sweep_chapter(folder, name)
     if run is not None:
         return damaged_chapter(run, name)
@@ -173,7 +173,7 @@ def _of_folder(folder: Path, name: str) -> Chapter:
 
 def _of_file(path: Path, name: str) -> Chapter:
     """Chapter on a file: a study as JSON, or a file of a run or sweep, which stands for its folder."""
-    if path.name in (ROWS, SWEEP_FILE, MANIFEST, *_RUN_FILES):
+    if path.name in (ROWS_FILE, SWEEP_FILE, MANIFEST, *_RUN_FILES):
         return _of_folder(path.parent, name)
     try:
         data = read_json(path)

@@ -30,7 +30,7 @@ METHODS = {TAYLOR: "Taylor series in double-double arithmetic", EXACT: "closed f
 """Kinds of references, with what they are."""
 LESS_ACCURATE = frozenset({"kowalevski"})
 """Forms whose closed form is not the reference: its error grows where gravity is weak, and it refuses some motions."""
-MAX_BYTES = 1 << 28
+KEPT_BYTES = 1 << 28
 """Memory of the references that are kept."""
 STRIPES = 64
 """Number of references that may be computed at the same time."""
@@ -119,7 +119,7 @@ class SharedReferences:
     One takes at most ``max_steps`` Taylor steps. They heed a request to stop.
     """
 
-    def __init__(self, max_bytes: int = MAX_BYTES, max_steps: int = SHARED_TAYLOR_STEPS) -> None:
+    def __init__(self, max_bytes: int = KEPT_BYTES, max_steps: int = SHARED_TAYLOR_STEPS) -> None:
         self._max_bytes, self._bytes, self._max_steps = max_bytes, 0, max_steps
         self._lock = threading.Lock()
         self._computing = [threading.Lock() for _ in range(STRIPES)]

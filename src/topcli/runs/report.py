@@ -199,7 +199,7 @@ def report_markdown(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-SAMPLES = 200
+SAMPLED_STEPS = 200
 """Largest number of times at which the sensitivity of a motion is evaluated."""
 
 
@@ -261,7 +261,7 @@ def accuracy_data(method: Method, experiment: Experiment, steps: int) -> dict[st
     """Entry of ``report.json`` on the accuracy of a closed form over ``steps`` steps; none for other methods."""
     if not isinstance(method, Sampler) or method.accuracy is None:
         return {}
-    n = np.unique(np.linspace(0, max(steps, 1), SAMPLES).astype(np.int64))
+    n = np.unique(np.linspace(0, max(steps, 1), SAMPLED_STEPS).astype(np.int64))
     accuracy = method.accuracy(np.array(experiment.y0), experiment.h, n, experiment.top.constants())
     return {"accuracy": accuracy._asdict()}
 
@@ -280,7 +280,7 @@ def accuracy_note(report: Mapping[str, Any]) -> str:
     return f"round-off at most about {accuracy['round_off']:.0e} ({accuracy['reason']}); {then}"
 
 
-SHOWN = 20
+SHOWN_TRAJECTORIES = 20
 """Failures listed in the report; the table of trajectories contains all of them."""
 TITLES = {"max_deviation": "max deviation", "rms_deviation": "rms deviation", "final_deviation": "deviation at the end"}
 
@@ -309,14 +309,14 @@ class EndingTally:
         self.N, self.total = N, 0
         self.counters: Counter[str] = Counter()
         self.failures: list[tuple[int, Ending]] = []
-        """The first SHOWN trajectories that failed."""
+        """The first ``SHOWN_TRAJECTORIES`` that failed, by number."""
         self._counts: Counter[Outcome] = Counter()
 
     def add(self, endings: Endings) -> None:
         """Add the endings of the next trajectories."""
         self._counts.update(endings.outcomes)
         self.counters.update(endings.totals)
-        for i in endings.failed[: SHOWN - len(self.failures)].tolist():
+        for i in endings.failed[: SHOWN_TRAJECTORIES - len(self.failures)].tolist():
             self.failures.append((self.total + i, endings[i]))
         self.total += len(endings)
 

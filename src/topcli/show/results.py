@@ -19,7 +19,7 @@ from topcli.runs.run import RunResult, run_experiment
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 from topcli.store.series import read_series, series_names
-from topcli.sweeps.rows import ROWS, SweepRows, read_rows
+from topcli.sweeps.rows import ROWS_FILE, SweepRows, read_rows
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
 if TYPE_CHECKING:
@@ -255,7 +255,7 @@ class SweepReport(Report):
         """DataFrame of the rows, indexed by number."""
         import pandas as pd
 
-        table = pd.read_parquet(self.folder / ROWS)
+        table = pd.read_parquet(self.folder / ROWS_FILE)
         return table[table["current"]].drop(columns="current").set_index("row")
 
     @property

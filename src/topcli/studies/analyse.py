@@ -10,7 +10,7 @@ from topcli.studies import SILENT, Watch
 from topcli.studies.study import Data, Flag, Head, Overrides, Result, Study, parts_of
 from topcli.table import DASH, Column, Table, exact_number, number
 
-SHOWN = 5
+SHOWN_TIMES = 5
 """Times of swings in the table; --json has them all."""
 
 
@@ -72,8 +72,8 @@ def _summary_columns(data: Data) -> list[Column]:
         return "none" if data["reference"]["message"] else known
 
     def minima(times: Sequence[float]) -> str:
-        listed = ", ".join(map(exact_number, times[:SHOWN])) or DASH
-        return listed + (f" and {len(times) - SHOWN} more" if len(times) > SHOWN else "")
+        listed = ", ".join(map(exact_number, times[:SHOWN_TIMES])) or DASH
+        return listed + (f" and {len(times) - SHOWN_TIMES} more" if len(times) > SHOWN_TIMES else "")
 
     def spacing(data: Data) -> str:
         reference = swing["reference_spacing"]

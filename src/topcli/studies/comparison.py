@@ -179,7 +179,7 @@ def compare_schemes(
     )
 
 
-QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
+COMPARED_QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
 MEASURED = ("error.max", "error.end", "reversal", "swing_spacing.first")
 """Measures of every entry that they fit, beside deviation and drift of its invariants."""
 
@@ -250,7 +250,7 @@ def compare_ensemble(
             "kind": "ensemble",
             "config": experiment.resolved(),
             "trajectories": experiment.count,
-            "quantiles": QUANTILES,
+            "quantiles": COMPARED_QUANTILES,
             "reference": {"kind": reference, "method": METHODS[reference]} if known else None,
             "swing": getattr(experiment.top, "swing", None),
             "rows": first.experiment.N // first.stride + 1,
@@ -308,7 +308,10 @@ class _Column:
         measured = {}
         for name, parts in self._values.items():
             values = np.concatenate(parts)
-            measured[name] = {"count": int(np.count_nonzero(~np.isnan(values))), **quantiles(values, QUANTILES)}
+            measured[name] = {
+                "count": int(np.count_nonzero(~np.isnan(values))),
+                **quantiles(values, COMPARED_QUANTILES),
+            }
         return {
             **self.entry.settings(),
             "outcomes": self._endings.outcomes,

@@ -26,7 +26,7 @@ from topcli.schemes.registry import find_scheme
 
 STEP = "h"
 """Key of an entry's own step size; all other keys are options of its scheme."""
-MAX_ROWS = 2_000_000
+MAX_COMPARED_ROWS = 2_000_000
 FEW_ROWS = 300
 """Entries have at least as many rows if the config asks for them and the numbers of steps allow it."""
 
@@ -122,10 +122,10 @@ def read_entries(
     if any(entry.experiment.h != experiment.h for entry in entries):
         entries = _at_common_times(entries, max(1, experiment.N // experiment.output.every))
     rows = max(entry.experiment.N // entry.experiment.output.every + 1 for entry in entries)
-    if rows > MAX_ROWS:
+    if rows > MAX_COMPARED_ROWS:
         raise UsageError(
             f"output.every: {rows} rows to compare in memory; "
-            f"record fewer with --set output.every={experiment.N // MAX_ROWS + 1} or more"
+            f"record fewer with --set output.every={experiment.N // MAX_COMPARED_ROWS + 1} or more"
         )
     return tuple(entries)
 
@@ -293,7 +293,7 @@ def _at_common_times(entries: Sequence[Entry], wanted: int) -> list[Entry]:
         N = entry.experiment.N
         stride = every = N // count
         if count < least:
-            between = [every for every in _divisors(stride) if min(least, N) <= N // every < MAX_ROWS]
+            between = [every for every in _divisors(stride) if min(least, N) <= N // every < MAX_COMPARED_ROWS]
             every = max(between, default=stride)
         output = entry.experiment.output.model_copy(update={"every": every})
         made.append(replace(entry, stride=stride, experiment=entry.experiment.model_copy(update={"output": output})))

@@ -43,7 +43,7 @@ DIFFERENCES = 40
 MIDPOINT_STEPS = 200
 DISCRETE_STEPS = 200
 """Steps over which the discrete Lax pair is checked."""
-ROUND_OFF = 1e-13
+DEFECT_FLOOR = 1e-13
 """Conjugation defects below this are rounding errors, without an order in h."""
 INITIAL = {"omega": (0.7, -0.4, 1.3), "gamma": (0.6, 0.48, 0.64)}
 """Default initial state, in general position."""
@@ -169,7 +169,7 @@ def _form_figures(
         "midpoint": {
             "steps": MIDPOINT_STEPS,
             "conjugation_defect": defects[0] if len(defects) == 2 else None,
-            "order": math.log2(defects[0] / defects[1]) if len(defects) == 2 and defects[1] > ROUND_OFF else None,
+            "order": math.log2(defects[0] / defects[1]) if len(defects) == 2 and defects[1] > DEFECT_FLOOR else None,
         },
     }
 

@@ -25,7 +25,7 @@ from topcli.tops import forms
 
 UNIT = 1e-3
 """Deviation of the length of a unit vector from 1 that the first row may have; beyond it the units are wrong."""
-AGREEMENT = 1e-6
+START_AGREEMENT = 1e-6
 """Difference from the config's initial state, relative to its largest component, that writing few digits explains."""
 EVEN = 1e-6
 """Deviation from even times, in units of their spacing, that writing few digits explains."""
@@ -191,7 +191,7 @@ def _reference(experiment: Experiment, rows: Rows) -> tuple[dict[str, Any], Arra
     """
     initial, first = experiment.y0, tuple(rows.states[0].tolist())
     difference = max(abs(value - other) for value, other in zip(first, initial, strict=True))
-    agrees = difference <= AGREEMENT * max(map(abs, initial))
+    agrees = difference <= START_AGREEMENT * max(map(abs, initial))
     about = {
         "method": "Taylor series in double-double arithmetic",
         "start": "config" if agrees else "first row",

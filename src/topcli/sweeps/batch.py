@@ -30,7 +30,7 @@ from topcli.sweeps.measures import DEVIATION, DRIFT, END_ERROR, ERROR, PROBES, R
 
 WHOLE = (CODES[Outcome.COMPLETED], CODES[Outcome.LEFT_MOTION])
 """Codes of the outcomes of runs that took all their steps."""
-MAX_BYTES = 1 << 31
+MAX_RUN_BYTES = 1 << 31
 """Memory that the records of one run may take."""
 
 
@@ -128,13 +128,13 @@ def bytes_per_run(experiment: Experiment, measures: Sequence[Measure]) -> int:
 def rows_fault(experiment: Experiment, measures: Sequence[Measure]) -> str:
     """Reason why a run has more rows than its measures can hold in memory; empty if it has not."""
     size = bytes_per_run(experiment, measures)
-    if size <= MAX_BYTES:
+    if size <= MAX_RUN_BYTES:
         return ""
     rows, every = experiment.N // experiment.output.every + 1, experiment.output.every
     names = ", ".join(measure.name for measure in measures)
     return (
         f"output.every: {rows} recorded rows do not fit in memory for {names}; "
-        f"record fewer with output.every: {every * math.ceil(size / MAX_BYTES)} or more"
+        f"record fewer with output.every: {every * math.ceil(size / MAX_RUN_BYTES)} or more"
     )
 
 

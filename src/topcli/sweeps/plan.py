@@ -30,7 +30,7 @@ from topcli.store.provenance import Commit, environment, now
 from topcli.sweeps.evaluate import Shared, shared_experiment
 from topcli.sweeps.journal import DIGEST, JOURNAL, Index, Journal, Names, short_digest
 from topcli.sweeps.measures import NoCounterError, resolve_measures
-from topcli.sweeps.rows import METADATA, ROWS
+from topcli.sweeps.rows import METADATA, ROWS_FILE
 from topcli.tops import TOPS
 
 DONE, NEW, CODE, MEASURE, RETRY, REPEATED = range(6)
@@ -209,7 +209,7 @@ def _leaves(data: Mapping[str, Any], prefix: str = "") -> Any:
             yield f"{prefix}{key}", text if len(text) <= 60 else f"{text[:57]}..."
 
 
-ROW_GROUP = 1 << 14
+TABLE_ROW_GROUP = 1 << 14
 DRAWN = "drawn."
 """Beginning of the columns of drawn values, which keys may vary the centre of."""
 Columns = dict[str, list[Any]]
@@ -265,7 +265,7 @@ def _current(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
     at = index.find(plan.survey.digests)  # a row that repeats one that is not finished has no entry
     finished = np.isin(plan.status, (DONE, REPEATED)) & (at >= 0)
     rows = (row for row in RowReader(sweep, labels_only=True).rows() if finished[row.number])
-    while group := list(itertools.islice(rows, ROW_GROUP)):
+    while group := list(itertools.islice(rows, TABLE_ROW_GROUP)):
         values = [(row.number, *row.keys, *_drawn(row, sweep.drawn)) for row in group]
         columns: Columns = {name: [row[i] for row in values] for i, name in enumerate(names)}
         entries = index.rows[at[columns["row"]]]
@@ -300,8 +300,8 @@ def _left(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
     sweep = plan.survey.sweep
     others = index.rows[~np.isin(index.rows["digest"], plan.survey.digests)] if plan.left else index.rows[:0]
     others = np.sort(others, order=("block", "place"))
-    for start in range(0, len(others), ROW_GROUP):
-        entries = others[start : start + ROW_GROUP]
+    for start in range(0, len(others), TABLE_ROW_GROUP):
+        entries = others[start : start + TABLE_ROW_GROUP]
         columns: Columns = {"row": [-1] * len(entries)}
         for key in sweep.keys:
             kind = plan.survey.types[key]
@@ -339,4 +339,4 @@ def manifest_text(
         "environment": environment(),
         **commit.read(),
     }
-    return json_text(sealed_manifest(folder, content, dict.fromkeys([ROWS, "sweep.yaml", JOURNAL])))
+    return json_text(sealed_manifest(folder, content, dict.fromkeys([ROWS_FILE, "sweep.yaml", JOURNAL])))

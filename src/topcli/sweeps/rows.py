@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UnknownNameError, UsageError, nearest, quoted
 
-ROWS = "rows.parquet"
+ROWS_FILE = "rows.parquet"
 METADATA = "topcli.sweep"
 OWN = ("row", "outcome", "current")
 """Columns that are read besides keys and measures."""
@@ -166,14 +166,14 @@ def read_rows(place: Path) -> SweepRows:
 
     Raises UsageError if there is no sweep or it has no rows, and RunError if the file is damaged.
     """
-    path = place if place.name == ROWS else place / ROWS
+    path = place if place.name == ROWS_FILE else place / ROWS_FILE
     if not os.path.isfile(path):
         usual = Path("results") / path.parent
-        beside = [file.parent.name for file in sorted(path.parent.parent.glob(f"*/{ROWS}"))]
+        beside = [file.parent.name for file in sorted(path.parent.parent.glob(f"*/{ROWS_FILE}"))]
         hint = f"; {nearest(path.parent.name, beside)}" if beside else ""
-        if os.path.isfile(usual / ROWS):
+        if os.path.isfile(usual / ROWS_FILE):
             hint = f"; did you mean {usual}?"
-        raise UsageError(f"{path.parent}: no sweep is stored here ({ROWS} is missing){hint}")
+        raise UsageError(f"{path.parent}: no sweep is stored here ({ROWS_FILE} is missing){hint}")
     about, columns = _read(path)
     current = columns["current"].astype(bool)
     order = np.flatnonzero(current)[np.argsort(columns["row"][current], kind="stable")]

@@ -31,7 +31,7 @@ from topcli.store.provenance import Commit, now
 from topcli.sweeps.evaluate import Results, Work, batches, unfinished
 from topcli.sweeps.journal import COMPLETED, JOURNAL, FinishedRows, Journal
 from topcli.sweeps.plan import REASONS, Plan, Survey, changes, manifest_text, plan_sweep, survey, write_rows
-from topcli.sweeps.rows import ROWS
+from topcli.sweeps.rows import ROWS_FILE
 
 SWEEP_FILE = "sweep.yaml"
 SERIES = "series"
@@ -324,7 +324,7 @@ class _Runner:
         """Write ``rows.parquet``; the numbers of its current rows by outcome."""
         began = time.monotonic()
         current = plan_sweep(self.survey, self.journal.index())
-        path = self.folder / ROWS
+        path = self.folder / ROWS_FILE
         outcomes: dict[str, int] = {}
 
         def write(temporary: Path) -> None:

@@ -266,7 +266,7 @@ def closed_form(scheme: Scheme, problem: Problem) -> ClosedForm:
     return ClosedForm(states, seconds, time.process_time() - started)
 
 
-ROUND_OFF = 1e-6
+SATURATED_BELOW = 1e-6
 """Below this error a ladder ends when two finer rungs in a row gain less than a factor of two."""
 SLICE = 0.002
 """Shortest repetition in seconds; a quicker call is repeated within it."""
@@ -350,7 +350,7 @@ def _saturated(rungs: Sequence[Measured]) -> bool:
     if len(rungs) < 3 or rungs[-1].rung.steps == rungs[-2].rung.steps:
         return False
     best = min(rung.error for rung in rungs[:-2])
-    return best < ROUND_OFF and min(rung.error for rung in rungs[-2:]) > 0.5 * best
+    return best < SATURATED_BELOW and min(rung.error for rung in rungs[-2:]) > 0.5 * best
 
 
 def explore(competitor: Competitor, problem: Problem, reference: Array, effort: Effort) -> Measurements:

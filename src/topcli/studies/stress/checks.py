@@ -29,7 +29,7 @@ from topcli.engine.run import Run
 from topcli.runs.references import closed_form_of
 
 EPS = float(np.finfo(float).eps)
-PLAIN_STEPS = 400
+INTERPRETED_STEPS = 400
 """Approximate number of steps of a scheme that runs in the interpreter, which takes longer ones instead."""
 
 CLAIM_ULPS = 50.0
@@ -108,7 +108,7 @@ class Trial:
         self.method, self._loop = cache.method(experiment)
         self._cache = cache
         self.plain = isinstance(self.method, Stepper) and self.method.plain
-        factor = max(1, experiment.N // PLAIN_STEPS) if self.plain else 1
+        factor = max(1, experiment.N // INTERPRETED_STEPS) if self.plain else 1
         self.h, self.N = experiment.h * factor, max(1, experiment.N // factor)
         self.counters: dict[str, int] = {}
         self.claim_ulps = CLAIM_ULPS
@@ -178,7 +178,7 @@ def fault(trial: Trial, motion: Trajectory) -> Finding | None:
 
 Check = Callable[[Trial], Finding]
 
-LEFT = 0.5
+LEFT_ERROR = 0.5
 """Error relative to the state's size from which on the scheme has left the motion."""
 ORDER_LOST = 0.35
 """Allowed shortfall of the observed order from the declared one."""
@@ -217,8 +217,8 @@ def keeps_order(trial: Trial) -> Finding:
             return wrong
         errors, _ = _errors(trial, motion)
         worst = float(errors.max())
-        if not worst < LEFT:
-            at = int(np.argmax(~(errors < LEFT)))
+        if not worst < LEFT_ERROR:
+            at = int(np.argmax(~(errors < LEFT_ERROR)))
             why = f"left the motion: error {errors[at]:.1g} of its size at t = {motion.t[at]:.3g}"
             return Finding(CaseOutcome.BROKE, why, int(motion.n[at]), {"error": worst})
         worst_errors.append(worst)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 FILE = Path("stress") / "stress.json"
 
 
-SHOWN = 40
+SHOWN_TRIALS = 40
 """List all trials up to this many; beyond it, only failures."""
 SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
 MARKS = {"held": "good", "degraded": "middling", "broke": "bad"}
@@ -203,7 +203,7 @@ def printed(result: Result, *, verbose: Annotated[bool, Flag("--verbose -v")] = 
         List trials that held as well.
     """
     data = result.data
-    every = verbose or len(data["trials"]) <= SHOWN
+    every = verbose or len(data["trials"]) <= SHOWN_TRIALS
     if not every:
         for top in tops_of(data):
             yield grid_of(data, top, numbered=True)
