@@ -21,7 +21,7 @@ from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
 from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
-from topcli.runs.report import SHOWN
+from topcli.runs.report import SHOWN_TRAJECTORIES
 from topcli.runs.run import RunResult, run_experiment
 from topcli.store.parts import parts_of
 from topcli.store.series import read_series
@@ -169,7 +169,7 @@ def test_failures_are_reported_and_stay_alone(tmp_path: Path, monkeypatch: pytes
         "of 200 trajectories 150 completed, 50 blew up; the first of them, trajectory 1, blew up at step"
         in report["message"]
     )
-    assert [failure["trajectory"] for failure in report["failures"]] == list(range(1, 4 * SHOWN, 4))
+    assert [failure["trajectory"] for failure in report["failures"]] == list(range(1, 4 * SHOWN_TRAJECTORIES, 4))
     series = columns(result.stored.series)
     rows = np.bincount(series["trajectory"], minlength=200)
     assert (np.delete(rows, range(1, 200, 4)) == 21).all()
