@@ -27,7 +27,7 @@ from topcli.studies.bench.contest import Problem, Rung, choose
 from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor, explore
 from topcli.studies.copies import GENERIC, SCENES
 from topcli.studies.entries import scheme_with
-from topcli.studies.order import STEPS
+from topcli.studies.study import LADDER_STEPS
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
 """Schemes of the study that ``topcli plot order`` draws, on the generic motion of Kowalevski's top."""
@@ -112,7 +112,7 @@ def ladders(
     sets: Sequence[str] = (),
     sizes: Sequence[float] = (),
     duration: float | None = None,
-    steps: int = STEPS,
+    steps: int = LADDER_STEPS,
 ) -> Ladders:
     """Choose problem and schemes of a study; without ``names`` all schemes of fixed steps, or the default ones.
 

@@ -11,6 +11,7 @@ from typing import Annotated
 from topcli.errors import ExitCode, UsageError, quoted, shortened
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import (
+    LADDER_STEPS,
     ConfigSource,
     Data,
     Faults,
@@ -25,8 +26,6 @@ from topcli.studies.study import (
 )
 from topcli.table import EVERY, Column, Table, two_digits
 
-STEPS = 4_000_000
-"""Largest number of steps of one run."""
 FALSE = ("too low", "inconsistent")
 """Verdicts on a scheme whose declared order is false."""
 FILE = Path("order") / "order.json"
@@ -53,7 +52,7 @@ def measure(
     overrides: Overrides = (),
     sizes: Annotated[Sequence[float], Flag("--h", "H", read=_sizes, default="a ladder")] = (),
     duration: Annotated[float | None, Flag("--duration", "T", default="10, or N*h")] = None,
-    steps: Annotated[int, Flag("--steps", "N", least=1)] = STEPS,
+    steps: Annotated[int, Flag("--steps", "N", least=1)] = LADDER_STEPS,
     watch: Watch = SILENT,
 ) -> Result:
     """Measure errors over h, observed orders and round-off.

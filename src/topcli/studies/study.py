@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from topcli.contracts import Array
 
 Data = dict[str, Any]
+LADDER_STEPS = 4_000_000
+"""Largest number of steps of a run of the study ``order``, for its option and for the module that measures."""
 
 
 @dataclass(frozen=True)
