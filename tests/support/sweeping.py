@@ -1,13 +1,20 @@
-"""A small sweep of the Kowalevski top, and the table of its rows."""
+"""A small sweep of the Kowalevski top, the table of its rows, and measures of runs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 
+from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
+from topcli.contracts import Array
+from topcli.sweeps.batch import Batch
+from topcli.sweeps.batch_run import BatchRun, evaluate
+from topcli.sweeps.measures import resolve_measures
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
 BASE: dict[str, Any] = {
@@ -44,3 +51,20 @@ def with_grid(**grid: Any) -> dict[str, Any]:
 
 def without_origin(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if key not in ("row", "cpu", "scheme", "h")} for row in rows]
+
+
+class Measured(dict[str, Array]):
+    """Measures of a batch of runs by name; its faults are the run, the measure and the reason."""
+
+    batch: Batch
+    faults: list[tuple[int, str, str]]
+
+
+def measured(experiment: Experiment, names: Sequence[str], states: Any = None, **options: Any) -> Measured:
+    """Measures of runs from ``states``, by default from the initial state of the experiment."""
+    measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
+    states = np.array([experiment.y0] if states is None else states)
+    batch, faults = BatchRun(experiment, measures, threads=1, **options).finished(states), []
+    found = Measured(evaluate(measures, batch, lambda *fault: faults.append(fault)))
+    found.batch, found.faults = batch, faults
+    return found

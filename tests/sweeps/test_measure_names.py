@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cases import table_of
+from sweeping import measured
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
@@ -18,7 +19,7 @@ from topcli.runs.references import SharedReferences, reference_of
 from topcli.schemes import registry as schemes
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps.batch import bytes_per_run
-from topcli.sweeps.batch_run import BatchRun, batch_size, evaluate
+from topcli.sweeps.batch_run import batch_size
 from topcli.sweeps.measures import (
     MEASURES,
     MeasureMisfitError,
@@ -109,8 +110,7 @@ def test_every_measure_that_is_listed_for_a_top_can_be_resolved_and_evaluated() 
         experiment = load_experiment(scene, ["N=40"])
         fitting = names_of(experiment.top, experiment.scheme)
         assert set(fitting) <= set(names(measures_of_form(form)))
-        measures = resolve_measures(fitting, experiment.top, experiment.scheme)
-        found = evaluate(measures, BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0])))
+        found = measured(experiment, fitting)
         assert list(found) == fitting
         missing = [name for name, values in found.items() if not np.isfinite(values[0])]
         assert set(missing) <= {"swing_spacing", "swing_spacing.first"}
@@ -157,12 +157,9 @@ def test_measures_from_a_file(tmp_path: Path, own_registry: None) -> None:
     load(path)
     assert MEASURES["omega1.top"].origin == str(path)
     experiment = load_experiment("kowalevski_rk4", ["N=200", "h=0.01"])
-    wanted = ["omega1.top", "last.gamma2", "last.omega3"]
-    measures = resolve_measures(wanted, experiment.top, experiment.scheme)
-    batch = BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0]))
-    found = evaluate(measures, batch)
-    assert found["omega1.top"][0] == max(batch.states[0, :, 0])
-    assert (found["last.gamma2"][0], found["last.omega3"][0]) == (batch.last[0, 4], batch.last[0, 2])
+    found = measured(experiment, ["omega1.top", "last.gamma2", "last.omega3"])
+    assert found["omega1.top"][0] == max(found.batch.states[0, :, 0])
+    assert (found["last.gamma2"][0], found["last.omega3"][0]) == tuple(found.batch.last[0, [4, 2]])
     with pytest.raises(UnknownNameError, match="has no component 'gamma4'; did you mean 'gamma"):
         resolve_measures(["last.gamma4"], experiment.top, experiment.scheme)
 
@@ -179,9 +176,7 @@ def shared(monkeypatch: pytest.MonkeyPatch, max_bytes: int = 1 << 20) -> SharedR
 
 
 def max_error(experiment: Experiment) -> float:
-    measures = resolve_measures(["error.max", "error.end"], experiment.top, experiment.scheme)
-    batch = BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0]))
-    return float(evaluate(measures, batch)["error.max"][0])
+    return float(measured(experiment, ["error.max", "error.end"])["error.max"][0])
 
 
 def kowalevski(scheme: str, h: float, N: int) -> Experiment:
@@ -243,14 +238,11 @@ def test_the_references_that_are_kept_are_bounded(monkeypatch: pytest.MonkeyPatc
 def test_a_motion_that_cannot_be_followed_is_named_and_spoils_only_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
     shared(monkeypatch)
     experiment = load_experiment("kowalevski_rk4", ["N=20", "h=1e7"])
-    measures = resolve_measures(["error.max", "error.end", "steps"], experiment.top, experiment.scheme)
-    states = np.array([experiment.y0, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)])
-    faults: list[tuple[int, str, str]] = []
-    batch = BatchRun(experiment, measures, threads=1).finished(states)
-    found = evaluate(measures, batch, lambda *fault: faults.append(fault))
+    states = [experiment.y0, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)]
+    found = measured(experiment, ["error.max", "error.end", "steps"], states)
     assert np.isnan(found["error.max"]).all()
-    assert {run for run, _, _ in faults} == set(np.flatnonzero(batch.whole).tolist())
-    assert all(reason.startswith("the reference would need at least ") for _, _, reason in faults)
+    assert {run for run, _, _ in found.faults} == set(np.flatnonzero(found.batch.whole).tolist())
+    assert all(reason.startswith("the reference would need at least ") for _, _, reason in found.faults)
     assert found["steps"][1] == 20.0
 
 
@@ -258,7 +250,7 @@ def test_too_many_rows_for_the_memory_are_refused_with_a_way_out() -> None:
     experiment = load_experiment("kowalevski_rk4", ["N=1e9", "h=1e-3"])
     measures = resolve_measures(["swings", "error.max"], experiment.top, experiment.scheme)
     with pytest.raises(UsageError) as caught:
-        BatchRun(experiment, measures, threads=1).finished(np.array([experiment.y0]))
+        measured(experiment, ["swings", "error.max"])
     assert str(caught.value) == (
         "output.every: 1000000001 recorded rows do not fit in memory for swings, error.max; "
         "record fewer with output.every: 34 or more"

@@ -12,6 +12,7 @@ import pytest
 
 import topcli
 from cases import table_of
+from sweeping import measured
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
@@ -22,7 +23,7 @@ from topcli.errors import RunError
 from topcli.runs.references import REFERENCES
 from topcli.studies.comparison import compare_ensemble
 from topcli.sweeps.batch import BatchRecorder
-from topcli.sweeps.batch_run import BatchRun, evaluate
+from topcli.sweeps.batch_run import evaluate
 from topcli.sweeps.measures import MEASURES, measure, resolve_measures
 from topcli.tops.euler import field
 
@@ -34,12 +35,6 @@ OMEGA = (0.3, 0.4, 1.5)
 
 SYMMETRIC = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "initial": {"omega": list(OMEGA)}}
 """A symmetric free top: omega1 + i omega2 turns about the axis at the rate (A - C)/A omega3."""
-
-
-def measured(experiment: Experiment, names: Sequence[str], states: Any = None, **options: Any) -> dict[str, Array]:
-    measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
-    states = np.array([experiment.y0] if states is None else states)
-    return evaluate(measures, BatchRun(experiment, measures, threads=1, **options).finished(states))
 
 
 def one(experiment: Experiment, name: str) -> float:
@@ -197,18 +192,17 @@ def test_a_reversal_that_fails_is_infinite_and_never_missing() -> None:
     base = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "scheme": "one-way", "h": 0.1, "N": 32}
     states = [(0.9, -0.4, 1.3), (0.2, 0.1, 0.3), (0.8, 0.1, 0.2)]
     experiment = load_experiment({**base, "initial": {"omega": list(states[0])}})
-    measures = resolve_measures(["reversal"], experiment.top, experiment.scheme)
-    found = evaluate(measures, BatchRun(experiment, measures, threads=1).finished(np.array(states)))["reversal"]
+    found = measured(experiment, ["reversal"], states)["reversal"]
     assert np.isinf(found).tolist() == [True, False, True]
     assert 1e-6 < found[1] < 1e-3
 
     listed = {"states": [{"omega": list(state)} for state in states]}
     many = load({**base, "initial": {"omega": list(states[0])}, "ensemble": listed})
     assert isinstance(many, EnsembleExperiment)
-    measured = compare_ensemble(many, ["one-way"])["schemes"][0]["measures"]["reversal"]
-    assert measured["count"] == 3
-    assert measured["10 %"] == found[1]
-    assert measured["median"] is measured["90 %"] is None, "infinite, which JSON does not have"
+    compared = compare_ensemble(many, ["one-way"])["schemes"][0]["measures"]["reversal"]
+    assert compared["count"] == 3
+    assert compared["10 %"] == found[1]
+    assert compared["median"] is compared["90 %"] is None, "infinite, which JSON does not have"
 
 
 def test_counters_steps_and_seconds() -> None:
@@ -224,43 +218,21 @@ def test_counters_steps_and_seconds() -> None:
     assert MEASURES["error.max"].reproducible
 
 
-def test_rows_that_were_not_reached_are_not_recorded(own_registry: None) -> None:
-    experiment = symmetric("rk4", 0.1, 9)
-    measure("test.all", summary="needs all", needs=["omega1", "m_sq", "states"])(lambda batch: np.zeros(len(batch)))
-    measures = resolve_measures(["test.all"], experiment.top, experiment.scheme)
-    states = np.random.default_rng(3).normal(size=(2, 10, 3))
-    recorder = BatchRecorder(experiment, measures, states[:, 0])
-    recorder.add(Piece(0, np.arange(10), states, np.array([10, 4])))
-    batch = recorder.finish(Endings(2, 0.1), states[:, -1], np.zeros(2), lambda states, h: states)
-    momentum = states @ np.diag([A, A, C])
-    np.testing.assert_array_equal(batch.states[0], states[0])
-    np.testing.assert_array_equal(batch.states[1, :4], states[1, :4])
-    np.testing.assert_allclose(batch.columns["m_sq"][0], (momentum[0] ** 2).sum(axis=1), rtol=1e-14)
-    for recorded_rows in (batch.states[1, 4:], batch.columns["omega1"][1, 4:], batch.columns["m_sq"][1, 4:]):
-        assert np.isnan(recorded_rows).all()
-
-
 def test_counters_of_the_runs_beside_a_failed_one() -> None:
     experiment = load_experiment("kowalevski_bohlin_a", ["N=300"])
     rest = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    states = np.array([(1e200, 1e200, 0.0, 1.0, 0.0, 0.0), experiment.y0, rest])
-    measures = resolve_measures(["counter.ambiguous_roots"], experiment.top, experiment.scheme)
-    faults: list[Any] = []
-    batch = BatchRun(experiment, measures, threads=1).finished(states)
-    found = evaluate(measures, batch, lambda *fault: faults.append(fault))
+    states = [(1e200, 1e200, 0.0, 1.0, 0.0, 0.0), experiment.y0, rest]
+    found = measured(experiment, ["counter.ambiguous_roots"], states)
     np.testing.assert_array_equal(found["counter.ambiguous_roots"], [math.nan, 0.0, 300.0])
-    assert faults == []
+    assert found.faults == []
 
 
 @pytest.mark.parametrize("count", [3, 64])
 def test_the_seconds_of_runs_add_up_to_those_of_their_batch(count: int) -> None:
     experiment = symmetric("rk4", 0.01, 20_000, output={"every": 100})
-    measures = resolve_measures(["seconds"], experiment.top, experiment.scheme)
-    run = BatchRun(experiment, measures, threads=1, count=count)
     began = time.perf_counter()
-    batch = run.finished(np.tile(OMEGA, (count, 1)))
+    seconds = measured(experiment, ["seconds"], np.tile(OMEGA, (count, 1)), count=count)["seconds"]
     wall = time.perf_counter() - began
-    seconds = evaluate(measures, batch)["seconds"]
     assert (seconds == seconds[0]).all()
     assert 0.0 < seconds.sum() <= wall
 
@@ -285,9 +257,8 @@ def test_failed_runs_have_no_numbers_and_disturb_no_others(together: int) -> Non
     experiment = symmetric("rk2", 0.5, 400)
     states = np.array([OMEGA, (300.0, 400.0, 500.0), (0.1, 0.2, 0.3)])
     names = [*ALL, "drift.m_sq", "deviation.m_sq"]
-    measures = resolve_measures(names, experiment.top, experiment.scheme)
-    batch = BatchRun(experiment, measures, threads=1, count=together).finished(states)
-    found = evaluate(measures, batch)
+    found = measured(experiment, names, states, count=together)
+    batch = found.batch
     assert [ending.outcome.value for ending in batch.endings][1] == "blew_up"
     assert found["steps"].tolist() == [400.0, float(batch.endings[1].step), 400.0]
     failed = batch.endings[1].step
@@ -307,11 +278,8 @@ def test_failed_runs_have_no_numbers_and_disturb_no_others(together: int) -> Non
 def test_a_run_that_left_its_energy_surface_keeps_its_numbers() -> None:
     """It took all its steps: the error is that of a whole run, and the outcome says what it is worth."""
     experiment = symmetric("rk2", 2.9, 40)
-    states = np.array([(3.0, 4.0, 1.5)])
-    measures = resolve_measures(["error.end", "deviation.m_omega", "swings"], experiment.top, experiment.scheme)
-    batch = BatchRun(experiment, measures, threads=1).finished(states)
-    assert batch.endings[0].outcome.value == "left_motion"
-    found = evaluate(measures, batch)
+    found = measured(experiment, ["error.end", "deviation.m_omega", "swings"], [(3.0, 4.0, 1.5)])
+    assert found.batch.endings[0].outcome.value == "left_motion"
     assert found["deviation.m_omega"][0] > 100.0 * (2.0 * 25.0 + 2.25)
     assert np.isfinite(found["error.end"][0])
 
@@ -352,8 +320,7 @@ def test_only_what_is_needed_is_recorded() -> None:
     experiment = symmetric("rk4", 0.1, 50)
 
     def batch(*names: str) -> Any:
-        measures = resolve_measures(names, experiment.top, experiment.scheme)
-        return BatchRun(experiment, measures, threads=1).finished(np.array([OMEGA]))
+        return measured(experiment, names).batch
 
     bare = batch("steps", "seconds")
     assert (dict(bare.columns), bare.states.size, bare.probes.size, bare.deviations, bare.drifts) == ({}, 0, 0, {}, {})
@@ -382,15 +349,15 @@ def lowest(own_registry: None) -> list[int]:
 def test_a_measure_that_fails_for_one_run_keeps_its_values_for_the_others(lowest: list[int]) -> None:
     experiment = symmetric("rk4", 0.1, 100)
     fast = (3e3, 4e3, 5e3)  # it blows up, so that no measure sees it
-    states = np.array([fast, (0.3, 0.4, 1.5), (0.6, 0.8, 1.5), (0.0, 0.5, 1.5)])
-    measures = resolve_measures(["test.lowest", "steps"], experiment.top, experiment.scheme)
-    faults: list[tuple[int, str, str]] = []
-    found = evaluate(
-        measures, BatchRun(experiment, measures, threads=1).finished(states), lambda *fault: faults.append(fault)
-    )
+    states = [fast, (0.3, 0.4, 1.5), (0.6, 0.8, 1.5), (0.0, 0.5, 1.5)]
+    found = measured(experiment, ["test.lowest", "steps"], states)
+    failed = np.arange(101) >= found["steps"][0]
+    assert 1 < failed.argmax() < 100
+    for recorded_rows in (found.batch.states[0, :, 0], found.batch.columns["omega1"][0]):
+        assert np.isnan(recorded_rows).tolist() == failed.tolist(), "rows that were not reached"
     np.testing.assert_allclose(found["test.lowest"], [math.nan, -0.5, math.nan, -0.5], atol=2e-3)
     assert found["steps"].tolist()[1:] == [100.0] * 3
-    ((run, name, reason),) = faults
+    ((run, name, reason),) = found.faults
     assert (run, name) == (2, "test.lowest")
     assert reason.endswith("ValueError: too high")
     assert "test_measures.py:" in reason
@@ -400,12 +367,9 @@ def test_a_measure_that_fails_for_one_run_keeps_its_values_for_the_others(lowest
 @pytest.mark.parametrize("wrong", [1.0, [1.0, 2.0], "many", None, [[1.0]]])
 def test_a_measure_that_returns_something_else_is_named(wrong: Any, own_registry: None) -> None:
     measure("test.wrong", summary="wrong")(lambda batch: wrong)
-    experiment = symmetric("rk4", 0.1, 10)
-    measures = resolve_measures(["test.wrong"], experiment.top, experiment.scheme)
-    faults: list[tuple[int, str, str]] = []
-    batch = BatchRun(experiment, measures, threads=1).finished(np.array([OMEGA]))
-    assert math.isnan(evaluate(measures, batch, lambda *fault: faults.append(fault))["test.wrong"][0])
-    ((_, _, reason),) = faults
+    found = measured(symmetric("rk4", 0.1, 10), ["test.wrong"])
+    assert math.isnan(found["test.wrong"][0])
+    ((_, _, reason),) = found.faults
     assert "'test.wrong'" in reason
     assert "one number for each run" in reason
 
@@ -420,9 +384,7 @@ def test_an_error_without_a_reference_is_no_number(monkeypatch: pytest.MonkeyPat
         return real(reference, y0, h, n)
 
     monkeypatch.setattr(REFERENCES, "states", states)
-    experiment = symmetric("rk4", 0.1, 20)
-    measures = resolve_measures(["error.max", "error.end"], experiment.top, experiment.scheme)
-    batch = BatchRun(experiment, measures, threads=1).finished(np.array([(0.25, 0.5, 1.0), OMEGA]))
+    batch = measured(symmetric("rk4", 0.1, 20), ["error.max", "error.end"], [(0.25, 0.5, 1.0), OMEGA]).batch
     for errors in (batch.max_error, batch.end_error):
         assert np.isnan(errors).tolist() == [True, False]
         assert errors[1] > 0.0

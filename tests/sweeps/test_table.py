@@ -17,7 +17,7 @@ import pytest
 
 from cases import table_of
 from sweep_rows import write_rows
-from topcli.errors import RunError, UnknownNameError, UsageError
+from topcli.errors import RunError, UsageError
 from topcli.sweeps.rows import key_labels, read_rows
 from topcli.sweeps.table import Cell, Summary, SweepTable, summary, sweep_table
 from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, notes, significant, title
@@ -87,20 +87,6 @@ def test_conditions_select_rows(stored: Path, conditions: tuple[str, ...], kept:
 def test_wrong_conditions_are_named(stored: Path, conditions: tuple[str, ...], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         read_rows(stored).where(conditions)
-
-
-def test_keys_and_measures_are_told_apart(stored: Path) -> None:
-    rows = read_rows(stored)
-    assert rows.require_key("h", "--x") == "h"
-    assert rows.require_measure("error.max", "--y") == "error.max"
-    with pytest.raises(UnknownNameError, match="--x: unknown key 'shceme'; did you mean 'scheme'"):
-        rows.require_key("shceme", "--x")
-    with pytest.raises(UnknownNameError, match=r"--y: unknown measure 'error'; did you mean 'error.max'"):
-        rows.require_measure("error", "--y")
-    with pytest.raises(UsageError, match=r"--x: 'error.max' is a measure; give a varied key: scheme, h"):
-        rows.require_key("error.max", "--x")
-    with pytest.raises(UsageError, match=r"--y: 'h' is a key; give a measure: error.max"):
-        rows.require_measure("h", "--y")
 
 
 def test_a_folder_without_rows_names_the_nearest(stored: Path) -> None:
@@ -229,6 +215,8 @@ def test_several_values_in_a_cell_are_refused_by_the_keys_that_vary(tmp_path: Pa
 (['scheme'], 'h', ['error.max', 'seconds'])  one --value fills the columns; 2 are given
 (['h'], 'h', ['seconds'])                    key 'h' is named twice
 (['h'], None, ['seconds', 'seconds'])        a measure is named twice
+(['error.max'], 'h', ['seconds'])            "--rows: 'error.max' is a measure; give a varied key: scheme, h"
+(['scheme'], 'h', ['seed'])                  "--value: 'seed' is a key; give a measure: error.max"
 """),
 )
 def test_wrong_names_are_refused(tmp_path: Path, arguments: Any, message: str) -> None:
