@@ -130,13 +130,6 @@ def test_cite_as_json(cli) -> None:
     assert all(entry["bibtex"].startswith("@article{") for entry in data["entries"])
 
 
-def test_cite_suggests_names(cli) -> None:
-    for name, suggestion in (("kowalevsky", "kowalevski"), ("bohlin-d", "bohlin-"), ("hk+kahan", "kahan-li")):
-        done = cli("cite", name)
-        assert (done.code, done.out) == (2, "")
-        assert "did you mean '" + suggestion in done.err
-
-
 def test_a_plugin_is_cited_by_its_own_words(cli, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     request.addfinalizer(unload_scheme_files)
     (tmp_path / "mine.py").write_text(MINE)

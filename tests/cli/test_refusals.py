@@ -35,6 +35,7 @@ FILES = {
     **read_page(ROOT / "docs" / "own-scheme.md").files(),
     "study.yaml": SWEEP,
     "file.txt": "x",
+    "old.html": "x",
     "none.json": "x",
     "other.json": '{"command": "nothing"}',
     "empty.py": "x = 1\n",
@@ -53,6 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store_run(made / "results", "mine", N=60)
     store_sweep(made / "results", "swept")
     (made / "bare").mkdir()
+    (made / "bare.html").mkdir()
     np.savetxt(made / "mine.csv", np.eye(4), delimiter=",", header="time,w_x,w_y,w_z", comments="")
     return made
 
@@ -277,8 +279,8 @@ sweep study.yaml --dask nowhere
     error: --dask 'nowhere': neither a number of workers nor the address of a scheduler
 sweep study.yaml --time-limit -1
     error: --time-limit -1: must be a number of seconds, at least 0
-sweep study.yaml --set "grid.h={from: 0.001, to: 0.01, count: 120000}"
-    error: study.yaml:3: 120000 rows; a sweep of more than 100000 needs --yes
+sweep study.yaml --set "grid.h={from: 0.001, to: 0.01, count: 100001}"
+    error: study.yaml:3: 100001 rows; a sweep of more than 100000 needs --yes
 table swept --rows h --value error.max
     no sweep is stored here (rows.parquet is missing); did you mean results/swept?
 table results/swpt --rows h --value error.max
@@ -317,6 +319,51 @@ report mine --out page.pdf
     error: --out page.pdf: unknown type of page; use a name ending in .html
 report mine --out bare --force
     .html
+table results/swept --rows h --value error.max --value deviation.energy --columns scheme
+    one --value fills the columns; 2 are given
+table results/swept --rows h --columns h --value error.max
+    key 'h' is named twice
+table results/swept --rows h --value error.max --value error.max
+    a measure is named twice
+table results/swept --rows error.max --columns h --value deviation.energy
+    error: --rows: 'error.max' is a measure; give a varied key: h, scheme
+table results/swept --rows scheme --value h
+    error: --value: 'h' is a key; give a measure: deviation.energy
+init new.yaml --scheme hybird
+    did you mean 'hybrid'
+init new.yaml --top kowalewski
+    did you mean 'kowalevski'
+run kowalevski_hk --set output.attitude=quaternion --set precision=50
+    output.attitude: the attitude is computed in doubles only
+run kowalevski_hk --set output.attitude=quaternion --set precision=rational
+    output.attitude: the attitude is computed in doubles only
+run kowalevski_ensemble --set output.attitude=quaternion
+    output.attitude: an ensemble records no attitude
+compare hk taylor --set output.attitude=quaternion
+    output.attitude: a comparison records no attitude; add --set
+sweep study.yaml --set base.output.attitude=quaternion
+    output.attitude: a sweep records no attitude
+run kowalevski_hk --set name=x --name y
+    --name 'y': --set name=x names the run too; keep one of them
+run kowalevski_hk --name a/b
+    --name must not hold a path separator: 'a/b'
+report mine --out old.html
+    error: --out old.html: exists already; choose another file, or use --force to overwrite it
+report mine --out bare.html --force
+    is a folder; name a file
+cite kowalevsky
+    did you mean 'kowalevski'
+cite bohlin-d
+    did you mean 'bohlin-
+cite hk+kahan
+    did you mean 'kahan-li
+lax euler --config euler_ensemble
+    ensemble: this is an ensemble of 243 trajectories
+sweep results/mine/config.yaml
+    this is an experiment; `topcli run` takes experiments
+sweep heavy_drif
+    no packaged sweep is called 'heavy_drif'
+    did you mean 'heavy_drift'
 """
 
 

@@ -53,17 +53,6 @@ def test_json_names_the_results_and_what_is_missing(cli: Cli, stored: Path) -> N
     assert loud.err.splitlines()[:2] == ["wrote again.html", "warning: one: report.json: missing"]
 
 
-def test_an_existing_file_is_kept_unless_forced(cli: Cli, stored: Path) -> None:
-    page = stored / "page.html"
-    page.write_text("mine")
-    said = cli("report", "one", "--out", "page.html")
-    assert said.code == 2
-    assert said.err == ("error: --out page.html: exists already; choose another file, or use --force to overwrite it\n")
-    assert page.read_text() == "mine"
-    (stored / "folder.html").mkdir()
-    assert "is a folder; name a file" in cli("report", "one", "--out", "folder.html", "--force").err
-
-
 @pytest.mark.slow
 def test_a_page_is_written_whole_or_not_at_all(cli: Cli, stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = stored / "page.html"

@@ -14,7 +14,6 @@ from cases import table_of
 from topcli.config.load import load, load_experiment, load_named
 from topcli.config.load import load_experiment as single_from
 from topcli.config.models import changed_name, name_fault
-from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes
 
 PLACES = tuple[str | int, ...]
@@ -193,10 +192,3 @@ def test_a_default_name_is_a_name(base: str) -> None:
     assert name_fault(name) == ""
     assert name.endswith("-012345")
     assert base.startswith(name.removesuffix("-012345"))
-
-
-def test_a_run_is_named_once() -> None:
-    with pytest.raises(UsageError, match="--name 'y': --set name=x names the run too; keep one of them"):
-        load_named(SCENE, ["name=x"], "y")
-    with pytest.raises(UsageError, match="--name must not hold a path separator: 'a/b'"):
-        load_named(SCENE, [], "a/b")

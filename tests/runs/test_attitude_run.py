@@ -10,16 +10,13 @@ from scipy.spatial.transform import Rotation
 
 import topcli
 from resuming import HK, after, killed, small
-from topcli.config.load import load, load_experiment
-from topcli.config.rows import RowReader
-from topcli.config.sweep import load_sweep
+from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
 from topcli.figures.body import BodyMotion, stored_body_motion
 from topcli.runs.decision import RunOptions
 from topcli.runs.identity import Identity
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
-from topcli.studies.entries import read_entries
 from turning import TURNED, stored, turned_apart
 
 QUATERNION, ANGLES = "output.attitude=quaternion", "output.attitude=euler-angles"
@@ -83,21 +80,6 @@ def test_a_change_of_the_turns_is_a_change_of_the_code(monkeypatch: pytest.Monke
     now = [Identity.of(one, [one.method()]).code for one in (plain, turned)]
     assert now[0] == before[0]
     assert now[1] != before[1]
-
-
-def test_other_kinds_of_runs_refuse_it_by_name(tmp_path: Path) -> None:
-    for precision in ("50", "rational"):
-        with pytest.raises(UsageError, match=r"output\.attitude: the attitude is computed in doubles only"):
-            load_experiment(HK, [QUATERNION, f"precision={precision}"], any_precision=True)
-    with pytest.raises(UsageError, match=r"output\.attitude: an ensemble records no attitude"):
-        load("kowalevski_ensemble", [QUATERNION])
-    with pytest.raises(UsageError, match=r"output\.attitude: a comparison records no attitude; add --set"):
-        read_entries(small(QUATERNION), ["hk", "taylor"])
-    base = small(QUATERNION).resolved()
-    del base["name"]
-    sweep = load_sweep({"name": "s", "base": base, "grid": {"h": [0.1, 0.2]}})
-    with pytest.raises(UsageError, match=r"output\.attitude: a sweep records no attitude"):
-        list(RowReader(sweep).rows())
 
 
 @pytest.fixture(scope="module")

@@ -268,7 +268,3 @@ def test_exit_codes_count_failed_trajectories(cli, in_tmp: Path) -> None:
     text = some.to_yaml().replace("omega: [0.5,", "omega: [1e200,").replace("name: some", "name: all")
     (in_tmp / "all.yaml").write_text(text)
     assert cli("run", "all.yaml").code == 1
-    scene = str(ROOT / "configs" / "euler_ensemble.yaml")
-    said = cli("lax", "euler", "--config", scene)
-    assert (said.code, said.out) == (2, "")
-    assert "euler_ensemble.yaml:7: ensemble: this is an ensemble of 243 trajectories" in said.err

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cases import table_of
 from sweeping import measured
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
@@ -47,29 +46,6 @@ def test_names_become_measures_in_their_order() -> None:
     assert names(resolve_measures(wanted, Kowalevski(), HK)) == wanted
     modified = ["drift.modified_m_sq", "deviation.modified_k12"]
     assert names(resolve_measures(modified, Euler(A=3.0, B=2.0, C=1.0), EULER_HK)) == modified
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    table_of("""
-swing_spacin           did you mean 'swing_spacing'
-drift.enrgy            no invariant 'enrgy'; did you mean 'energy'
-error.mx               did you mean 'error.max'
-eror.max               did you mean 'error.max'
-drift.NAME             give one of drift.gamma_sq, drift.two_l, drift.energy, drift.k_sq
-drift                  "measure 'drift': give one of drift.gamma_sq, "
-drift.m_omega          top 'kowalevski' under scheme 'hk' has no invariant 'm_omega'
-drift.modified_energy  has no invariant 'modified_energy'
-''                     unknown measure ''
-"""),
-)
-def test_unknown_names_are_answered_with_the_nearest(name: str, words: str) -> None:
-    with pytest.raises(UnknownNameError) as caught:
-        resolve_measures(["swings", name], Kowalevski(), HK)
-    assert words in str(caught.value)
-
-
-def test_a_measure_named_twice_is_refused() -> None:
     with pytest.raises(UsageError, match="measure 'steps' is named twice"):
         resolve_measures(["steps", "seconds", "steps"], Kowalevski(), HK)
 

@@ -319,15 +319,6 @@ def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "study") == ["notes.txt"]
 
 
-def test_very_many_rows_need_a_confirmation(tmp_path: Path) -> None:
-    data = {**DATA, "grid": {"h": {"from": 0.1, "to": 1.0, "count": 100_001}}}
-    with pytest.raises(UsageError, match="100001 rows; a sweep of more than 100000 needs --yes"):
-        sweep(tmp_path, data)
-    assert not (tmp_path / "study").exists()
-    planned(load_sweep({**data, "grid": {"h": [0.1]}}), tmp_path, SweepOptions())
-    assert not (tmp_path / "study").exists()
-
-
 @pytest.mark.slow
 def test_series_are_stored_where_asked_for(tmp_path: Path) -> None:
     sweep(tmp_path, {**DATA, "store": "series"})

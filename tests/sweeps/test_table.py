@@ -206,26 +206,6 @@ def test_several_values_in_a_cell_are_refused_by_the_keys_that_vary(tmp_path: Pa
         sweep_table(read_rows(twice), ["h"], None, ["a"], None)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    table_of("""
-(['shceme'], 'h', ['error.max'])             --rows: unknown key 'shceme'; did you mean 'scheme'
-(['scheme'], 'H', ['error.max'])             --columns: unknown key 'H'; did you mean 'h'
-(['scheme'], 'h', ['error'])                 --value: unknown measure 'error'; did you mean 'error.max'
-(['scheme'], 'h', ['error.max', 'seconds'])  one --value fills the columns; 2 are given
-(['h'], 'h', ['seconds'])                    key 'h' is named twice
-(['h'], None, ['seconds', 'seconds'])        a measure is named twice
-(['error.max'], 'h', ['seconds'])            "--rows: 'error.max' is a measure; give a varied key: scheme, h"
-(['scheme'], 'h', ['seed'])                  "--value: 'seed' is a key; give a measure: error.max"
-"""),
-)
-def test_wrong_names_are_refused(tmp_path: Path, arguments: Any, message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        sweep_table(read_rows(made(tmp_path)), *arguments, "median")
-    with pytest.raises(UsageError, match="--aggregate 'medain': unknown aggregate; did you mean 'median'"):
-        sweep_table(read_rows(made(tmp_path)), ["scheme"], "h", ["seconds"], "medain")
-
-
 def test_the_observed_order_is_an_aggregate_over_h(tmp_path: Path) -> None:
     sizes = [0.1 * 2.0**-k for k in range(6)]
     grid = [(scheme, seed, h) for scheme in ("hk", "rk4", "bs") for seed in (1, 2) for h in sizes]
